@@ -1,0 +1,63 @@
+# mother_rover without ROS on the machine: every target makes what it needs in $(VENV), once, from PyPI.
+# Users of a sourced ROS 2 Jazzy build with colcon and need none of this.
+
+VENV ?= .venv
+RUNS ?= 20
+SEED ?= 1
+PYTEST ?=
+
+BIN := $(VENV)/bin
+RUN := $(BIN)/python -m
+
+# A sourced ROS 2, or the ROS wheels of another environment, must not leak into ours.
+unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport RMW_IMPLEMENTATION COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+# ament_index finds the package in the environment's root; the wheels do not set this.
+export AMENT_PREFIX_PATH := $(abspath $(VENV))
+# Other machines on the network stay out of demo, tests and benches.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+.PHONY: help demo test bench verify lint types contract environment clean
+
+help:  ## show this list
+	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
+	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 15
+
+demo: $(VENV)/.ready-run  ## a tethered jump over DDS, recorded and reported into out/demo
+	@$(BIN)/demo
+
+test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
+	@$(RUN) pytest --timeout=600 $(PYTEST)
+
+verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
+	@$(BIN)/verify --runs $(RUNS) --seed $(SEED)
+
+bench: $(VENV)/.ready-bench  ## speed and error side by side with Exudyn, into out/bench.json
+	@$(BIN)/bench
+
+lint: $(VENV)/.ready-test-dev  ## ruff
+	@$(RUN) ruff check .
+
+types: $(VENV)/.ready-test-dev  ## mypy, strict
+	@$(RUN) mypy
+
+contract: $(VENV)/.ready-run  ## write docs/contract.md anew from the contract
+	@$(RUN) msg_schemas.document
+
+environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
+
+clean:  ## remove environment, builds and caches; results in out/ stay
+	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# .ready-run, .ready-test, .ready-test-dev ...: the environment holds these extras. Refreshed when what
+# the installation copies or resolves has changed; sources need no refresh, the install is editable.
+INSTALLED := setup.py setup.cfg pyproject.toml package.xml tools/set_up.sh \
+	$(wildcard scripts/* launch/* config/* resource/*)
+extras = $(filter-out run,$(subst -, ,$(patsubst .ready-%,%,$(notdir $@))))
+
+$(VENV)/.ready-%: $(INSTALLED)
+	@tools/set_up.sh $(VENV) $(extras)
+	@touch $@ $(VENV)/.ready-run $(if $(filter test,$(extras)),$(VENV)/.ready-test)

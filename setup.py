@@ -1,0 +1,72 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "mother_rover"
+
+# Every executable of the suite, once: pip and colcon make bin/<name> of it, and the shim
+# scripts/<name> makes it known to `ros2 run` (the tests hold both together).
+EXECUTABLES = {
+    "sim_node": "rover_sim.sim_node:main",
+    "jump_node": "rover_control.jump_node:main",
+    "winch_node": "tether_winch.winch_node:main",
+    "bag_record": "rover_bags.record:main",
+    "bag_recover": "rover_bags.recover:main",
+    "bag_report": "rover_bags.report:main",
+    "paper_study": "rover_sim.paper_study:main",
+    "demo": "rover_verify.demo:main",
+    "verify": "rover_verify.matrix:main",
+    "bench": "rover_verify.bench:main",
+}
+
+TOP_LEVEL = [
+    "msg_schemas",
+    "rover_sim",
+    "rover_control",
+    "tether_winch",
+    "rover_bags",
+    "rover_verify",
+]
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Simulator and control suite for a tethered lunar rover, as ROS 2 Jazzy nodes",
+    maintainer="mother_rover maintainers",
+    maintainer_email="maintainers@mother-rover.example",
+    license="Apache-2.0",
+    python_requires=">=3.11,<3.13",
+    packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
+    package_data={
+        "": ["py.typed"],
+        "rover_sim": ["scenarios/*.yaml"],
+        "rover_verify": ["*.yaml"],
+    },
+    data_files=[
+        ("lib/" + PACKAGE, sorted(glob("scripts/*"))),
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+        ("share/" + PACKAGE + "/launch", sorted(glob("launch/*.launch.py"))),
+        ("share/" + PACKAGE + "/config", sorted(glob("config/*"))),
+    ],
+    entry_points={
+        "console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()]
+    },
+    install_requires=[
+        "ros-jazzy-rclpy[fastrtps]",
+        "ros-jazzy-common-interfaces",
+        "matplotlib>=3.6",
+        "mcap-ros2-support>=0.5",
+        "numba>=0.59",
+        "numpy>=1.26",
+        "pyyaml>=6.0",
+        "rosbags>=0.11",
+        "scipy>=1.11",
+    ],
+    extras_require={
+        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-timeout>=2.2"],
+        "bench": ["exudyn>=1.8"],
+        "dev": ["mypy~=2.4", "ruff~=0.17.5", "scipy-stubs", "types-PyYAML"],
+    },
+    zip_safe=False,
+)
