@@ -1,0 +1,1 @@
+"""Pure numerics of tether and rover: no ROS, no files, SI units."""

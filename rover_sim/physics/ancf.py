@@ -1,0 +1,135 @@
+"""Thin ANCF cable element: shape functions, quadrature, constant and strain-dependent terms.
+
+An element of undeformed length l carries e = (r1, r1', r2, r2'), positions [m] and slopes
+r' = dr/dx [-] of its two nodes in the plane or in space, and interpolates r(x) = S(x) e with
+cubic Hermite polynomials (Gerstmayr and Shabana 2006, Nonlinear Dynamics 45, thin beam element;
+in the plane Berzeri and Shabana 2000, J. Sound and Vibration 235(4)). Its energies are
+
+- bending, model T1 of Berzeri and Shabana: U = 1/2 int EI |r''|^2 dx, so K_t is constant;
+- axial, model L2: U = 1/2 int EA eps^2 dx with Green's strain eps = (r'.r' - 1)/2.
+
+Arrays of element coordinates have the shape (..., 4, dim), those of nodes (n + 1, 2, dim).
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+# Gauss-Legendre rule with five points on [0, 1]; exact to degree 9, the L2 forces have degree 8.
+_points, _weights = np.polynomial.legendre.leggauss(5)
+GAUSS_POINTS: Array = (1.0 + _points) / 2.0
+GAUSS_WEIGHTS: Array = _weights / 2.0
+
+
+def shape_functions(xi: ArrayLike, length: float) -> Array:
+    """S(xi), so that r = S e; xi = x/l in [0, 1]. Shape xi.shape + (4,), units (1, m, 1, m)."""
+    t = np.asarray(xi, dtype=np.float64)
+    return np.stack(
+        [
+            1.0 - 3.0 * t**2 + 2.0 * t**3,
+            length * (t - 2.0 * t**2 + t**3),
+            3.0 * t**2 - 2.0 * t**3,
+            length * (t**3 - t**2),
+        ],
+        axis=-1,
+    )
+
+
+def slope_functions(xi: ArrayLike, length: float) -> Array:
+    """S'(xi) = dS/dx, so that r' = S' e. Shape xi.shape + (4,), units (1/m, 1, 1/m, 1)."""
+    t = np.asarray(xi, dtype=np.float64)
+    chord = 6.0 * (t - t**2) / length
+    return np.stack([-chord, 1.0 - 4.0 * t + 3.0 * t**2, chord, 3.0 * t**2 - 2.0 * t], axis=-1)
+
+
+def curvature_functions(xi: ArrayLike, length: float) -> Array:
+    """S''(xi) = d2S/dx2, so that r'' = S'' e. Shape xi.shape + (4,), units (1/m2, 1/m, ...)."""
+    t = np.asarray(xi, dtype=np.float64)
+    chord = (6.0 - 12.0 * t) / length**2
+    return np.stack([-chord, (6.0 * t - 4.0) / length, chord, (6.0 * t - 2.0) / length], axis=-1)
+
+
+def mass_matrix(line_density: float, length: float) -> Array:
+    """M [kg, kg m, kg m2] = int rhoA S^T S dx, (4, 4); each entry acts on all directions alike."""
+    l1, l2 = length, length**2
+    return (line_density * length / 420.0) * np.array(
+        [
+            [156.0, 22.0 * l1, 54.0, -13.0 * l1],
+            [22.0 * l1, 4.0 * l2, 13.0 * l1, -3.0 * l2],
+            [54.0, 13.0 * l1, 156.0, -22.0 * l1],
+            [-13.0 * l1, -3.0 * l2, -22.0 * l1, 4.0 * l2],
+        ]
+    )
+
+
+def bending_matrix(bending_stiffness: float, length: float) -> Array:
+    """K_t = int EI S''^T S'' dx, (4, 4); the bending force on the nodes' coordinates is K_t e."""
+    l1, l2 = length, length**2
+    return (bending_stiffness / length**3) * np.array(
+        [
+            [12.0, 6.0 * l1, -12.0, 6.0 * l1],
+            [6.0 * l1, 4.0 * l2, -6.0 * l1, 2.0 * l2],
+            [-12.0, -6.0 * l1, 12.0, -6.0 * l1],
+            [6.0 * l1, 2.0 * l2, -6.0 * l1, 4.0 * l2],
+        ]
+    )
+
+
+def load_vector(line_density: float, length: float) -> Array:
+    """Weight per gravity: int rhoA S dx, (4,) [kg, kg m, ...]; times gravity it is a force."""
+    return line_density * length * np.array([0.5, length / 12.0, 0.5, -length / 12.0])
+
+
+def element_coordinates(nodes: Array) -> Array:
+    """Nodes (n + 1, 2, dim) as the elements' e (n, 4, dim)."""
+    return np.concatenate([nodes[:-1], nodes[1:]], axis=1)
+
+
+def assemble_nodes(element_vectors: Array) -> Array:
+    """Sum element vectors (n, 4, dim) into nodal ones (n + 1, 2, dim)."""
+    n, _, dim = element_vectors.shape
+    nodal = np.zeros((n + 1, 2, dim))
+    nodal[:-1] += element_vectors[:, :2]
+    nodal[1:] += element_vectors[:, 2:]
+    return nodal
+
+
+def green_strain(e: Array, length: float, xi: ArrayLike = GAUSS_POINTS) -> Array:
+    """Green's strain eps = (r'.r' - 1)/2 [-] at xi; e (..., 4, dim) gives (..., len(xi))."""
+    slopes = slope_functions(xi, length) @ e
+    return np.asarray(0.5 * (np.sum(slopes**2, axis=-1) - 1.0))
+
+
+def axial_energy(e: Array, axial_stiffness: float, length: float) -> Array:
+    """U = 1/2 int EA eps^2 dx [J] of each element; e (..., 4, dim) gives (...)."""
+    return np.asarray(0.5 * axial_stiffness * length * green_strain(e, length) ** 2 @ GAUSS_WEIGHTS)
+
+
+def axial_force(e: Array, axial_stiffness: float, length: float) -> Array:
+    """Q = dU/de = int EA eps S'^T r' dx of model L2; e (..., 4, dim) gives the same shape."""
+    functions = slope_functions(GAUSS_POINTS, length)
+    slopes = functions @ e
+    strain = 0.5 * (np.sum(slopes**2, axis=-1) - 1.0)
+    weighted = (axial_stiffness * length * GAUSS_WEIGHTS * strain)[..., None] * slopes
+    return np.asarray(functions.T @ weighted)
+
+
+def axial_tangent(e: Array, axial_stiffness: float, length: float) -> Array:
+    """dQ/de = int EA S'^T (eps I + r' r'^T) S' dx; e (..., 4, dim) gives (..., 4, dim, 4, dim)."""
+    functions = slope_functions(GAUSS_POINTS, length)
+    slopes = functions @ e
+    strain = 0.5 * (np.sum(slopes**2, axis=-1) - 1.0)
+    tensor = strain[..., None, None] * np.eye(e.shape[-1]) + slopes[..., :, None] * slopes[
+        ..., None, :
+    ]
+    weights = axial_stiffness * length * GAUSS_WEIGHTS
+    return np.asarray(
+        np.einsum("g,ga,gb,...gij->...aibj", weights, functions, functions, tensor, optimize=True)
+    )
+
+
+def bending_energy(e: Array, bending_stiffness: float, length: float) -> Array:
+    """U = 1/2 e^T K_t e [J] of each element; e (..., 4, dim) gives (...)."""
+    stiffness = bending_matrix(bending_stiffness, length)
+    return np.asarray(0.5 * np.einsum("...ai,ab,...bi->...", e, stiffness, e))
