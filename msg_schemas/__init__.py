@@ -1,0 +1,7 @@
+"""The contract of the suite: topics, types, quality of service, frames, units, limits.
+
+``table`` lists every topic and service; ``samples`` are what messages say;
+``codecs`` turn one into the other and refuse what the table forbids;
+``parameters`` are typed values with units and ranges; ``node`` is the shell of
+every node (the only module here that needs rclpy).
+"""

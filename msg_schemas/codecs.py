@@ -1,0 +1,500 @@
+"""Codecs: between ROS messages and typed samples, refusing what the table forbids.
+
+``encode`` and ``decode`` are pure. They need the message packages, not rclpy.
+Every number is tested for finiteness and against its limits both ways, so that
+neither a faulty node nor a faulty peer can put a bad value on the wire.
+"""
+
+from __future__ import annotations
+
+import array
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import (
+    TETHER_COLUMNS,
+    ClockSample,
+    DrawingSample,
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    OdometrySample,
+    Quaternion,
+    Sample,
+    Shape,
+    Status,
+    StatusSample,
+    TetherSample,
+    TextSample,
+    Vector,
+    WrenchSample,
+)
+from msg_schemas.table import TOPICS, Field, Topic, Unstamped
+
+Message = Any
+
+_NANO = 1_000_000_000
+_FLOAT64 = 8
+_POINT_STEP = 8 * len(TETHER_COLUMNS)
+_QUATERNION_TOLERANCE = 1e-3
+
+
+def message_class(type_name: str) -> type[Any]:
+    """Return the Python class of a message or service type such as ``nav_msgs/msg/Odometry``."""
+    package, kind, name = type_name.split("/")
+    found = getattr(import_module(f"{package}.{kind}"), name)
+    if not isinstance(found, type):
+        msg = f"{type_name} is not a message type"
+        raise TypeError(msg)
+    return found
+
+
+def topic_row(name: str) -> Topic:
+    """Return the table's row for a topic name; KeyError says which names exist."""
+    try:
+        return TOPICS[name]
+    except KeyError:
+        msg = f"the contract has no topic {name!r}; it has {', '.join(sorted(TOPICS))}"
+        raise KeyError(msg) from None
+
+
+def encode(name: str, sample: Sample) -> Message:
+    """Turn a sample into the topic's message.
+
+    Raises:
+        Refusal: a value is not finite, out of limits, or not of this topic.
+    """
+    topic = topic_row(name)
+    if not isinstance(sample, topic.sample):
+        raise Refusal(
+            name,
+            RefusalCode.WRONG_TYPE,
+            f"got a {type(sample).__name__}, this topic carries {topic.sample.__name__}",
+        )
+    check(topic, sample)
+    return _CODECS[topic.sample].encode(topic, sample)
+
+
+def decode(name: str, message: Message, now_ns: int | None = None) -> Any:
+    """Turn a message into the topic's sample.
+
+    Args:
+        name: topic name, relative, as in the table.
+        message: a ROS message of the topic's type.
+        now_ns: receiver's clock [ns]; given, the message's age is checked too.
+
+    Raises:
+        Refusal: bad number, wrong joint, wrong length, bad text, too old ...
+    """
+    topic = topic_row(name)
+    sample: Sample = _CODECS[topic.sample].decode(topic, message)
+    check(topic, sample)
+    if now_ns is not None:
+        sample = check_age(topic, sample, now_ns)
+    return sample
+
+
+def check(topic: Topic, sample: Sample) -> None:
+    """Refuse a sample whose names, numbers or words the table does not allow."""
+    if isinstance(sample, JointSample):
+        _check_joints(topic, sample)
+    elif isinstance(sample, TextSample):
+        _check_text(topic, sample)
+    elif isinstance(sample, OdometrySample):
+        norm = math.sqrt(sum(c * c for c in sample.orientation))
+        if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+            raise Refusal(
+                topic.name,
+                RefusalCode.OUT_OF_LIMITS,
+                f"orientation has norm {norm!r}, it must be a unit quaternion",
+            )
+    limits = topic.by_path
+    for path, value in sample.scalars():
+        _check_number(topic, limits.get(path), path, value)
+
+
+def _check_number(topic: Topic, row: Field | None, path: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise Refusal(
+            topic.name, RefusalCode.NOT_FINITE, f"{path} is {value!r}, it must be a finite number"
+        )
+    if row is not None and not row.minimum <= value <= row.maximum:
+        raise Refusal(
+            topic.name,
+            RefusalCode.OUT_OF_LIMITS,
+            f"{path} is {value!r} {row.unit}, it must lie in "
+            f"{row.minimum:g} .. {row.maximum:g} {row.unit}",
+        )
+
+
+def _check_joints(topic: Topic, sample: JointSample) -> None:
+    if set(sample.joints) != set(topic.joints):
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_NAME,
+            f"joints are {sorted(sample.joints)}, they must be {sorted(topic.joints)}",
+        )
+
+
+def _check_text(topic: Topic, sample: TextSample) -> None:
+    if topic.words and sample.text not in topic.words:
+        raise Refusal(
+            topic.name,
+            RefusalCode.BAD_TEXT,
+            f"text is {sample.text!r}, it must be one of {', '.join(topic.words)}",
+        )
+    if topic.is_json:
+        try:
+            content = json.loads(sample.text)
+        except json.JSONDecodeError as error:
+            raise Refusal(topic.name, RefusalCode.BAD_TEXT, f"not JSON: {error}") from error
+        if not isinstance(content, dict):
+            raise Refusal(
+                topic.name,
+                RefusalCode.BAD_TEXT,
+                f"JSON holds a {type(content).__name__}, it must hold an object",
+            )
+
+
+def check_age(topic: Topic, sample: Sample, now_ns: int) -> Sample:
+    """Refuse a sample that is too old or from the future; stamp an unstamped one if allowed."""
+    stamp = getattr(sample, "stamp_ns", None)
+    if stamp is None:
+        return sample
+    policy = topic.stale
+    if stamp == 0 and (math.isfinite(policy.max_age) or policy.unstamped is Unstamped.REFUSE):
+        if policy.unstamped is Unstamped.REFUSE:
+            raise Refusal(
+                topic.name,
+                RefusalCode.UNSTAMPED,
+                "the stamp is zero, it must be the sender's time (header.stamp)",
+            )
+        return _restamped(sample, now_ns)
+    age = (now_ns - stamp) / _NANO
+    if age > policy.max_age:
+        raise Refusal(
+            topic.name,
+            RefusalCode.STALE,
+            f"stamped {age:.3f} s ago, it must be at most {policy.max_age:g} s old "
+            "(do sender and receiver follow the same clock?)",
+        )
+    if -age > policy.max_lead:
+        raise Refusal(
+            topic.name,
+            RefusalCode.FROM_THE_FUTURE,
+            f"stamped {-age:.3f} s ahead, it may be at most {policy.max_lead:g} s ahead "
+            "(do sender and receiver follow the same clock?)",
+        )
+    return sample
+
+
+def _restamped(sample: Sample, now_ns: int) -> Sample:
+    if isinstance(sample, JointSample):
+        return JointSample(now_ns, sample.joints)
+    return sample
+
+
+# --- the codecs, one per sample type -----------------------------------------------------------
+
+
+def to_time(stamp_ns: int) -> Message:
+    """Return builtin_interfaces/Time for nanoseconds."""
+    time_class = message_class("builtin_interfaces/msg/Time")
+    return time_class(sec=stamp_ns // _NANO, nanosec=stamp_ns % _NANO)
+
+
+def from_time(time: Message) -> int:
+    """Return nanoseconds of a builtin_interfaces/Time."""
+    return int(time.sec) * _NANO + int(time.nanosec)
+
+
+def _new(topic: Topic, stamp_ns: int) -> Message:
+    message = message_class(topic.message)()
+    message.header.stamp.sec = stamp_ns // _NANO
+    message.header.stamp.nanosec = stamp_ns % _NANO
+    message.header.frame_id = topic.frame
+    return message
+
+
+def _check_frame(topic: Topic, got: str, wanted: str, which: str) -> None:
+    if wanted and got not in {"", wanted}:
+        raise Refusal(
+            topic.name, RefusalCode.WRONG_FRAME, f"{which} is {got!r}, it must be {wanted!r}"
+        )
+
+
+def _set(target: Message, values: tuple[float, ...], axes: str = "xyz") -> None:
+    for axis, value in zip(axes, values, strict=True):
+        setattr(target, axis, float(value))
+
+
+def _vector(source: Message) -> Vector:
+    return (float(source.x), float(source.y), float(source.z))
+
+
+def _quaternion(source: Message) -> Quaternion:
+    return (float(source.x), float(source.y), float(source.z), float(source.w))
+
+
+def _encode_joints(topic: Topic, sample: JointSample) -> Message:
+    message = _new(topic, sample.stamp_ns)
+    message.name = list(sample.joints)
+    values = sample.joints.values()
+    message.position = array.array("d", [v.position for v in values])
+    message.velocity = array.array("d", [v.velocity for v in values])
+    message.effort = array.array("d", [v.effort for v in values])
+    return message
+
+
+def _joint_column(topic: Topic, message: Message, part: str) -> list[float]:
+    names = list(message.name)
+    given = list(getattr(message, part))
+    if len(given) == len(names):
+        return [float(v) for v in given]
+    rows = [topic.by_path.get(f"{name}.{part}") for name in names]
+    defaults = [row.default for row in rows if row is not None and row.default is not None]
+    if not given and len(defaults) == len(names):
+        return defaults
+    raise Refusal(
+        topic.name,
+        RefusalCode.WRONG_LENGTH,
+        f"{part} has {len(given)} values for {len(names)} joints, it must have {len(names)}",
+    )
+
+
+def _decode_joints(topic: Topic, message: Message) -> JointSample:
+    names = [str(name) for name in message.name]
+    if len(set(names)) != len(names) or set(names) != set(topic.joints):
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_NAME,
+            f"joints are {names}, they must be {sorted(topic.joints)}, each once",
+        )
+    columns = [_joint_column(topic, message, p) for p in ("position", "velocity", "effort")]
+    joints = {n: JointValue(*v) for n, *v in zip(names, *columns, strict=True)}
+    return JointSample(from_time(message.header.stamp), joints)
+
+
+def _encode_odometry(topic: Topic, sample: OdometrySample) -> Message:
+    message = _new(topic, sample.stamp_ns)
+    message.child_frame_id = topic.child_frame
+    _set(message.pose.pose.position, sample.position)
+    _set(message.pose.pose.orientation, sample.orientation, "xyzw")
+    _set(message.twist.twist.linear, sample.linear)
+    _set(message.twist.twist.angular, sample.angular)
+    return message
+
+
+def _decode_odometry(topic: Topic, message: Message) -> OdometrySample:
+    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    _check_frame(topic, message.child_frame_id, topic.child_frame, "child_frame_id")
+    return OdometrySample(
+        from_time(message.header.stamp),
+        _vector(message.pose.pose.position),
+        _quaternion(message.pose.pose.orientation),
+        _vector(message.twist.twist.linear),
+        _vector(message.twist.twist.angular),
+    )
+
+
+def _encode_imu(topic: Topic, sample: ImuSample) -> Message:
+    message = _new(topic, sample.stamp_ns)
+    message.orientation_covariance[0] = -1.0  # sensor_msgs/Imu: no orientation estimate
+    _set(message.angular_velocity, sample.angular_velocity)
+    _set(message.linear_acceleration, sample.linear_acceleration)
+    return message
+
+
+def _decode_imu(topic: Topic, message: Message) -> ImuSample:
+    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    return ImuSample(
+        from_time(message.header.stamp),
+        _vector(message.angular_velocity),
+        _vector(message.linear_acceleration),
+    )
+
+
+def _encode_wrench(topic: Topic, sample: WrenchSample) -> Message:
+    message = _new(topic, sample.stamp_ns)
+    _set(message.wrench.force, sample.force)
+    _set(message.wrench.torque, sample.torque)
+    return message
+
+
+def _decode_wrench(topic: Topic, message: Message) -> WrenchSample:
+    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    return WrenchSample(
+        from_time(message.header.stamp),
+        _vector(message.wrench.force),
+        _vector(message.wrench.torque),
+    )
+
+
+def _encode_tether(topic: Topic, sample: TetherSample) -> Message:
+    if sample.nodes.ndim != 2 or sample.nodes.shape[1] != len(TETHER_COLUMNS):
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_LENGTH,
+            f"nodes have shape {sample.nodes.shape}, it must be (n + 1, {len(TETHER_COLUMNS)})",
+        )
+    message = _new(topic, sample.stamp_ns)
+    point_field = message_class("sensor_msgs/msg/PointField")
+    message.height = 1
+    message.width = sample.nodes.shape[0]
+    message.fields = [
+        point_field(name=name, offset=8 * column, datatype=_FLOAT64, count=1)
+        for column, name in enumerate(TETHER_COLUMNS)
+    ]
+    message.point_step = _POINT_STEP
+    message.row_step = _POINT_STEP * sample.nodes.shape[0]
+    data = np.ascontiguousarray(sample.nodes, dtype="<f8").tobytes()
+    message.data = array.array("B", data)
+    message.is_dense = True
+    return message
+
+
+def _decode_tether(topic: Topic, message: Message) -> TetherSample:
+    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    names = tuple(f.name for f in message.fields)
+    plain = all(f.datatype == _FLOAT64 and f.count == 1 for f in message.fields)
+    if names != TETHER_COLUMNS or not plain or message.is_bigendian:
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_NAME,
+            f"fields are {names}, they must be {TETHER_COLUMNS}, little-endian FLOAT64",
+        )
+    data = bytes(message.data)
+    expected = message.width * message.height * _POINT_STEP
+    if message.point_step != _POINT_STEP or len(data) != expected or message.width == 0:
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_LENGTH,
+            f"data has {len(data)} bytes at point step {message.point_step}, it must have "
+            f"{expected} at {_POINT_STEP}",
+        )
+    nodes = np.frombuffer(data, dtype="<f8").reshape(-1, len(TETHER_COLUMNS))
+    return TetherSample(from_time(message.header.stamp), nodes)
+
+
+def _encode_text(topic: Topic, sample: TextSample) -> Message:
+    return message_class(topic.message)(data=sample.text)
+
+
+def _decode_text(_topic: Topic, message: Message) -> TextSample:
+    return TextSample(str(message.data))
+
+
+def _encode_clock(topic: Topic, sample: ClockSample) -> Message:
+    return message_class(topic.message)(clock=to_time(sample.stamp_ns))
+
+
+def _decode_clock(_topic: Topic, message: Message) -> ClockSample:
+    return ClockSample(from_time(message.clock))
+
+
+def _encode_statuses(topic: Topic, sample: StatusSample) -> Message:
+    status_class = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+    pair_class = message_class("diagnostic_msgs/msg/KeyValue")
+    message = _new(topic, sample.stamp_ns)
+    message.status = [
+        status_class(
+            level=bytes([status.level]),
+            name=status.name,
+            message=status.message,
+            hardware_id=status.hardware_id,
+            values=[pair_class(key=k, value=v) for k, v in status.values.items()],
+        )
+        for status in sample.statuses
+    ]
+    return message
+
+
+def _level(raw: bytes | int) -> Level:
+    return Level(raw if isinstance(raw, int) else int.from_bytes(raw, sys.byteorder))
+
+
+def _decode_statuses(topic: Topic, message: Message) -> StatusSample:
+    statuses = []
+    for item in message.status:
+        try:
+            level = _level(item.level)
+        except ValueError as error:
+            raise Refusal(
+                topic.name, RefusalCode.OUT_OF_LIMITS, f"level is {item.level!r}, it must be 0 .. 3"
+            ) from error
+        values = {str(pair.key): str(pair.value) for pair in item.values}
+        statuses.append(
+            Status(str(item.name), str(item.message), level, str(item.hardware_id), values)
+        )
+    return StatusSample(from_time(message.header.stamp), tuple(statuses))
+
+
+_MARKER_LINE_STRIP = 4
+_MARKER_CUBE = 1
+
+
+def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
+    marker_class = message_class("visualization_msgs/msg/Marker")
+    point_class = message_class("geometry_msgs/msg/Point")
+    message = message_class(topic.message)()
+    for index, shape in enumerate(sample.shapes):
+        marker = marker_class()
+        marker.header.stamp = to_time(sample.stamp_ns)
+        marker.header.frame_id = shape.frame
+        marker.ns = shape.namespace
+        marker.id = index
+        marker.type = _MARKER_LINE_STRIP if shape.kind == "line" else _MARKER_CUBE
+        _set(marker.scale, shape.size)
+        _set(marker.color, shape.colour, "rgba")
+        _set(marker.pose.position, shape.position)
+        _set(marker.pose.orientation, shape.orientation, "xyzw")
+        marker.points = [point_class(x=x, y=y, z=z) for x, y, z in shape.points]
+        message.markers.append(marker)
+    return message
+
+
+def _decode_drawing(_topic: Topic, message: Message) -> DrawingSample:
+    stamp = from_time(message.markers[0].header.stamp) if message.markers else 0
+    shapes = tuple(
+        Shape(
+            str(m.ns),
+            "line" if m.type == _MARKER_LINE_STRIP else "box",
+            str(m.header.frame_id),
+            (float(m.color.r), float(m.color.g), float(m.color.b), float(m.color.a)),
+            _vector(m.scale),
+            tuple(_vector(p) for p in m.points),
+            _vector(m.pose.position),
+            _quaternion(m.pose.orientation),
+        )
+        for m in message.markers
+    )
+    return DrawingSample(stamp, shapes)
+
+
+class _Codec(NamedTuple):
+    encode: Callable[[Topic, Any], Message]
+    decode: Callable[[Topic, Message], Any]
+
+
+_CODECS: Mapping[type[Any], _Codec] = MappingProxyType(
+    {
+        JointSample: _Codec(_encode_joints, _decode_joints),
+        OdometrySample: _Codec(_encode_odometry, _decode_odometry),
+        ImuSample: _Codec(_encode_imu, _decode_imu),
+        WrenchSample: _Codec(_encode_wrench, _decode_wrench),
+        TetherSample: _Codec(_encode_tether, _decode_tether),
+        TextSample: _Codec(_encode_text, _decode_text),
+        ClockSample: _Codec(_encode_clock, _decode_clock),
+        StatusSample: _Codec(_encode_statuses, _decode_statuses),
+        DrawingSample: _Codec(_encode_drawing, _decode_drawing),
+    }
+)

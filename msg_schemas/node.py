@@ -1,0 +1,569 @@
+"""The shell that every node of the suite wears.
+
+``ContractNode`` is a lifecycle node that speaks by the contract's table only:
+it declares typed parameters, publishes samples, hands accepted samples to
+callbacks, and puts every refusal with its reason on diagnostics while it lives
+on. ``run`` is the ``main`` of every node: clean Ctrl-C, exit codes that mean
+something, ``--help``.
+
+Life of a node: ``setup`` (configure) -> ``start`` (activate) -> ``stop``
+(deactivate) -> ``release`` (clean-up). With the parameter ``autostart`` (the
+default) it configures and activates itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import signal
+import sys
+import threading
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+
+from msg_schemas import qos, topics
+from msg_schemas.codecs import decode, encode, message_class, topic_row
+from msg_schemas.parameters import (
+    P,
+    ParameterError,
+    ParameterInfo,
+    from_mapping,
+    info_of,
+    parameter,
+)
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
+from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+PACKAGE = "mother_rover"
+
+_DIAGNOSTICS_PERIOD = 1.0
+_SPIN_SLICE = 0.1
+_REFUSALS_SHOWN_PER_PERIOD = 20
+
+
+class ExitCode(IntEnum):
+    """What a node's exit code says."""
+
+    OK = 0
+    CRASH = 1
+    BAD_CONFIGURATION = 2
+    DIVERGED = 3
+
+
+def package_version() -> str:
+    """Return the installed version of the package, or ``unknown`` when run from a bare tree."""
+    try:
+        return version(PACKAGE)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True)
+class ShellParameters:
+    """Parameters that every node has."""
+
+    autostart: bool = parameter(
+        True,
+        "-",
+        "configure and activate by itself; false waits for a lifecycle manager",
+        read_only=True,
+    )
+
+
+class ContractPublisher:
+    """Publishes samples of one topic; a bad sample is refused, not sent."""
+
+    def __init__(self, node: ContractNode, name: str) -> None:
+        row = topic_row(name)
+        self._node = node
+        self._name = name
+        self._publisher = node.create_publisher(
+            message_class(row.message), name, qos.profile(row.intent)
+        )
+
+    def send(self, sample: Sample) -> bool:
+        """Encode and publish; returns whether it went out."""
+        try:
+            self._publisher.publish(encode(self._name, sample))
+        except Refusal as refusal:
+            self._node.refuse(refusal)
+            return False
+        return True
+
+    def destroy(self) -> None:
+        """Take the publisher off the graph."""
+        self._node.destroy_publisher(self._publisher)
+
+
+class ContractNode(LifecycleNode):
+    """A node that speaks by the contract.
+
+    Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
+    ``stop``, ``release``, ``health`` and ``configuration`` as they need.
+    """
+
+    NAME: ClassVar[str] = ""
+    PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
+
+    def __init__(self, **node_options: Any) -> None:
+        """Declare parameters and open events, diagnostics and configuration.
+
+        Raises:
+            ParameterError: a parameter given from outside is wrong.
+        """
+        super().__init__(self.NAME, **node_options)
+        self.exit_code: ExitCode | None = None
+        self.active = False
+        self._failure: Exception | None = None
+        self._groups: dict[type[Any], Any] = {}
+        self._accepted: Counter[str] = Counter()
+        self._refused: Counter[str] = Counter()
+        self._shown = 0
+        self._lock = threading.Lock()
+        self._last_stamp: dict[str, int] = {}
+        self._opened: list[ContractPublisher] = []
+        self._taken: list[Any] = []
+        self._served: list[Any] = []
+        self._timers_while_active: list[Any] = []
+        for cls in _parameter_classes(type(self)):
+            self._declare(cls)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._diagnostics = ContractPublisher(self, topics.DIAGNOSTICS)
+        self._events = ContractPublisher(self, topics.EVENTS)
+        self._config = ContractPublisher(self, topics.CONFIG)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_health, clock=self._steady)
+        threshold = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jump_handle = self.get_clock().create_jump_callback(
+            threshold, post_callback=self._on_clock_jump
+        )
+
+    # --- what subclasses override --------------------------------------------------------------
+
+    def setup(self) -> None:
+        """Configure: load, compile, open publishers and subscriptions."""
+
+    def start(self) -> None:
+        """Activate: begin to act."""
+
+    def stop(self) -> None:
+        """Deactivate: stop acting, leave everything safe."""
+
+    def release(self) -> None:
+        """Clean up what ``setup`` made beyond publishers, subscriptions and services."""
+
+    def health(self) -> tuple[Status, ...]:
+        """Return further statuses for the periodic diagnostics."""
+        return ()
+
+    def configuration(self) -> Mapping[str, Any]:
+        """Return what else the latched configuration shall hold (JSON values)."""
+        return {}
+
+    def clock_jumped(self) -> None:
+        """React to a clock that jumped back or changed its source."""
+
+    # --- parameters ------------------------------------------------------------------------------
+
+    def parameters_of(self, cls: type[P]) -> P:
+        """Return the present values of one of the node's parameter classes."""
+        found: P = self._groups[cls]
+        return found
+
+    def _declare(self, cls: type[Any]) -> None:
+        values = {}
+        for field in dataclasses.fields(cls):
+            info = info_of(field)
+            try:
+                declared = self.declare_parameter(
+                    field.name, field.default, _descriptor(field.default, info)
+                )
+            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+                msg = f"{field.name}: {error}"
+                raise ParameterError(msg) from error
+            values[field.name] = declared.value
+        self._groups[cls] = from_mapping(cls, values)
+
+    def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        renewed = {}
+        for cls, present in self._groups.items():
+            names = {field.name for field in dataclasses.fields(cls)}
+            mine = {change.name: change.value for change in changes if change.name in names}
+            if not mine:
+                continue
+            try:
+                renewed[cls] = from_mapping(cls, {**dataclasses.asdict(present), **mine})
+            except ParameterError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        self._groups.update(renewed)
+        if renewed and self._last_configuration is not None:
+            self._publish_configuration()
+        return SetParametersResult(successful=True)
+
+    # --- publishing, subscribing, serving --------------------------------------------------------
+
+    def publisher(self, name: str) -> ContractPublisher:
+        """Open a publisher for a topic of the table."""
+        made = ContractPublisher(self, name)
+        self._opened.append(made)
+        return made
+
+    def subscribe(self, name: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic of the table; ``callback`` gets accepted samples only.
+
+        ``callback`` may raise ``Refusal`` for what only it can judge, such as a
+        wrong phase.
+        """
+        row = topic_row(name)
+
+        def receive(message: Any) -> None:
+            self._receive(row, callback, message)
+
+        self._taken.append(
+            self.create_subscription(
+                message_class(row.message), name, receive, qos.profile(row.intent)
+            )
+        )
+
+    def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
+        """Offer a Trigger or SetBool service of the table.
+
+        ``callback`` takes no argument (Trigger) or one bool (SetBool) and returns
+        success and a message; a ``Refusal`` that it raises becomes the answer.
+        """
+        row = SERVICES[name]
+
+        def answer(request: Any, response: Any) -> Any:
+            arguments = (bool(request.data),) if hasattr(request, "data") else ()
+            try:
+                if not self.active:
+                    raise Refusal(name, RefusalCode.NOT_ACTIVE, f"{self.NAME} is not active")
+                response.success, response.message = callback(*arguments)
+            except Refusal as refusal:
+                self.refuse(refusal)
+                response.success, response.message = False, str(refusal)
+            return response
+
+        self._served.append(self.create_service(message_class(row.service), name, answer))
+
+    def every(self, period: float, callback: Callable[[], None]) -> None:
+        """Call back every ``period`` seconds of the node's clock while active."""
+        self._timers_while_active.append(self.create_timer(period, callback))
+
+    def now_ns(self) -> int:
+        """Return the node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def event(
+        self,
+        name: str,
+        message: str,
+        level: Level = Level.OK,
+        values: Mapping[str, object] | None = None,
+    ) -> None:
+        """Publish a transition with its reason; numbers are written with full precision."""
+        texts = {key: _text(value) for key, value in (values or {}).items()}
+        status = Status(name, message, level, self.NAME, texts)
+        self._events.send(StatusSample(self.now_ns(), (status,)))
+        self.get_logger().info(f"{name}: {message}")
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Put a refusal on diagnostics, with its reason; a flood is counted, not repeated."""
+        with self._lock:
+            self._refused[refusal.subject] += 1
+            count = self._refused[refusal.subject]
+            self._shown += 1
+            shown = self._shown
+        if shown > _REFUSALS_SHOWN_PER_PERIOD:
+            return
+        status = Status(
+            f"{self.NAME}: refused {refusal.subject}",
+            refusal.reason,
+            Level.WARN,
+            self.NAME,
+            {"code": refusal.code.value, "refused": str(count)},
+        )
+        self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
+        self.get_logger().warning(f"refused {refusal}")
+
+    def _receive(self, row: Topic, callback: Callable[[Any], None], message: Any) -> None:
+        is_command = row.intent is Intent.COMMAND
+        if not self.active:
+            if is_command:
+                reason = f"{self.NAME} is not active, it must be activated first"
+                self.refuse(Refusal(row.name, RefusalCode.NOT_ACTIVE, reason))
+            return
+        try:
+            sample = decode(row.name, message, self.now_ns())
+            if is_command:
+                self._check_order(row.name, sample.stamp_ns)
+            callback(sample)
+        except Refusal as refusal:
+            self.refuse(refusal)
+            return
+        self._accepted[row.name] += 1
+
+    def _check_order(self, name: str, stamp_ns: int) -> None:
+        last = self._last_stamp.get(name, 0)
+        if stamp_ns < last:
+            late = (last - stamp_ns) * 1e-9
+            reason = f"stamped {late:.3f} s before the last accepted one, stamps must not go back"
+            raise Refusal(name, RefusalCode.OUT_OF_ORDER, reason)
+        self._last_stamp[name] = stamp_ns
+
+    def _on_clock_jump(self, _jump: Any) -> None:
+        self._last_stamp.clear()
+        self.clock_jumped()
+
+    # --- health and configuration ----------------------------------------------------------------
+
+    _last_configuration: str | None = None
+
+    def _publish_health(self) -> None:
+        with self._lock:
+            hidden = max(0, self._shown - _REFUSALS_SHOWN_PER_PERIOD)
+            self._shown = 0
+            refused = sum(self._refused.values())
+        values = {
+            "accepted": str(sum(self._accepted.values())),
+            "refused": str(refused),
+            "refusals_not_shown": str(hidden),
+        }
+        level = Level.WARN if hidden else Level.OK
+        own = Status(
+            f"{self.NAME}: node", "active" if self.active else "inactive", level, self.NAME, values
+        )
+        self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health())))
+
+    def _publish_configuration(self) -> None:
+        parameters = {
+            name: value
+            for group in self._groups.values()
+            for name, value in dataclasses.asdict(group).items()
+        }
+        content = {
+            "node": self.get_fully_qualified_name(),
+            "package": PACKAGE,
+            "package_version": package_version(),
+            "contract_version": CONTRACT_VERSION,
+            "parameters": parameters,
+            **self.configuration(),
+        }
+        self._last_configuration = json.dumps(content, sort_keys=True)
+        self._config.send(TextSample(self._last_configuration))
+
+    # --- lifecycle -------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure; a failure leaves the node unconfigured and says why."""
+        return self._transition(super().on_configure, state, self._configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate."""
+        return self._transition(super().on_activate, state, self._activate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate."""
+        return self._transition(super().on_deactivate, state, self._deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give back what ``on_configure`` made."""
+        return self._transition(super().on_cleanup, state, self._clean_up)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and give everything back, from any state."""
+        return self._transition(super().on_shutdown, state, self._clean_up)
+
+    def _transition(
+        self,
+        inherited: Callable[[LifecycleState], TransitionCallbackReturn],
+        state: LifecycleState,
+        act: Callable[[], None],
+    ) -> TransitionCallbackReturn:
+        try:
+            act()
+        except Exception as error:  # noqa: BLE001 - a transition must answer, whatever went wrong
+            self._failure = error
+            self.get_logger().error(f"{type(error).__name__}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        return inherited(state)
+
+    def _configure(self) -> None:
+        self.setup()
+        self._publish_configuration()
+
+    def _activate(self) -> None:
+        self.active = True
+        self.start()
+        self.event("active", f"{self.NAME} is active")
+
+    def _deactivate(self) -> None:
+        for timer in self._timers_while_active:
+            self.destroy_timer(timer)
+        self._timers_while_active.clear()
+        if self.active:
+            self.stop()
+            self.active = False
+            self.event("inactive", f"{self.NAME} is inactive")
+
+    def _clean_up(self) -> None:
+        self._deactivate()
+        self.release()
+        for subscription in self._taken:
+            self.destroy_subscription(subscription)
+        for service in self._served:
+            self.destroy_service(service)
+        for made in self._opened:
+            made.destroy()
+        self._taken.clear()
+        self._served.clear()
+        self._opened.clear()
+
+    def bring_up(self) -> ExitCode | None:
+        """Configure and activate when ``autostart`` says so; returns why it could not."""
+        if not self.parameters_of(ShellParameters).autostart:
+            return None
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if transition() is not TransitionCallbackReturn.SUCCESS:
+                failed = self._failure
+                expected = isinstance(failed, (ValueError, OSError))
+                return ExitCode.BAD_CONFIGURATION if expected else ExitCode.CRASH
+        return None
+
+    def shut_down(self) -> None:
+        """Stop acting and give everything back; safe to call twice."""
+        self._clean_up()
+        self._jump_handle.unregister()
+
+
+def _parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
+    return [ShellParameters, *node_class.PARAMETERS]
+
+
+def _text(value: object) -> str:
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _descriptor(default: Any, info: ParameterInfo) -> ParameterDescriptor:
+    unit = "" if info.unit == "-" else f" [{info.unit}]"
+    described = ParameterDescriptor(
+        description=info.about + unit,
+        read_only=info.read_only,
+        additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
+        # A float parameter must accept "rate:=100": rclpy would refuse the integer.
+        dynamic_typing=isinstance(default, float),
+    )
+    if math.isfinite(info.minimum) and math.isfinite(info.maximum):
+        if isinstance(default, float):
+            described.floating_point_range = [
+                FloatingPointRange(from_value=float(info.minimum), to_value=float(info.maximum))
+            ]
+        elif isinstance(default, int) and not isinstance(default, bool):
+            described.integer_range = [
+                IntegerRange(from_value=int(info.minimum), to_value=int(info.maximum), step=1)
+            ]
+    return described
+
+
+N = TypeVar("N", bound=ContractNode)
+
+
+def help_text(node_class: type[ContractNode]) -> str:
+    """Return what ``--help`` prints: purpose and parameters with unit, default and range."""
+    lines = [
+        f"{node_class.NAME}: {(node_class.__doc__ or '').strip()}",
+        "",
+        f"usage: {node_class.NAME} [--ros-args -p NAME:=VALUE -r FROM:=TO -r __ns:=/NAMESPACE ...]",
+        "",
+        "parameters:",
+    ]
+    for cls in _parameter_classes(node_class):
+        for field in dataclasses.fields(cls):
+            info = info_of(field)
+            limits = ""
+            if math.isfinite(info.minimum) and math.isfinite(info.maximum):
+                limits = f", {info.minimum:g} .. {info.maximum:g}"
+            if info.choices:
+                limits = f", one of {', '.join(info.choices)}"
+            unit = "" if info.unit == "-" else f" {info.unit}"
+            lines.append(f"  {field.name} (default {field.default!r}{unit}{limits})")
+            lines.append(f"      {info.about}")
+    return "\n".join(lines)
+
+
+def run(node_class: type[N], arguments: list[str] | None = None) -> int:
+    """Run one node until it is told to stop; the ``main`` of every node.
+
+    SIGINT and SIGTERM (also twice) stop it cleanly: it deactivates, so that it
+    leaves its actuators safe, and only then leaves the graph.
+
+    Returns:
+        An ``ExitCode``.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if {"-h", "--help"} & set(arguments):
+        print(help_text(node_class))
+        return ExitCode.OK
+    told_to_stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: told_to_stop.set())
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        return _run_until(node_class, told_to_stop)
+    except ParameterError as error:
+        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        return ExitCode.BAD_CONFIGURATION
+    except Exception:  # noqa: BLE001 - the last resort: say what happened and fail
+        traceback.print_exc()
+        return ExitCode.CRASH
+    finally:
+        try_shutdown()
+
+
+def _run_until(node_class: type[N], told_to_stop: threading.Event) -> int:
+    node = node_class()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        failed = node.bring_up()
+        if failed is not None:
+            return failed
+        while not told_to_stop.is_set() and node.exit_code is None:
+            try:
+                executor.spin_once(timeout_sec=_SPIN_SLICE)
+            except ExternalShutdownException:
+                break
+        return ExitCode.OK if node.exit_code is None else node.exit_code
+    finally:
+        node.shut_down()
+        executor.shutdown()
+        node.destroy_node()

@@ -1,0 +1,44 @@
+"""Quality of service by intent.
+
+Publishers are reliable throughout, so that the recorder misses nothing;
+best-effort subscribers still match them. Latched topics and events are kept for
+those who join late.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msg_schemas.table import Intent
+
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
+_DEPTH = {
+    Intent.COMMAND: 10,
+    Intent.STATE: 100,
+    Intent.SENSOR: 100,
+    Intent.LATCHED: 1,
+    Intent.EVENT: 200,
+    Intent.CLOCK: 10,
+}
+_KEPT_FOR_LATE_JOINERS = frozenset({Intent.LATCHED, Intent.EVENT})
+
+
+def describe(intent: Intent) -> str:
+    """Return the profile in words, for the contract's document."""
+    durability = "transient local" if intent in _KEPT_FOR_LATE_JOINERS else "volatile"
+    return f"reliable, {durability}, keep last {_DEPTH[intent]}"
+
+
+def profile(intent: Intent, depth: int | None = None) -> QoSProfile:
+    """Return the rclpy profile for an intent; ``depth`` deepens a subscriber's queue."""
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy  # noqa: PLC0415
+
+    kept = intent in _KEPT_FOR_LATE_JOINERS
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_DEPTH[intent] if depth is None else depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )

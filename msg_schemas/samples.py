@@ -1,0 +1,210 @@
+"""Typed samples: what a message says, free of ROS.
+
+Controllers, plants and bag tools exchange samples; only codecs turn them into
+messages. Stamps are integer nanoseconds of the publisher's clock (0 = not
+stamped). All quantities are SI; vectors are (x, y, z), quaternions
+(x, y, z, w), axes REP-103.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+TETHER_COLUMNS = ("x", "y", "z", "tx", "ty", "tz", "tension")
+
+
+class Sample(Protocol):
+    """What every sample offers to the checks of the contract."""
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield (field path, value) for every number that the sample carries."""
+        ...
+
+
+def _vector(
+    prefix: str, value: tuple[float, ...], axes: str = "xyz"
+) -> Iterator[tuple[str, float]]:
+    for axis, component in zip(axes, value, strict=True):
+        yield f"{prefix}.{axis}", component
+
+
+class JointValue(NamedTuple):
+    """One joint's three numbers; their units stand in the topic's table row."""
+
+    position: float = 0.0
+    velocity: float = 0.0
+    effort: float = 0.0
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """Actuators, switches and other named scalars: one value triple per name."""
+
+    stamp_ns: int
+    joints: Mapping[str, JointValue]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield ``<joint>.position``, ``<joint>.velocity``, ``<joint>.effort``."""
+        for name, value in self.joints.items():
+            yield f"{name}.position", value.position
+            yield f"{name}.velocity", value.velocity
+            yield f"{name}.effort", value.effort
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """Pose of a body in the world and its twist in the body's own frame (REP-147 style)."""
+
+    stamp_ns: int
+    position: Vector
+    orientation: Quaternion
+    linear: Vector
+    angular: Vector
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield position, orientation, linear and angular components."""
+        yield from _vector("position", self.position)
+        yield from _vector("orientation", self.orientation, "xyzw")
+        yield from _vector("linear", self.linear)
+        yield from _vector("angular", self.angular)
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Angular rate and specific force in the sensor's frame; no orientation."""
+
+    stamp_ns: int
+    angular_velocity: Vector
+    linear_acceleration: Vector
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield angular velocity and specific force components."""
+        yield from _vector("angular_velocity", self.angular_velocity)
+        yield from _vector("linear_acceleration", self.linear_acceleration)
+
+
+@dataclass(frozen=True)
+class WrenchSample:
+    """Force and torque, in the frame named by the topic."""
+
+    stamp_ns: int
+    force: Vector
+    torque: Vector = ZERO
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield force and torque components."""
+        yield from _vector("force", self.force)
+        yield from _vector("torque", self.torque)
+
+
+@dataclass(frozen=True)
+class TetherSample:
+    """The tether's nodes from the fairlead to the rover.
+
+    Attributes:
+        nodes: shape (n + 1, 7), columns ``TETHER_COLUMNS``: position [m], slope
+            dr/ds [-], axial tension [N].
+    """
+
+    stamp_ns: int
+    nodes: NDArray[np.float64]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield each column's extremes: enough to find what is not finite or out of limits."""
+        for column, name in enumerate(TETHER_COLUMNS):
+            values = self.nodes[:, column]
+            yield name, float(np.min(values))
+            yield name, float(np.max(values))
+
+
+@dataclass(frozen=True)
+class TextSample:
+    """A latched word or a JSON text."""
+
+    text: str
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """A text carries no numbers of its own."""
+        return iter(())
+
+
+@dataclass(frozen=True)
+class ClockSample:
+    """Simulated time."""
+
+    stamp_ns: int
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield the time in seconds."""
+        yield "clock", self.stamp_ns * 1e-9
+
+
+class Level(IntEnum):
+    """Severity of a status, as in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Status:
+    """One line of health or one event: a name, a severity, a sentence, and values."""
+
+    name: str
+    message: str
+    level: Level = Level.OK
+    hardware_id: str = ""
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StatusSample:
+    """Several statuses that belong to one instant."""
+
+    stamp_ns: int
+    statuses: tuple[Status, ...]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Statuses carry texts; numbers in them are written with ``repr``."""
+        return iter(())
+
+
+class Shape(NamedTuple):
+    """One thing to draw: ``kind`` is ``line`` (points) or ``box`` (pose and size)."""
+
+    namespace: str
+    kind: str
+    frame: str
+    colour: tuple[float, float, float, float]
+    size: Vector
+    points: tuple[Vector, ...] = ()
+    position: Vector = ZERO
+    orientation: Quaternion = IDENTITY
+
+
+@dataclass(frozen=True)
+class DrawingSample:
+    """What a viewer such as RViz shows."""
+
+    stamp_ns: int
+    shapes: tuple[Shape, ...]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield every coordinate."""
+        for shape in self.shapes:
+            for point in (*shape.points, shape.position, shape.size):
+                yield from _vector("drawing", point)
