@@ -24,6 +24,7 @@ import yaml
 
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity, text
+from rover_sim.physics.section import TetherSection
 from rover_sim.yaml_reader import read_yaml
 
 ScenarioError = ConfigurationError
@@ -50,8 +51,8 @@ _MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
 class Tether(Configuration):
     """An ANCF cable of uniform cross-section, divided into equal elements.
 
-    The cross-section is given in exactly one of three ways (`MATERIALS`); `EA`,
-    `EI` and `rhoA` are what follows from it.
+    The cross-section is given in exactly one of three ways (`MATERIALS`); `section`
+    is what follows from it.
     """
 
     length: float = quantity("m", "unstretched length", above=0.0, maximum=1e4)
@@ -89,32 +90,34 @@ class Tether(Configuration):
                 "(cross-section)", shown, f"should give exactly one of: {_MATERIAL_TEXT}"
             )
 
-    @property
-    def EA(self) -> float:
-        """Axial stiffness [N]."""
-        if self.axial_stiffness is not None:
-            return self.axial_stiffness
-        return _known(self.youngs_modulus) * self._area
-
-    @property
-    def EI(self) -> float:
-        """Bending stiffness [N m^2]."""
-        if self.bending_stiffness is not None:
-            return self.bending_stiffness
-        if self.second_moment is not None:
-            return _known(self.youngs_modulus) * self.second_moment
-        return _known(self.youngs_modulus) * math.pi * _known(self.radius) ** 4 / 4.0
-
-    @property
-    def rhoA(self) -> float:
-        """Mass per unstretched length [kg/m]."""
-        if self.line_density is not None:
-            return self.line_density
-        return _known(self.density) * self._area
-
-    @property
-    def _area(self) -> float:
-        return self.area if self.area is not None else math.pi * _known(self.radius) ** 2
+    @cached_property
+    def section(self) -> TetherSection:
+        """Stiffness, mass, damping and strength of the cross-section."""
+        damping_and_strength = {
+            "axial_damping_time": self.axial_damping_time,
+            "bending_damping_time": self.bending_damping_time,
+            "breaking_load": self.breaking_load,
+        }
+        if self.radius is not None:
+            return TetherSection.round(
+                _known(self.youngs_modulus),
+                self.radius,
+                _known(self.density),
+                **damping_and_strength,
+            )
+        if self.area is not None:
+            return TetherSection(
+                axial_stiffness=_known(self.youngs_modulus) * self.area,
+                bending_stiffness=_known(self.youngs_modulus) * _known(self.second_moment),
+                line_density=_known(self.density) * self.area,
+                **damping_and_strength,
+            )
+        return TetherSection(
+            axial_stiffness=_known(self.axial_stiffness),
+            bending_stiffness=_known(self.bending_stiffness),
+            line_density=_known(self.line_density),
+            **damping_and_strength,
+        )
 
 
 @dataclass(frozen=True)
