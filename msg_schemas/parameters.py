@@ -129,7 +129,7 @@ def _coerce(name: str, wanted: Any, info: ParameterInfo, value: Any) -> Any:
     if wanted is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not wanted:
-        msg = f"{name} is {value!r} ({type(value).__name__}), it must be a {wanted.__name__}"
+        msg = f"{name} is {value!r} ({type(value).__name__}), it must be of type {wanted.__name__}"
         raise ParameterError(msg)
     if isinstance(value, float) and not math.isfinite(value):
         msg = f"{name} is {value!r}, it must be a finite number"

@@ -29,7 +29,7 @@ FRAMES: Mapping[str, str] = MappingProxyType(
         WORLD_FRAME: "fixed to the mother machine: origin at the fairlead, x forward along the "
         "jumping plane, z up against gravity",
         BODY1_FRAME: "Body 1 (wheels, motors, tether attachment): origin at its centre of mass, "
-        "x forward, y left along the wheel axle, z along the slider",
+        "x forward, y left, z along the slider",
         BODY2_FRAME: "Body 2 (the mass that jumps): origin at its centre of mass, axes of Body 1",
     }
 )

@@ -1,0 +1,142 @@
+"""Writes ``docs/contract.md`` from the table: ``python -m msg_schemas.document [FILE]``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from msg_schemas import qos
+from msg_schemas.refusal import RefusalCode
+from msg_schemas.table import (
+    CONTRACT_VERSION,
+    FRAMES,
+    SERVICES,
+    TOPICS,
+    Audience,
+    Field,
+    Intent,
+    StalePolicy,
+    Topic,
+)
+
+DEFAULT_PATH = Path("docs/contract.md")
+
+_CODE_MEANINGS = {
+    RefusalCode.NOT_FINITE: "a number is NaN or infinite",
+    RefusalCode.OUT_OF_LIMITS: "a number lies outside its limits",
+    RefusalCode.WRONG_NAME: "joint or field names are not those of the topic",
+    RefusalCode.WRONG_LENGTH: "an array is too short or too long",
+    RefusalCode.WRONG_TYPE: "a sample of another topic's type",
+    RefusalCode.WRONG_FRAME: "given in another frame than the topic's",
+    RefusalCode.BAD_TEXT: "a word that the topic does not know, or no JSON",
+    RefusalCode.UNSTAMPED: "the stamp is zero where one is needed",
+    RefusalCode.STALE: "older than the topic allows",
+    RefusalCode.FROM_THE_FUTURE: "stamped further ahead than the topic allows",
+    RefusalCode.OUT_OF_ORDER: "stamped before the last accepted command",
+    RefusalCode.WRONG_PHASE: "cannot be done in the present phase",
+    RefusalCode.NOT_ACTIVE: "the node is not active",
+    RefusalCode.NOT_SUPPORTED: "this plant or drive cannot do it",
+}
+
+_HEAD = """\
+# The contract
+
+*Version {version}. This file is generated from the table in `msg_schemas/table.py` by
+`python -m msg_schemas.document`; edit the table, not this file.*
+
+Every topic and service of the suite stands here. Names are relative: namespaces and
+remapping give several rovers; only the clock is absolute, by ROS convention. Units are SI,
+axes follow REP-103 (x forward, y left, z up), quaternions are (x, y, z, w). Only standard
+message packages are used.
+
+In a `sensor_msgs/JointState` all arrays are filled, one value per name; `position`,
+`velocity` and `effort` have the units given below. A message that breaks a rule is refused:
+nothing moves, the node lives on, and the reason appears on `{diagnostics}`.
+"""
+
+
+def render() -> str:
+    """Return the whole document as Markdown."""
+    lines = [_HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics")]
+    lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
+    lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
+    lines += ["", "## Topics at a glance", ""]
+    lines += ["| topic | type | from | rate | what |", "|---|---|---|---|---|"]
+    lines += [
+        f"| [`{t.name}`](#{_anchor(t.name)}) | `{t.message}` | {t.publisher} | {_rate(t)} | {t.about} |"
+        for t in TOPICS.values()
+    ]
+    lines += ["", "## Services", "", "| service | type | server | what |", "|---|---|---|---|"]
+    lines += [f"| `{s.name}` | `{s.service}` | {s.server} | {s.about} |" for s in SERVICES.values()]
+    lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]
+    lines += [f"| {intent.value} | {qos.describe(intent)} |" for intent in Intent]
+    lines += ["", "## Reasons of refusal", "", "| code | meaning |", "|---|---|"]
+    lines += [f"| `{code.value}` | {_CODE_MEANINGS[code]} |" for code in RefusalCode]
+    lines += ["", "## Topics one by one", ""]
+    for topic in TOPICS.values():
+        lines += _section(topic)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _anchor(name: str) -> str:
+    return "".join(c for c in name.lower() if c.isalnum() or c in "_-")
+
+
+def _rate(topic: Topic) -> str:
+    return "on change" if topic.rate is None else f"{topic.rate:g} Hz"
+
+
+def _section(topic: Topic) -> list[str]:
+    lines = [f"### `{topic.name}`", "", f"{topic.about[0].upper()}{topic.about[1:]}.", ""]
+    lines += [f"- type `{topic.message}`, published by {topic.publisher}, {_rate(topic)}"]
+    lines += [f"- intent {topic.intent.value}: {qos.describe(topic.intent)}"]
+    if topic.frame:
+        child = f", child frame `{topic.child_frame}`" if topic.child_frame else ""
+        lines += [f"- frame `{topic.frame}`{child}"]
+    if topic.audience is not Audience.ALL:
+        lines += [f"- for {topic.audience.value}"]
+    if topic.words:
+        lines += [f"- words: {', '.join(f'`{word}`' for word in topic.words)}"]
+    lines += [f"- {rule}" for rule in _stale(topic.stale)]
+    if topic.fields:
+        lines += ["", "| field | unit | limits | if left out | meaning |", "|---|---|---|---|---|"]
+        lines += [_field(row) for row in topic.fields]
+    return [*lines, ""]
+
+
+def _stale(policy: StalePolicy) -> list[str]:
+    rules = []
+    if math.isfinite(policy.max_age):
+        rules.append(
+            f"refused when older than {policy.max_age:g} s or stamped more than "
+            f"{policy.max_lead:g} s ahead of the receiver's clock; "
+            f"without a stamp: {policy.unstamped.value}"
+        )
+    if math.isfinite(policy.silence):
+        rules.append(f"after {policy.silence:g} s of silence {policy.on_silence}")
+    return rules
+
+
+def _field(row: Field) -> str:
+    if math.isinf(row.minimum) and math.isinf(row.maximum):
+        limits = "finite"
+    else:
+        limits = f"{row.minimum:g} .. {row.maximum:g}"
+    default = "refused" if row.default is None else f"{row.default:g}"
+    return f"| `{row.path}` | {row.unit} | {limits} | {default} | {row.about} |"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the document; returns 0."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("path", nargs="?", type=Path, default=DEFAULT_PATH)
+    path: Path = parser.parse_args(arguments).path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(render(), encoding="utf-8")
+    print(f"wrote {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

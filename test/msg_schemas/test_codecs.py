@@ -1,0 +1,298 @@
+"""Codecs carry every good sample unchanged and refuse every bad one, with the reason."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from contract_samples import STAMP_NS, samples_of
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from msg_schemas import topics
+from msg_schemas.codecs import decode, encode, message_class
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import (
+    JointSample,
+    JointValue,
+    OdometrySample,
+    TetherSample,
+    TextSample,
+    WrenchSample,
+)
+from msg_schemas.table import (
+    JUMP_SCREW,
+    JUMP_STROKE,
+    MAX_STROKE,
+    TOPICS,
+    Intent,
+    Topic,
+    Unstamped,
+)
+
+ROWS = list(TOPICS.values())
+BAD_NUMBERS = (math.nan, math.inf, -math.inf)
+by_name = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+
+
+def same(left: Any, right: Any) -> bool:
+    if isinstance(left, TetherSample):
+        return left.stamp_ns == right.stamp_ns and np.array_equal(left.nodes, right.nodes)
+    if not hasattr(left, "shapes"):
+        return bool(left == right)
+    return len(left.shapes) == len(right.shapes) and all(
+        (a.kind, a.frame, a.points, a.position) == (b.kind, b.frame, b.points, b.position)
+        for a, b in zip(left.shapes, right.shapes, strict=True)
+    )
+
+
+@by_name
+@given(data=st.data())
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_good_samples_come_back_unchanged(row: Topic, data: st.DataObject):
+    sample = data.draw(samples_of(row))
+    assert same(decode(row.name, encode(row.name, sample)), sample)
+
+
+@by_name
+@given(data=st.data())
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_messages_survive_the_wire(row: Topic, data: st.DataObject):
+    serialization = pytest.importorskip("rclpy.serialization")
+    sample = data.draw(samples_of(row))
+    wire = serialization.serialize_message(encode(row.name, sample))
+    message = serialization.deserialize_message(wire, message_class(row.message))
+    assert same(decode(row.name, message), sample)
+
+
+def numeric_leaves(message: Any, path: str = "") -> list[tuple[Any, str, str]]:
+    """Every float of a message: (owner, attribute, path); array elements are reached by index."""
+    found = []
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if kind in {"double", "float"}:
+            found.append((message, name, f"{path}.{name}"))
+        elif hasattr(value, "get_fields_and_field_types"):
+            found += numeric_leaves(value, f"{path}.{name}")
+    return found
+
+
+CARRIED = {
+    "nav_msgs/msg/Odometry": ("pose.pose", "twist.twist"),
+    "sensor_msgs/msg/Imu": ("angular_velocity", "linear_acceleration"),
+    "geometry_msgs/msg/WrenchStamped": ("wrench",),
+}
+
+
+@pytest.mark.parametrize("row", [r for r in ROWS if r.message in CARRIED], ids=lambda r: r.name)
+@pytest.mark.parametrize("bad", BAD_NUMBERS)
+@given(data=st.data())
+@settings(max_examples=1, deadline=None)
+def test_every_float_that_is_not_finite_is_refused(row: Topic, bad: float, data: st.DataObject):
+    sample = data.draw(samples_of(row))
+    template = encode(row.name, sample)
+    paths = [p for _, _, p in numeric_leaves(template) if p[1:].startswith(CARRIED[row.message])]
+    assert paths
+    for index, path in enumerate(paths):
+        message = encode(row.name, sample)
+        leaves = [x for x in numeric_leaves(message) if x[2][1:].startswith(CARRIED[row.message])]
+        owner, attribute, _ = leaves[index]
+        setattr(owner, attribute, bad)
+        with pytest.raises(Refusal) as refused:
+            decode(row.name, message)
+        # A quaternion that is not finite may be refused for its norm; both name the value.
+        assert refused.value.code in {RefusalCode.NOT_FINITE, RefusalCode.OUT_OF_LIMITS}, path
+
+
+@pytest.mark.parametrize("row", [r for r in ROWS if r.joints], ids=lambda r: r.name)
+@pytest.mark.parametrize("part", ["position", "velocity", "effort"])
+@pytest.mark.parametrize("bad", BAD_NUMBERS)
+def test_joint_numbers_that_are_not_finite_are_refused(row: Topic, part: str, bad: float):
+    good = {name: value(row, name) for name in row.joints}
+    for name in row.joints:
+        message = encode(row.name, JointSample(STAMP_NS, good))
+        getattr(message, part)[list(good).index(name)] = bad
+        with pytest.raises(Refusal, match=rf"{name}\.{part} is (nan|-?inf), it must be a finite"):
+            decode(row.name, message)
+
+
+def value(row: Topic, name: str) -> JointValue:
+    def middle(part: str) -> float:
+        item = row.by_path[f"{name}.{part}"]
+        low, high = max(item.minimum, -1.0), min(item.maximum, 1.0)
+        return 0.5 * (low + high)
+
+    return JointValue(middle("position"), middle("velocity"), middle("effort"))
+
+
+@pytest.mark.parametrize(
+    ("row", "path"),
+    [(r, f.path) for r in ROWS if r.joints for f in r.fields if math.isfinite(f.maximum)],
+    ids=lambda x: getattr(x, "name", x),
+)
+def test_joint_numbers_beyond_their_limits_are_refused_both_ways(row: Topic, path: str):
+    name, part = path.rsplit(".", 1)
+    item = row.by_path[path]
+    for wrong in (item.maximum + 1e-6, item.minimum - 1e-6):
+        joints = {n: value(row, n) for n in row.joints}
+        joints[name] = joints[name]._replace(**{part: wrong})
+        with pytest.raises(Refusal) as refused:
+            encode(row.name, JointSample(STAMP_NS, joints))
+        assert refused.value.code is RefusalCode.OUT_OF_LIMITS
+        assert repr(wrong) in refused.value.reason
+        assert f"{item.maximum:g}" in refused.value.reason
+
+
+def jump_command(**changes: Any) -> Any:
+    message = encode(
+        topics.JUMP_MOTOR_COMMAND,
+        JointSample(STAMP_NS, {JUMP_SCREW: JointValue(0.2, 0.05, 400.0)}),
+    )
+    for name, changed in changes.items():
+        setattr(message, name, changed)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "text"),
+    [
+        ({"name": ["nut"]}, RefusalCode.WRONG_NAME, r"\['nut'\]"),
+        ({"name": []}, RefusalCode.WRONG_NAME, r"\[\]"),
+        (
+            {"name": [JUMP_SCREW, JUMP_SCREW], "position": [0.1, 0.1]},
+            RefusalCode.WRONG_NAME,
+            "each once",
+        ),
+        ({"position": []}, RefusalCode.WRONG_LENGTH, "position has 0 values for 1 joints"),
+        ({"velocity": [0.1, 0.1]}, RefusalCode.WRONG_LENGTH, "velocity has 2 values"),
+        ({"effort": []}, RefusalCode.WRONG_LENGTH, "effort has 0 values"),
+        ({"position": [MAX_STROKE + 0.01]}, RefusalCode.OUT_OF_LIMITS, "0.41"),
+        ({"position": [-1e-9]}, RefusalCode.OUT_OF_LIMITS, "-1e-09"),
+        ({"velocity": [0.0]}, RefusalCode.OUT_OF_LIMITS, "0.0001"),
+    ],
+)
+def test_bad_actuator_commands_are_refused_with_the_value(
+    changes: dict[str, Any], code: RefusalCode, text: str
+):
+    with pytest.raises(Refusal, match=text) as refused:
+        decode(topics.JUMP_MOTOR_COMMAND, jump_command(**changes))
+    assert refused.value.code is code
+    assert refused.value.subject == topics.JUMP_MOTOR_COMMAND
+
+
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    "row", [r for r in ROWS if r.intent is Intent.COMMAND], ids=lambda r: r.name
+)
+def test_commands_are_taken_within_their_age_and_refused_beyond(row: Topic):
+    sample = JointSample(STAMP_NS, {name: value(row, name) for name in row.joints})
+    message = encode(row.name, sample)
+    oldest = STAMP_NS + round(row.stale.max_age * SECOND)
+    earliest = STAMP_NS - round(row.stale.max_lead * SECOND)
+    assert decode(row.name, message, oldest) == sample
+    assert decode(row.name, message, earliest) == sample
+    with pytest.raises(Refusal, match="ago") as refused:
+        decode(row.name, message, oldest + 1000)
+    assert refused.value.code is RefusalCode.STALE
+    with pytest.raises(Refusal, match="ahead") as refused:
+        decode(row.name, message, earliest - 1000)
+    assert refused.value.code is RefusalCode.FROM_THE_FUTURE
+
+
+@pytest.mark.parametrize(
+    "row", [r for r in ROWS if r.intent is Intent.COMMAND], ids=lambda r: r.name
+)
+def test_an_unstamped_command_is_refused_or_stamped_as_the_table_says(row: Topic):
+    message = encode(row.name, JointSample(0, {name: value(row, name) for name in row.joints}))
+    if row.stale.unstamped is Unstamped.REFUSE:
+        with pytest.raises(Refusal) as refused:
+            decode(row.name, message, STAMP_NS)
+        assert refused.value.code is RefusalCode.UNSTAMPED
+    else:
+        assert decode(row.name, message, STAMP_NS).stamp_ns == STAMP_NS
+
+
+def test_an_operator_may_leave_out_what_has_a_default():
+    message = message_class("sensor_msgs/msg/JointState")(name=[JUMP_STROKE], position=[0.2])
+    assert decode(topics.JUMP_REQUEST, message).joints == {JUMP_STROKE: JointValue(0.2, 0.0, 0.0)}
+    bare = message_class("sensor_msgs/msg/JointState")(name=[JUMP_STROKE])
+    with pytest.raises(Refusal, match="position has 0 values"):
+        decode(topics.JUMP_REQUEST, bare)
+
+
+def test_a_quaternion_that_is_not_unit_is_refused():
+    sample = OdometrySample(STAMP_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.9), (0.0,) * 3, (0.0,) * 3)
+    with pytest.raises(Refusal, match="norm 0.9"):
+        encode(topics.TRUTH_BODY1, sample)
+
+
+@pytest.mark.parametrize("attribute", ["frame_id", "child_frame_id"])
+def test_a_foreign_frame_is_refused(attribute: str):
+    sample = OdometrySample(STAMP_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
+    message = encode(topics.TRUTH_BODY1, sample)
+    setattr(message.header if attribute == "frame_id" else message, attribute, "odom")
+    with pytest.raises(Refusal, match="'odom'") as refused:
+        decode(topics.TRUTH_BODY1, message)
+    assert refused.value.code is RefusalCode.WRONG_FRAME
+
+
+def test_bad_words_and_bad_json_are_refused():
+    for name, bad in ((topics.JUMP_PHASE, "flying"), (topics.CONFIG, "{"), (topics.CONFIG, "[1]")):
+        message = message_class("std_msgs/msg/String")(data=bad)
+        with pytest.raises(Refusal) as refused:
+            decode(name, message)
+        assert refused.value.code is RefusalCode.BAD_TEXT
+
+
+def tether(rows: int = 3) -> TetherSample:
+    return TetherSample(STAMP_NS, np.arange(7.0 * rows).reshape(rows, 7))
+
+
+@pytest.mark.parametrize(
+    ("damage", "code"),
+    [
+        (lambda m: setattr(m, "width", 4), RefusalCode.WRONG_LENGTH),
+        (lambda m: setattr(m, "width", 0), RefusalCode.WRONG_LENGTH),
+        (lambda m: setattr(m, "data", m.data[:-1]), RefusalCode.WRONG_LENGTH),
+        (lambda m: setattr(m, "point_step", 48), RefusalCode.WRONG_LENGTH),
+        (lambda m: setattr(m.fields[0], "name", "u"), RefusalCode.WRONG_NAME),
+        (lambda m: setattr(m.fields[3], "datatype", 7), RefusalCode.WRONG_NAME),
+        (lambda m: setattr(m, "is_bigendian", True), RefusalCode.WRONG_NAME),
+    ],
+)
+def test_a_damaged_point_cloud_is_refused(damage: Callable[[Any], None], code: RefusalCode):
+    message = encode(topics.TRUTH_TETHER, tether())
+    damage(message)
+    with pytest.raises(Refusal) as refused:
+        decode(topics.TRUTH_TETHER, message)
+    assert refused.value.code is code
+
+
+@pytest.mark.parametrize("bad", BAD_NUMBERS)
+@pytest.mark.parametrize("column", range(7))
+def test_one_bad_number_in_a_tether_is_refused(column: int, bad: float):
+    sample = tether(50)
+    sample.nodes[17, column] = bad
+    with pytest.raises(Refusal):
+        encode(topics.TRUTH_TETHER, sample)
+
+
+def test_a_sample_of_another_topic_is_refused():
+    with pytest.raises(Refusal) as refused:
+        encode(topics.LOAD_CELL, TextSample("held"))
+    assert refused.value.code is RefusalCode.WRONG_TYPE
+
+
+def test_an_unknown_topic_is_an_error_that_lists_the_known_ones():
+    with pytest.raises(KeyError, match=topics.LOAD_CELL):
+        encode("sensors/lidar", WrenchSample(STAMP_NS, (0.0, 0.0, 1.0)))
+
+
+def test_samples_are_frozen():
+    for row in ROWS:
+        assert dataclasses.is_dataclass(row.sample)
+        assert row.sample.__dataclass_params__.frozen

@@ -1,0 +1,73 @@
+"""Parameters are typed, finite and in range, or refused with what would be right."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from msg_schemas.parameters import ParameterError, from_mapping, info_of, load_yaml, parameter
+
+
+@dataclass(frozen=True)
+class Trial:
+    rate: float = parameter(100.0, "Hz", "state rate", 1.0, 1000.0)
+    steps: int = parameter(3, "-", "number of steps", 1, 10)
+    model: str = parameter("planar", "-", "plant", choices=("planar", "spatial"))
+    armed: bool = parameter(False, "-", "may move")
+
+
+def test_defaults_hold_and_given_values_replace_them():
+    made = from_mapping(Trial, {"rate": 50.5, "model": "spatial"})
+    assert made == Trial(rate=50.5, model="spatial")
+
+
+def test_a_whole_number_serves_as_a_float_but_not_the_other_way_round():
+    assert from_mapping(Trial, {"rate": 50}).rate == 50.0
+    assert isinstance(from_mapping(Trial, {"rate": 50}).rate, float)
+    with pytest.raises(ParameterError, match=r"steps is 3\.0 \(float\), it must be of type int"):
+        from_mapping(Trial, {"steps": 3.0})
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"rate": math.nan}, "rate is nan, it must be a finite number"),
+        ({"rate": math.inf}, "rate is inf, it must be a finite number"),
+        ({"rate": 0.5}, r"rate is 0.5 Hz, it must lie in 1 \.\. 1000 Hz"),
+        ({"rate": "fast"}, "rate is 'fast'"),
+        ({"rate": True}, "rate is True"),
+        ({"steps": 11}, r"steps is 11 -, it must lie in 1 \.\. 10"),
+        ({"armed": 1}, "armed is 1"),
+        ({"model": "flat"}, "model is 'flat', it must be one of planar, spatial"),
+        ({"speed": 1.0}, "unknown parameter speed; known are rate, steps, model, armed"),
+    ],
+)
+def test_bad_values_are_refused_with_what_would_be_right(given: dict[str, Any], text: str):
+    with pytest.raises(ParameterError, match=text):
+        from_mapping(Trial, given)
+
+
+def test_yaml_is_read_and_its_faults_name_the_file(tmp_path: Path):
+    path = tmp_path / "trial.yaml"
+    path.write_text("rate: 20\nmodel: spatial\n", encoding="utf-8")
+    assert load_yaml(Trial, path) == Trial(rate=20.0, model="spatial")
+    path.write_text("", encoding="utf-8")
+    assert load_yaml(Trial, path) == Trial()
+    for bad in ("rate: [", "- 1\n", "rate: .nan\n", "speed: 1\n", "rate: \x00"):
+        path.write_text(bad, encoding="utf-8")
+        with pytest.raises(ParameterError, match=r"trial\.yaml"):
+            load_yaml(Trial, path)
+    with pytest.raises(ParameterError, match="cannot read"):
+        load_yaml(Trial, tmp_path / "missing.yaml")
+
+
+def test_a_field_made_otherwise_is_a_programming_error():
+    @dataclass(frozen=True)
+    class Careless:
+        rate: float = 1.0
+
+    with pytest.raises(TypeError, match="rate"):
+        info_of(dataclasses.fields(Careless)[0])

@@ -1,0 +1,115 @@
+"""One good sample for every topic of the table, and hypothesis strategies for more."""
+
+import json
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from msg_schemas.samples import (
+    TETHER_COLUMNS,
+    ClockSample,
+    DrawingSample,
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    OdometrySample,
+    Shape,
+    Status,
+    StatusSample,
+    TetherSample,
+    TextSample,
+    WrenchSample,
+)
+from msg_schemas.table import Field, Topic
+
+STAMP_NS = 12_345_678_901
+
+
+def number(row: Field) -> st.SearchStrategy[float]:
+    low, high = max(row.minimum, -1e12), min(row.maximum, 1e12)
+    return st.floats(low, high, allow_nan=False, allow_infinity=False)
+
+
+def vector(topic: Topic, prefix: str) -> st.SearchStrategy[Any]:
+    return st.tuples(*(number(topic.by_path[f"{prefix}.{axis}"]) for axis in "xyz"))
+
+
+def unit_quaternion() -> st.SearchStrategy[Any]:
+    part = st.floats(-1.0, 1.0).map(lambda x: x if abs(x) > 1e-3 else 0.5)
+
+    def normalise(parts: tuple[float, ...]) -> tuple[float, ...]:
+        norm = float(np.linalg.norm(parts))
+        return tuple(component / norm for component in parts)
+
+    return st.tuples(part, part, part, part).map(normalise)
+
+
+def stamps() -> st.SearchStrategy[int]:
+    return st.integers(1, 2**31 * 1_000_000_000 - 1)
+
+
+def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
+    """Good samples of any topic."""
+    kind = topic.sample
+    if kind is JointSample:
+        joints = {
+            name: st.builds(
+                JointValue,
+                *(number(topic.by_path[f"{name}.{p}"]) for p in ("position", "velocity", "effort")),
+            )
+            for name in topic.joints
+        }
+        return st.builds(JointSample, stamps(), st.fixed_dictionaries(joints))
+    if kind is OdometrySample:
+        return st.builds(
+            OdometrySample,
+            stamps(),
+            vector(topic, "position"),
+            unit_quaternion(),
+            vector(topic, "linear"),
+            vector(topic, "angular"),
+        )
+    if kind is ImuSample:
+        return st.builds(
+            ImuSample,
+            stamps(),
+            vector(topic, "angular_velocity"),
+            vector(topic, "linear_acceleration"),
+        )
+    if kind is WrenchSample:
+        return st.builds(WrenchSample, stamps(), vector(topic, "force"), vector(topic, "torque"))
+    if kind is TetherSample:
+        return st.builds(
+            lambda stamp, rows: TetherSample(stamp, np.array(rows)),
+            stamps(),
+            st.lists(
+                st.tuples(*(number(topic.by_path[c]) for c in TETHER_COLUMNS)),
+                min_size=2,
+                max_size=6,
+            ),
+        )
+    if kind is TextSample:
+        if topic.is_json:
+            contents = st.dictionaries(st.text(max_size=5), st.integers(), max_size=3)
+            return contents.map(lambda content: TextSample(json.dumps(content)))
+        return st.sampled_from(topic.words).map(TextSample)
+    if kind is ClockSample:
+        return st.builds(ClockSample, stamps())
+    if kind is StatusSample:
+        words = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
+        values = st.dictionaries(words, words, max_size=3)
+        status = st.builds(Status, words, words, st.sampled_from(Level), words, values)
+        return st.builds(StatusSample, stamps(), st.lists(status, max_size=3).map(tuple))
+    if kind is DrawingSample:
+        line = Shape(
+            "tether", "line", "map", (1.0, 0.5, 0.0, 1.0), (0.01, 0.0, 0.0),
+            ((0.0, 0.0, 0.0), (1.0, 0.0, -2.0)),
+        )  # fmt: skip
+        box = Shape(
+            "body1", "box", "map", (0.0, 0.5, 1.0, 1.0), (0.3, 0.1, 0.15),
+            position=(1.0, 0.0, -2.0),
+        )  # fmt: skip
+        return st.builds(DrawingSample, stamps(), st.just((line, box)))
+    raise NotImplementedError(kind)
