@@ -49,9 +49,7 @@ setup(
         ("share/" + PACKAGE + "/launch", sorted(glob("launch/*.launch.py"))),
         ("share/" + PACKAGE + "/config", sorted(glob("config/*"))),
     ],
-    entry_points={
-        "console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()]
-    },
+    entry_points={"console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()]},
     install_requires=[
         "ros-jazzy-rclpy[fastrtps]",
         "ros-jazzy-common-interfaces",

@@ -1,0 +1,365 @@
+"""The house's rules, checked on source text: nothing of ours and no ROS is imported here.
+
+Each check takes the root of a tree and returns one sentence per violation, naming file and line.
+"""
+
+import ast
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+LINE_LIMIT = 600
+
+# Who may import whom among the top-level packages; each may import itself.
+ARROWS: dict[str, set[str]] = {
+    "msg_schemas": set(),
+    "rover_sim": {"msg_schemas"},
+    "rover_control": {"msg_schemas"},
+    "tether_winch": {"msg_schemas"},
+    "rover_bags": {"msg_schemas", "rover_sim"},
+    "rover_verify": {"msg_schemas", "rover_sim", "rover_control", "tether_winch", "rover_bags"},
+}
+# Single modules that may follow one arrow more.
+EXCEPTIONS: dict[str, set[str]] = {"rover_control.jump_predictor": {"rover_sim"}}
+# Outside its own package, rover_sim is used by its public face alone, except by the verification,
+# whose benches look inside.
+PUBLIC_FACE = "rover_sim"
+LOOKS_INSIDE = {"rover_sim", "rover_verify"}
+# The physics is numerics: of ours it knows itself alone.
+PHYSICS = "rover_sim.physics"
+NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
+
+# What an import needs: distribution on PyPI, key of rosdep (one per message package besides).
+REQUIREMENTS: dict[str, tuple[str, str]] = {
+    "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
+    "exudyn": ("exudyn", ""),
+    "hypothesis": ("hypothesis", "python3-hypothesis"),
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "mcap": ("mcap-ros2-support", "mcap-ros2-support"),
+    "mcap_ros2": ("mcap-ros2-support", "mcap-ros2-support"),
+    "numba": ("numba", "python3-numba"),
+    "numpy": ("numpy", "python3-numpy"),
+    "pytest": ("pytest", "python3-pytest"),
+    "rclpy": ("ros-jazzy-rclpy", "rclpy"),
+    "rosbags": ("rosbags", "python3-rosbags-pip"),
+    "scipy": ("scipy", "python3-scipy"),
+    "yaml": ("pyyaml", "python3-yaml"),
+}
+# Stands for types while they are checked, never imported at run time.
+TYPES_ONLY = {"_typeshed"}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One imported module, as `importer` writes it."""
+
+    importer: str
+    target: str
+    place: str
+
+
+def python_files(root: Path, *folders: str) -> list[Path]:
+    """Return the Python files below the folders of `root` that exist, sorted."""
+    return sorted(path for folder in folders for path in (root / folder).rglob("*.py"))
+
+
+def parse(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def module_name(root: Path, path: Path) -> str:
+    """Return the dotted name under which the file is imported."""
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(root: Path) -> list[Import]:
+    """Return every import of our packages, those inside functions and type checks included.
+
+    `from package import name` counts as an import of `package.name` if that is a module of ours.
+    """
+    files = python_files(root, *ARROWS)
+    modules = {module_name(root, path) for path in files}
+    found = []
+    for path in files:
+        for node in ast.walk(parse(path)):
+            targets: list[str] = []
+            if isinstance(node, ast.Import):
+                targets = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                base = node.module or ""
+                names = [f"{base}.{alias.name}" for alias in node.names]
+                inner = [name for name in names if name in modules]
+                targets = inner + ([base] if len(inner) < len(names) else [])
+            place = f"{path.relative_to(root)}:{getattr(node, 'lineno', 0)}"
+            found += [Import(module_name(root, path), target, place) for target in targets]
+    return found
+
+
+def top(name: str) -> str:
+    """Return the top-level package of a dotted name."""
+    return name.partition(".")[0]
+
+
+def forbidden_arrows(root: Path) -> list[str]:
+    """Imports among our packages that the house does not allow."""
+    found = []
+    for each in imports(root):
+        if top(each.target) not in ARROWS or top(each.target) == top(each.importer):
+            continue
+        allowed = ARROWS[top(each.importer)] | EXCEPTIONS.get(each.importer, set())
+        if top(each.target) not in allowed:
+            found.append(f"{each.place}: {each.importer} must not import {each.target}")
+        elif each.target.startswith(PUBLIC_FACE + ".") and top(each.importer) not in LOOKS_INSIDE:
+            found.append(
+                f"{each.place}: {each.importer} imports {each.target}; "
+                f"use what {PUBLIC_FACE} itself offers"
+            )
+    return found
+
+
+def impure_physics(root: Path) -> list[str]:
+    """Imports of the physics that are not numerics: ROS, files, or the rest of the suite."""
+    return [
+        f"{each.place}: physics must not import {each.target}"
+        for each in imports(root)
+        if (each.importer + ".").startswith(PHYSICS + ".")
+        and (
+            top(each.target) in NOT_IN_PHYSICS
+            or top(each.target).endswith(("_msgs", "_srvs"))
+            or (top(each.target) in ARROWS and not (each.target + ".").startswith(PHYSICS + "."))
+        )
+    ]
+
+
+def package_cycles(root: Path) -> list[str]:
+    """Import cycles between top-level packages."""
+    graph: dict[str, set[str]] = {name: set() for name in ARROWS}
+    for each in imports(root):
+        if top(each.target) in graph and top(each.target) != top(each.importer):
+            graph[top(each.importer)].add(top(each.target))
+    found: set[str] = set()
+
+    def follow(path: list[str]) -> None:
+        for target in graph[path[-1]]:
+            if target in path:
+                cycle = path[path.index(target) :]
+                first = cycle.index(min(cycle))
+                found.add(" -> ".join([*cycle[first:], *cycle[: first + 1]]))
+            else:
+                follow([*path, target])
+
+    for start in sorted(graph):
+        follow([start])
+    return sorted(found)
+
+
+def constants(path: Path) -> dict[str, object]:
+    """Return the module-level names of a file that are bound to literals."""
+    values: dict[str, object] = {}
+    for node in parse(path).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            try:
+                values[node.targets[0].id] = ast.literal_eval(node.value)
+            except ValueError:
+                continue
+    return values
+
+
+def topic_names(root: Path) -> set[str]:
+    """Return the names of all topics and services of the contract."""
+    values = constants(root / "msg_schemas" / "topics.py").values()
+    return {value for value in values if isinstance(value, str)}
+
+
+_TAKES_TOPIC = (
+    "publisher",
+    "subscribe",
+    "subscription",
+    "service",
+    "client",
+    "serve",
+    "encode",
+    "decode",
+)
+
+
+def _takes_topic(node: ast.Call) -> bool:
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+    return str(name).lower().endswith(_TAKES_TOPIC)
+
+
+def topic_strings(root: Path) -> list[str]:
+    """Topic names written out anywhere but in the contract.
+
+    A name with a slash is found wherever it stands as a string, alone or behind a namespace; a name
+    that is a plain word (`config`) is found where a call takes a topic.
+    """
+    names = topic_names(root)
+    paths = {name.strip("/") for name in names if "/" in name.strip("/")}
+    words = {name.strip("/") for name in names} - paths
+    found = []
+    folders = [folder for folder in ARROWS if folder != "msg_schemas"]
+    for path in python_files(root, *folders, "launch", "test"):
+        if path.is_relative_to(root / "test" / "msg_schemas"):
+            continue
+        for node in ast.walk(parse(path)):
+            literals: list[ast.Constant] = []
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                text = node.value.strip("/")
+                if any(text == name or text.endswith("/" + name) for name in paths):
+                    literals = [node]
+            elif isinstance(node, ast.Call) and _takes_topic(node):
+                literals = [
+                    argument
+                    for argument in [*node.args, *(keyword.value for keyword in node.keywords)]
+                    if isinstance(argument, ast.Constant)
+                    and isinstance(argument.value, str)
+                    and argument.value.strip("/") in words
+                ]
+            found += [
+                f"{path.relative_to(root)}:{literal.lineno}: topic {literal.value!r} written out; "
+                "use msg_schemas.topics"
+                for literal in literals
+            ]
+    return found
+
+
+def sleeps(root: Path) -> list[str]:
+    """Uses of `time.sleep`: nodes and tests wait for conditions (an event, a future)."""
+    found = []
+    for path in python_files(root, *ARROWS, "test", "launch"):
+        for node in ast.walk(parse(path)):
+            attribute = (
+                isinstance(node, ast.Attribute)
+                and node.attr == "sleep"
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "time"
+            )
+            imported = (
+                isinstance(node, ast.ImportFrom)
+                and node.module == "time"
+                and any(alias.name == "sleep" for alias in node.names)
+            )
+            if attribute or imported:
+                found.append(f"{path.relative_to(root)}:{getattr(node, 'lineno', 0)}: time.sleep")
+    return found
+
+
+def long_files(root: Path) -> list[str]:
+    """Files that have grown beyond what one sitting reads."""
+    found = []
+    for path in python_files(root, *ARROWS, "test", "launch"):
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        if lines > LINE_LIMIT:
+            found.append(f"{path.relative_to(root)}: {lines} lines, {LINE_LIMIT} at most")
+    return found
+
+
+def executables(root: Path) -> dict[str, str]:
+    """Return name and target of every executable, as setup.py lists them."""
+    listed = constants(root / "setup.py")["EXECUTABLES"]
+    assert isinstance(listed, dict)
+    return {str(name): str(target) for name, target in listed.items()}
+
+
+def broken_executables(root: Path) -> list[str]:
+    """Executables without shim or target, shims without executable or with another command."""
+    listed = executables(root)
+    shims = {path.name: path for path in (root / "scripts").iterdir()}
+    found = [
+        f"scripts/{name} belongs to no executable of setup.py" for name in shims - listed.keys()
+    ]
+    for name, target in listed.items():
+        module, _, function = target.partition(":")
+        source = root.joinpath(*module.split(".")).with_suffix(".py")
+        if not source.is_file():
+            found.append(f"executable {name}: no module {module}")
+        elif function not in _functions_and_names(source):
+            found.append(f"executable {name}: {module} has no {function}")
+        if name not in shims:
+            found.append(f"executable {name} has no scripts/{name}: `ros2 run` cannot find it")
+            continue
+        wanted = f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n'
+        if shims[name].read_text(encoding="utf-8") != wanted:
+            found.append(f"scripts/{name} does not start ../../bin/{name} as the others do")
+        if not shims[name].stat().st_mode & 0o100:
+            found.append(f"scripts/{name} is not executable")
+    return sorted(found)
+
+
+def _functions_and_names(path: Path) -> Iterator[str]:
+    for node in parse(path).body:
+        if isinstance(node, ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.ImportFrom):
+            yield from (alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, ast.Assign):
+            yield from (target.id for target in node.targets if isinstance(target, ast.Name))
+
+
+def _setup_arguments(root: Path) -> dict[str, object]:
+    for node in ast.walk(parse(root / "setup.py")):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup":
+            values: dict[str, object] = {}
+            for keyword in node.keywords:
+                try:
+                    values[str(keyword.arg)] = ast.literal_eval(keyword.value)
+                except ValueError:
+                    continue
+            return values
+    raise ValueError(f"{root / 'setup.py'} does not call setup()")
+
+
+def versions(root: Path) -> dict[str, str]:
+    """Return the package's version as each file states it."""
+    return {
+        "setup.py": str(_setup_arguments(root)["version"]),
+        "package.xml": ET.parse(root / "package.xml").getroot().findtext("version", ""),
+    }
+
+
+def _distribution(requirement: str) -> str:
+    end = next((i for i, char in enumerate(requirement) if char in "[<>=~! "), len(requirement))
+    return requirement[:end].lower()
+
+
+def undeclared_requirements(root: Path, standard_library: frozenset[str]) -> list[str]:
+    """Imports of others' packages that setup.py or package.xml does not ask for."""
+    arguments = _setup_arguments(root)
+    wheels = arguments["install_requires"]
+    extras = arguments["extras_require"]
+    assert isinstance(wheels, list)
+    assert isinstance(extras, dict)
+    declared = {_distribution(each) for each in [*wheels, *extras.get("bench", [])]}
+    manifest = ET.parse(root / "package.xml").getroot()
+    keys = {element.text for element in manifest if element.tag.endswith("depend")}
+    found = []
+    for each in imports(root):
+        name = top(each.target)
+        if name in standard_library or name in ARROWS or name in TYPES_ONLY:
+            continue
+        if name in REQUIREMENTS:
+            distribution, key = REQUIREMENTS[name]
+        elif name.endswith(("_msgs", "_srvs", "_interfaces")):
+            distribution, key = "ros-jazzy-common-interfaces", name
+        else:
+            found.append(f"{each.place}: {name} is not among the known requirements")
+            continue
+        if distribution not in declared:
+            found.append(f"{each.place}: setup.py does not require {distribution}")
+        if key and key not in keys:
+            found.append(f"{each.place}: package.xml does not depend on {key}")
+    return found
+
+
+def untyped_packages(root: Path) -> list[str]:
+    """Top-level packages that do not say they carry types, or are not packages."""
+    return [
+        f"{package}/{name} is missing"
+        for package in ARROWS
+        for name in ("__init__.py", "py.typed")
+        if not (root / package / name).is_file()
+    ]
