@@ -63,10 +63,9 @@ def render() -> str:
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]
     lines += ["| topic | type | from | rate | what |", "|---|---|---|---|---|"]
-    lines += [
-        f"| [`{t.name}`](#{_anchor(t.name)}) | `{t.message}` | {t.publisher} | {_rate(t)} | {t.about} |"
-        for t in TOPICS.values()
-    ]
+    for t in TOPICS.values():
+        link = f"[`{t.name}`](#{_anchor(t.name)})"
+        lines.append(f"| {link} | `{t.message}` | {t.publisher} | {_rate(t)} | {t.about} |")
     lines += ["", "## Services", "", "| service | type | server | what |", "|---|---|---|---|"]
     lines += [f"| `{s.name}` | `{s.service}` | {s.server} | {s.about} |" for s in SERVICES.values()]
     lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]

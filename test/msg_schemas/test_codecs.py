@@ -226,7 +226,7 @@ def test_an_operator_may_leave_out_what_has_a_default():
 
 def test_a_quaternion_that_is_not_unit_is_refused():
     sample = OdometrySample(STAMP_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.9), (0.0,) * 3, (0.0,) * 3)
-    with pytest.raises(Refusal, match="norm 0.9"):
+    with pytest.raises(Refusal, match=r"norm 0\.9"):
         encode(topics.TRUTH_BODY1, sample)
 
 
