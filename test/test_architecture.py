@@ -70,7 +70,7 @@ def tree(tmp_path: Path) -> Path:
             "<package><version>1.0.0</version><depend>python3-numpy</depend></package>\n"
         ),
         "scripts/run": '#!/bin/sh\nexec "$(dirname "$0")/../../bin/run" "$@"\n',
-        "msg_schemas/topics.py": "PAUSE = 'sim/pause'\nCONFIG = 'config'\nCLOCK = '/clock'\n",
+        "msg_schemas/topics.py": "SWITCH = 'lamp/switch'\nCONFIG = 'config'\nCLOCK = '/clock'\n",
         "rover_sim/run.py": "import numpy\nfrom msg_schemas import topics\ndef main(): ...\n",
         "rover_sim/physics/__init__.py": "",
         "rover_sim/physics/beam.py": "import numpy\nfrom rover_sim.physics import shapes\n",
@@ -159,10 +159,15 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
         (
             architecture.topic_strings,
             "rover_control/bad.py",
-            "x = '/sim/pause'",
-            "rover_control/bad.py:1: topic '/sim/pause' written out",
+            "x = '/lamp/switch'",
+            "rover_control/bad.py:1: topic '/lamp/switch' written out",
         ),
-        (architecture.topic_strings, "launch/bad.launch.py", "x = f'{n}/sim/pause'", "sim/pause"),
+        (
+            architecture.topic_strings,
+            "launch/bad.launch.py",
+            "x = f'{n}/lamp/switch'",
+            "lamp/switch",
+        ),
         (architecture.topic_strings, "test/bad.py", "node.subscribe('config', f)", "'config'"),
         (
             architecture.topic_strings,
