@@ -1,0 +1,246 @@
+"""``bag_recover``: makes a clean bag of one whose recorder was killed or whose file is damaged.
+
+What is whole is copied byte by byte; what is damaged is named and left out. The broken bag is
+only ever read.
+"""
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import chain
+from pathlib import Path
+
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import parse_qos
+
+from rover_bags.scan import BagScan, Damage, ScanError, Topic, stored_metadata
+from rover_bags.store import BagError, BagSummary, BagWriter, TopicType
+
+RECOVERY_RECORD = "mother_rover.recovery"
+
+
+class ExitCode(IntEnum):
+    """What the exit code of ``bag_recover`` says."""
+
+    WHOLE = 0
+    LOSSES = 1
+    REFUSED = 2
+    NOT_WRITTEN = 3
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was rescued from a bag and what was not.
+
+    Attributes:
+        source: The broken bag.
+        was_closed: Whether its recorder had closed it.
+        had_metadata: Whether it had a sound ``metadata.yaml``.
+        summary: The clean bag.
+        damage: What was left out.
+        lost: Messages known to be lost, by topic. Without an index it tells only of damaged
+            chunks that are followed by their own index.
+        unverified: Messages by topic that were taken though no checksum protects them.
+        attachments: Attachments left out; they carry no messages.
+    """
+
+    source: Path
+    was_closed: bool
+    had_metadata: bool
+    summary: BagSummary
+    damage: tuple[Damage, ...]
+    lost: dict[str, int]
+    unverified: dict[str, int]
+    attachments: int
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything that the broken bag holds was rescued."""
+        return not (self.damage or self.lost or self.attachments)
+
+    def text(self) -> str:
+        """The report that ``bag_recover`` prints."""
+        summary = self.summary
+        lines = [
+            f"{self.source}: "
+            + ("closed by its recorder" if self.was_closed else "never closed by its recorder")
+            + ("" if self.had_metadata else ", without a sound metadata.yaml"),
+        ]
+        lines.append(
+            f"recovered {summary.messages} messages on {len(summary.counts)} topics over "
+            f"{summary.duration:.3f} s into {summary.path} ({summary.size / 1024:.1f} KiB)"
+        )
+        lines += [f"  {count:8d}  {topic}" for topic, count in sorted(summary.counts.items())]
+        if self.unverified:
+            total = sum(self.unverified.values())
+            lines.append(
+                f"{total} of them carry no checksum in the source: taken as they are, their "
+                "contents cannot be vouched for"
+            )
+        if self.whole:
+            lines.append("nothing that the bag holds was left out")
+            if not self.was_closed:
+                lines.append(
+                    "what its recorder had not yet written when it ended is not in the file "
+                    "(bag_record: at most the last half second)"
+                )
+            return "\n".join(lines)
+        lines.append("left out:")
+        for item in self.damage:
+            where = f"{item.file}, byte {item.offset}" + (
+                f" to {item.offset + item.length}" if item.length else ""
+            )
+            when = ""
+            if item.span_ns is not None and summary.first_ns:
+                begin, end = ((value - summary.first_ns) * 1e-9 for value in item.span_ns)
+                when = f", messages {begin:.3f} s to {end:.3f} s after the first recovered one"
+            lines.append(f"  {where}: {item.reason}{when}")
+        if self.lost:
+            lines.append(f"  {sum(self.lost.values())} messages are known to be lost:")
+            lines += [f"  {count:8d}  {topic}" for topic, count in sorted(self.lost.items())]
+        elif self.damage:
+            lines.append("  how many messages that were, no index tells")
+        if self.attachments:
+            lines.append(f"  {self.attachments} attachments (they carry no messages)")
+        return "\n".join(lines)
+
+
+def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recovery:
+    """Copies what is whole in a bag into a new, clean one.
+
+    Args:
+        source: The broken bag: its folder or one MCAP file. It is only read.
+        target: Folder to create.
+        compression: Of the new bag's chunks.
+
+    Raises:
+        ScanError: The source is no bag, or nothing can be recovered from it.
+        BagError: The target cannot be written.
+    """
+    scan = BagScan(source)
+    if target.resolve() == source.resolve():
+        raise ScanError(f"{target} is the broken bag itself, which stays as it is; name a new one")
+    messages = iter(scan)
+    first = next(messages, None)
+    if first is None:
+        why = "; ".join(item.reason for item in scan.damage) or "it holds no message"
+        raise ScanError(f"nothing can be recovered from {source}: {why}")
+    with BagWriter(target, compression=compression, sync=False) as writer:
+        channels: dict[Topic, int] = {}
+        carried = 0
+        for message in chain([first], messages):
+            carried = _carry_metadata(scan, writer, carried)
+            if message.topic not in channels:
+                channels[message.topic] = _announce(writer, message.topic)
+            writer.write(
+                channels[message.topic],
+                message.log_ns,
+                message.publish_ns,
+                message.data,
+                message.sequence,
+            )
+        _carry_metadata(scan, writer, carried)
+        for topic in scan.announced:
+            if topic not in channels:
+                channels[topic] = _announce(writer, topic)
+        recovery = Recovery(
+            source=source,
+            was_closed=scan.closed,
+            had_metadata=stored_metadata(source) is not None,
+            summary=writer.summary,
+            damage=tuple(scan.damage),
+            lost=_lost(scan, writer.summary),
+            unverified=dict(scan.unverified),
+            attachments=sum(file.foreign for file in scan.files),
+        )
+        writer.add_metadata(RECOVERY_RECORD, {"source": str(source), "text": recovery.text()})
+        summary = writer.close({"recovered_from": str(source)})
+    return replace(recovery, summary=summary)
+
+
+def _carry_metadata(scan: BagScan, writer: BagWriter, carried: int) -> int:
+    """Copies the metadata records found since the last call; rosbag2's own is written anew."""
+    found = scan.metadata
+    for name, values in found[carried:]:
+        if name != "rosbag2":
+            writer.add_metadata(name, values)
+    return len(found)
+
+
+def _announce(writer: BagWriter, topic: Topic) -> int:
+    kind = TopicType(
+        topic.type, topic.schema.encode(), topic.schema_encoding or "ros2msg", topic.type_hash
+    )
+    try:
+        profiles = parse_qos(topic.qos)
+    except (ReaderError, KeyError, TypeError):
+        profiles = []
+    return writer.add_topic(topic.name, kind, profiles)
+
+
+def _lost(scan: BagScan, summary: BagSummary) -> dict[str, int]:
+    expected = scan.expected
+    if expected is not None:
+        missing = Counter(expected)
+        missing.subtract(summary.counts)
+    else:
+        missing = Counter()
+        for item in scan.damage:
+            missing.update(item.counts)
+    return {topic: count for topic, count in missing.items() if count > 0}
+
+
+def as_json(recovery: Recovery) -> str:
+    """The recovery as JSON for machines."""
+    summary = recovery.summary
+    content = {
+        "source": str(recovery.source),
+        "target": str(summary.path),
+        "was_closed": recovery.was_closed,
+        "whole": recovery.whole,
+        "messages": summary.messages,
+        "duration_s": summary.duration,
+        "recovered": dict(summary.counts),
+        "lost": recovery.lost,
+        "unverified": recovery.unverified,
+        "damage": [item.__dict__ for item in recovery.damage],
+    }
+    return json.dumps(content, indent=2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bag_recover",
+        description="Makes a clean bag of one whose recorder was killed, whose disk filled up or "
+        "whose file is damaged. The broken bag is only read.",
+        epilog="exit codes: 0 all that the bag holds was recovered, 1 recovered with parts left "
+        "out, 2 refused (no bag, nothing to recover), 3 the new bag could not be written",
+    )
+    parser.add_argument("broken", type=Path, help="the broken bag: its folder or its .mcap file")
+    parser.add_argument("out", type=Path, help="the clean bag: a folder that does not exist yet")
+    parser.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The executable ``bag_recover``; returns an :class:`ExitCode`."""
+    options = _parser().parse_args(arguments)
+    try:
+        recovery = recover(options.broken, options.out, compression=options.compression)
+    except ScanError as error:
+        print(f"bag_recover: {error}", file=sys.stderr)
+        return ExitCode.REFUSED
+    except BagError as error:
+        print(f"bag_recover: {error}", file=sys.stderr)
+        return ExitCode.NOT_WRITTEN
+    print(as_json(recovery) if options.json else recovery.text())
+    return ExitCode.WHOLE if recovery.whole else ExitCode.LOSSES
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,540 @@
+"""Writes bags: a folder with ``metadata.yaml`` and ``<name>_0.mcap``.
+
+The layout is rosbag2's version 9 (ROS 2 Jazzy), so ``ros2 bag``, rosbags and the MCAP tools
+read it. What this writer adds to a plain MCAP writer is what happens on bad days:
+
+* Messages reach the file in whole, checksummed chunks at least every ``chunk_period`` seconds of
+  wall time, however slow the data are, so that a killed recorder leaves all but the last
+  fraction of a second. Each chunk is followed by an fdatasync, so that this also holds for a
+  machine that loses its power.
+* A chunk that the disk did not take whole is cut off again: the file always ends at the end of a
+  chunk.
+* The recording ends while there is still room for the index, not when there is none.
+* The description of each topic is stored twice, once of it outside the chunks, so that one
+  damaged chunk cannot make the others unreadable.
+
+Nothing here needs ROS.
+"""
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import time
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self, cast
+
+import yaml
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Qos
+from rosbags.rosbag2.metadata import dump_qos_v9
+from rosbags.typesys import Stores, TypesysError, get_typestore
+
+STORAGE_VERSION: Final = 9
+ROS_DISTRO: Final = "jazzy"
+IDENTITY_RECORD: Final = "mother_rover"
+"""MCAP metadata record with the versions, the configuration and the seed of a recording."""
+CHANNEL_RECORD: Final = "mother_rover.channel"
+"""MCAP metadata record that repeats one topic's description outside the chunks."""
+LOSSES_RECORD: Final = "mother_rover.losses"
+"""MCAP metadata record with the messages that the recorder could not keep, by topic."""
+CHECKSUM_KEY: Final = "crc32"
+
+_COMPRESSIONS: Final = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
+_FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+
+
+class BagError(Exception):
+    """A bag that cannot be written or read; the text says which, why, and what to do."""
+
+
+class DiskFullError(BagError):
+    """The disk (or a quota or size limit) has no more room; what was written is whole."""
+
+
+def sealed(values: Mapping[str, str]) -> dict[str, str]:
+    """The same mapping with a checksum of its contents, as MCAP metadata records have none."""
+    text = json.dumps(dict(sorted(values.items())), ensure_ascii=True)
+    return {**values, CHECKSUM_KEY: f"{zlib.crc32(text.encode()):08x}"}
+
+
+def unsealed(values: Mapping[str, str]) -> dict[str, str] | None:
+    """The contents of a :func:`sealed` mapping; None where the checksum does not fit."""
+    contents = {key: value for key, value in values.items() if key != CHECKSUM_KEY}
+    return contents if sealed(contents) == dict(values) else None
+
+
+@dataclass(frozen=True)
+class TopicType:
+    """What a reader needs to decode a topic's messages.
+
+    Attributes:
+        name: Type name such as ``sensor_msgs/msg/JointState``.
+        schema: Definition text with that of every nested type.
+        encoding: Language of the text (``ros2msg``).
+        type_hash: RIHS01 hash of the type; empty where it is not known.
+    """
+
+    name: str
+    schema: bytes
+    encoding: str = "ros2msg"
+    type_hash: str = ""
+
+
+_STORE: Final = get_typestore(Stores.ROS2_JAZZY)
+
+
+def standard_type(name: str) -> TopicType:
+    """Definition and hash of a message type of the standard packages.
+
+    Raises:
+        BagError: The type is not one of Jazzy's common interfaces.
+    """
+    try:
+        text, _ = _STORE.generate_msgdef(name, ros_version=2)
+        return TopicType(name, text.encode(), "ros2msg", _STORE.hash_rihs01(name))
+    except (TypesysError, KeyError) as error:
+        raise BagError(
+            f"no definition of message type {name!r} is known; "
+            "bags hold types of the standard packages (std_msgs, sensor_msgs, ...)"
+        ) from error
+
+
+@dataclass(frozen=True)
+class BagSummary:
+    """What a closed bag holds.
+
+    Attributes:
+        path: The bag's folder.
+        counts: Messages by topic.
+        first_ns: Log time of the first message [ns since 1970]; 0 for an empty bag.
+        last_ns: Log time of the last message [ns since 1970].
+        size: Bytes of the MCAP file.
+    """
+
+    path: Path
+    counts: Mapping[str, int]
+    first_ns: int
+    last_ns: int
+    size: int
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return sum(self.counts.values())
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message [s]."""
+        return (self.last_ns - self.first_ns) * 1e-9
+
+
+class _Disk:
+    """The file below the MCAP writer: takes bytes, writes them in whole groups of records.
+
+    The writer's own offsets count what it handed over, so a group that the disk refuses ends
+    the file: it is cut back to the last whole group and nothing can be added.
+    """
+
+    def __init__(self, path: Path, *, sync: bool) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._sync = sync
+        self._pending = bytearray()
+        self.committed = 0
+
+    def tell(self) -> int:
+        return self.committed + len(self._pending)
+
+    def write(self, data: bytes) -> int:
+        self._pending += data
+        return len(data)
+
+    def flush(self) -> None:
+        if not self._pending:
+            return
+        view = memoryview(bytes(self._pending))
+        try:
+            written = 0
+            while written < len(view):
+                written += os.write(self._fd, view[written:])
+            if self._sync:
+                os.fdatasync(self._fd)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self.committed)
+            raise
+        self.committed += len(view)
+        self._pending.clear()
+
+    def force(self) -> None:
+        os.fsync(self._fd)
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+
+@dataclass
+class _Topic:
+    name: str
+    kind: TopicType
+    qos: tuple[Qos, ...]
+    count: int = 0
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _create_folder(path: Path) -> None:
+    """Makes the bag's folder, which must not exist, with a reason where that fails."""
+    if path.is_symlink() or path.exists():
+        kind = "a bag" if (path / "metadata.yaml").exists() or any_mcap(path) else "a file"
+        if path.is_dir() and kind == "a file":
+            kind = "a folder"
+        raise BagError(
+            f"cannot write the bag {path}: {kind} of that name exists already and is never "
+            "overwritten; choose another name or remove it"
+        )
+    try:
+        path.mkdir(parents=True)
+    except NotADirectoryError as error:
+        raise BagError(
+            f"cannot write the bag {path}: a part of its path is a file, not a folder"
+        ) from error
+    except OSError as error:
+        if error.errno in _FULL:
+            raise DiskFullError(f"cannot write the bag {path}: the disk is full") from error
+        raise BagError(
+            f"cannot write the bag {path}: its folder cannot be made ({error.strerror}); "
+            "choose a folder that can be written"
+        ) from error
+
+
+def any_mcap(folder: Path) -> bool:
+    """Whether a folder holds MCAP files."""
+    return folder.is_dir() and any(folder.glob("*.mcap"))
+
+
+class BagWriter:
+    """Writes one bag.
+
+    Use it as a context manager or call :meth:`close`; what happens to a writer that is neither
+    closed nor abandoned is what happens when a recorder is killed: the bag lacks its index and
+    ``metadata.yaml`` and holds every message of the chunks written so far.
+
+    Args:
+        path: Folder to create.
+        compression: ``zstd``, ``lz4`` or ``none``, by chunk.
+        chunk_period: Longest wall time [s] that a message waits before its chunk is written.
+        chunk_bytes: Uncompressed size [byte] at which a chunk is written before its period ends.
+        sync: Whether each chunk is forced onto the disk (against loss of power; a killed process
+            loses nothing either way).
+        reserve: Free room [byte] below which the disk counts as full: room in which the index
+            and the metadata can still be written.
+
+    Raises:
+        BagError: The folder exists or cannot be written.
+        DiskFullError: There is less free room than ``reserve``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        compression: str = "zstd",
+        chunk_period: float = 0.25,
+        chunk_bytes: int = 1 << 20,
+        sync: bool = True,
+        reserve: int = 16 << 20,
+    ) -> None:
+        if compression not in _COMPRESSIONS:
+            raise BagError(
+                f"unknown compression {compression!r}; choose one of {', '.join(_COMPRESSIONS)}"
+            )
+        if not chunk_period > 0.0:
+            raise BagError(f"the chunk period is {chunk_period} s; it must be above 0")
+        self.path = path
+        self.file = path / f"{path.resolve().name}_0.mcap"
+        self._period = chunk_period
+        self._reserve = reserve
+        self._sync = sync
+        self._topics: dict[int, _Topic] = {}
+        self._schemas: dict[TopicType, int] = {}
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._chunk_opened: float | None = None
+        self._broken = False
+        self._closed = False
+        _create_folder(path)
+        try:
+            self._check_room()
+            self._disk = _Disk(self.file, sync=sync)
+            self._writer: Any = Writer(
+                cast("IO[bytes]", self._disk),
+                chunk_size=chunk_bytes,
+                compression=_COMPRESSIONS[compression],
+                enable_crcs=True,
+                enable_data_crcs=True,
+            )
+            self._writer.start(profile="ros2", library="mother_rover")
+            self._disk.flush()
+            if sync:
+                _sync_folder(path)
+        except (OSError, BagError) as error:
+            self.file.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                path.rmdir()
+            if isinstance(error, BagError):
+                raise
+            raise self._explained(error, "cannot write the bag") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if not self._closed:
+            self.close()
+
+    def add_topic(self, name: str, kind: TopicType, qos: Iterable[Qos] = ()) -> int:
+        """Announces a topic; returns the number that :meth:`write` wants.
+
+        Args:
+            name: Full topic name.
+            kind: Its type.
+            qos: Quality of service that its publishers offered.
+        """
+        profiles = tuple(qos)
+        if kind not in self._schemas:
+            self._schemas[kind] = int(
+                self._writer.register_schema(kind.name, kind.encoding, kind.schema)
+            )
+        metadata = {
+            "offered_qos_profiles": _yaml(dump_qos_v9(list(profiles))).strip(),
+            "topic_type_hash": kind.type_hash,
+        }
+        channel = int(self._writer.register_channel(name, "cdr", self._schemas[kind], metadata))
+        self._topics[channel] = _Topic(name, kind, profiles)
+        self.add_metadata(
+            CHANNEL_RECORD,
+            sealed(
+                {
+                    "id": str(channel),
+                    "topic": name,
+                    "type": kind.name,
+                    "encoding": kind.encoding,
+                    "schema": kind.schema.decode(),
+                    **metadata,
+                }
+            ),
+        )
+        return channel
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Adds an MCAP metadata record; it reaches the disk with the next chunk."""
+        self._writer.add_metadata(name, dict(values))
+
+    def write(
+        self, channel: int, log_ns: int, publish_ns: int, data: bytes, sequence: int = 0
+    ) -> None:
+        """Adds a message; it reaches the disk when its chunk is full or its period over.
+
+        Args:
+            channel: Number from :meth:`add_topic`.
+            log_ns: Time of receipt [ns since 1970].
+            publish_ns: Time of publication [ns since 1970].
+            data: Serialised message (CDR with its 4 byte header).
+            sequence: The publisher's count of the message; 0 where it is not known.
+
+        Raises:
+            DiskFullError: There is no more room; close the bag.
+            BagError: The disk failed; close the bag.
+        """
+        topic = self._topics[channel]
+        now = time.monotonic()
+        if self._chunk_opened is None:
+            self._chunk_opened = now
+        before = self._disk.tell()
+        self._writer.add_message(
+            channel_id=channel,
+            log_time=log_ns,
+            data=data,
+            publish_time=publish_ns,
+            sequence=sequence & 0xFFFFFFFF,
+        )
+        topic.count += 1
+        self._first_ns = log_ns if self._first_ns is None else min(self._first_ns, log_ns)
+        self._last_ns = max(self._last_ns, log_ns)
+        if self._disk.tell() > before or now - self._chunk_opened >= self._period:
+            self.flush()
+
+    @property
+    def due(self) -> float:
+        """Wall time [s] until the chunk in progress must be written; infinite without one."""
+        if self._chunk_opened is None:
+            return float("inf")
+        return max(0.0, self._chunk_opened + self._period - time.monotonic())
+
+    def flush_if_due(self) -> None:
+        """Writes the chunk in progress when its period is over; call it while data are absent."""
+        if self.due == 0.0:
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes the chunk in progress and everything else that waits, whole or not at all.
+
+        Raises:
+            DiskFullError: There is no more room.
+            BagError: The disk failed.
+        """
+        self._check_room()
+        self._chunk_opened = None
+        try:
+            self._writer.flush()
+        except OSError as error:
+            self._broken = True
+            raise self._explained(error, "the recording ended:") from error
+
+    def close(self, custom: Mapping[str, str] | None = None) -> BagSummary:
+        """Writes index, checksums and ``metadata.yaml``.
+
+        Args:
+            custom: Texts for the field ``custom_data`` of the metadata.
+
+        Raises:
+            DiskFullError: There was no room for that; every chunk written before is whole and
+                ``bag_recover`` makes a clean bag of it.
+            BagError: The disk failed; as above.
+        """
+        self._closed = True
+        try:
+            if self._broken:
+                raise BagError(
+                    f"the bag {self.path} has no index, as the disk took no more; every message "
+                    f"up to then is whole: make a clean bag elsewhere with "
+                    f"`bag_recover {self.path} <new bag>`"
+                )
+            self._writer.flush()
+            metadata = self._metadata(custom or {})
+            text = _yaml(metadata["rosbag2_bagfile_information"])
+            self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+            self._writer.finish()
+            self._disk.flush()
+            self._disk.force()
+            self._write_metadata(_yaml(metadata))
+        except OSError as error:
+            raise self._explained(error, "the bag could not be closed") from error
+        finally:
+            self._disk.close()
+        return self.summary
+
+    def abandon(self) -> None:
+        """Leaves the bag as it is, without index, as a killed recorder would."""
+        self._closed = True
+        self._disk.close()
+
+    @property
+    def summary(self) -> BagSummary:
+        """What has been written so far."""
+        return BagSummary(
+            path=self.path,
+            counts={topic.name: topic.count for topic in self._topics.values()},
+            first_ns=self._first_ns or 0,
+            last_ns=self._last_ns,
+            size=self._disk.committed,
+        )
+
+    def _check_room(self) -> None:
+        free = shutil.disk_usage(self.path).free
+        if free < self._reserve:
+            raise DiskFullError(
+                f"{free / 2**20:.1f} MiB are free where the bag {self.path} is to be written and "
+                f"{self._reserve / 2**20:.1f} MiB are kept free to close it; make room or choose "
+                "another disk"
+            )
+
+    def _explained(self, error: OSError, what: str) -> BagError:
+        rescue = (
+            f"; every message written before is whole: `bag_recover {self.path} <new bag>` makes "
+            "a clean bag of it"
+            if self._topics
+            else ""
+        )
+        if error.errno in _FULL:
+            return DiskFullError(
+                f"{what} {self.path}: no room is left on the disk ({error.strerror}){rescue}"
+            )
+        return BagError(f"{what} {self.path}: {error.strerror}{rescue}")
+
+    def _metadata(self, custom: Mapping[str, str]) -> dict[str, Any]:
+        summary = self.summary
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": summary.first_ns},
+            "duration": {"nanoseconds": summary.last_ns - summary.first_ns},
+            "message_count": summary.messages,
+        }
+        return {
+            "rosbag2_bagfile_information": {
+                "version": STORAGE_VERSION,
+                "storage_identifier": "mcap",
+                **span,
+                "topics_with_message_count": [
+                    {
+                        "topic_metadata": {
+                            "name": topic.name,
+                            "type": topic.kind.name,
+                            "serialization_format": "cdr",
+                            "offered_qos_profiles": dump_qos_v9(list(topic.qos)),
+                            "type_description_hash": topic.kind.type_hash,
+                        },
+                        "message_count": topic.count,
+                    }
+                    for topic in self._topics.values()
+                ],
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [self.file.name],
+                "files": [{"path": self.file.name, **span}],
+                "custom_data": dict(custom),
+                "ros_distro": ROS_DISTRO,
+            }
+        }
+
+    def _write_metadata(self, text: str) -> None:
+        part = self.path / "metadata.yaml.part"
+        with part.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(self.path / "metadata.yaml")
+        _sync_folder(self.path)
+
+
+def _yaml(value: object) -> str:
+    text = yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, default_flow_style=False)
+    return str(text)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes equal mappings in full: yaml-cpp's readers of bags do not expect aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        del data
+        return True
