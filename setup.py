@@ -53,13 +53,16 @@ setup(
     install_requires=[
         "ros-jazzy-rclpy[fastrtps]",
         "ros-jazzy-common-interfaces",
+        "lz4>=4.0",
         "matplotlib>=3.6",
+        "mcap>=1.1",
         "mcap-ros2-support>=0.5",
         "numba>=0.59",
         "numpy>=1.26",
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "zstandard>=0.20",
     ],
     extras_require={
         "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-timeout>=2.2"],

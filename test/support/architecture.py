@@ -30,13 +30,14 @@ LOOKS_INSIDE = {"rover_sim", "rover_verify"}
 PHYSICS = "rover_sim.physics"
 NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
 
-# What an import needs: distribution on PyPI, key of rosdep (one per message package besides).
+# What an import needs: distribution on PyPI, key of rosdep (each message package besides).
 REQUIREMENTS: dict[str, tuple[str, str]] = {
     "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
     "exudyn": ("exudyn", ""),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
+    "lz4": ("lz4", "mcap-ros2-support"),  # no key of its own, comes with mcap
     "matplotlib": ("matplotlib", "python3-matplotlib"),
-    "mcap": ("mcap-ros2-support", "mcap-ros2-support"),
+    "mcap": ("mcap", "mcap-ros2-support"),
     "mcap_ros2": ("mcap-ros2-support", "mcap-ros2-support"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
@@ -45,6 +46,7 @@ REQUIREMENTS: dict[str, tuple[str, str]] = {
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
     "yaml": ("pyyaml", "python3-yaml"),
+    "zstandard": ("zstandard", "mcap-ros2-support"),
 }
 # Stands for types while they are checked, never imported at run time.
 TYPES_ONLY = {"_typeshed"}
