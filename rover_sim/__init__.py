@@ -1,1 +1,78 @@
-"""The plant: a tethered rover, simulated."""
+"""The plant: a tethered rover, simulated.
+
+This is the public face for studies and notebooks; nodes use the same. A scenario says what is
+simulated, a plant steps it, `run` and `jump` take it to an event:
+
+>>> from rover_sim import build_plant, jump, load_scenario
+>>> scenario = load_scenario("paper_table1_high", {"start.geometry": "+K", "start.slack": 2.0})
+>>> plant = build_plant(scenario)
+>>> metrics = jump(plant)
+>>> print(f"{metrics.height:.3f} m, {metrics.attitude_variation:+.2f} rad")
+0.309 m, +0.66 rad
+
+The same by hand, tick by tick; a state is a value, so keeping or reusing one is safe:
+
+>>> from rover_sim import Command, JumpMotorCommand
+>>> state = plant.initial_state()
+>>> command = Command(jump=JumpMotorCommand(compression=0.2, rate=2.0))
+>>> state, result = plant.step(state, command, 0.2)
+>>> state.phase.value, [event.name for event in result.events], result.outcome.value
+('flight', ['take_off'], 'converged')
+"""
+
+from rover_sim.physics.section import TetherSection
+from rover_sim.physics.statics import StaticsError, static_equilibrium
+from rover_sim.planar_plant import PlanarPlant, PlanarState
+from rover_sim.plant import (
+    Command,
+    Energies,
+    Event,
+    JumpMotorCommand,
+    Outcome,
+    Phase,
+    Plant,
+    State,
+    StepResult,
+    WheelMotorCommand,
+    WinchCommand,
+)
+from rover_sim.plants import build_plant
+from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, run
+from rover_sim.scenario import (
+    Scenario,
+    ScenarioError,
+    dump_scenario,
+    list_scenarios,
+    load_scenario,
+)
+
+__all__ = [
+    "Command",
+    "Energies",
+    "Event",
+    "JumpMetrics",
+    "JumpMotorCommand",
+    "Outcome",
+    "Phase",
+    "PlanarPlant",
+    "PlanarState",
+    "Plant",
+    "Run",
+    "RunError",
+    "Scenario",
+    "ScenarioError",
+    "State",
+    "StaticsError",
+    "StepResult",
+    "TetherSection",
+    "WheelMotorCommand",
+    "WinchCommand",
+    "build_plant",
+    "dump_scenario",
+    "jump",
+    "jump_many",
+    "list_scenarios",
+    "load_scenario",
+    "run",
+    "static_equilibrium",
+]

@@ -1,0 +1,830 @@
+"""The planar rover, two bodies on a slider, at the tip of an ANCF tether, stepped in time.
+
+The paper's axes: x horizontal, y up, theta counter-clockwise, slider axis (-sin theta, cos theta).
+Body 1 carries the tether at the body-fixed point p = (a, b); Body 2 has Body 1's orientation and
+its centre lies the distance s along the slider, at b = (0, s). With the tether's last node r_n
+
+    G1 = r_n - R p,     G2 = G1 + R b,
+
+so r_n, theta and s are the unknowns and no constraint force appears. A step turns the rover by the
+Cayley parameter th = 2 tan(dtheta/2), whose rate gives the angular velocity, th = h (w0 + w1)/2;
+with R_m = (R_0 + R_1)/2 the equations of the step are, for f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g,
+
+    last node   tether + f_1 + f_2 = 0
+    rotation    (J_1 + J_2)(w1 - w0)/h - R_m p x f_1 + R_m (b_m - p) x f_2 = 0
+    slider      R_m e_y . f_2 + k (s_m - l_0) + c ds/h = 0
+
+(index m: mean of start and end). Because R_1 - R_0 turns vectors by th across R_m exactly, the
+work of these forces is the change of the energies, which is thus conserved without damping.
+Rotation and slide are condensed into the last node before the tether's elimination.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.energy_momentum import (
+    Array,
+    Tether,
+    Workspace,
+    begin_step,
+    checked,
+    end_step,
+    kernel,
+    make_workspace,
+    newton_increment,
+    tether_energies,
+)
+
+# Entries of the array `body`.
+X1, Y1, THETA, SLIDE, VX1, VY1, VX2, VY2, OMEGA = range(9)
+BODY_SIZE = 9
+
+# Entries of the array `book`: what is remembered besides the motion.
+(
+    TIME,  # [s]
+    COMPRESSION,  # of the jump spring by its drive [m]
+    TAKE_OFF_TIME,  # [s], as the next three of the last take-off
+    START_X,  # of G1 [m]
+    START_Y,  # [m]
+    START_THETA,  # [rad]
+    HIGHEST,  # largest rise of G1 since take-off [m]
+    INPUT,  # energy put in since the start [J]
+    DISSIPATED,  # energy dissipated since the start [J]
+    REFERENCE,  # energy stored at the start [J]
+) = range(10)
+BOOK_SIZE = 10
+
+# Phases.
+HELD, FLIGHT, LANDED, FREE, DIVERGED, TETHER_BROKEN = range(6)
+
+# Outcomes of `advance`.
+OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
+
+# Rows of the event array: kind, time [s], then height over start [m], travel dx [m], attitude
+# variation theta - theta0 [rad], time since take-off [s], speed of Body 1 [m/s], tension [N].
+EVENT_TAKE_OFF, EVENT_APEX, EVENT_TOUCHDOWN, EVENT_BROKEN, EVENT_DIVERGED = range(5)
+EVENT_SIZE = 8
+MAX_EVENTS = 32
+
+# Entries of the array `report`.
+(
+    ITERATIONS,  # Newton iterations
+    SMALLEST_STEP,  # [s]
+    PEAK_TENSION,  # [N], see `end_step`
+    HALVINGS,  # how often a step was halved
+    ELAPSED,  # [s], less than asked for after a divergence or a stop
+    KINETIC,  # [J], as the next four at the end
+    GRAVITY,
+    AXIAL,
+    BENDING,
+    SPRING,
+    CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
+) = range(11)
+REPORT_SIZE = 11
+
+_MAX_ITERATIONS = 12
+# Nodes of a converged step turn less than this [rad]; more is a wrong root or too coarse a step.
+_MAX_TURN = 1.0
+# A Newton increment is followed by one of about C times its square. C is measured, and measured
+# again after so many steps that ended on its word.
+_TRUSTED_STEPS = 8
+_TRUST_MARGIN = 0.1
+
+
+class Rover(NamedTuple):
+    """Masses, geometry and spring of the rover."""
+
+    m1: float  # [kg]
+    m2: float  # [kg]
+    inertia: float  # J1 + J2 about the bodies' own centres [kg m^2]
+    attachment_x: float  # a [m]
+    attachment_y: float  # b [m]
+    spring_rate: float  # k [N/m]
+    spring_free_length: float  # l0 [m]
+    slider_damping: float  # c [N s/m]
+
+
+class Model(NamedTuple):
+    """Everything constant during a run, as the compiled functions see it."""
+
+    tether: Tether
+    rover: Rover
+    has_rover: bool  # else `rover` is not looked at
+    tip_mass: float  # of a tether without a rover [kg]
+    root_pinned: bool  # position of the first node held
+    root_clamped: bool  # its slope held
+    linear_rates: bool  # take-off sets the tether's rates linear in arc length, else the tip's only
+    hold_after_landing: bool
+    breaking_load: float  # [N]
+    step: float  # h [s]
+    tolerance: float  # [m]
+    max_halvings: int
+
+
+class Solver(NamedTuple):
+    """Arrays of one call of `advance`."""
+
+    work: Workspace
+    q1: Array  # (n + 1, 4), the state after an attempted step
+    v1: Array
+    body1: Array  # (BODY_SIZE,)
+    turn: Array  # (2,): increments th and ds
+    condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
+    history: Array  # (3, n + 2, 4): mid-step rates of the last steps, (th/h, ds/h) in the last row
+    history_time: Array  # (3,) [s], their instants relative to the start of the coming step
+    control: Array  # (2,): the Newton constant C, steps since it was measured; see _TRUSTED_STEPS
+    report: Array  # (REPORT_SIZE,)
+
+
+NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
+
+
+@checked
+def make_solver(elements: int, report: Array) -> Solver:
+    """Allocate the arrays for a tether of n elements, reporting to `report`."""
+    report[:] = 0.0
+    report[SMALLEST_STEP] = np.inf
+    report[PEAK_TENSION] = -np.inf
+    return Solver(
+        make_workspace(elements, 2),
+        np.zeros((elements + 1, 4)),
+        np.zeros((elements + 1, 4)),
+        np.zeros(BODY_SIZE),
+        np.zeros(2),
+        np.zeros((2, 3)),
+        np.zeros((3, elements + 2, 4)),
+        np.zeros(3),
+        np.array([0.0, float(_TRUSTED_STEPS)]),
+        report,
+    )
+
+
+@kernel
+def rover_energies(rover: Rover, gy: float, gx: float, body: Array) -> tuple[float, float, float]:
+    """Kinetic, gravity and spring energy of the rover [J] under gravity (gx, gy)."""
+    x2 = body[X1] - np.sin(body[THETA]) * body[SLIDE]
+    y2 = body[Y1] + np.cos(body[THETA]) * body[SLIDE]
+    kinetic = 0.5 * (
+        rover.m1 * (body[VX1] ** 2 + body[VY1] ** 2)
+        + rover.m2 * (body[VX2] ** 2 + body[VY2] ** 2)
+        + rover.inertia * body[OMEGA] ** 2
+    )
+    gravity = -rover.m1 * (gx * body[X1] + gy * body[Y1]) - rover.m2 * (gx * x2 + gy * y2)
+    spring = 0.5 * rover.spring_rate * (body[SLIDE] - rover.spring_free_length) ** 2
+    return kinetic, gravity, spring
+
+
+@kernel
+def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]:
+    """Kinetic, gravity, axial, bending and spring energy of the whole system [J].
+
+    Potentials of gravity are zero at the origin's level.
+    """
+    kinetic, gravity, axial, bending = tether_energies(model.tether, q, v)
+    spring = 0.0
+    gx, gy = model.tether.gravity
+    if model.has_rover:
+        more, weight, spring = rover_energies(model.rover, gy, gx, body)
+        kinetic += more
+        gravity += weight
+    else:
+        n = q.shape[0] - 1
+        kinetic += 0.5 * model.tip_mass * (v[n, 0] ** 2 + v[n, 1] ** 2)
+        gravity -= model.tip_mass * (gx * q[n, 0] + gy * q[n, 1])
+    return kinetic, gravity, axial, bending, spring
+
+
+@kernel
+def stored_energy(model: Model, q: Array, v: Array, body: Array) -> float:
+    """Sum of `energies` [J]."""
+    kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
+    return kinetic + gravity + axial + bending + spring
+
+
+@kernel
+def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
+    """Add the rover to the tether's tip: its rows condensed onto the last node's position."""
+    rover = model.rover
+    gx, gy = model.tether.gravity
+    work = solver.work
+    n = work.increment.shape[0] - 1
+    drx, dry = work.increment[n, 0], work.increment[n, 1]
+    th, ds = solver.turn[0], solver.turn[1]
+    a, b = rover.attachment_x, rover.attachment_y
+    s0 = body[SLIDE]
+    s1 = s0 + ds
+    sm = s0 + 0.5 * ds
+
+    # Cosines and sines at start, end (the Cayley map) and their means.
+    c0, z0 = np.cos(body[THETA]), np.sin(body[THETA])
+    scale = 1.0 / (1.0 + 0.25 * th * th)
+    turn_c, turn_z = (1.0 - 0.25 * th * th) * scale, th * scale
+    c1, z1 = c0 * turn_c - z0 * turn_z, z0 * turn_c + c0 * turn_z
+    cm, zm = 0.5 * (c0 + c1), 0.5 * (z0 + z1)
+
+    # Displacements of the centres; (R1 - R0) u = th J R_m u with J the quarter turn.
+    px, py = cm * a - zm * b, zm * a + cm * b
+    dx1, dy1 = drx + th * py, dry - th * px
+    dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
+    unit1, unit2 = 2.0 * rover.m1 / h, 2.0 * rover.m2 / h
+    fx1 = unit1 * (dx1 / h - body[VX1]) - rover.m1 * gx
+    fy1 = unit1 * (dy1 / h - body[VY1]) - rover.m1 * gy
+    fx2 = unit2 * (dx2 / h - body[VX2]) - rover.m2 * gx
+    fy2 = unit2 * (dy2 / h - body[VY2]) - rover.m2 * gy
+
+    # Levers about the last node and the residuals of rotation and slider.
+    lx, ly = -zm * sm - px, cm * sm - py
+    rotation = (
+        2.0 * rover.inertia / h * (th / h - body[OMEGA])
+        - (px * fy1 - py * fx1)
+        + (lx * fy2 - ly * fx2)
+    )
+    slider = (
+        -zm * fx2
+        + cm * fy2
+        + rover.spring_rate * (sm - rover.spring_free_length)
+        + rover.slider_damping * ds / h
+    )
+
+    # Derivatives by th: dR1/dth = scale J R1, dR_m/dth is half of it; G1, G2 move by (u1), (u2).
+    p1x, p1y = c1 * a - z1 * b, z1 * a + c1 * b
+    u1x, u1y = scale * p1y, -scale * p1x
+    u2x, u2y = u1x - scale * c1 * s1, u1y - scale * z1 * s1
+    half = 0.5 * scale
+    dpx, dpy = -half * p1y, half * p1x
+    dlx, dly = -half * c1 * sm - dpx, -half * z1 * sm - dpy
+    i1, i2 = unit1 / h, unit2 / h
+    k_tt = (
+        2.0 * rover.inertia / h**2
+        - (dpx * fy1 - dpy * fx1)
+        - i1 * (px * u1y - py * u1x)
+        + (dlx * fy2 - dly * fx2)
+        + i2 * (lx * u2y - ly * u2x)
+    )
+    k_ts = 0.5 * (-zm * fy2 - cm * fx2) + i2 * (lx * c1 + ly * z1)
+    k_st = -half * (c1 * fx2 + z1 * fy2) + i2 * (-zm * u2x + cm * u2y)
+    k_ss = i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
+    k_tx, k_ty = i1 * py - i2 * ly, -i1 * px + i2 * lx
+    k_sx, k_sy = -i2 * zm, i2 * cm
+    k_xt, k_yt = i1 * u1x + i2 * u2x, i1 * u1y + i2 * u2y
+    k_xs, k_ys = -i2 * z1, i2 * c1
+
+    inverse = 1.0 / (k_tt * k_ss - k_ts * k_st)
+    z = solver.condensed
+    z[0, 0] = inverse * (k_ss * rotation - k_ts * slider)
+    z[1, 0] = inverse * (k_tt * slider - k_st * rotation)
+    z[0, 1] = inverse * (k_ss * k_tx - k_ts * k_sx)
+    z[1, 1] = inverse * (k_tt * k_sx - k_st * k_tx)
+    z[0, 2] = inverse * (k_ss * k_ty - k_ts * k_sy)
+    z[1, 2] = inverse * (k_tt * k_sy - k_st * k_ty)
+    residual, matrix = work.end_residual, work.end_matrix
+    residual[1, 0] = fx1 + fx2 - k_xt * z[0, 0] - k_xs * z[1, 0]
+    residual[1, 1] = fy1 + fy2 - k_yt * z[0, 0] - k_ys * z[1, 0]
+    matrix[1, 0, 0] = i1 + i2 - k_xt * z[0, 1] - k_xs * z[1, 1]
+    matrix[1, 0, 1] = -k_xt * z[0, 2] - k_xs * z[1, 2]
+    matrix[1, 1, 0] = -k_yt * z[0, 1] - k_ys * z[1, 1]
+    matrix[1, 1, 1] = i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2]
+
+
+@kernel
+def _rover_increment(solver: Solver) -> float:
+    """Newton increment of th and ds from that of the last node; returns the larger one."""
+    work, z = solver.work, solver.condensed
+    n = work.increment.shape[0] - 1
+    largest = 0.0
+    for k in range(2):
+        change = z[k, 0] - z[k, 1] * work.solution[n, 0] - z[k, 2] * work.solution[n, 1]
+        solver.turn[k] -= change
+        largest = max(largest, abs(change))
+    return largest
+
+
+@kernel
+def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
+    """Add a point mass to the tether's tip."""
+    n = v0.shape[0] - 1
+    for d in range(2):
+        work.end_matrix[1, d, d] = 2.0 * model.tip_mass / h**2
+        work.end_residual[1, d] = model.tip_mass * (
+            2.0 / h * (work.increment[n, d] / h - v0[n, d]) - model.tether.gravity[d]
+        )
+
+
+@kernel
+def _rover_end_step(model: Model, h: float, body: Array, solver: Solver) -> float:
+    """Write the rover's state after a converged step; returns the damper's loss [J]."""
+    rover, work, body1 = model.rover, solver.work, solver.body1
+    n = work.increment.shape[0] - 1
+    th, ds = solver.turn[0], solver.turn[1]
+    theta1 = body[THETA] + 2.0 * np.arctan(0.5 * th)
+    sm = body[SLIDE] + 0.5 * ds
+    cm = 0.5 * (np.cos(body[THETA]) + np.cos(theta1))
+    zm = 0.5 * (np.sin(body[THETA]) + np.sin(theta1))
+    px = cm * rover.attachment_x - zm * rover.attachment_y
+    py = zm * rover.attachment_x + cm * rover.attachment_y
+    dx1, dy1 = work.increment[n, 0] + th * py, work.increment[n, 1] - th * px
+    dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
+    body1[X1] = body[X1] + dx1
+    body1[Y1] = body[Y1] + dy1
+    body1[THETA] = theta1
+    body1[SLIDE] = body[SLIDE] + ds
+    body1[VX1] = 2.0 * dx1 / h - body[VX1]
+    body1[VY1] = 2.0 * dy1 / h - body[VY1]
+    body1[VX2] = 2.0 * dx2 / h - body[VX2]
+    body1[VY2] = 2.0 * dy2 / h - body[VY2]
+    body1[OMEGA] = 2.0 * th / h - body[OMEGA]
+    return rover.slider_damping * ds * ds / h
+
+
+@kernel
+def _predict(h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver) -> None:
+    """Start the Newton iteration from rates at mid-step, extrapolated from the last steps.
+
+    `depth` of the past steps are used (Lagrange's polynomial in time); with none, the rates at
+    the step's start. Coordinates that are held do not move.
+    """
+    work = solver.work
+    increment, history, times = work.increment, solver.history, solver.history_time
+    n = v.shape[0] - 1
+    if depth == 0:
+        for i in range(n + 1):
+            for k in range(4):
+                increment[i, k] = h * v[i, k]
+        c, z = np.cos(body[THETA]), np.sin(body[THETA])
+        solver.turn[0] = h * body[OMEGA]
+        solver.turn[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
+    else:
+        at = 0.5 * h
+        first, second, third = 1.0, 0.0, 0.0
+        if depth == 2:
+            first = (at - times[1]) / (times[0] - times[1])
+            second = 1.0 - first
+        elif depth == 3:
+            first = (at - times[1]) * (at - times[2])
+            first /= (times[0] - times[1]) * (times[0] - times[2])
+            second = (at - times[0]) * (at - times[2])
+            second /= (times[1] - times[0]) * (times[1] - times[2])
+            third = 1.0 - first - second
+        first, second, third = h * first, h * second, h * third
+        for i in range(n + 1):
+            for k in range(4):
+                increment[i, k] = (
+                    first * history[0, i, k] + second * history[1, i, k] + third * history[2, i, k]
+                )
+        for k in range(2):
+            solver.turn[k] = (
+                first * history[0, n + 1, k]
+                + second * history[1, n + 1, k]
+                + third * history[2, n + 1, k]
+            )
+    for k in range(4):
+        if work.end_fixed[0, k]:
+            increment[0, k] = 0.0
+        if work.end_fixed[1, k]:
+            increment[n, k] = 0.0
+    if not flying:
+        solver.turn[:] = 0.0
+
+
+@kernel
+def _remember(h: float, solver: Solver) -> None:
+    """Push the finished step's mid-step rates onto the history."""
+    history, times, increment = solver.history, solver.history_time, solver.work.increment
+    n = increment.shape[0] - 1
+    inverse = 1.0 / h
+    for i in range(n + 1):
+        for k in range(4):
+            history[2, i, k] = history[1, i, k]
+            history[1, i, k] = history[0, i, k]
+            history[0, i, k] = inverse * increment[i, k]
+    for k in range(2):
+        history[2, n + 1, k] = history[1, n + 1, k]
+        history[1, n + 1, k] = history[0, n + 1, k]
+        history[0, n + 1, k] = inverse * solver.turn[k]
+    times[2] = times[1] - h
+    times[1] = times[0] - h
+    times[0] = -0.5 * h
+
+
+@checked
+def attempt_step(
+    model: Model,
+    h: float,
+    q: Array,
+    v: Array,
+    body: Array,
+    flying: bool,
+    depth: int,
+    solver: Solver,
+) -> tuple[bool, float, float]:
+    """Try one step of length h; the state after it is left in the solver.
+
+    `flying` says whether the rover moves; if not and there is one, the tip is held. `depth` is
+    that of the predictor.
+
+    Returns:
+        Whether Newton's iteration converged to a sound state, the energy dissipated [J] and the
+        largest tension [N].
+    """
+    work = solver.work
+    work.end_fixed[0, :2] = model.root_pinned
+    work.end_fixed[0, 2:] = model.root_clamped
+    work.end_fixed[1, :2] = model.has_rover and not flying
+    work.end_matrix[:] = 0.0
+    work.end_residual[:] = 0.0
+    _predict(h, v, body, depth, flying, solver)
+    begin_step(model.tether, h, q, v, work)
+    previous = np.inf
+    converged = False
+    for iteration in range(_MAX_ITERATIONS):
+        if flying:
+            _rover_end(model, h, body, solver)
+        elif not model.has_rover:
+            _mass_end(model, h, v, work)
+        change = newton_increment(model.tether, h, work)
+        if flying:
+            # Not max(), which would let a NaN pass.
+            change += _rover_increment(solver)
+        solver.report[ITERATIONS] += 1.0
+        if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
+            break
+        if iteration > 0:
+            measured = change / previous**2
+            solver.control[0] = max(measured, 0.5 * solver.control[0])
+            if iteration == 1:
+                solver.control[1] = 0.0
+        if change < model.tolerance:
+            converged = True
+            break
+        trusted = solver.control[1] < _TRUSTED_STEPS
+        if trusted and solver.control[0] * change**2 < _TRUST_MARGIN * model.tolerance:
+            solver.control[1] += 1.0
+            converged = True
+            break
+        previous = change
+    if not converged:
+        return False, 0.0, 0.0
+    dissipated, tension, turn = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
+    if flying:
+        dissipated += _rover_end_step(model, h, body, solver)
+    else:
+        solver.body1[:] = body
+    if not turn < _MAX_TURN:
+        return False, 0.0, 0.0
+    return True, dissipated, tension
+
+
+@kernel
+def take_off(
+    model: Model, velocity: tuple[float, float], q: Array, v: Array, body: Array, book: Array
+) -> None:
+    """Give both bodies the velocity [m/s], with the spring at its free length; in place.
+
+    The tether's last node gets the same velocity, the other nodes keep theirs, or all get rates
+    linear in arc length (`linear_rates`). What the system's energy grows by is booked as input.
+    """
+    n = q.shape[0] - 1
+    before = stored_energy(model, q, v, body)
+    body[SLIDE] = model.rover.spring_free_length
+    body[OMEGA] = 0.0
+    body[VX1], body[VY1] = velocity
+    body[VX2], body[VY2] = velocity
+    for d in range(2):
+        if model.linear_rates:
+            for i in range(n + 1):
+                v[i, d] = velocity[d] * i / n
+                v[i, 2 + d] = velocity[d] / (n * model.tether.element_length)
+            if model.root_clamped:
+                v[0, 2 + d] = 0.0
+        v[n, d] = velocity[d]
+    book[INPUT] += stored_energy(model, q, v, body) - before
+    book[TAKE_OFF_TIME] = book[TIME]
+    book[START_X], book[START_Y] = body[X1], body[Y1]
+    book[START_THETA] = body[THETA]
+    book[HIGHEST] = 0.0
+
+
+@kernel
+def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> None:
+    """Stop the rover where it is; its energy of motion is booked as dissipated."""
+    before = stored_energy(model, q, v, body)
+    body[VX1:] = 0.0
+    v[v.shape[0] - 1, :2] = 0.0
+    book[DISSIPATED] += before - stored_energy(model, q, v, body)
+
+
+@kernel
+def _hermite(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
+    """Cubic through values and rates at 0 and h, at the time t."""
+    u = t / h
+    return (
+        y0
+        + u * h * dy0
+        + u * u * (3.0 * (y1 - y0) - h * (2.0 * dy0 + dy1))
+        + u * u * u * (2.0 * (y0 - y1) + h * (dy0 + dy1))
+    )
+
+
+@kernel
+def _hermite_rate(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
+    """Derivative of `_hermite` by t."""
+    u = t / h
+    return (
+        dy0
+        + 2.0 * u * (3.0 * (y1 - y0) / h - (2.0 * dy0 + dy1))
+        + 3.0 * u * u * (2.0 * (y0 - y1) / h + dy0 + dy1)
+    )
+
+
+@kernel
+def _apex_instant(h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
+    """Time at which the cubic's rate falls through zero, for dy0 > 0 >= dy1, by bisection."""
+    low, high = 0.0, h
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if _hermite_rate(middle, h, y0, dy0, y1, dy1) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@kernel
+def _crossing_instant(
+    low: float, high: float, h: float, y0: float, dy0: float, y1: float, dy1: float, level: float
+) -> float:
+    """Time in [low, high] at which the cubic falls through the level, by bisection."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if _hermite(middle, h, y0, dy0, y1, dy1) > level:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@kernel
+def _record(
+    kind: int,
+    time: float,
+    rise: float,
+    tension: float,
+    body: Array,
+    book: Array,
+    events: Array,
+    count: int,
+) -> int:
+    """Append an event if there is room; returns the new number of events."""
+    if count < events.shape[0]:
+        row = events[count]
+        row[0] = kind
+        row[1] = time
+        row[2] = rise
+        row[3] = body[X1] - book[START_X]
+        row[4] = body[THETA] - book[START_THETA]
+        row[5] = time - book[TAKE_OFF_TIME]
+        row[6] = np.sqrt(body[VX1] ** 2 + body[VY1] ** 2)
+        row[7] = tension
+        count += 1
+    return count
+
+
+@checked
+def _step_to_touchdown(
+    model: Model, h: float, q: Array, v: Array, body: Array, book: Array, depth: int, solver: Solver
+) -> tuple[bool, float, float, float]:
+    """Repeat the step just tried with the length at which G1 is back at its starting height.
+
+    The step ends above that height at some length, below at h; its own result as a function of its
+    length is searched for the zero, from the cubic's root by the secant method with a bracket.
+
+    Returns:
+        As `attempt_step`, then the length found [s].
+    """
+    level = book[START_Y]
+    y0, dy0 = body[Y1], body[VY1]
+    y1, dy1 = solver.body1[Y1], solver.body1[VY1]
+    low = 0.0
+    if dy0 > 0.0 >= dy1:
+        low = _apex_instant(h, y0, dy0, y1, dy1)
+    length = _crossing_instant(low, h, h, y0, dy0, y1, dy1, level)
+    high = h
+    ok, dissipated, tension = False, 0.0, 0.0
+    for _ in range(12):
+        ok, dissipated, tension = attempt_step(
+            model, length, q, v, body, True, min(depth, 1), solver
+        )
+        if not ok:
+            break
+        gap = solver.body1[Y1] - level
+        if abs(gap) < 1e-13 + 1e-4 * model.tolerance:
+            break
+        if gap > 0.0:
+            low = length
+        else:
+            high = length
+        rate = solver.body1[VY1]
+        following = length - gap / rate if rate < 0.0 else 0.5 * (low + high)
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        length = following
+    return ok, dissipated, tension, length
+
+
+@kernel
+def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) -> None:
+    """Report the energies and how far the rover's own position has drifted from the tether's."""
+    kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
+    report[KINETIC] = kinetic
+    report[GRAVITY] = gravity
+    report[AXIAL] = axial
+    report[BENDING] = bending
+    report[SPRING] = spring
+    if model.has_rover:
+        n = q.shape[0] - 1
+        a, b = model.rover.attachment_x, model.rover.attachment_y
+        c, z = np.cos(body[THETA]), np.sin(body[THETA])
+        report[CONSTRAINT_DRIFT] = np.hypot(
+            body[X1] + c * a - z * b - q[n, 0], body[Y1] + z * a + c * b - q[n, 1]
+        )
+
+
+@checked
+def advance(
+    model: Model,
+    q: Array,
+    v: Array,
+    body: Array,
+    book: Array,
+    phase: int,
+    drive: tuple[float, float],
+    dt: float,
+    stop_at_touchdown: bool,
+    events: Array,
+    report: Array,
+) -> tuple[int, int, int]:
+    """Step the planar tether and rover by dt in place, with all that happens on the way.
+
+    Args:
+        model: constants.
+        q: nodal coordinates (n + 1, 4).
+        v: their rates.
+        body: the rover's state (BODY_SIZE,).
+        book: what else is remembered (BOOK_SIZE,).
+        phase: HELD, FLIGHT, LANDED or FREE; nothing moves in the other two.
+        drive: compression to go to [m] and its rate [m/s] of the jump drive; a rate of 0: off.
+        dt: [s].
+        stop_at_touchdown: return at the touchdown instead of at dt.
+        events: (m, EVENT_SIZE), filled in order; apexes lower than an earlier one are left out.
+        report: (REPORT_SIZE,), filled.
+
+    Returns:
+        Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last good
+        state, after OUTCOME_BROKEN that at the end of the step in which the tether broke.
+    """
+    elements = q.shape[0] - 1
+    solver = make_solver(elements, report)
+    count = 0
+    depth = 0
+    elapsed = 0.0
+    start = book[TIME]
+    done = phase in (DIVERGED, TETHER_BROKEN)
+    while not done and elapsed < dt * (1.0 - 1e-12):
+        step = model.step
+        if dt - elapsed < step * (1.0 + 1e-6):
+            step = dt - elapsed
+
+        # The jump drive: to its setpoint at its rate; reaching it trips the latch.
+        trips = False
+        if phase in (HELD, LANDED) and drive[1] > 0.0:
+            distance = drive[0] - book[COMPRESSION]
+            instant = abs(distance) / drive[1]
+            if drive[0] > 0.0 and instant <= step:
+                trips = True
+                step = instant
+                book[COMPRESSION] = drive[0]
+            else:
+                book[COMPRESSION] += np.sign(distance) * min(abs(distance), drive[1] * step)
+
+        # The step, in parts where Newton's iteration does not converge at full length.
+        flying = phase == FLIGHT
+        unit = 1 << model.max_halvings
+        part, left = unit, unit
+        while left > 0 and step > 0.0:
+            h = step * part / unit
+            ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, depth, solver)
+            touches = False
+            if ok and flying:
+                y0, y1 = body[Y1], solver.body1[Y1]
+                above = y0 > book[START_Y] or (y0 == book[START_Y] and body[VY1] > 0.0)
+                touches = above and y1 <= book[START_Y] and solver.body1[VY1] < 0.0
+                if touches:
+                    ok, dissipated, tension, h = _step_to_touchdown(
+                        model, h, q, v, body, book, depth, solver
+                    )
+            if not ok:
+                depth = 0
+                solver.control[1] = _TRUSTED_STEPS
+                part >>= 1
+                if part == 0:
+                    phase = DIVERGED
+                    done = True
+                    count = _record(
+                        EVENT_DIVERGED,
+                        start + elapsed,
+                        body[Y1] - book[START_Y],
+                        0.0,
+                        body,
+                        book,
+                        events,
+                        count,
+                    )
+                    break
+                report[HALVINGS] += 1.0
+                continue
+
+            if flying and body[VY1] > 0.0 >= solver.body1[VY1]:
+                y0, dy0, y1, dy1 = body[Y1], body[VY1], solver.body1[Y1], solver.body1[VY1]
+                instant = _apex_instant(h, y0, dy0, y1, dy1)
+                rise = _hermite(instant, h, y0, dy0, y1, dy1) - book[START_Y]
+                if rise > book[HIGHEST]:
+                    book[HIGHEST] = rise
+                    count = _record(
+                        EVENT_APEX,
+                        start + elapsed + instant,
+                        rise,
+                        tension,
+                        solver.body1,
+                        book,
+                        events,
+                        count,
+                    )
+            q[:] = solver.q1
+            v[:] = solver.v1
+            body[:] = solver.body1
+            book[DISSIPATED] += dissipated
+            _remember(h, solver)
+            depth = min(depth + 1, 3)
+            elapsed += h
+            report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
+            report[PEAK_TENSION] = max(report[PEAK_TENSION], tension)
+            if tension > model.breaking_load:
+                phase = TETHER_BROKEN
+                done = True
+                count = _record(
+                    EVENT_BROKEN,
+                    start + elapsed,
+                    body[Y1] - book[START_Y],
+                    tension,
+                    body,
+                    book,
+                    events,
+                    count,
+                )
+                break
+            if touches:
+                count = _record(
+                    EVENT_TOUCHDOWN,
+                    start + elapsed,
+                    book[HIGHEST],
+                    tension,
+                    body,
+                    book,
+                    events,
+                    count,
+                )
+                if model.hold_after_landing:
+                    phase = LANDED
+                    _hold_rover(model, q, v, body, book)
+                    depth = 0
+                    book[COMPRESSION] = 0.0
+                done = stop_at_touchdown
+                break
+            left -= part
+            if part < unit and left % (2 * part) == 0:
+                part *= 2
+
+        book[TIME] = start + elapsed
+        if trips and not done:
+            phase = FLIGHT
+            speed = book[COMPRESSION] * np.sqrt(
+                model.rover.spring_rate / (model.rover.m1 + model.rover.m2)
+            )
+            velocity = (-np.sin(body[THETA]) * speed, np.cos(body[THETA]) * speed)
+            take_off(model, velocity, q, v, body, book)
+            book[COMPRESSION] = 0.0
+            depth = 0
+            count = _record(EVENT_TAKE_OFF, book[TIME], 0.0, 0.0, body, book, events, count)
+
+    if not done:
+        book[TIME] = start + dt
+    report[ELAPSED] = elapsed
+    _report_end(model, q, v, body, report)
+    if phase == DIVERGED:
+        return OUTCOME_DIVERGED, phase, count
+    if phase == TETHER_BROKEN:
+        return OUTCOME_BROKEN, phase, count
+    if report[HALVINGS] > 0.0:
+        return OUTCOME_HALVED, phase, count
+    return OUTCOME_CONVERGED, phase, count

@@ -1,0 +1,439 @@
+"""The planar plant: tether and two-body rover in a vertical plane, behind the plant contract."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rover_sim.physics import energy_momentum, planar
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.starting_shapes import Catenary, arc_nodes
+from rover_sim.physics.statics import static_equilibrium
+from rover_sim.plant import Command, Energies, Event, Outcome, Phase, StepResult
+from rover_sim.scenario import Scenario
+
+_PHASES = {
+    Phase.HELD: planar.HELD,
+    Phase.FLIGHT: planar.FLIGHT,
+    Phase.LANDED: planar.LANDED,
+    Phase.FREE: planar.FREE,
+    Phase.DIVERGED: planar.DIVERGED,
+    Phase.TETHER_BROKEN: planar.TETHER_BROKEN,
+}
+_PHASE_OF = {code: phase for phase, code in _PHASES.items()}
+_OUTCOME_OF = {
+    planar.OUTCOME_CONVERGED: Outcome.CONVERGED,
+    planar.OUTCOME_HALVED: Outcome.HALVED,
+    planar.OUTCOME_DIVERGED: Outcome.DIVERGED,
+    planar.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
+}
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The energy balance since the start of the run [J]."""
+
+    initial: float = 0.0  # stored at the start
+    input: float = 0.0
+    dissipated: float = 0.0
+
+
+@dataclass(frozen=True)
+class TakeOffRecord:
+    """Where and when the rover last took off, and how high it has risen since."""
+
+    time: float = 0.0  # [s]
+    G1: tuple[float, float] = (0.0, 0.0)  # [m]
+    theta: float = 0.0  # [rad]
+    highest: float = 0.0  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarState:
+    """State of the planar plant; its arrays are read-only.
+
+    The paper's axes: x horizontal, y up, theta counter-clockwise from upright; the tether's root
+    is the origin. Without a rover the fields of the bodies are zero. Body 2's velocity is kept
+    beside Body 1's because the integrator conserves energy in both; the slider's rate follows.
+    """
+
+    time: float  # [s]
+    phase: Phase
+    nodes: Array  # (n + 1, 2, 2): [i, 0] position [m], [i, 1] slope r' [-] of node i
+    node_rates: Array  # the same per second
+    G1: Array  # centre of Body 1 [m], (2,)
+    G1_rate: Array  # [m/s]
+    G2_rate: Array  # velocity of Body 2's centre [m/s], (2,)
+    theta: float  # [rad]
+    omega: float  # [rad/s]
+    s: float  # distance of the bodies' centres along the slider [m]
+    compression: float = 0.0  # of the jump spring by its motor [m]
+    take_off: TakeOffRecord = TakeOffRecord()
+    ledger: Ledger = Ledger()
+
+    def __post_init__(self) -> None:
+        for name in ("nodes", "node_rates", "G1", "G1_rate", "G2_rate"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def slider_axis(self) -> Array:
+        """Unit vector from Body 1 to Body 2, (2,)."""
+        return np.array([-math.sin(self.theta), math.cos(self.theta)])
+
+    @property
+    def G2(self) -> Array:
+        """Centre of Body 2 [m], (2,)."""
+        return self.G1 + self.s * self.slider_axis
+
+    @property
+    def s_rate(self) -> float:
+        """Rate of s [m/s]."""
+        return float(self.slider_axis @ (self.G2_rate - self.G1_rate))
+
+    @property
+    def start_height(self) -> float:
+        """Height of G1 at the last take-off [m]."""
+        return self.take_off.G1[1]
+
+
+class _Motion(NamedTuple):
+    """A state as the arrays that the compiled functions work on."""
+
+    q: Array
+    v: Array
+    body: Array
+    book: Array
+
+
+class PlanarPlant:
+    """Tether and rover (or a free end, or a weight) of a scenario, in the plane.
+
+    Args:
+        scenario: a scenario with `model: planar`.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        tether = scenario.tether
+        self.section = tether.section
+        self._gravity = (0.0, -scenario.gravity)
+        self._model = make_model(scenario)
+
+    @property
+    def model(self) -> planar.Model:
+        """The constants handed to the compiled functions."""
+        return self._model
+
+    def initial_state(self) -> PlanarState:
+        """The state at the scenario's start: all at rest, the rover held.
+
+        Raises:
+            StaticsError: the tether finds no equilibrium.
+        """
+        return self.state_at_rest(initial_nodes(self.scenario))
+
+    def state_at_rest(self, nodes: ArrayLike) -> PlanarState:
+        """All at rest with the tether in the given shape, the rover held at its tip.
+
+        Args:
+            nodes: (n + 1, 2, 2), positions [m] and slopes [-].
+
+        Raises:
+            ValueError: the shape does not fit the scenario, or a value is not finite.
+        """
+        shape = np.array(nodes, dtype=np.float64)
+        expected = (self.scenario.tether.elements + 1, 2, 2)
+        if shape.shape != expected:
+            raise ValueError(f"nodes have the shape {shape.shape}, must be {expected}")
+        if not np.all(np.isfinite(shape)):
+            raise ValueError("nodes: every value must be finite")
+        G1, theta, s = np.zeros(2), 0.0, 0.0
+        if self.scenario.rover is not None:
+            theta = self.scenario.theta0
+            a, b = self.scenario.rover.attachment
+            c, z = math.cos(theta), math.sin(theta)
+            G1 = shape[-1, 0] - np.array([c * a - z * b, z * a + c * b])
+            s = self.scenario.rover.spring_free_length
+        state = PlanarState(
+            time=0.0,
+            phase=Phase.FREE if self.scenario.rover is None else Phase.HELD,
+            nodes=shape,
+            node_rates=np.zeros_like(shape),
+            G1=G1,
+            G1_rate=np.zeros(2),
+            G2_rate=np.zeros(2),
+            theta=theta,
+            omega=0.0,
+            s=s,
+            take_off=TakeOffRecord(0.0, (float(G1[0]), float(G1[1])), theta, 0.0),
+        )
+        return replace(state, ledger=Ledger(initial=self.energies(state).stored))
+
+    def take_off(self, state: PlanarState) -> PlanarState:
+        """Apply the scenario's take-off to a rover that stands.
+
+        Raises:
+            ValueError: there is no rover, or it does not stand.
+        """
+        if state.phase not in (Phase.HELD, Phase.LANDED):
+            raise ValueError(f"take-off needs a rover that stands; phase is {state.phase.value}")
+        motion = _motion_of(state)
+        planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
+        motion.book[planar.COMPRESSION] = 0.0
+        return _state_of(motion, Phase.FLIGHT)
+
+    def step(
+        self, state: PlanarState, command: Command, dt: float
+    ) -> tuple[PlanarState, StepResult]:
+        """Advance by one control tick; see `rover_sim.plant.Plant.step`."""
+        return self.advance(state, command, dt, stop_at_touchdown=False)
+
+    def advance(
+        self, state: PlanarState, command: Command, dt: float, *, stop_at_touchdown: bool
+    ) -> tuple[PlanarState, StepResult]:
+        """As `step`, and if wanted only as far as the touchdown.
+
+        Raises:
+            ValueError: dt or a number of the command is not finite or out of its range.
+        """
+        if not (math.isfinite(dt) and dt > 0.0):
+            raise ValueError(f"dt = {dt}: must be finite and above 0 s")
+        drive = _drive_of(command)
+        motion = _motion_of(state)
+        if state.phase.final:
+            outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
+            return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
+        events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
+        report = np.zeros(planar.REPORT_SIZE)
+        outcome_code, phase_code, count = planar.advance(
+            self._model,
+            *motion,
+            _PHASES[state.phase],
+            drive,
+            float(dt),
+            stop_at_touchdown,
+            events,
+            report,
+        )
+        after = _state_of(motion, _PHASE_OF[phase_code])
+        peak = float(report[planar.PEAK_TENSION])
+        result = StepResult(
+            outcome=_OUTCOME_OF[outcome_code],
+            energies=_energies_of(report[planar.KINETIC : planar.SPRING + 1], after.ledger),
+            constraint_drift=float(report[planar.CONSTRAINT_DRIFT]),
+            newton_iterations=int(report[planar.ITERATIONS]),
+            smallest_step=float(report[planar.SMALLEST_STEP]),
+            events=tuple(_event_of(row) for row in events[:count]),
+            peak_tension=peak if math.isfinite(peak) else 0.0,
+        )
+        return after, result
+
+    def energies(self, state: PlanarState) -> Energies:
+        """Energies of the state, with the balance since the start of the run."""
+        motion = _motion_of(state)
+        parts = planar.energies(self._model, motion.q, motion.v, motion.body)
+        return _energies_of(parts, state.ledger)
+
+    def tension(self, state: PlanarState) -> Array:
+        """Tension at the nodes [N], (n + 1,), strain-rate damping included; below 0: pressed.
+
+        Mean axial forces of the elements, interpolated to the nodes and extrapolated to the ends.
+        """
+        motion = _motion_of(state)
+        tensions = np.empty(motion.q.shape[0] - 1)
+        energy_momentum.element_tensions(self._model.tether, motion.q, motion.v, tensions)
+        return energy_momentum.nodal_tensions(tensions)
+
+    def warm_up(self) -> None:
+        """Compile everything a step needs, or load it from the cache."""
+        motion = _motion_of(self.state_at_rest(_straight(self.scenario)))
+        events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
+        report = np.zeros(planar.REPORT_SIZE)
+        phase = planar.FREE if self.scenario.rover is None else planar.HELD
+        planar.advance(
+            self._model, *motion, phase, (0.0, 0.0), self._model.step, False, events, report
+        )
+        planar.energies(self._model, motion.q, motion.v, motion.body)
+        energy_momentum.element_tensions(
+            self._model.tether, motion.q, motion.v, np.empty(motion.q.shape[0] - 1)
+        )
+        if self.scenario.rover is not None:
+            planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
+
+
+def make_model(scenario: Scenario) -> planar.Model:
+    """Constants of a scenario as the compiled functions take them."""
+    tether, rover, integration = scenario.tether, scenario.rover, scenario.integration
+    section = tether.section
+    bodies = planar.NO_ROVER
+    if rover is not None:
+        bodies = planar.Rover(
+            m1=float(rover.m1),
+            m2=float(rover.m2),
+            inertia=float(rover.inertia1 + rover.inertia2),
+            attachment_x=float(rover.attachment[0]),
+            attachment_y=float(rover.attachment[1]),
+            spring_rate=float(rover.spring_rate),
+            spring_free_length=float(rover.spring_free_length),
+            slider_damping=float(rover.slider_damping),
+        )
+    take_off = scenario.take_off
+    return planar.Model(
+        tether=energy_momentum.make_tether(
+            section,
+            tether.length / tether.elements,
+            (0.0, -scenario.gravity),
+            integration.numerical_damping,
+        ),
+        rover=bodies,
+        has_rover=rover is not None,
+        tip_mass=float(scenario.tip_mass),
+        root_pinned=True,
+        root_clamped=tether.root == "clamped",
+        linear_rates=take_off is not None and take_off.tether_rates == "linear",
+        hold_after_landing=scenario.after_landing == "hold",
+        breaking_load=float(section.breaking_load),
+        step=float(integration.h),
+        tolerance=float(integration.tolerance),
+        max_halvings=int(integration.max_halvings),
+    )
+
+
+def initial_nodes(scenario: Scenario) -> Array:
+    """Shape of the tether at the scenario's start, (n + 1, 2, 2), its root at the origin.
+
+    Raises:
+        StaticsError: the tether finds no equilibrium.
+    """
+    tether, start = scenario.tether, scenario.start
+    root, tip = np.zeros(2), np.array(scenario.tip_position)
+    gravity = np.array([0.0, -scenario.gravity])
+    slope = None
+    if tether.root == "clamped" and start.direction is not None:
+        angle = math.radians(start.direction)
+        slope = np.array([math.cos(angle), math.sin(angle)])
+    if start.initial_shape == "straight":
+        return _straight(scenario)
+    if start.initial_shape == "static":
+        return static_equilibrium(
+            tether.section, tether.length, tether.elements, gravity, root, tip, root_slope=slope
+        )
+    if start.initial_shape == "catenary":
+        nodes = Catenary.between(root, tip, tether.length, gravity).nodes(tether.elements)
+    else:
+        nodes = arc_nodes(root, tip, tether.elements, tether.length, gravity)
+    if slope is not None:
+        nodes[0, 1] = slope
+    return nodes
+
+
+def _straight(scenario: Scenario) -> Array:
+    """The unstretched tether along the direction to the tip, or level."""
+    direction = np.array(scenario.tip_position)
+    direction = direction / float(np.linalg.norm(direction))
+    elements = scenario.tether.elements
+    nodes = np.empty((elements + 1, 2, 2))
+    nodes[:, 0] = np.linspace(0.0, scenario.tether.length, elements + 1)[:, None] * direction
+    nodes[:, 1] = direction
+    return nodes
+
+
+def _drive_of(command: Command) -> tuple[float, float]:
+    """Setpoint [m] and rate [m/s] of the jump drive, (0, 0) if off; refuses bad numbers."""
+    for name in ("winch", "wheel"):
+        if getattr(command, name) is not None:
+            raise ValueError(f"{name}: the planar plant has no such motor; must be None")
+    jump = command.jump
+    if jump is None:
+        return 0.0, 0.0
+    if not (math.isfinite(jump.compression) and jump.compression >= 0.0):
+        raise ValueError(f"compression = {jump.compression}: must be finite and not below 0 m")
+    if not (math.isfinite(jump.rate) and jump.rate > 0.0):
+        raise ValueError(f"rate = {jump.rate}: must be finite and above 0 m/s")
+    return float(jump.compression), float(jump.rate)
+
+
+def _motion_of(state: PlanarState) -> _Motion:
+    """Fresh arrays holding the state."""
+    count = state.nodes.shape[0]
+    body = np.zeros(planar.BODY_SIZE)
+    body[[planar.X1, planar.Y1]] = state.G1
+    body[planar.THETA], body[planar.SLIDE], body[planar.OMEGA] = state.theta, state.s, state.omega
+    body[[planar.VX1, planar.VY1]] = state.G1_rate
+    body[[planar.VX2, planar.VY2]] = state.G2_rate
+    book = np.zeros(planar.BOOK_SIZE)
+    book[planar.TIME] = state.time
+    book[planar.COMPRESSION] = state.compression
+    book[planar.TAKE_OFF_TIME] = state.take_off.time
+    book[[planar.START_X, planar.START_Y]] = state.take_off.G1
+    book[planar.START_THETA] = state.take_off.theta
+    book[planar.HIGHEST] = state.take_off.highest
+    book[planar.INPUT] = state.ledger.input
+    book[planar.DISSIPATED] = state.ledger.dissipated
+    book[planar.REFERENCE] = state.ledger.initial
+    return _Motion(
+        state.nodes.reshape(count, 4).copy(), state.node_rates.reshape(count, 4).copy(), body, book
+    )
+
+
+def _state_of(motion: _Motion, phase: Phase) -> PlanarState:
+    q, v, body, book = motion
+    count = q.shape[0]
+    return PlanarState(
+        time=float(book[planar.TIME]),
+        phase=phase,
+        nodes=q.reshape(count, 2, 2),
+        node_rates=v.reshape(count, 2, 2),
+        G1=body[[planar.X1, planar.Y1]],
+        G1_rate=body[[planar.VX1, planar.VY1]],
+        G2_rate=body[[planar.VX2, planar.VY2]],
+        theta=float(body[planar.THETA]),
+        omega=float(body[planar.OMEGA]),
+        s=float(body[planar.SLIDE]),
+        compression=float(book[planar.COMPRESSION]),
+        take_off=TakeOffRecord(
+            time=float(book[planar.TAKE_OFF_TIME]),
+            G1=(float(book[planar.START_X]), float(book[planar.START_Y])),
+            theta=float(book[planar.START_THETA]),
+            highest=float(book[planar.HIGHEST]),
+        ),
+        ledger=Ledger(
+            initial=float(book[planar.REFERENCE]),
+            input=float(book[planar.INPUT]),
+            dissipated=float(book[planar.DISSIPATED]),
+        ),
+    )
+
+
+def _energies_of(parts: ArrayLike, ledger: Ledger) -> Energies:
+    kinetic, gravity, axial, bending, spring = (float(part) for part in np.asarray(parts))
+    return Energies(
+        kinetic, gravity, axial, bending, spring, ledger.input, ledger.dissipated, ledger.initial
+    )
+
+
+def _event_of(row: Array) -> Event:
+    kind, time, rise, travel, variation, since, speed, tension = (float(value) for value in row)
+    name, values = {
+        planar.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
+        planar.EVENT_APEX: ("apex", {"height": rise, "flight_time": since}),
+        planar.EVENT_TOUCHDOWN: (
+            "touchdown",
+            {
+                "height": rise,
+                "attitude_variation": variation,
+                "travel": travel,
+                "flight_time": since,
+                "speed": speed,
+            },
+        ),
+        planar.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
+        planar.EVENT_DIVERGED: ("diverged", {}),
+    }[int(kind)]
+    return Event(name, time, values)
