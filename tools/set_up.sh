@@ -17,8 +17,11 @@ shift
 extras=$(IFS=,; echo "$*")
 log=$venv/set_up.log
 
+# fail SUMMARY [REMEDY ...]
 fail() {
-    printf '\nmother_rover: %s\n' "$@" >&2
+    printf '\nmother_rover: %s\n' "$1" >&2
+    shift
+    [ $# -eq 0 ] || printf '    %s\n' "$@" >&2
     exit 1
 }
 
@@ -111,12 +114,13 @@ pip_install() {
         return
     fi
     tail -n 15 "$log" >&2
-    if grep -qE 'NewConnectionError|ConnectTimeout|Name or service|name resolution|ProxyError|Network is unreachable' "$log"; then
+    # pip names the network only in its retries; otherwise an unreachable index looks like an empty one.
+    if grep -qE 'ConnectionError|ConnectTimeout|ProxyError|Retrying|from versions: none' "$log"; then
         fail "PyPI cannot be reached from here, and the set-up needs it once." \
             "Check the network; behind a proxy set HTTPS_PROXY, with a mirror set PIP_INDEX_URL," \
-            "then run the same command again. Full log: $log"
+            "then run the same command again." "Full log: $log"
     fi
-    fail "pip could not install what is needed. Full log: $log"
+    fail "pip could not install what is needed." "Full log: $log"
 }
 
 cd "$root"
@@ -143,5 +147,5 @@ fi
 pip_install --no-build-isolation --editable ".${extras:+[$extras]}"
 # An editable install leaves data_files out: the ament index entry, shims, launch and config files.
 "$venv/bin/python" setup.py --quiet install_data --install-dir "$venv" >>"$log" 2>&1 ||
-    fail "could not install the package's data files. Full log: $log"
+    fail "could not install the package's data files." "Full log: $log"
 echo "Environment $venv: ready after $(($(date +%s) - started)) s"
