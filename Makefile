@@ -52,12 +52,16 @@ clean:  ## remove environment, builds and caches; results in out/ stay
 	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# PYTHON=... on the command line: the environment may have to be made anew with that one.
+.PHONY: look-at-python
+look-at-python:
+
 # .ready-run, .ready-test, .ready-test-dev ...: the environment holds these extras. Refreshed when what
 # the installation copies or resolves has changed; sources need no refresh, the install is editable.
 INSTALLED := setup.py setup.cfg pyproject.toml package.xml tools/set_up.sh \
 	$(wildcard scripts/* launch/* config/* resource/*)
 extras = $(filter-out run,$(subst -, ,$(patsubst .ready-%,%,$(notdir $@))))
 
-$(VENV)/.ready-%: $(INSTALLED)
+$(VENV)/.ready-%: $(INSTALLED) $(if $(filter command line,$(origin PYTHON)),look-at-python)
 	@tools/set_up.sh $(VENV) $(extras)
 	@touch $@ $(VENV)/.ready-run $(if $(filter test,$(extras)),$(VENV)/.ready-test)
