@@ -3,7 +3,7 @@
 One step of length h takes nodal coordinates q0 and rates v0 to q1 = q0 + D and v1 = 2 D/h - v0,
 where the increment D solves
 
-    M (2/h) (D/h - v0) + K_t (q0 + D/2 + tau_b D/h) + int N S'^T r'_m dx - Q_g = 0,
+    M (2/h) (D/h - v0) + K_t (q0 + D/2) + Q_b + int N S'^T r'_m dx - Q_g = 0,
     N = EA (eps_0 + c r'_m . dr'),     c = (1 + x)/2 + tau_a/h.
 
 r'_m is the slope at mid-step and dr' its increment: forces act at the midpoint, and because Green's
@@ -11,6 +11,15 @@ strain is quadratic eps_1 - eps_0 = r'_m . dr', so N holds the strain averaged o
 (Simo and Tarnow 1992, ZAMP 43; for L2 cables the average makes the work of N equal to the change
 of the axial energy exactly). With x = 0 and no damping times the tether's energy is conserved to
 the tolerance of the Newton iteration; what x, tau_a and tau_b take away is returned by each step.
+
+Q_b is the bending damping, EI tau_b/h int (dk . delta k) dx. With the slope a, its direction t and
+b = r'', the curvature vector is k = P b/|a|, P = I - t t^T, of size |a x b|/|a|^2, and its change
+seen from a frame that turns with the tether
+
+    dk = P (db - (t.b/|a|) da)/|a| - k (t.da)/|a|,
+
+all at mid-step. A rigid turn of a bent tether gives dk = 0 exactly and is not damped, which would
+not hold for damping proportional to K_t.
 
 The slope at a quadrature point depends on three vectors only, the element's chord (r2 - r1)/l and
 its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes.
@@ -45,6 +54,11 @@ _GAUSS = len(_WEIGHTS)
 # Slope at a quadrature point from the reduced basis: r' = sum_k BASIS[g, k] (chord, r1', r2')_k,
 # and the products BASIS[g, k] BASIS[g, l] of the pairs kl = 00, 01, 02, 11, 12, 22.
 _BASIS = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
+# r'' from the same basis is sum_k CURVING[g, k] (chord, r1', r2')_k / l.
+_CURVING = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
+_CURVING_PAIRS = np.stack(
+    [_CURVING[:, k] * _CURVING[:, m] for k in range(3) for m in range(k, 3)], axis=1
+)
 _PAIRS = np.stack([_BASIS[:, k] * _BASIS[:, m] for k in range(3) for m in range(k, 3)], axis=1)
 
 
@@ -70,6 +84,7 @@ class Workspace(NamedTuple):
     increment: Array  # D, (n + 1, m)
     slope: Array  # r' at the step's start at the quadrature points, (n, 5, dim)
     strain: Array  # eps there, (n, 5)
+    curving: Array  # r'' there, (n, 5, dim); with bending damping only
     constant: Array  # the part of the residual that does not change with D, (n + 1, m)
     end_fixed: NDArray[np.bool_]  # which coordinates of an end are held, (2, m)
     end_matrix: Array  # what an end adds to the tangent, (2, m, m)
@@ -79,6 +94,7 @@ class Workspace(NamedTuple):
     force: Array  # axial force of an element in the reduced basis, (3, dim)
     tangent: Array  # its tangent for the pairs kl, (6, dim, dim)
     tensor: Array  # the same at the quadrature points, (5, dim, dim)
+    bend: Array  # t, k, dk and one more of a quadrature point, see _curvature_change, (4, dim)
     element: Array  # tangent and residual of an element, (2 m, 2 m + 1)
     pivot: Array  # rows (D_i | U_i | R_i) of the node being eliminated, (m, 2 m + 1)
     tension: Array  # mean axial force of each element at mid-step [N], (n,)
@@ -118,6 +134,7 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((elements + 1, m)),
         np.zeros((elements, _GAUSS, dim)),
         np.zeros((elements, _GAUSS)),
+        np.zeros((elements, _GAUSS, dim)),
         np.zeros((elements + 1, m)),
         np.zeros((2, m), dtype=np.bool_),
         np.zeros((2, m, m)),
@@ -127,6 +144,7 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((3, dim)),
         np.zeros((6, dim, dim)),
         np.zeros((_GAUSS, dim, dim)),
+        np.zeros((4, dim)),
         np.zeros((2 * m, 2 * m + 1)),
         np.zeros((m, 2 * m + 1)),
         np.zeros(elements),
@@ -223,6 +241,13 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
                 work.slope[e, g, d] = slope
                 square += slope * slope
             work.strain[e, g] = 0.5 * (square - 1.0)
+            if tether.bending_damping_time > 0.0:
+                for d in range(dim):
+                    work.curving[e, g, d] = (
+                        _CURVING[g, 0] * (q0[e + 1, d] - q0[e, d]) / length
+                        + _CURVING[g, 1] * q0[e, dim + d]
+                        + _CURVING[g, 2] * q0[e + 1, dim + d]
+                    ) / length
 
 
 @kernel
@@ -265,8 +290,77 @@ def _axial_element(tether: Tether, average: float, e: int, work: Workspace) -> N
 
 
 @kernel
+def _curvature_change(
+    tether: Tether, e: int, g: int, work: Workspace
+) -> tuple[float, float, float, float]:
+    """Bending at quadrature point g of element e during the step, for the damping.
+
+    Writes to work.bend the direction t, the curvature vector k and its change dk. Returns |a|,
+    t . b, k . dk and dk . dk at mid-step.
+    """
+    dim = len(tether.gravity)
+    inverse = 1.0 / tether.element_length
+    increment, bend = work.increment, work.bend
+    square, along, drift, stretch = 0.0, 0.0, 0.0, 0.0
+    for d in range(dim):
+        chord = (increment[e + 1, d] - increment[e, d]) * inverse
+        first, second = increment[e, dim + d], increment[e + 1, dim + d]
+        da = _BASIS[g, 0] * chord + _BASIS[g, 1] * first + _BASIS[g, 2] * second
+        db = _CURVING[g, 0] * chord + _CURVING[g, 1] * first + _CURVING[g, 2] * second
+        db *= inverse
+        bend[0, d] = work.slope[e, g, d] + 0.5 * da
+        bend[1, d] = work.curving[e, g, d] + 0.5 * db
+        bend[2, d] = da
+        bend[3, d] = db
+        square += bend[0, d] ** 2
+        along += bend[0, d] * bend[1, d]
+        stretch += bend[0, d] * da
+    size = np.sqrt(square)
+    along /= size
+    stretch /= size
+    for d in range(dim):
+        bend[0, d] /= size
+        bend[1, d] = (bend[1, d] - along * bend[0, d]) / size
+        bend[2, d] = bend[3, d] - along / size * bend[2, d]
+        drift += bend[0, d] * bend[2, d]
+    cross, change = 0.0, 0.0
+    for d in range(dim):
+        dk = (bend[2, d] - drift * bend[0, d] - bend[1, d] * stretch) / size
+        bend[2, d] = dk
+        cross += bend[1, d] * dk
+        change += dk * dk
+    return size, along, cross, change
+
+
+@kernel
+def _bending_damping_element(tether: Tether, h: float, e: int, work: Workspace) -> None:
+    """Add the bending damping of element e to the force and tangent in the reduced basis.
+
+    The tangent keeps what the second derivatives contribute, P/|a|^2; the rest is smaller by the
+    angle that an element bends and acts along the tether, where the axial stiffness rules.
+    """
+    dim = len(tether.gravity)
+    length = tether.element_length
+    bend = work.bend
+    for g in range(_GAUSS):
+        size, along, cross, _ = _curvature_change(tether, e, g, work)
+        viscosity = _WEIGHTS[g] * length * tether.bending_stiffness
+        viscosity *= tether.bending_damping_time / (h * size)
+        for d in range(dim):
+            on_slope = -viscosity * (bend[2, d] * along / size + bend[0, d] * cross)
+            on_curving = viscosity * bend[2, d] / length
+            for k in range(3):
+                work.force[k, d] += _BASIS[g, k] * on_slope + _CURVING[g, k] * on_curving
+            for c in range(dim):
+                unit = 1.0 if c == d else 0.0
+                entry = viscosity / (size * length**2) * (unit - bend[0, d] * bend[0, c])
+                for k in range(6):
+                    work.tangent[k, d, c] += _CURVING_PAIRS[g, k] * entry
+
+
+@kernel
 def _assemble_element(
-    tether: Tether, linear: tuple[float, ...], average: float, e: int, work: Workspace
+    tether: Tether, h: float, linear: tuple[float, ...], average: float, e: int, work: Workspace
 ) -> None:
     """Tangent and residual (last column) of element e on its (r1, r1', r2, r2').
 
@@ -275,6 +369,8 @@ def _assemble_element(
     dim = len(tether.gravity)
     inverse = 1.0 / tether.element_length
     _axial_element(tether, average, e, work)
+    if tether.bending_damping_time > 0.0:
+        _bending_damping_element(tether, h, e, work)
     increment, force, tangent, block = work.increment, work.force, work.tangent, work.element
     last = 4 * dim
     for d in range(dim):
@@ -361,7 +457,7 @@ def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
     linear = _combine(
         2.0 / h**2,
         mass_coefficients(tether),
-        0.5 + tether.bending_damping_time / h,
+        0.5,
         bending_coefficients(tether),
     )
     pivot, block = work.pivot, work.element
@@ -370,7 +466,7 @@ def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
             pivot[r, c] = work.end_matrix[0, r, c]
         pivot[r, 2 * m] = work.end_residual[0, r] + work.constant[0, r]
     for e in range(n):
-        _assemble_element(tether, linear, average, e, work)
+        _assemble_element(tether, h, linear, average, e, work)
         for r in range(m):
             for c in range(m):
                 pivot[r, c] += block[r, c]
@@ -443,10 +539,8 @@ def end_step(
         for d in range(dim):
             square += increment[i, dim + d] ** 2
         turn = max(turn, square)
-    bending = bending_coefficients(tether)
     damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
     axial_loss = 0.0
-    bending_loss = 0.0
     peak = -np.inf
     for e in range(n):
         mean = 0.0
@@ -467,13 +561,13 @@ def end_step(
         tension = tether.axial_stiffness * mean
         work.tension[e] = tension
         peak = max(peak, tension)
-        for d in range(dim):
-            r1, s1 = increment[e, d], increment[e, dim + d]
-            r2, s2 = increment[e + 1, d], increment[e + 1, dim + d]
-            moved = _apply(bending, r1, s1, r2, s2)
-            bending_loss += r1 * moved[0] + s1 * moved[1] + r2 * moved[2] + s2 * moved[3]
     loss = damping * tether.axial_stiffness * length * axial_loss
-    loss += tether.bending_damping_time / h * bending_loss
+    if tether.bending_damping_time > 0.0:
+        viscosity = tether.bending_stiffness * tether.bending_damping_time / h * length
+        for e in range(n):
+            for g in range(_GAUSS):
+                _, _, _, change = _curvature_change(tether, e, g, work)
+                loss += viscosity * _WEIGHTS[g] * change
     return loss, peak, np.sqrt(turn)
 
 
