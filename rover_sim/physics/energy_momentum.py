@@ -18,8 +18,9 @@ seen from a frame that turns with the tether
 
     dk = P (db - (t.b/|a|) da)/|a| - k (t.da)/|a|,
 
-all at mid-step. A rigid turn of a bent tether gives dk = 0 exactly and is not damped, which would
-not hold for damping proportional to K_t.
+all at mid-step. A rigid turn of a bent tether in its plane gives dk = 0 exactly and is not damped,
+which would not hold for damping proportional to K_t. In space the frame does not spin about t: the
+cable has no torsion, and bending that wanders round its cross-section is damped like any other.
 
 The slope at a quadrature point depends on three vectors only, the element's chord (r2 - r1)/l and
 its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes.
