@@ -47,14 +47,20 @@ contract: $(VENV)/.ready-run  ## write docs/contract.md anew from the contract
 	@$(RUN) msg_schemas.document
 
 environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
+	@echo "$(VENV) is ready"
 
 clean:  ## remove environment, builds and caches; results in out/ stay
 	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# PYTHON=... on the command line: the environment may have to be made anew with that one.
-.PHONY: look-at-python
-look-at-python:
+# An environment is made for one place and one Python: it is looked at again when the tree has moved,
+# or when PYTHON=... on the command line asks for another.
+LOOK_AGAIN := $(if $(filter command line,$(origin PYTHON)),look-again)
+ifneq ($(shell cat $(VENV)/place 2>/dev/null),$(CURDIR))
+LOOK_AGAIN := look-again
+endif
+.PHONY: look-again
+look-again:
 
 # .ready-run, .ready-test, .ready-test-dev ...: the environment holds these extras. Refreshed when what
 # the installation copies or resolves has changed; sources need no refresh, the install is editable.
@@ -62,6 +68,6 @@ INSTALLED := setup.py setup.cfg pyproject.toml package.xml tools/set_up.sh \
 	$(wildcard scripts/* launch/* config/* resource/*)
 extras = $(filter-out run,$(subst -, ,$(patsubst .ready-%,%,$(notdir $@))))
 
-$(VENV)/.ready-%: $(INSTALLED) $(if $(filter command line,$(origin PYTHON)),look-at-python)
+$(VENV)/.ready-%: $(INSTALLED) $(LOOK_AGAIN)
 	@tools/set_up.sh $(VENV) $(extras)
 	@touch $@ $(VENV)/.ready-run $(if $(filter test,$(extras)),$(VENV)/.ready-test)

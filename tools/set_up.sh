@@ -124,6 +124,10 @@ pip_install() {
 }
 
 cd "$root"
+if [ -e "$venv/place" ] && [ "$(cat "$venv/place")" != "$root" ]; then
+    echo "Environment $venv: made anew, the tree has moved"
+    rm -rf "$venv"
+fi
 if [ -n "${PYTHON:-}" ] && [ -x "$venv/bin/python" ] && is_supported "$PYTHON" &&
     [ "$(version_of "$PYTHON")" != "$(version_of "$venv/bin/python")" ]; then
     echo "Environment $venv: made anew, PYTHON asks for another version"
@@ -132,6 +136,7 @@ fi
 if ! { [ -x "$venv/bin/python" ] && is_supported "$venv/bin/python" &&
     "$venv/bin/python" -I -m pip --version >/dev/null 2>&1; }; then
     make_environment
+    printf '%s\n' "$root" >"$venv/place"
 fi
 
 started=$(date +%s)
