@@ -11,11 +11,12 @@ Cayley parameter th = 2 tan(dtheta/2), whose rate gives the angular velocity, th
 with R_m = (R_0 + R_1)/2 the equations of the step are, for f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g,
 
     last node   tether + f_1 + f_2 = 0
-    rotation    (J_1 + J_2)(w1 - w0)/h - R_m p x f_1 + R_m (b_m - p) x f_2 = 0
-    slider      R_m e_y . f_2 + k (s_m - l_0) + c ds/h = 0
+    rotation    (J_1 + J_2)(w1 - w0)/h - R_m p x f_1 + (B - R_m p) x f_2 = 0
+    slider      (1 + th^2/4) R_m e_y . f_2 + k (s_m - l_0) + c ds/h = 0
 
-(index m: mean of start and end). Because R_1 - R_0 turns vectors by th across R_m exactly, the
-work of these forces is the change of the energies, which is thus conserved without damping.
+(index m: mean of start and end; B = (R_0 b_0 + R_1 b_1)/2). These are the levers at which the
+angular momentum is conserved; and because R_1 - R_0 turns vectors by th across R_m exactly, the
+work of the forces is the change of the energies, which is thus conserved without damping.
 Rotation and slide are condensed into the last node before the tether's elimination.
 """
 
@@ -234,26 +235,29 @@ def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
     fy2 = unit2 * (dy2 / h - body[VY2]) - rover.m2 * gy
 
     # Levers about the last node and the residuals of rotation and slider.
-    lx, ly = -zm * sm - px, cm * sm - py
+    spin = 0.25 * th * ds
+    lx, ly = -zm * sm - spin * cm - px, cm * sm - spin * zm - py
+    widening = 1.0 + 0.25 * th * th
+    along = -zm * fx2 + cm * fy2
     rotation = (
         2.0 * rover.inertia / h * (th / h - body[OMEGA])
         - (px * fy1 - py * fx1)
         + (lx * fy2 - ly * fx2)
     )
     slider = (
-        -zm * fx2
-        + cm * fy2
+        widening * along
         + rover.spring_rate * (sm - rover.spring_free_length)
         + rover.slider_damping * ds / h
     )
 
-    # Derivatives by th: dR1/dth = scale J R1, dR_m/dth is half of it; G1, G2 move by (u1), (u2).
+    # Derivatives by th, dR1/dth being scale J R1; G1 and G2 move by (u1), (u2).
+    dcm, dzm = -0.5 * scale * z1, 0.5 * scale * c1
     p1x, p1y = c1 * a - z1 * b, z1 * a + c1 * b
     u1x, u1y = scale * p1y, -scale * p1x
     u2x, u2y = u1x - scale * c1 * s1, u1y - scale * z1 * s1
-    half = 0.5 * scale
-    dpx, dpy = -half * p1y, half * p1x
-    dlx, dly = -half * c1 * sm - dpx, -half * z1 * sm - dpy
+    dpx, dpy = dcm * a - dzm * b, dzm * a + dcm * b
+    dlx = -dzm * sm - 0.25 * ds * cm - spin * dcm - dpx
+    dly = dcm * sm - 0.25 * ds * zm - spin * dzm - dpy
     i1, i2 = unit1 / h, unit2 / h
     k_tt = (
         2.0 * rover.inertia / h**2
@@ -262,13 +266,23 @@ def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
         + (dlx * fy2 - dly * fx2)
         + i2 * (lx * u2y - ly * u2x)
     )
-    k_ts = 0.5 * (-zm * fy2 - cm * fx2) + i2 * (lx * c1 + ly * z1)
-    k_st = -half * (c1 * fx2 + z1 * fy2) + i2 * (-zm * u2x + cm * u2y)
-    k_ss = i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
-    k_tx, k_ty = i1 * py - i2 * ly, -i1 * px + i2 * lx
-    k_sx, k_sy = -i2 * zm, i2 * cm
+    k_st = (
+        0.5 * th * along
+        + widening * (dcm * fy2 - dzm * fx2)
+        + widening * i2 * (cm * u2y - zm * u2x)
+    )
     k_xt, k_yt = i1 * u1x + i2 * u2x, i1 * u1y + i2 * u2y
+
+    # Derivatives by s, along which G2 moves by R1 e_y, and by the last node's position.
+    k_ts = (
+        -(0.5 * zm + 0.25 * th * cm) * fy2
+        - (0.5 * cm - 0.25 * th * zm) * fx2
+        + i2 * (lx * c1 + ly * z1)
+    )
+    k_ss = widening * i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
     k_xs, k_ys = -i2 * z1, i2 * c1
+    k_tx, k_ty = i1 * py - i2 * ly, -i1 * px + i2 * lx
+    k_sx, k_sy = -widening * i2 * zm, widening * i2 * cm
 
     inverse = 1.0 / (k_tt * k_ss - k_ts * k_st)
     z = solver.condensed

@@ -1,0 +1,238 @@
+"""The tether kernel in the plane and in space, without anything at its ends."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_sim.physics import ancf, energy_momentum
+from rover_sim.physics.energy_momentum import Tether, Workspace
+from rover_sim.physics.section import TetherSection
+
+TABLE_1 = TetherSection.round(0.5e9, 3.45e-4, 1e4)
+DAMPED = TetherSection.round(0.5e9, 3.45e-4, 1e4, 2e-3, 0.5)
+LENGTH = 5.0
+
+
+class Chain:
+    """A tether stepped by plain Newton iterations to rounding."""
+
+    def __init__(
+        self,
+        nodes: np.ndarray,
+        rates: np.ndarray,
+        section: TetherSection,
+        gravity: tuple[float, ...],
+        root_held: bool,
+        numerical_damping: float = 0.0,
+    ) -> None:
+        self.count, _, self.dim = nodes.shape
+        self.section = section
+        self.length = LENGTH / (self.count - 1)
+        self.tether: Tether = energy_momentum.make_tether(
+            section, self.length, gravity, numerical_damping
+        )
+        self.work: Workspace = energy_momentum.make_workspace(self.count - 1, self.dim)
+        self.work.end_fixed[0, : self.dim] = root_held
+        self.q = nodes.reshape(self.count, 2 * self.dim).copy()
+        self.v = rates.reshape(self.count, 2 * self.dim).copy()
+        self.dissipated = 0.0
+
+    def step(self, h: float) -> None:
+        q1, v1 = np.empty_like(self.q), np.empty_like(self.v)
+        self.work.increment[:] = h * self.v
+        energy_momentum.begin_step(self.tether, h, self.q, self.v, self.work)
+        for _ in range(30):
+            if energy_momentum.newton_increment(self.tether, h, self.work) < 1e-13:
+                break
+        else:
+            pytest.fail("Newton's iteration did not converge")
+        loss, _, _ = energy_momentum.end_step(self.tether, h, self.q, self.v, self.work, q1, v1)
+        self.dissipated += loss
+        self.q, self.v = q1, v1
+
+    @property
+    def nodes(self) -> np.ndarray:
+        return np.asarray(self.q.reshape(self.count, 2, self.dim))
+
+    @property
+    def rates(self) -> np.ndarray:
+        return np.asarray(self.v.reshape(self.count, 2, self.dim))
+
+    def energy(self) -> float:
+        return float(sum(energy_momentum.tether_energies(self.tether, self.q, self.v)))
+
+    def momentum(self) -> np.ndarray:
+        load = ancf.load_vector(self.section.line_density, self.length)
+        return np.asarray(np.einsum("a,eai->i", load, ancf.element_coordinates(self.rates)))
+
+    def angular_momentum(self) -> np.ndarray:
+        mass = ancf.mass_matrix(self.section.line_density, self.length)
+        e = ancf.element_coordinates(self.nodes)
+        rates = ancf.element_coordinates(self.rates)
+        tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)
+        return np.asarray(tensor - tensor.T)
+
+
+def bent(dim: int, count: int = 9, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A curved, slightly stretched tether in motion."""
+    x = np.linspace(0.0, 1.0, count)
+    generator = np.random.default_rng(seed)
+    nodes = np.zeros((count, 2, dim))
+    rates = np.zeros((count, 2, dim))
+    angle = 1.5 * x**2
+    direction = np.stack([np.cos(angle), np.sin(angle), 0.2 * x][:dim], axis=1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    nodes[:, 1] = 1.001 * direction
+    steps = 0.5 * (direction[1:] + direction[:-1]) * LENGTH / (count - 1)
+    nodes[1:, 0] = np.cumsum(steps, axis=0)
+    rates[:, 0] = generator.normal(size=(count, dim))
+    rates[:, 1] = generator.normal(size=(count, dim))
+    return nodes, rates
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_step_satisfies_the_midpoint_equation_written_out_with_the_elements(dim: int) -> None:
+    nodes, rates = bent(dim)
+    gravity = (0.3, -9.81, 1.1)[:dim]
+    x, h = 0.3, 1e-3
+    section = TetherSection.round(0.5e9, 3.45e-4, 1e4, axial_damping_time=2e-3)
+    chain = Chain(nodes, rates, section, gravity, root_held=False, numerical_damping=x)
+    chain.step(h)
+    e0, e1 = ancf.element_coordinates(nodes), ancf.element_coordinates(chain.nodes)
+    v0, v1 = ancf.element_coordinates(rates), ancf.element_coordinates(chain.rates)
+    strain0 = ancf.green_strain(e0, chain.length)
+    strain1 = ancf.green_strain(e1, chain.length)
+    average = 0.5 * (1 + x) * strain1 + 0.5 * (1 - x) * strain0
+    average += section.axial_damping_time * (strain1 - strain0) / h
+    functions = ancf.slope_functions(ancf.GAUSS_POINTS, chain.length)
+    middle = 0.5 * (e0 + e1)
+    weights = chain.length * ancf.GAUSS_WEIGHTS * section.axial_stiffness * average
+    terms = [
+        ancf.mass_matrix(section.line_density, chain.length) @ (v1 - v0) / h,
+        ancf.bending_matrix(section.bending_stiffness, chain.length) @ middle,
+        functions.T @ (weights[..., None] * (functions @ middle)),
+        -ancf.load_vector(section.line_density, chain.length)[None, :, None] * np.array(gravity),
+    ]
+    residual = ancf.assemble_nodes(sum(terms[1:], terms[0]))
+    assert np.abs(residual).max() < 1e-10 * np.abs(terms[2]).max()
+    assert chain.rates == pytest.approx(2.0 * (chain.nodes - nodes) / h - rates, abs=1e-9)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_newton_converges_quadratically(dim: int) -> None:
+    nodes, rates = bent(dim)
+    chain = Chain(nodes, rates, TABLE_1, (0.0, -9.81, 0.0)[:dim], root_held=True)
+    chain.v[0, :dim] = 0.0
+    h = 4e-3
+    energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
+    chain.work.increment[:] = h * chain.v
+    sizes = [energy_momentum.newton_increment(chain.tether, h, chain.work) for _ in range(9)]
+    orders = [
+        math.log(sizes[i + 1] / sizes[i]) / math.log(sizes[i] / sizes[i - 1])
+        for i in range(1, 8)
+        if sizes[i + 1] > 1e-13
+    ]
+    assert len(orders) >= 2
+    assert max(orders) > 1.7
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_free_flight_conserves_energy_and_momenta(dim: int) -> None:
+    nodes, rates = bent(dim)
+    chain = Chain(nodes, rates, TABLE_1, (0.0,) * dim, root_held=False)
+    energy, momentum, angular = chain.energy(), chain.momentum(), chain.angular_momentum()
+    for _ in range(200):
+        chain.step(1e-3)
+    assert chain.energy() == pytest.approx(energy, rel=1e-10)
+    assert chain.momentum() == pytest.approx(momentum, rel=1e-10)
+    assert chain.angular_momentum() == pytest.approx(angular, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("dim", "bending_time"), [(2, 0.5), (3, 0.0)])
+def test_damping_conserves_momenta_and_books_what_it_takes(dim: int, bending_time: float) -> None:
+    nodes, rates = bent(dim)
+    section = TetherSection.round(0.5e9, 3.45e-4, 1e4, 2e-3, bending_time)
+    chain = Chain(nodes, rates, section, (0.0,) * dim, root_held=False, numerical_damping=0.4)
+    energy, momentum, angular = chain.energy(), chain.momentum(), chain.angular_momentum()
+    for _ in range(200):
+        chain.step(1e-3)
+    assert chain.dissipated > 0.1 * energy
+    assert chain.energy() + chain.dissipated == pytest.approx(energy, rel=1e-10)
+    assert chain.momentum() == pytest.approx(momentum, rel=1e-10)
+    assert chain.angular_momentum() == pytest.approx(angular, rel=1e-8, abs=1e-12)
+
+
+def test_bending_damping_in_space_balances_the_energy() -> None:
+    nodes, rates = bent(3)
+    chain = Chain(nodes, rates, DAMPED, (0.0, 0.0, 0.0), root_held=False)
+    energy, momentum = chain.energy(), chain.momentum()
+    for _ in range(200):
+        chain.step(1e-3)
+    assert chain.dissipated > 0.1 * energy
+    assert chain.energy() + chain.dissipated == pytest.approx(energy, rel=1e-10)
+    assert chain.momentum() == pytest.approx(momentum, rel=1e-10)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_turning_a_bent_tether_rigidly_is_not_damped(dim: int) -> None:
+    nodes, _ = bent(dim)
+    nodes[..., 2:] = 0.0
+    nodes[:, 0] -= nodes[:, 0].mean(axis=0)
+    spin = np.zeros((dim, dim))
+    spin[0, 1], spin[1, 0] = -2.0, 2.0
+    section = TetherSection(1e-12, 1e-12, 1.0, 0.0, bending_damping_time=1e12)
+    chain = Chain(nodes, nodes @ spin.T, section, (0.0,) * dim, root_held=False)
+    kinetic = chain.energy()
+    # a rigid turn about the origin by Cayley's map, which the step must reproduce
+    h = 1e-2
+    turn = np.linalg.solve(np.eye(dim) - 0.5 * h * spin, np.eye(dim) + 0.5 * h * spin)
+    chain.work.increment[:] = ((nodes @ turn.T) - nodes).reshape(chain.q.shape)
+    energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
+    loss, _, _ = energy_momentum.end_step(
+        chain.tether, h, chain.q, chain.v, chain.work, chain.q.copy(), chain.v.copy()
+    )
+    assert abs(loss) < 1e-10 * kinetic
+
+
+def test_space_holds_the_plane_in_any_attitude() -> None:
+    nodes, rates = bent(2)
+    rates[0, 0] = 0.0
+    flat = Chain(nodes, rates, DAMPED, (0.0, -9.81), root_held=True)
+    axis = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0][:, :2]
+    gravity = tuple(float(g) for g in axis @ np.array([0.0, -9.81]))
+    tilted = Chain(nodes @ axis.T, rates @ axis.T, DAMPED, gravity, root_held=True)
+    for _ in range(100):
+        flat.step(1e-3)
+        tilted.step(1e-3)
+    assert tilted.nodes == pytest.approx(flat.nodes @ axis.T, abs=1e-9)
+    assert tilted.energy() == pytest.approx(flat.energy(), abs=1e-9)
+
+
+def test_not_a_number_is_reported_as_such() -> None:
+    nodes, rates = bent(2)
+    chain = Chain(nodes, rates, TABLE_1, (0.0, -9.81), root_held=False)
+    chain.work.increment[:] = 0.0
+    chain.v[4, 1] = math.nan
+    energy_momentum.begin_step(chain.tether, 1e-3, chain.q, chain.v, chain.work)
+    assert math.isnan(energy_momentum.newton_increment(chain.tether, 1e-3, chain.work))
+
+
+def test_tension_of_a_stretched_and_stretching_tether() -> None:
+    stretch, rate = 1.01, 0.05
+    x = np.linspace(0.0, LENGTH, 6)
+    nodes = np.zeros((6, 2, 2))
+    nodes[:, 0, 0], nodes[:, 1, 0] = stretch * x, stretch
+    rates = np.zeros_like(nodes)
+    rates[:, 0, 0], rates[:, 1, 0] = rate * x, rate
+    chain = Chain(nodes, rates, DAMPED, (0.0, 0.0), root_held=False)
+    tensions = np.empty(5)
+    energy_momentum.element_tensions(chain.tether, chain.q, chain.v, tensions)
+    strain = 0.5 * (stretch**2 - 1.0) + DAMPED.axial_damping_time * stretch * rate
+    assert tensions == pytest.approx(np.full(5, DAMPED.axial_stiffness * strain * stretch))
+
+
+def test_nodal_tensions_follow_a_linear_course() -> None:
+    middles = np.array([0.5, 1.5, 2.5])
+    assert energy_momentum.nodal_tensions(middles) == pytest.approx([0.0, 1.0, 2.0, 3.0])
+    assert energy_momentum.nodal_tensions(np.array([2.0])) == pytest.approx([2.0, 2.0])

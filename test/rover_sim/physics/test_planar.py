@@ -1,0 +1,384 @@
+"""The planar motion against closed forms, independent codes, conservation laws and itself."""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
+from rover_sim.physics import planar
+from rover_sim.plant import Command, Outcome, Phase
+
+REFERENCE = Path(__file__).parent / "reference"
+IDLE = Command()
+
+
+def plant_of(name: str, **overrides: object) -> PlanarPlant:
+    return PlanarPlant(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
+
+
+def swing(duration: float, tick: float = 0.01, **overrides: object) -> Run[PlanarState]:
+    plant = plant_of("tether_pendulum", **overrides)
+    return run(plant, plant.initial_state(), duration, tick=tick)
+
+
+def tip(state: PlanarState) -> np.ndarray:
+    return np.array(state.nodes[-1, 0])
+
+
+# ------------------------------------------------------------------------ independent codes
+
+
+@pytest.mark.parametrize(
+    ("time", "x", "y"), [(0.3, 1.0743, -0.4414), (0.5, 0.363, -1.215), (0.6, -0.364, -1.205)]
+)
+def test_flexible_beam_pendulum(time: float, x: float, y: float) -> None:
+    plant = plant_of("flexible_beam", integration__h=2.5e-4)
+    final = run(plant, plant.initial_state(), time).final
+    assert tip(final) == pytest.approx([x, y], abs=7e-4)
+
+
+def test_damped_tether_pendulum_follows_the_reference_curve() -> None:
+    table = np.loadtxt(REFERENCE / "pendulum_damped_E0.5GPa_n80.csv", delimiter=",", skiprows=1)
+    plant = plant_of("tether_pendulum_damped", tether__elements=80, integration__h=5e-4)
+    assert plant.section.axial_damping_time == 5e-3
+    history = run(plant, plant.initial_state(), 2.0, tick=0.01)
+    tips = np.array([tip(state) for state in history.states])
+    assert np.abs(tips - table[:, 1:]).max() < 1e-4
+
+
+# H [m] and dtheta [rad] of an independent code with n = 5 and n = 20.
+JUMPS = [
+    ("paper_table1_low", "-H", 1.0, 0.0, 0.2, (0.3355, 0.0070), (0.3353, 0.0109)),
+    ("paper_table1_high", "-H", 0.5, 0.0, 0.2, (0.3359, -0.0186), (0.3359, -0.0195)),
+    ("paper_table1_high", "+K", 2.0, 0.0, 0.2, (0.3085, 0.6600), (0.3084, 0.6615)),
+    ("paper_table2_case1", "-H", 1.0, -10.0, 0.29, (0.3262, 0.0022), (0.3262, 0.0026)),
+    ("paper_table2_case1", "+K", 2.0, 0.0, 0.2, (0.1093, 1.6635), (0.1090, 1.6660)),
+]
+
+
+@pytest.mark.parametrize(("n", "column"), [(5, 5), (20, 6)])
+@pytest.mark.parametrize("case", JUMPS, ids=lambda c: f"{c[0]}{c[1]}{c[2]}")
+def test_jumps_of_the_paper(case: tuple[Any, ...], n: int, column: int) -> None:
+    name, geometry, slack, theta0, delta = case[:5]
+    plant = plant_of(
+        name,
+        start__geometry=geometry,
+        start__slack=slack,
+        start__theta0=theta0,
+        take_off__compression=delta,
+        tether__elements=n,
+    )
+    metrics = jump(plant)
+    height, variation = case[column]
+    assert metrics.height == pytest.approx(height, abs=1.2e-4)
+    # at 70 GPa the attitude of the snatched rover depends on the time step in the third digit
+    assert metrics.attitude_variation == pytest.approx(variation, abs=1e-3)
+    assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
+
+
+def test_taut_jump_is_the_reference_curve() -> None:
+    table = np.loadtxt(REFERENCE / "taut_jump_E0.5GPa_slope0.5.csv", delimiter=",", skiprows=1)
+    plant = plant_of("taut_jump", integration__h=5e-4)
+    start = plant.take_off(plant.initial_state())
+    assert start.slider_axis @ start.G1_rate == pytest.approx(2.0)
+    history = run(plant, start, 0.4, tick=0.002)
+    ours = np.array([[s.time, *s.G1, s.theta] for s in history.states[1:]])
+    assert np.abs(ours[:, 0] - table[: len(ours), 0]).max() < 1e-9
+    assert np.abs(ours[:, 1:3] - table[: len(ours), 1:3]).max() < 1e-6
+    assert np.abs(ours[:, 3] - table[: len(ours), 3]).max() < 3e-6
+
+
+@pytest.mark.parametrize("n", [10, 20, 40])
+def test_taut_jump_metrics_on_every_mesh(n: int) -> None:
+    metrics = jump(plant_of("taut_jump", tether__elements=n))
+    assert metrics.height == pytest.approx(0.20415, abs=1e-5)
+    assert metrics.attitude_variation == pytest.approx(-0.17281, abs=1e-5)
+    assert metrics.travel == pytest.approx(0.38128, abs=1e-5)
+    assert metrics.flight_time == pytest.approx(0.41168, abs=1e-5)
+
+
+# ------------------------------------------------------------------------------ closed forms
+
+
+def test_rover_on_a_weightless_tether_flies_a_parabola() -> None:
+    plant = plant_of(
+        "taut_jump",
+        start__chord=2.0,
+        tether__youngs_modulus=None,
+        tether__radius=None,
+        tether__density=None,
+        tether__axial_stiffness=1e-3,
+        tether__bending_stiffness=1e-10,
+        tether__line_density=1e-9,
+        tether__axial_damping_time=0.0,
+        take_off__velocity=[0.3, 2.0],
+    )
+    metrics = jump(plant)
+    assert metrics.height == pytest.approx(2.0**2 / (2 * 9.81), rel=1e-6)
+    assert metrics.flight_time == pytest.approx(2 * 2.0 / 9.81, rel=1e-6)
+    assert metrics.travel == pytest.approx(0.3 * 2 * 2.0 / 9.81, rel=1e-6)
+    assert metrics.attitude_variation == pytest.approx(0.0, abs=1e-6)
+
+
+def test_heavy_weight_swings_like_a_mathematical_pendulum() -> None:
+    plant = plant_of(
+        "tether_with_weight",
+        tether__youngs_modulus=None,
+        tether__radius=None,
+        tether__density=None,
+        tether__axial_stiffness=1e6,
+        tether__bending_stiffness=1e-9,
+        tether__line_density=1e-4,
+        tether__length=2.0,
+        tether__elements=4,
+        tether__axial_damping_time=1e-3,
+        tip__mass=5.0,
+        start__direction=-60.0,
+        gravity=9.81,
+    )
+    duration = 3.0
+    final = run(plant, plant.initial_state(), duration).final
+    # theta'' = -(g/l) sin theta from 30 deg at rest, l = 2 m, by the classical Runge-Kutta method
+    theta, rate, h = math.radians(30.0), 0.0, 1e-4
+    pull = -9.81 / 2.0
+    for _ in range(round(duration / h)):
+        a1, b1 = rate, pull * math.sin(theta)
+        a2, b2 = rate + h / 2 * b1, pull * math.sin(theta + h / 2 * a1)
+        a3, b3 = rate + h / 2 * b2, pull * math.sin(theta + h / 2 * a2)
+        a4, b4 = rate + h * b3, pull * math.sin(theta + h * a3)
+        theta += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        rate += h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)
+    x, y = tip(final)
+    assert math.atan2(x, -y) == pytest.approx(theta, abs=1e-3)
+    assert math.hypot(x, y) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_clamped_root_keeps_its_slope() -> None:
+    final = swing(0.5, tether__root="clamped", start__direction=0.0).final
+    assert final.nodes[0, 1].tolist() == [1.0, 0.0]
+    assert final.nodes[0, 0].tolist() == [0.0, 0.0]
+    assert final.nodes[-1, 0, 1] < -0.5
+
+
+# ------------------------------------------------------------------------- conservation laws
+
+
+@pytest.mark.parametrize("geometry", ["-H", "+K"])
+@pytest.mark.parametrize("name", ["paper_table1_low", "paper_table1_high"])
+def test_energy_is_conserved_over_an_undamped_jump(name: str, geometry: str) -> None:
+    plant = plant_of(
+        name,
+        start__geometry=geometry,
+        start__slack=2.0,
+        rover__slider_damping=0.0,
+        tether__elements=20,
+        after_landing="fly_on",
+    )
+    start = plant.take_off(plant.initial_state())
+    history = run(plant, start, 0.6)
+    stored = [plant.energies(state).stored for state in history.states]
+    assert history.final.ledger.dissipated == 0.0
+    assert np.abs(np.array(stored) - stored[0]).max() < 1e-6 * plant.scenario.take_off_energy
+
+
+def test_what_damping_takes_is_booked() -> None:
+    plant = plant_of("taut_jump", tether__bending_damping_time=0.1)
+    history = run(plant, plant.take_off(plant.initial_state()), 0.6, until="touchdown")
+    assert history.final.phase is Phase.LANDED
+    assert history.final.ledger.dissipated > 1.0
+    assert history.final.ledger.input == pytest.approx(plant.scenario.take_off_energy, rel=1e-2)
+    assert abs(history.energy_drift) < 1e-6 * plant.scenario.take_off_energy
+
+
+def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
+    """Tether and rover afloat without gravity or root, all of it moving."""
+    plant = plant_of("taut_jump", gravity=9.81, rover__slider_damping=3.0)
+    state = plant.initial_state()
+    tether = plant.model.tether._replace(gravity=(0.0, 0.0))
+    model = plant.model._replace(
+        tether=tether, root_pinned=False, step=h, hold_after_landing=False, tolerance=1e-14
+    )
+    n = state.nodes.shape[0] - 1
+    q = np.array(state.nodes).reshape(n + 1, 4)
+    v = np.zeros_like(q)
+    x = np.linspace(0.0, 1.0, n + 1)
+    v[:, 0], v[:, 1] = 0.5 * x**2, 1.0 - 2.0 * x
+    v[:, 2], v[:, 3] = 0.5 * 2 * x / 5.0, -2.0 / 5.0
+    body = np.zeros(planar.BODY_SIZE)
+    body[[planar.X1, planar.Y1]] = state.G1
+    body[planar.SLIDE] = state.s + 0.02
+    rover = model.rover
+    omega, a, b = 1.5, rover.attachment_x, rover.attachment_y
+    body[planar.OMEGA] = omega
+    body[[planar.VX1, planar.VY1]] = v[n, :2] - omega * np.array([-b, a])
+    body[[planar.VX2, planar.VY2]] = body[[planar.VX1, planar.VY1]]
+    body[planar.VX2] -= omega * body[planar.SLIDE]
+    body[planar.VY2] += 0.4
+    return model, [q, v, body, np.zeros(planar.BOOK_SIZE)]
+
+
+def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Linear momentum and angular momentum about the origin."""
+    from rover_sim.physics import ancf
+
+    tether, rover = model.tether, model.rover
+    e = ancf.element_coordinates(q.reshape(-1, 2, 2))
+    rates = ancf.element_coordinates(v.reshape(-1, 2, 2))
+    mass = ancf.mass_matrix(tether.line_density, tether.element_length)
+    load = ancf.load_vector(tether.line_density, tether.element_length)
+    tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)
+    linear = np.einsum("a,eai->i", load, rates)
+    angular = tensor[0, 1] - tensor[1, 0] + rover.inertia * body[planar.OMEGA]
+    axis = np.array([-np.sin(body[planar.THETA]), np.cos(body[planar.THETA])])
+    first = body[[planar.X1, planar.Y1]]
+    for m, at, rate in (
+        (rover.m1, first, body[[planar.VX1, planar.VY1]]),
+        (rover.m2, first + body[planar.SLIDE] * axis, body[[planar.VX2, planar.VY2]]),
+    ):
+        linear = linear + m * rate
+        angular += m * (at[0] * rate[1] - at[1] * rate[0])
+    return np.array([*linear, angular])
+
+
+def test_momenta_are_conserved_in_free_flight() -> None:
+    model, (q, v, body, book) = free_system()
+    before, energy = momenta(model, q, v, body), planar.stored_energy(model, q, v, body)
+    book[planar.START_Y] = -1e9
+    report = np.zeros(planar.REPORT_SIZE)
+    outcome, phase, _ = planar.advance(
+        model,
+        q,
+        v,
+        body,
+        book,
+        planar.FLIGHT,
+        (0.0, 0.0),
+        0.5,
+        False,
+        np.zeros((8, planar.EVENT_SIZE)),
+        report,
+    )
+    assert outcome == planar.OUTCOME_CONVERGED
+    assert phase == planar.FLIGHT
+    assert momenta(model, q, v, body) == pytest.approx(before, abs=1e-10)
+    assert book[planar.DISSIPATED] > 0.1
+    after = planar.stored_energy(model, q, v, body) + book[planar.DISSIPATED]
+    assert after == pytest.approx(energy, abs=1e-9)
+    assert report[planar.CONSTRAINT_DRIFT] < 1e-12
+
+
+# ------------------------------------------------------------------------------- convergence
+
+
+def test_second_order_in_the_time_step() -> None:
+    ends = [
+        np.array([*s.G1, s.theta])
+        for s in (
+            run(p, p.take_off(p.initial_state()), 0.3, tick=0.3).final
+            for p in (
+                plant_of("taut_jump", integration__h=h, integration__tolerance=1e-11)
+                for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+            )
+        )
+    ]
+    gaps = [float(np.linalg.norm(b - a)) for a, b in pairwise(ends)]
+    assert gaps[0] < 1e-5
+    assert gaps[1] / gaps[2] == pytest.approx(4.0, rel=0.2)
+
+
+def test_converges_in_the_number_of_elements() -> None:
+    tips = [tip(swing(0.8, tether__elements=n, integration__h=1e-3).final) for n in (5, 10, 20, 40)]
+    gaps = [float(np.linalg.norm(b - a)) for a, b in pairwise(tips)]
+    assert gaps[2] < 2e-3
+    assert gaps[1] < 0.5 * gaps[0]
+    assert gaps[2] < 0.5 * gaps[1]
+
+
+def test_tolerance_bounds_what_stopping_early_costs() -> None:
+    loose = jump(plant_of("taut_jump", integration__tolerance=1e-6))
+    tight = jump(plant_of("taut_jump", integration__tolerance=1e-13))
+    default = jump(plant_of("taut_jump"))
+    assert loose.height == pytest.approx(tight.height, abs=1e-5)
+    assert default.height == pytest.approx(tight.height, abs=1e-8)
+    assert default.attitude_variation == pytest.approx(tight.attitude_variation, abs=1e-7)
+
+
+# -------------------------------------------------------------------------------- hard cases
+
+
+@pytest.mark.parametrize("n", [5, 100])
+def test_stiff_fine_and_coarse_in_time_neither_diverges_nor_gains_energy(n: int) -> None:
+    plant = plant_of(
+        "paper_table2_case1",
+        start__geometry="+K",
+        start__slack=2.0,
+        tether__elements=n,
+        integration__h=2e-3,
+    )
+    metrics = jump(plant)
+    assert metrics.outcome in (Outcome.CONVERGED, Outcome.HALVED)
+    assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
+
+
+def test_whip_of_a_stiff_fine_tether_conserves_energy() -> None:
+    history = swing(2.0, tether__elements=100, tether__youngs_modulus=70e9, integration__h=2e-3)
+    assert history.final.phase is Phase.FREE
+    assert abs(history.energy_drift) < 1e-6
+
+
+def test_snatch_halves_the_step_and_goes_on() -> None:
+    plant = plant_of(
+        "paper_table2_case1",
+        start__geometry="+K",
+        start__slack=2.0,
+        tether__elements=50,
+        integration__h=5e-3,
+        integration__max_halvings=12,
+    )
+    start = plant.take_off(plant.initial_state())
+    landed, result = plant.advance(start, IDLE, 1.0, stop_at_touchdown=True)
+    assert result.outcome is Outcome.HALVED
+    assert result.smallest_step < 5e-3
+    assert landed.phase is Phase.LANDED
+    assert abs(result.energies.drift) < 1e-6 * plant.scenario.take_off_energy
+
+
+def test_forbidding_halvings_makes_divergence_a_typed_state() -> None:
+    plant = plant_of(
+        "paper_table2_case1",
+        start__geometry="+K",
+        start__slack=2.0,
+        tether__elements=50,
+        integration__h=5e-3,
+        integration__max_halvings=0,
+    )
+    history = run(plant, plant.take_off(plant.initial_state()), 1.0)
+    assert history.results[-1].outcome is Outcome.DIVERGED
+    assert history.events[-1].name == "diverged"
+    last = history.final
+    assert last.phase is Phase.DIVERGED
+    assert np.isfinite(last.nodes).all()
+    assert abs(plant.energies(last).drift) < 1e-6
+    assert last.time == pytest.approx(history.events[-1].time)
+    again, result = plant.step(last, IDLE, 0.01)
+    assert again is last
+    assert result.outcome is Outcome.DIVERGED
+
+
+def test_a_state_with_nan_diverges_at_once_and_stays_what_it_is() -> None:
+    from dataclasses import replace
+
+    plant = plant_of("tether_pendulum")
+    state = plant.initial_state()
+    rates = np.array(state.node_rates)
+    rates[3, 0, 1] = math.nan
+    bad = replace(state, node_rates=rates)
+    after, result = plant.step(bad, IDLE, 0.01)
+    assert result.outcome is Outcome.DIVERGED
+    assert after.phase is Phase.DIVERGED
+    assert after.time == 0.0
+    assert np.array_equal(after.nodes, state.nodes)
