@@ -53,7 +53,7 @@ _COMPRESSIONS: Final = {
 _FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 
-class BagError(Exception):
+class BagError(OSError):
     """A bag that cannot be written or read; the text says which, why, and what to do."""
 
 
@@ -200,16 +200,19 @@ def _sync_folder(folder: Path) -> None:
 
 def _create_folder(path: Path) -> None:
     """Makes the bag's folder, which must not exist, with a reason where that fails."""
-    if path.is_symlink() or path.exists():
-        kind = "a bag" if (path / "metadata.yaml").exists() or any_mcap(path) else "a file"
-        if path.is_dir() and kind == "a file":
-            kind = "a folder"
-        raise BagError(
-            f"cannot write the bag {path}: {kind} of that name exists already and is never "
-            "overwritten; choose another name or remove it"
-        )
     try:
+        if path.is_symlink() or path.exists():
+            if any_mcap(path) or (path / "metadata.yaml").exists():
+                kind = "a bag"
+            else:
+                kind = "a folder" if path.is_dir() else "a file"
+            raise BagError(
+                f"cannot write the bag {path}: {kind} of that name exists already and is never "
+                "overwritten; choose another name or remove it"
+            )
         path.mkdir(parents=True)
+    except BagError:
+        raise
     except NotADirectoryError as error:
         raise BagError(
             f"cannot write the bag {path}: a part of its path is a file, not a folder"
@@ -293,7 +296,7 @@ class BagWriter:
             self._disk.flush()
             if sync:
                 _sync_folder(path)
-        except (OSError, BagError) as error:
+        except OSError as error:
             self.file.unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 path.rmdir()
@@ -424,13 +427,14 @@ class BagWriter:
             BagError: The disk failed; as above.
         """
         self._closed = True
+        if self._broken:
+            self._disk.close()
+            raise BagError(
+                f"the bag {self.path} has no index, as the disk took no more; every message up "
+                f"to then is whole: make a clean bag elsewhere with "
+                f"`bag_recover {self.path} <new bag>`"
+            )
         try:
-            if self._broken:
-                raise BagError(
-                    f"the bag {self.path} has no index, as the disk took no more; every message "
-                    f"up to then is whole: make a clean bag elsewhere with "
-                    f"`bag_recover {self.path} <new bag>`"
-                )
             self._writer.flush()
             metadata = self._metadata(custom or {})
             text = _yaml(metadata["rosbag2_bagfile_information"])
