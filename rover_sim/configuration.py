@@ -296,9 +296,10 @@ def _read_number(rule: Rule, value: object, path: str) -> float | int:
         raise ConfigurationError(path, value, f"should be {rule.range_text()}")
     try:
         number: float | int = rule.kind(value)
-    except OverflowError:
-        number = math.inf
-    if math.isnan(number) or (math.isinf(number) and not (rule.infinite and number > 0)):
+        finite = rule.kind is int or math.isfinite(number)
+    except OverflowError:  # a whole number beyond every float
+        number, finite = math.inf, False
+    if not finite and not (rule.infinite and number > 0 and isinstance(value, float)):
         raise ConfigurationError(path, value, f"should be {rule.range_text()}, and finite")
     too_small = number <= rule.minimum if rule.open_minimum else number < rule.minimum
     if (too_small and rule.minimum > -math.inf) or number > rule.maximum:

@@ -15,8 +15,9 @@ where the stabilisation C'' + 2 v C' + v^2 C = 0 is our reading of (19), which t
 does not show completely. Classical Runge-Kutta steps integrate them, so the step is bound by the
 tether's axial wave: h < 0.43 l sqrt(rho/E).
 
-This is the reference for the assembled integrator and shares no code with it: the element's
-integrals are taken exactly, by polynomial algebra instead of quadrature.
+This is the reference for the assembled integrator and shares no code with it: the integrals of
+the element's polynomials are taken exactly, by algebra instead of quadrature. Strain-rate
+damping, which the paper does not have, is optional.
 """
 
 from collections.abc import Callable
@@ -276,8 +277,10 @@ class PlanarDae:
         slopes4 = integrals.slopes4.reshape(16, 16)
         stiffness = 0.5 * (products.reshape(-1, 16) @ slopes4).reshape(-1, 4, 4)
         stiffness -= 0.5 * integrals.slopes2
-        # (6): K_t e, with the strain rate's share
-        bent = integrals.curves2 @ (e + section.bending_damping_time * e_rate)
+        # (6): K_t e
+        bent = integrals.curves2 @ e
+        if section.bending_damping_time > 0.0:
+            bent += section.bending_damping_time * self._curvature_damping(e, e_rate)
         elastic = section.axial_stiffness * (stiffness @ e) + section.bending_stiffness * bent
 
         total = self._gravity_force.copy()
@@ -295,6 +298,27 @@ class PlanarDae:
         total[-6:-4] += pull * along
         total[-3:-1] -= pull * along
         return total
+
+    def _curvature_damping(self, e: Array, e_rate: Array) -> Array:
+        """Force int dkappa/dt (d kappa/d e) dx of the curvature kappa = r' x r''/|r'|^2.
+
+        e and its rate are (n, 4, 2), as is the result. Unlike the rate of r'' itself it vanishes
+        in a rigid turn.
+        """
+        integrals = self._integrals
+        slope, bend = integrals.slopes @ e, integrals.curves @ e
+        slope_rate, bend_rate = integrals.slopes @ e_rate, integrals.curves @ e_rate
+        square = np.sum(slope**2, axis=-1)
+        curvature = _cross(slope, bend) / square
+        # d kappa = per_slope . dr' + per_bend . dr''
+        per_slope = np.stack([bend[..., 1], -bend[..., 0]], axis=-1)
+        per_slope = (per_slope - 2.0 * curvature[..., None] * slope) / square[..., None]
+        per_bend = np.stack([-slope[..., 1], slope[..., 0]], axis=-1) / square[..., None]
+        rate = np.sum(per_slope * slope_rate + per_bend * bend_rate, axis=-1)
+        weighted = (integrals.weights * rate)[..., None]
+        return np.asarray(
+            integrals.slopes.T @ (weighted * per_slope) + integrals.curves.T @ (weighted * per_bend)
+        )
 
     def _derivative(self, motion: Array) -> Array:
         """d(q, q')/dt from the saddle equations (20)."""
@@ -361,7 +385,10 @@ class PlanarDae:
 
 @dataclass(frozen=True)
 class _ElementIntegrals:
-    """Integrals of products of an element's shape functions over its length, exact."""
+    """Integrals of products of an element's shape functions over its length, exact.
+
+    What is no polynomial, the curvature, is summed over points instead.
+    """
 
     length: float
     shapes1: Array  # int S dx, (4,)
@@ -369,6 +396,9 @@ class _ElementIntegrals:
     slopes2: Array  # int S' S' dx, (4, 4)
     slopes4: Array  # int S' S' S' S' dx, (4, 4, 4, 4)
     curves2: Array  # int S'' S'' dx, (4, 4)
+    weights: Array  # of the points [m], (points,)
+    slopes: Array  # S' at the points, (points, 4)
+    curves: Array  # S'' at the points, (points, 4)
 
     @classmethod
     def of(cls, length: float) -> "_ElementIntegrals":
@@ -396,6 +426,8 @@ class _ElementIntegrals:
                 values[index] = integral(product)
             return values
 
+        abscissae, weights = np.polynomial.legendre.leggauss(7)
+        points = 0.5 * length * (1.0 + abscissae)
         return cls(
             length=length,
             shapes1=table(1, shapes),
@@ -403,6 +435,9 @@ class _ElementIntegrals:
             slopes2=table(2, slopes),
             slopes4=table(4, slopes),
             curves2=table(2, curves),
+            weights=0.5 * length * weights,
+            slopes=np.stack([slope(points) for slope in slopes], axis=-1),
+            curves=np.stack([curve(points) for curve in curves], axis=-1),
         )
 
 
@@ -418,6 +453,10 @@ def _spread(nodes: Array, bodies: Array) -> Array:
     """Shared nodes as the elements' own coordinates, then the bodies'."""
     elements = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
     return np.concatenate([elements.ravel(), bodies])
+
+
+def _cross(first: Array, second: Array) -> Array:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
 def _turned(angle: float, vector: ArrayLike) -> Array:
