@@ -8,6 +8,7 @@ neither a faulty node nor a faulty peer can put a bad value on the wire.
 from __future__ import annotations
 
 import array
+import functools
 import json
 import math
 import sys
@@ -48,6 +49,7 @@ _POINT_STEP = 8 * len(TETHER_COLUMNS)
 _QUATERNION_TOLERANCE = 1e-3
 
 
+@functools.cache
 def message_class(type_name: str) -> type[Any]:
     """Return the Python class of a message or service type such as ``nav_msgs/msg/Odometry``."""
     package, kind, name = type_name.split("/")

@@ -13,48 +13,40 @@ default) it configures and activates itself.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
-import math
 import signal
 import sys
 import threading
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import rclpy
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, JumpThreshold
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import try_shutdown
+from rclpy.utilities import remove_ros_args, try_shutdown
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import decode, encode, message_class, topic_row
-from msg_schemas.parameters import (
-    P,
-    ParameterError,
-    ParameterInfo,
-    from_mapping,
-    info_of,
-    parameter,
-)
+from msg_schemas.parameters import P, ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.ros_parameters import (
+    changed_groups,
+    declare_parameters,
+    described_parameters,
+)
 from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
 
@@ -117,6 +109,11 @@ class ContractPublisher:
             return False
         return True
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether anybody subscribes: what is costly to make need not be made for nobody."""
+        return bool(self._publisher.get_subscription_count())
+
     def destroy(self) -> None:
         """Take the publisher off the graph."""
         self._node.destroy_publisher(self._publisher)
@@ -142,7 +139,6 @@ class ContractNode(LifecycleNode):
         self.exit_code: ExitCode | None = None
         self.active = False
         self._failure: Exception | None = None
-        self._groups: dict[type[Any], Any] = {}
         self._accepted: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
         self._shown = 0
@@ -152,8 +148,7 @@ class ContractNode(LifecycleNode):
         self._taken: list[Any] = []
         self._served: list[Any] = []
         self._timers_while_active: list[Any] = []
-        for cls in _parameter_classes(type(self)):
-            self._declare(cls)
+        self._groups = declare_parameters(self, parameter_classes(type(self)))
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = ContractPublisher(self, topics.DIAGNOSTICS)
         self._events = ContractPublisher(self, topics.EVENTS)
@@ -192,6 +187,9 @@ class ContractNode(LifecycleNode):
     def clock_jumped(self) -> None:
         """React to a clock that jumped back or changed its source."""
 
+    def parameters_changed(self) -> None:
+        """React to parameters that were changed while the node runs."""
+
     # --- parameters ------------------------------------------------------------------------------
 
     def parameters_of(self, cls: type[P]) -> P:
@@ -199,34 +197,16 @@ class ContractNode(LifecycleNode):
         found: P = self._groups[cls]
         return found
 
-    def _declare(self, cls: type[Any]) -> None:
-        values = {}
-        for field in dataclasses.fields(cls):
-            info = info_of(field)
-            try:
-                declared = self.declare_parameter(
-                    field.name, field.default, _descriptor(field.default, info)
-                )
-            except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-                msg = f"{field.name}: {error}"
-                raise ParameterError(msg) from error
-            values[field.name] = declared.value
-        self._groups[cls] = from_mapping(cls, values)
-
     def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
-        renewed = {}
-        for cls, present in self._groups.items():
-            names = {field.name for field in dataclasses.fields(cls)}
-            mine = {change.name: change.value for change in changes if change.name in names}
-            if not mine:
-                continue
-            try:
-                renewed[cls] = from_mapping(cls, {**dataclasses.asdict(present), **mine})
-            except ParameterError as error:
-                return SetParametersResult(successful=False, reason=str(error))
+        try:
+            renewed = changed_groups(self._groups, changes)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         self._groups.update(renewed)
-        if renewed and self._last_configuration is not None:
-            self._publish_configuration()
+        if renewed:
+            self.parameters_changed()
+            if self._last_configuration is not None:
+                self._publish_configuration()
         return SetParametersResult(successful=True)
 
     # --- publishing, subscribing, serving --------------------------------------------------------
@@ -275,9 +255,12 @@ class ContractNode(LifecycleNode):
 
         self._served.append(self.create_service(message_class(row.service), name, answer))
 
-    def every(self, period: float, callback: Callable[[], None]) -> None:
+    def every(
+        self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
+    ) -> None:
         """Call back every ``period`` seconds of the node's clock while active."""
-        self._timers_while_active.append(self.create_timer(period, callback))
+        clock = self._steady if by_wall_clock else None
+        self._timers_while_active.append(self.create_timer(period, callback, clock=clock))
 
     def now_ns(self) -> int:
         """Return the node's clock [ns]."""
@@ -289,12 +272,23 @@ class ContractNode(LifecycleNode):
         message: str,
         level: Level = Level.OK,
         values: Mapping[str, object] | None = None,
+        stamp_ns: int | None = None,
     ) -> None:
-        """Publish a transition with its reason; numbers are written with full precision."""
+        """Publish a transition with its reason; numbers are written with full precision.
+
+        ``stamp_ns`` is when it happened, by default now.
+        """
         texts = {key: _text(value) for key, value in (values or {}).items()}
         status = Status(name, message, level, self.NAME, texts)
-        self._events.send(StatusSample(self.now_ns(), (status,)))
-        self.get_logger().info(f"{name}: {message}")
+        stamp = self.now_ns() if stamp_ns is None else stamp_ns
+        self._events.send(StatusSample(stamp, (status,)))
+        # Spelt out, as rclpy allows each line of code one severity only.
+        if level is Level.OK:
+            self.get_logger().info(f"{name}: {message}")
+        elif level is Level.WARN:
+            self.get_logger().warning(f"{name}: {message}")
+        else:
+            self.get_logger().error(f"{name}: {message}")
 
     def refuse(self, refusal: Refusal) -> None:
         """Put a refusal on diagnostics, with its reason; a flood is counted, not repeated."""
@@ -312,8 +306,12 @@ class ContractNode(LifecycleNode):
             self.NAME,
             {"code": refusal.code.value, "refused": str(count)},
         )
-        self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
+        self.report(status)
         self.get_logger().warning(f"refused {refusal}")
+
+    def report(self, status: Status) -> None:
+        """Put one status on diagnostics now, besides the periodic ones."""
+        self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
 
     def _receive(self, row: Topic, callback: Callable[[Any], None], message: Any) -> None:
         is_command = row.intent is Intent.COMMAND
@@ -340,8 +338,12 @@ class ContractNode(LifecycleNode):
             raise Refusal(name, RefusalCode.OUT_OF_ORDER, reason)
         self._last_stamp[name] = stamp_ns
 
-    def _on_clock_jump(self, _jump: Any) -> None:
+    def accept_earlier_stamps(self) -> None:
+        """Forget the stamps of past commands: the clock that they follow has gone back."""
         self._last_stamp.clear()
+
+    def _on_clock_jump(self, _jump: Any) -> None:
+        self.accept_earlier_stamps()
         self.clock_jumped()
 
     # --- health and configuration ----------------------------------------------------------------
@@ -418,7 +420,11 @@ class ContractNode(LifecycleNode):
         return inherited(state)
 
     def _configure(self) -> None:
-        self.setup()
+        try:
+            self.setup()
+        except BaseException:
+            self._close()
+            raise
         self._publish_configuration()
 
     def _activate(self) -> None:
@@ -438,6 +444,10 @@ class ContractNode(LifecycleNode):
     def _clean_up(self) -> None:
         self._deactivate()
         self.release()
+        self._last_configuration = None
+        self._close()
+
+    def _close(self) -> None:
         for subscription in self._taken:
             self.destroy_subscription(subscription)
         for service in self._served:
@@ -465,33 +475,13 @@ class ContractNode(LifecycleNode):
         self._jump_handle.unregister()
 
 
-def _parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
+def parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
+    """Return all parameter classes of a node, those of the shell included."""
     return [ShellParameters, *node_class.PARAMETERS]
 
 
 def _text(value: object) -> str:
     return repr(value) if isinstance(value, float) else str(value)
-
-
-def _descriptor(default: Any, info: ParameterInfo) -> ParameterDescriptor:
-    unit = "" if info.unit == "-" else f" [{info.unit}]"
-    described = ParameterDescriptor(
-        description=info.about + unit,
-        read_only=info.read_only,
-        additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
-        # A float parameter must accept "rate:=100": rclpy would refuse the integer.
-        dynamic_typing=isinstance(default, float),
-    )
-    if math.isfinite(info.minimum) and math.isfinite(info.maximum):
-        if isinstance(default, float):
-            described.floating_point_range = [
-                FloatingPointRange(from_value=float(info.minimum), to_value=float(info.maximum))
-            ]
-        elif isinstance(default, int) and not isinstance(default, bool):
-            described.integer_range = [
-                IntegerRange(from_value=int(info.minimum), to_value=int(info.maximum), step=1)
-            ]
-    return described
 
 
 N = TypeVar("N", bound=ContractNode)
@@ -506,18 +496,40 @@ def help_text(node_class: type[ContractNode]) -> str:
         "",
         "parameters:",
     ]
-    for cls in _parameter_classes(node_class):
-        for field in dataclasses.fields(cls):
-            info = info_of(field)
-            limits = ""
-            if math.isfinite(info.minimum) and math.isfinite(info.maximum):
-                limits = f", {info.minimum:g} .. {info.maximum:g}"
-            if info.choices:
-                limits = f", one of {', '.join(info.choices)}"
-            unit = "" if info.unit == "-" else f" {info.unit}"
-            lines.append(f"  {field.name} (default {field.default!r}{unit}{limits})")
-            lines.append(f"      {info.about}")
+    lines += described_parameters(parameter_classes(node_class))
     return "\n".join(lines)
+
+
+class _Interrupted(BaseException):
+    """Raised in the middle of bringing up, by a signal: compiling must not hold Ctrl-C up."""
+
+
+class _StopRequest:
+    """SIGINT and SIGTERM, however often they come."""
+
+    def __init__(self) -> None:
+        self.is_made = False
+        self._may_interrupt = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, *_: object) -> None:
+        self.is_made = True
+        if self._may_interrupt:
+            self._may_interrupt = False
+            raise _Interrupted
+
+    @contextlib.contextmanager
+    def interrupts(self) -> Iterator[None]:
+        """Let a signal end the block early, without an error."""
+        try:
+            self._may_interrupt = True
+            if not self.is_made:
+                yield
+        except _Interrupted:
+            pass
+        finally:
+            self._may_interrupt = False
 
 
 def run(node_class: type[N], arguments: list[str] | None = None) -> int:
@@ -533,12 +545,10 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
     if {"-h", "--help"} & set(arguments):
         print(help_text(node_class))
         return ExitCode.OK
-    told_to_stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: told_to_stop.set())
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    stop = _StopRequest()
     try:
-        return _run_until(node_class, told_to_stop)
+        _init_ros(arguments)
+        return _run_until(node_class, stop)
     except ParameterError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
@@ -549,15 +559,32 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
         try_shutdown()
 
 
-def _run_until(node_class: type[N], told_to_stop: threading.Event) -> int:
+def _init_ros(arguments: list[str]) -> None:
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        rest = remove_ros_args(arguments)
+    except RuntimeError as error:  # what rclpy's own errors have in common
+        msg = f"ROS arguments not understood: {str(error).splitlines()[0]}"
+        raise ParameterError(msg) from error
+    if rest:
+        msg = (
+            f"unknown argument {rest[0]!r}; parameters are given as "
+            "--ros-args -p NAME:=VALUE, --help lists them"
+        )
+        raise ParameterError(msg)
+
+
+def _run_until(node_class: type[N], stop: _StopRequest) -> int:
     node = node_class()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        failed = node.bring_up()
+        failed = None
+        with stop.interrupts():
+            failed = node.bring_up()
         if failed is not None:
             return failed
-        while not told_to_stop.is_set() and node.exit_code is None:
+        while not stop.is_made and node.exit_code is None:
             try:
                 executor.spin_once(timeout_sec=_SPIN_SLICE)
             except ExternalShutdownException:

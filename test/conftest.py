@@ -1,0 +1,65 @@
+"""Fixtures that all tests may use."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from observer import Observer
+    from processes import Processes
+    from stage import Stage
+
+# Both are read when ROS is imported, which is why the fixtures import late: publishing a wrong type
+# is an error, and other machines on the network stay out.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    """A fresh ROS domain with processes and observers, for one test."""
+    from stage import open_stage
+
+    with open_stage(tmp_path) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def shared_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    """A ROS domain that the tests of one module share, for what leaves no trace."""
+    from stage import open_stage
+
+    with open_stage(tmp_path_factory.mktemp("stage")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def domain(stage: Stage) -> int:
+    """The fresh ROS domain of this test."""
+    return stage.domain
+
+
+@pytest.fixture
+def processes(stage: Stage) -> Processes:
+    """Starts executables in this test's domain."""
+    return stage.processes
+
+
+@pytest.fixture
+def observer(stage: Stage) -> Observer:
+    """A node of the test in its domain."""
+    return stage.observer()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_memory() -> Iterator[None]:
+    """Remove what killed processes have left in shared memory."""
+    yield
+    from processes import clean_shared_memory
+
+    clean_shared_memory()

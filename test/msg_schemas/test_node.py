@@ -1,0 +1,389 @@
+"""The shell of every node, seen from outside: a real process, commanded over DDS."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import ClockSample, JointSample, JointValue, Level
+from msg_schemas.table import JUMP_SCREW
+
+if TYPE_CHECKING:
+    from observer import Observer
+    from processes import Process, Processes
+    from stage import Stage
+
+    Shell = tuple[Process, Observer]
+    MakeMessage = Callable[[], Any]
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+NODE = "shell_node"
+SECOND = 1_000_000_000
+
+
+def is_active(observer: Observer):
+    observer.wait_for_event("active")
+
+
+def command(
+    position: float = 0.1,
+    velocity: float = 0.05,
+    effort: float = 200.0,
+    stamp_ns: int | None = None,
+) -> JointSample:
+    stamp = time.time_ns() if stamp_ns is None else stamp_ns
+    return JointSample(stamp, {JUMP_SCREW: JointValue(position, velocity, effort)})
+
+
+@pytest.fixture(scope="module")
+def shell(shared_stage: Stage):
+    """A running node and an observer, shared by tests that leave no trace."""
+    process = shared_stage.processes.start("shell_node")
+    observer = shared_stage.observer()
+    is_active(observer)
+    observer.listen(topics.JUMP_MOTOR_STATE)
+    observer.listen(topics.DIAGNOSTICS).wait()
+    return process, observer
+
+
+# ------------------------------------------------------------------- commands and their refusals
+
+
+def says_back(observer: Observer, position: float):
+    """Whether a good command still goes through."""
+    feed = observer.listen(topics.JUMP_MOTOR_STATE)
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(position))
+    return feed.wait(lambda s: s.joints[JUMP_SCREW].position == position)
+
+
+def test_a_good_command_is_handed_over(shell: Shell):
+    _, observer = shell
+    assert says_back(observer, 0.123).joints[JUMP_SCREW] == JointValue(0.123, 0.05, 200.0)
+
+
+def bad_messages() -> list[Any]:
+    def with_(change: Callable[[Any], object]) -> MakeMessage:
+        def make() -> Any:
+            message = encode(topics.JUMP_MOTOR_COMMAND, command())
+            change(message)
+            return message
+
+        return make
+
+    def stamp(seconds: int) -> Callable[[Any], object]:
+        def change(message: Any) -> None:
+            message.header.stamp.sec += seconds
+
+        return change
+
+    def unstamp(message: Any) -> None:
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+    cases: dict[str, tuple[str, str, Callable[[Any], object]]] = {
+        "nan": ("not_finite", "nan", lambda m: m.position.__setitem__(0, math.nan)),
+        "infinite": ("not_finite", "inf", lambda m: m.velocity.__setitem__(0, -math.inf)),
+        "too far": ("out_of_limits", "0.5", lambda m: m.position.__setitem__(0, 0.5)),
+        "wrong joint": ("wrong_name", "winch", lambda m: m.name.__setitem__(0, "winch")),
+        "joint twice": ("wrong_name", "each once", lambda m: m.name.append(JUMP_SCREW)),
+        "too short": ("wrong_length", "position", lambda m: m.position.pop()),
+        "too long": ("wrong_length", "effort", lambda m: m.effort.append(1.0)),
+        "stale": ("stale", "at most 0.5 s", stamp(-2)),
+        "future": ("from_the_future", "at most 0.1 s", stamp(+2)),
+        "unstamped": ("unstamped", "stamp is zero", unstamp),
+        "the node's own reason": (
+            "wrong_phase",
+            "only up to 0.3 m",
+            lambda m: m.position.__setitem__(0, 0.35),
+        ),
+    }
+    return [
+        pytest.param(with_(change), code, words, id=name)
+        for name, (code, words, change) in cases.items()
+    ]
+
+
+@pytest.mark.parametrize(("message", "code", "words"), bad_messages())
+def test_a_bad_command_is_refused_with_its_reason_and_the_node_lives_on(
+    shell: Shell, message: MakeMessage, code: str, words: str
+):
+    process, observer = shell
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message())
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+    assert words in refusal.message
+    assert refusal.level is Level.WARN
+    assert says_back(observer, 0.2)
+    assert process.is_running
+
+
+def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
+    _, observer = shell
+    feed = observer.listen(topics.JUMP_MOTOR_STATE)
+    now = time.time_ns()
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.11, stamp_ns=now))
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.12, stamp_ns=now))
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.13, stamp_ns=now - 1000))
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order")
+    assert "stamps must not go back" in refusal.message
+    feed.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
+    assert not [s for s in feed.samples if s.joints[JUMP_SCREW].position == 0.13]
+
+
+def test_a_malformed_wire_message_does_no_harm(shell: Shell):
+    process, observer = shell
+    publisher = observer.publisher(topics.JUMP_MOTOR_COMMAND)
+    for payload in (b"\x00\x01\x00\x00", bytes(range(256)), b"\xff" * 64):
+        publisher.publish(payload)
+    assert says_back(observer, 0.21)
+    assert process.is_running
+
+
+def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
+    _, observer = shell
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    for _ in range(150):
+        observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(
+            encode(topics.JUMP_MOTOR_COMMAND, command(stamp_ns=1))
+        )
+    health = observer.wait_for_status(
+        topics.DIAGNOSTICS,
+        lambda s: int(s.values.get("refusals_not_shown", "0")) > 0,
+        heard,
+    )
+    assert health.level is Level.WARN
+    assert says_back(observer, 0.22)
+
+
+def test_services_answer_and_refuse_with_the_reason(shell: Shell):
+    _, observer = shell
+    answer = observer.call(topics.SIM_PAUSE, True)
+    assert (answer.success, answer.message) == (True, "pause is True")
+    answer = observer.call(topics.JUMP_ABORT)
+    assert not answer.success
+    assert "nothing to abort" in answer.message
+
+
+# ------------------------------------------------------------------------------------ parameters
+
+
+def test_parameters_are_described_with_unit_and_range(shell: Shell):
+    _, observer = shell
+    described = observer.describe_parameter(NODE, "rate")
+    assert described.description == "how often it speaks [Hz]"
+    limits = described.floating_point_range[0]
+    assert (limits.from_value, limits.to_value) == (1.0, 100.0)
+    assert observer.describe_parameter(NODE, "count").read_only
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("rate", math.nan, "rate"),
+        ("rate", 1e6, "rate"),
+        ("rate", "fast", "rate"),
+        ("count", 4, "read-only"),
+        ("trouble", "much", "one of none, value"),
+    ],
+)
+def test_a_bad_parameter_change_is_refused_with_its_reason(
+    shell: Shell, name: str, value: object, reason: str
+):
+    _, observer = shell
+    before = observer.get_parameter(NODE, name)
+    result = observer.set_parameter(NODE, name, value)
+    assert not result.successful
+    assert reason in result.reason
+    assert observer.get_parameter(NODE, name) == before
+
+
+def test_a_good_parameter_change_reaches_the_node_and_its_latched_configuration(shell: Shell):
+    _, observer = shell
+    config = observer.listen(topics.CONFIG)
+    assert observer.set_parameter(NODE, "rate", 20).successful
+    config.wait(lambda s: json.loads(s.text)["parameters"]["rate"] == 20.0)
+    observer.wait_for_event("changed")
+
+
+def test_configuration_and_events_reach_those_who_join_late(shared_stage: Stage, shell: Shell):
+    late = shared_stage.observer()
+    content = json.loads(late.listen(topics.CONFIG).wait().text)
+    assert content["node"] == f"/{NODE}"
+    assert content["parameters"]["count"] == 3
+    assert content["contract_version"]
+    is_active(late)
+
+
+def test_parameters_come_from_a_file(processes: Processes, observer: Observer, tmp_path: Path):
+    path = tmp_path / "shell.yaml"
+    path.write_text(f"{NODE}:\n  ros__parameters:\n    rate: 42\n    count: 7\n")
+    processes.start("shell_node", params_file=path)
+    content = json.loads(observer.listen(topics.CONFIG).wait().text)
+    assert content["parameters"] == {
+        "autostart": True, "rate": 42.0, "count": 7, "trouble": "none",
+    }  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------- lifecycle
+
+
+def test_a_managed_node_acts_only_while_active(processes: Processes, observer: Observer):
+    processes.start("shell_node", {"autostart": False})
+    assert observer.state_of(NODE) == "unconfigured"
+    states = observer.listen(topics.JUMP_MOTOR_STATE)
+
+    assert observer.change_state(NODE, "configure")
+    assert observer.state_of(NODE) == "inactive"
+    observer.send(topics.JUMP_MOTOR_COMMAND, command())
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_active")
+    assert "[not_active]" in observer.call(topics.SIM_PAUSE, True).message
+    assert not states.samples
+
+    assert observer.change_state(NODE, "activate")
+    assert says_back(observer, 0.2)
+
+    heard = len(observer.listen(topics.EVENTS))
+    assert observer.change_state(NODE, "deactivate")
+    observer.wait_for_event("inactive", max(0, heard - 1))
+    silent_since = len(states)
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.19))
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_active", heard)
+    assert len(states) == silent_since
+
+    assert observer.change_state(NODE, "cleanup")
+    assert observer.state_of(NODE) == "unconfigured"
+    assert observer.change_state(NODE, "configure")
+    assert observer.change_state(NODE, "activate")
+    assert says_back(observer, 0.17)
+
+
+def test_a_failed_configuration_can_be_mended_without_a_restart(
+    processes: Processes, observer: Observer
+):
+    processes.start("shell_node", {"autostart": False, "trouble": "value"})
+    assert not observer.change_state(NODE, "configure")
+    assert observer.state_of(NODE) == "unconfigured"
+    assert observer.node.count_subscribers(f"/{topics.JUMP_MOTOR_COMMAND}") == 0
+    assert observer.set_parameter(NODE, "trouble", "none").successful
+    assert observer.change_state(NODE, "configure")
+    assert observer.change_state(NODE, "activate")
+    assert says_back(observer, 0.2)
+
+
+# ---------------------------------------------------------------------------------- how it ends
+
+
+def end_with_sigint(process: Process):
+    process.send(signal.SIGINT)
+
+
+def end_with_two_sigints(process: Process):
+    process.send_to_group(signal.SIGINT)
+    process.send(signal.SIGINT)
+
+
+def end_with_sigterm(process: Process):
+    process.send(signal.SIGTERM)
+
+
+def end_with_both(process: Process):
+    process.send(signal.SIGTERM)
+    process.send(signal.SIGINT)
+
+
+ENDINGS = [end_with_sigint, end_with_two_sigints, end_with_sigterm, end_with_both]
+
+
+@pytest.mark.parametrize("end", ENDINGS)
+def test_a_signal_ends_it_cleanly(
+    processes: Processes, observer: Observer, end: Callable[[Process], None]
+):
+    process = processes.start("shell_node")
+    is_active(observer)
+    end(process)
+    assert process.wait() == 0
+    assert "Traceback" not in process.output
+    assert process.group_is_gone()
+    observer.wait_for_event("inactive")
+
+
+def test_a_signal_ends_it_in_the_middle_of_a_long_setup(processes: Processes):
+    process = processes.start("shell_node", {"trouble": "slow"})
+    process.wait_for_output("setting up")
+    assert process.stop(signal.SIGINT, timeout=20.0) == 0
+    assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize(
+    ("parameters", "arguments", "complaint"),
+    [
+        ({"rate": 0.5}, (), "rate"),
+        ({"rate": ".nan"}, (), "rate"),
+        ({"rate": "fast"}, (), "rate"),
+        ({"count": 3.5}, (), "count"),
+        ({"trouble": "much"}, (), "one of none, value"),
+        ({"rats": 3.0}, (), "did you mean rate?"),
+        ({"trouble": "value"}, (), "the setup found a wrong value"),
+        ({}, ("--rate", "3"), "unknown argument '--rate'"),
+        ({}, ("--ros-args", "--nonsense"), "ROS arguments not understood"),
+        ({}, ("--ros-args", "--params-file", "/nowhere.yaml"), "/nowhere.yaml"),
+    ],
+)
+def test_bad_configuration_ends_it_with_code_2_and_one_line(
+    processes: Processes, parameters: dict[str, object], arguments: tuple[str, ...], complaint: str
+):
+    process = processes.start("shell_node", parameters, *arguments)
+    assert process.wait() == 2
+    assert "Traceback" not in process.output
+    assert [line for line in process.output.splitlines() if complaint in line]
+
+
+@pytest.mark.parametrize("trouble", ["bug", "timer"])
+def test_a_bug_ends_it_with_code_1(processes: Processes, trouble: str):
+    process = processes.start("shell_node", {"trouble": trouble})
+    assert process.wait() == 1
+    assert "has a bug" in process.output
+    assert process.group_is_gone()
+
+
+def test_help_names_every_parameter_with_unit_and_range(processes: Processes):
+    process = processes.start("shell_node", None, "--help")
+    assert process.wait() == 0
+    assert "rate (default 10.0 Hz, 1 .. 100)" in process.output
+    assert "autostart" in process.output
+
+
+# --------------------------------------------------------------------------------- simulated time
+
+
+def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer: Observer):
+    processes.start("shell_node", {"use_sim_time": True})
+    is_active(observer)
+    states = observer.listen(topics.JUMP_MOTOR_STATE)
+
+    def set_clock(stamp_ns: int) -> None:
+        observer.send(topics.CLOCK, ClockSample(stamp_ns))
+        states.wait(lambda s: s.stamp_ns == stamp_ns, len(states))
+
+    # A running clock; its timer speaks at the stamps of the clock alone.
+    set_clock(100 * SECOND)
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.11, stamp_ns=100 * SECOND))
+    states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
+    heard = len(observer.listen(topics.EVENTS))
+    observer.send(topics.CLOCK, ClockSample(5 * SECOND))
+    observer.wait_for_event("clock_jumped", heard)
+    # Stamps of the new past are accepted, those of the old time are not.
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.12, stamp_ns=5 * SECOND))
+    states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
+    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.13, stamp_ns=100 * SECOND))
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "from_the_future")

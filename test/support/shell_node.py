@@ -1,0 +1,75 @@
+"""A node that does next to nothing: the shell of every node, to be tested from outside."""
+
+import sys
+import threading
+from dataclasses import dataclass
+
+from msg_schemas import topics
+from msg_schemas.node import ContractNode, run
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import JUMP_SCREW
+
+
+@dataclass(frozen=True)
+class ShellNodeParameters:
+    """One parameter of each kind."""
+
+    rate: float = parameter(10.0, "Hz", "how often it speaks", 1.0, 100.0)
+    count: int = parameter(3, "-", "how many", 1, 9, read_only=True)
+    trouble: str = parameter(
+        "none", "-", "what goes wrong", choices=("none", "value", "bug", "slow", "timer")
+    )
+
+
+class ShellNode(ContractNode):
+    """Says back what it is commanded."""
+
+    NAME = "shell_node"
+    PARAMETERS = (ShellNodeParameters,)
+
+    def setup(self) -> None:
+        trouble = self.parameters_of(ShellNodeParameters).trouble
+        self._state = self.publisher(topics.JUMP_MOTOR_STATE)
+        self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
+        self.serve(topics.JUMP_ABORT, self._on_abort)
+        self.serve(topics.SIM_PAUSE, self._on_pause)
+        if trouble == "value":
+            raise ValueError("the setup found a wrong value")
+        if trouble == "bug":
+            raise RuntimeError("the setup has a bug")
+        if trouble == "slow":
+            print("setting up", flush=True)
+            threading.Event().wait(300.0)
+
+    def start(self) -> None:
+        self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)
+
+    def parameters_changed(self) -> None:
+        self.event("changed", "parameters changed", values={"now": self.now_ns()})
+
+    def clock_jumped(self) -> None:
+        self.event("clock_jumped", "the clock jumped")
+
+    def _on_timer(self) -> None:
+        if self.parameters_of(ShellNodeParameters).trouble == "timer":
+            raise RuntimeError("the timer has a bug")
+        self._state.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(0.0, 0.0, 1.0)}))
+
+    def _on_command(self, sample: JointSample) -> None:
+        value = sample.joints[JUMP_SCREW]
+        if value.position > 0.3:
+            reason = "only up to 0.3 m today"
+            raise Refusal(topics.JUMP_MOTOR_COMMAND, RefusalCode.WRONG_PHASE, reason)
+        self._state.send(JointSample(sample.stamp_ns, {JUMP_SCREW: value}))
+
+    def _on_abort(self) -> tuple[bool, str]:
+        raise Refusal(topics.JUMP_ABORT, RefusalCode.WRONG_PHASE, "nothing to abort")
+
+    def _on_pause(self, pause: bool) -> tuple[bool, str]:
+        return True, f"pause is {pause}"
+
+
+if __name__ == "__main__":
+    sys.exit(run(ShellNode))

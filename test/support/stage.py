@@ -1,0 +1,34 @@
+"""A stage: one ROS domain with the processes and observers that play in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from observer import Observer
+from processes import Processes
+from ros_domain import reserved_domain
+
+
+class Stage:
+    """Processes and observers of one test; closing it stops them all."""
+
+    def __init__(self, domain: int, folder: Path, closing: ExitStack) -> None:
+        self.domain = domain
+        self.processes = Processes(domain, folder)
+        self._closing = closing
+        closing.callback(self.processes.end)
+
+    def observer(self, namespace: str = "") -> Observer:
+        """Return a new observer in this domain, closed with the stage."""
+        made = Observer(self.domain, namespace)
+        self._closing.callback(made.close)
+        return made
+
+
+@contextmanager
+def open_stage(folder: Path) -> Iterator[Stage]:
+    """Open a stage in a domain of its own; its processes run in ``folder``."""
+    with reserved_domain() as domain, ExitStack() as closing:
+        yield Stage(domain, folder, closing)
