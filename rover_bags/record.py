@@ -23,7 +23,6 @@ from typing import Any, ClassVar
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -233,10 +232,13 @@ class RecordNode(ContractNode):
         rows = {self.resolve_topic_name(name): name for name in TOPICS}
         if not names:
             return dict(rows)
-        try:
-            chosen = [self.resolve_topic_name(name) for name in names]
-        except InvalidTopicNameException as error:
-            raise ValueError(f"topics: {error}") from error
+        chosen = []
+        for name in names:
+            try:
+                chosen.append(self.resolve_topic_name(name))
+            except RuntimeError as error:  # what rclpy's own errors have in common
+                reason = str(error).split(", at ", maxsplit=1)[0]
+                raise ValueError(f"topics: {name!r} is no topic name: {reason}") from error
         return {name: rows.get(name) for name in chosen}
 
     def _look_around(self) -> None:

@@ -1,0 +1,320 @@
+"""The recorder as a process: kill -9, signals, refusals, full disk, namespaces, weak peers."""
+
+import json
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from numbered_source import SEED, STRANGE_TOPIC
+from processes import PATIENCE, Process, Processes
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from msg_schemas import topics
+from msg_schemas.table import CONTRACT_VERSION, TOPICS
+from rover_bags.record import CONFIG_RECORD, DISK_FAILED
+from rover_bags.recover import recover
+from rover_bags.scan import BagScan, stored_metadata
+from rover_bags.spool import Continuity, Item, Source, Spool
+from rover_bags.store import (
+    IDENTITY_RECORD,
+    LOSSES_RECORD,
+    BagError,
+    BagWriter,
+    standard_type,
+)
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+SECOND = 1_000_000_000
+RECORDER = "rover_bags.record"
+SOURCE = "numbered_source"
+
+
+def start_recorder(
+    processes: Processes, bag: Path, *arguments: str, namespace: str = ""
+) -> Process:
+    """A recorder that has subscribed."""
+    recorder = processes.start(
+        RECORDER, None, "--output", str(bag), *arguments, namespace=namespace
+    )
+    recorder.wait_for_output("recording into")
+    return recorder
+
+
+def sent(source: Process) -> list[tuple[int, int, int]]:
+    """Number, time [ns] and listeners of each message that a source has sent."""
+    rows = [line.split() for line in source.output.splitlines(keepends=True) if line.endswith("\n")]
+    return [(int(row[0]), int(row[1]), int(row[2])) for row in rows]
+
+
+def wait_until_heard(source: Process, count: int) -> None:
+    """Wait until a source has sent so many messages to someone who listens."""
+    deadline = time.monotonic() + PATIENCE
+    while sum(listeners > 0 for _, _, listeners in sent(source)) < count:
+        assert source.is_running, source.output
+        assert time.monotonic() < deadline, source.output[-500:]
+        time.sleep(0.02)
+
+
+def numbers(bag: Path, name: str = "/" + topics.JUMP_MOTOR_STATE) -> list[int]:
+    """Numbers of the source's messages in a bag."""
+    kind = TOPICS[topics.JUMP_MOTOR_STATE].message
+    found = [STORE.deserialize_cdr(m.data, kind) for m in BagScan(bag) if m.topic.name == name]
+    return [round(message.effort[0] * 1e3) for message in found]  # type: ignore[attr-defined]
+
+
+def scanned(bag: Path) -> BagScan:
+    scan = BagScan(bag)
+    list(scan)
+    return scan
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("rate", [100.0, 3.0])
+def test_after_kill_9_all_but_the_last_second_is_recovered(
+    tmp_path: Path, processes: Processes, rate: float
+):
+    bag = tmp_path / "bag"
+    recorder = start_recorder(processes, bag)
+    source = processes.start(SOURCE, None, "contract", str(rate))
+    wait_until_heard(source, round(4 * rate))
+    killed_at = time.time_ns()
+    assert recorder.stop(signal.SIGKILL) == -signal.SIGKILL
+    source.stop()
+    assert not (bag / "metadata.yaml").exists()
+
+    result = recover(bag, tmp_path / "clean")
+    assert not result.was_closed
+    found = numbers(tmp_path / "clean")
+    owed = [number for number, at, _ in sent(source) if at < killed_at - SECOND]
+    assert found == list(range(found[0], found[-1] + 1))
+    assert found[0] < owed[-1] - 2 * rate
+    assert found[-1] >= owed[-1]
+    with Reader(tmp_path / "clean") as reader:
+        assert reader.message_count == result.summary.messages
+        assert {c.topic for c in reader.connections} >= {"/config", "/" + topics.TENSION_WATCH}
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_closes_the_bag_and_says_what_is_in_it(
+    tmp_path: Path, processes: Processes, number: signal.Signals
+):
+    bag = tmp_path / "bag"
+    recorder = start_recorder(processes, bag)
+    source = processes.start(SOURCE, None, "contract", "200")
+    wait_until_heard(source, 300)
+    source.stop()
+    assert recorder.stop(number) == 0
+    found = numbers(bag)
+    assert found == list(range(found[0], sent(source)[-1][0] + 1))
+    assert f"{len(found):8d}  /{topics.JUMP_MOTOR_STATE}" in recorder.output
+    assert "Traceback" not in recorder.output
+    with Reader(bag) as reader:
+        assert reader.message_count > len(found)
+    scan = BagScan(bag)
+    messages = list(scan)
+    assert not scan.damage
+    assert scan.closed
+    assert all(message.log_ns >= message.publish_ns > 0 for message in messages)
+    assert messages[0].topic.name == "/" + topics.CONFIG
+    assert dict(scan.metadata)[IDENTITY_RECORD]["contract_version"] == CONTRACT_VERSION
+    notes = [values for name, values in scan.metadata if name == CONFIG_RECORD]
+    assert [note["seed"] for note in notes if note["node"] == "/source"] == [str(SEED)]
+    custom = (stored_metadata(bag) or {})["custom_data"]
+    assert custom["dropped_by_recorder"] == "{}"
+    assert custom["contract_version"] == CONTRACT_VERSION
+
+
+@pytest.mark.process
+def test_a_namespace_and_a_selection_are_followed(tmp_path: Path, processes: Processes):
+    bag = tmp_path / "bag"
+    recorder = start_recorder(
+        processes, bag, "--topics", topics.JUMP_MOTOR_STATE, namespace="rover1"
+    )
+    mine, other = (
+        processes.start(SOURCE, None, "contract", "100", namespace=name)
+        for name in ("rover1", "rover2")
+    )
+    other.wait_for_output(r"(?m)^50 ")
+    wait_until_heard(mine, 50)
+    assert recorder.stop() == 0
+    scan = BagScan(bag)
+    full = "/rover1/" + topics.JUMP_MOTOR_STATE
+    assert {message.topic.name for message in scan} == {full}
+    names = json.loads(dict(scan.metadata)[IDENTITY_RECORD]["topics"])
+    assert names[topics.JUMP_MOTOR_STATE] == full
+
+
+@pytest.mark.process
+def test_all_takes_topics_outside_the_contract_with_the_profile_they_offer(
+    tmp_path: Path, processes: Processes
+):
+    recorder = start_recorder(processes, tmp_path / "bag", "--all")
+    source = processes.start(SOURCE, None, "stranger", "100")
+    wait_until_heard(source, 50)
+    assert recorder.stop() == 0
+    found = [m for m in BagScan(tmp_path / "bag") if m.topic.name == "/" + STRANGE_TOPIC]
+    assert len(found) >= 20
+    assert "best_effort" in found[0].topic.qos
+
+
+@pytest.mark.process
+def test_a_latched_topic_from_a_volatile_peer_is_still_recorded(
+    tmp_path: Path, processes: Processes
+):
+    recorder = start_recorder(processes, tmp_path / "bag")
+    source = processes.start(SOURCE, None, "volatile", "100")
+    wait_until_heard(source, 50)
+    assert recorder.stop() == 0
+    full = "/" + topics.TENSION_WATCH
+    assert len([m for m in BagScan(tmp_path / "bag") if m.topic.name == full]) >= 20
+    assert "offers less than the contract asks for" in recorder.output
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--output", "{taken}"], "exists already"),
+        (["--output", "{taken}/file/bag"], "is a file"),
+        (["--output", "/proc/bag"], "cannot be made"),
+        (["--output", "{new}", "--min-free-mib", "1000000"], "MiB are free"),
+        (["--output", "{new}", "--duration", "-1"], "duration"),
+        (["--output", "{new}", "--topics", "not:a:name"], "not:a:name"),
+        (["--nonsense"], "--nonsense"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_with_the_reason(
+    tmp_path: Path, processes: Processes, arguments: list[str], reason: str
+):
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    (taken / "file").write_text("")
+    places = {"taken": str(taken), "new": str(tmp_path / "new")}
+    recorder = processes.start(
+        RECORDER, None, *(argument.format(**places) for argument in arguments)
+    )
+    assert recorder.wait() == 2, recorder.output
+    assert reason in recorder.output
+    assert "Traceback" not in recorder.output
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.process
+def test_a_disk_that_fills_up_ends_the_recording_with_its_own_exit_code(
+    tmp_path: Path, processes: Processes
+):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("mounting a small disk needs root")
+    try:
+        recorder = start_recorder(
+            processes, disk / "bag", "--compression", "none", "--min-free-mib", "0"
+        )
+        processes.start(SOURCE, None, "contract", "2000")
+        assert recorder.wait() == DISK_FAILED
+        assert "no room is left" in recorder.output
+        result = recover(disk / "bag", tmp_path / "clean")
+        assert result.whole
+        found = numbers(tmp_path / "clean")
+        assert found == list(range(found[0], found[-1] + 1))
+        assert len(found) > 500
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+# --- the writer's thread, without ROS -----------------------------------------------------------
+
+
+def _item(source: Source, number: int, size: int = 100) -> Item:
+    kind = "std_msgs/msg/String"
+    text = STORE.types[kind](data=f"{number}".ljust(size))
+    return Item(source, number, number, number, bytes(STORE.serialize_cdr(text, kind)))
+
+
+class StalledDisk:
+    """Stands before a bag's writer and lets nothing through until told."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self.open = threading.Event()
+        self.reached = threading.Event()
+        self._write = writer.write
+        writer.write = self.write  # type: ignore[method-assign]
+
+    def write(self, *arguments: object, **more: object) -> None:
+        self.reached.set()
+        assert self.open.wait(PATIENCE)
+        self._write(*arguments, **more)  # type: ignore[arg-type]
+
+
+def test_a_stalled_disk_blocks_nobody_and_what_drops_is_counted_by_topic(tmp_path: Path):
+    writer = BagWriter(tmp_path / "bag", sync=False)
+    disk = StalledDisk(writer)
+    spool = Spool(writer, limit=100_000, hold=0.0)
+    busy, quiet = (
+        Source(name, standard_type("std_msgs/msg/String")) for name in ("/busy", "/quiet")
+    )
+    assert spool.offer(_item(quiet, 0))
+    assert disk.reached.wait(PATIENCE)
+    kept = sum(spool.offer(_item(busy, number)) for number in range(1, 1001))
+    spool.offer(_item(quiet, 2000, size=90_000))
+    assert 100 < kept < 400
+    assert spool.losses[0] == {"/busy": 1000 - kept, "/quiet": 1}
+    disk.open.set()
+    spool.close()
+    assert [m.log_ns for m in BagScan(tmp_path / "bag")] == [0, *range(1, kept + 1)]
+    custom = (stored_metadata(tmp_path / "bag") or {})["custom_data"]
+    assert json.loads(custom["dropped_by_recorder"]) == {"/busy": 1000 - kept, "/quiet": 1}
+    records = dict(scanned(tmp_path / "bag").metadata)
+    assert json.loads(records[LOSSES_RECORD]["dropped_by_recorder"])["/quiet"] == 1
+
+
+def test_the_configuration_comes_first_though_it_was_heard_last(tmp_path: Path):
+    spool = Spool(BagWriter(tmp_path / "bag", sync=False), hold=PATIENCE)
+    kind = standard_type("std_msgs/msg/String")
+    data, config = Source("/data", kind), Source("/config", kind, first=True)
+    for number in range(1, 6):
+        spool.offer(_item(data, number))
+    spool.offer(_item(config, 6))
+    spool.release()
+    spool.close()
+    assert [m.log_ns for m in BagScan(tmp_path / "bag")] == [6, 1, 2, 3, 4, 5]
+
+
+def test_a_disk_failure_reaches_the_one_who_closes(tmp_path: Path):
+    writer = BagWriter(tmp_path / "bag", sync=False)
+    spool = Spool(writer, hold=0.0)
+
+    def fail(*_: object, **__: object) -> None:
+        raise BagError("the disk is on fire")
+
+    writer.write = fail  # type: ignore[method-assign]
+    spool.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 1))
+    deadline = time.monotonic() + PATIENCE
+    while spool.error is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert "on fire" in str(spool.error)
+    assert not spool.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 2))
+    spool.close()
+
+
+@pytest.mark.parametrize(
+    ("sequences", "publishers", "lost"),
+    [
+        ([5, 6, 7, 8], 1, 0),
+        ([5, 6, 9, 10], 1, 2),
+        ([7, 8, 1, 2, 3], 1, 0),
+        ([10, 1, 11, 2, 12, 3], 2, 0),
+        ([10, 1, 11, 2, 14, 3, 15, 5], 2, 3),
+    ],
+)
+def test_gaps_in_the_publishers_counts_are_losses(sequences: list[int], publishers: int, lost: int):
+    continuity = Continuity()
+    assert sum(continuity.gap_before(number, publishers) for number in sequences) == lost

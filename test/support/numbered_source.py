@@ -1,0 +1,85 @@
+"""A publisher for recorders under test: ``python -m numbered_source MODE RATE``.
+
+Prints the number, the time [ns] and how many listen, for each message that it sends. Modes:
+
+* ``contract``: numbered states of the jump motor, now and then a word on the winch's tension
+  topic, and a latched configuration, as the contract has them;
+* ``stranger``: a topic outside the contract, best effort;
+* ``volatile``: a latched topic of the contract from someone who does not latch.
+"""
+
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64, String
+
+from msg_schemas import qos, topics
+from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.samples import JointSample, JointValue, TextSample
+from msg_schemas.table import JUMP_SCREW
+
+SEED = 42
+STRANGE_TOPIC = "strange/number"
+SLOW_EVERY = 3
+CONFIGURATION = {"node": "/source", "scenario": {"name": "made up"}, "seed": SEED}
+
+
+def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
+    def opened(name: str) -> Any:
+        row = topic_row(name)
+        return node.create_publisher(message_class(row.message), name, qos.profile(row.intent))
+
+    config, fast = opened(topics.CONFIG), opened(topics.JUMP_MOTOR_STATE)
+    slow = opened(topics.TENSION_WATCH)
+    config.publish(encode(topics.CONFIG, TextSample(json.dumps(CONFIGURATION))))
+
+    def send(number: int) -> None:
+        value = JointValue(0.0, 0.0, number * 1e-3)
+        sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
+        fast.publish(encode(topics.JUMP_MOTOR_STATE, sample))
+        if number % SLOW_EVERY == 0:
+            slow.publish(encode(topics.TENSION_WATCH, TextSample("normal")))
+
+    return fast, send
+
+
+def _stranger(node: Any) -> tuple[Any, Callable[[int], None]]:
+    weak = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = node.create_publisher(Float64, STRANGE_TOPIC, weak)
+    return publisher, lambda number: publisher.publish(Float64(data=float(number)))
+
+
+def _volatile(node: Any) -> tuple[Any, Callable[[int], None]]:
+    publisher = node.create_publisher(String, topics.TENSION_WATCH, 5)
+    return publisher, lambda _: publisher.publish(String(data="slack"))
+
+
+def main() -> None:
+    """Send until told to stop."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("source")
+    modes = {"contract": _contract, "stranger": _stranger, "volatile": _volatile}
+    publisher, send = modes[sys.argv[1]](node)
+    rate = float(sys.argv[2])
+    count = 0
+    while not stop.wait(1.0 / rate):
+        count += 1
+        send(count)
+        print(count, time.time_ns(), publisher.get_subscription_count(), flush=True)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()
