@@ -271,7 +271,7 @@ _TOPIC_ROWS = (
         fields=_scalars(
             "J",
             kinetic="kinetic energy of tether and rover",
-            gravity="potential energy of gravity, zero at the start",
+            gravity="potential energy of gravity, zero at the level of the fairlead",
             axial="stored by stretching the tether",
             bending="stored by bending the tether",
             spring="stored in the jump spring",
@@ -469,7 +469,8 @@ _TOPIC_ROWS = (
     ),
     Topic(
         topics.SIM_STATUS,
-        "how the integration goes: outcome, iterations, step halvings, measured real-time factor",
+        "how the integration goes: outcome, iterations, halvings, measured real-time factor; at "
+        "its rate by the wall clock, also while paused",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,

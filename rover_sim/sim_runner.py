@@ -1,0 +1,229 @@
+"""Runs a simulation in a thread of its own, paced; others reach it by requests.
+
+The thread alone touches the simulation. Requests (commands, pause, reset ...) are
+served between two ticks, also while the thread waits for the next one. No ROS.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample
+from rover_sim.planar_plant import PlanarState
+from rover_sim.sim_loop import NANO, Happening, Pacer, Simulation, Tick
+
+T = TypeVar("T")
+
+# Nothing is computed any more once the plant has stopped for good: time then runs with the wall's.
+_FACTOR_WHEN_STOPPED = 1.0
+
+
+class Listener(Protocol):
+    """Who is told what the simulation does; called in its thread."""
+
+    def ticked(self, tick: Tick[PlanarState], before_ns: int) -> None:
+        """A tick was made."""
+
+    def restarted(self) -> None:
+        """The state is there without a tick before it: at the start and after a reset."""
+
+    def happened(self, happening: Happening) -> None:
+        """Something else than a tick happened."""
+
+    def finished(self) -> None:
+        """The wanted duration is simulated, or the plant has stopped before; time stands still."""
+
+    def crashed(self, error: Exception) -> None:
+        """The thread has ended by an error that nobody foresaw."""
+
+
+@dataclass(frozen=True)
+class _Request(Generic[T]):
+    act: Callable[[], T]
+    answer: Future[T]
+
+    def serve(self) -> None:
+        try:
+            self.answer.set_result(self.act())
+        except Refusal as refusal:
+            self.answer.set_exception(refusal)
+        except Exception as error:
+            self.answer.set_exception(error)
+            raise
+
+
+class SimRunner:
+    """A simulation that runs at its pace until it is stopped.
+
+    Args:
+        simulation: what runs; nobody else may touch it while the thread lives.
+        factor: simulated seconds per wall second; 0 = as fast as possible.
+        listener: who is told.
+        paused: whether time stands still at first.
+        duration: ends after this much simulated time [s]; 0 = never.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        factor: float,
+        listener: Listener,
+        *,
+        paused: bool = False,
+        duration: float = 0.0,
+    ) -> None:
+        self.simulation = simulation
+        self.pacer = Pacer(factor)
+        self.paused = paused
+        self._factor = factor
+        self._listener = listener
+        self._duration_ns = round(duration * NANO)
+        self._finished = False
+        self._requests: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time [ns]; may be read from any thread."""
+        return self.simulation.stamp_ns
+
+    # --- from other threads ----------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Let the thread run."""
+        self.pacer.restart()
+        self._thread = threading.Thread(target=self._run, name="plant")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread after the present tick; may be started again."""
+        if self._thread is not None:
+            self._requests.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def ask(self, act: Callable[[], T]) -> T:
+        """Have the thread do something between two ticks, and return what it gives.
+
+        Raises:
+            Refusal: what ``act`` refuses; or nothing runs.
+        """
+        thread = self._thread
+        if thread is None or not thread.is_alive():
+            raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
+        request = _Request(act, Future[T]())
+        self._requests.put(request)
+        return request.answer.result()
+
+    def command_jump(self, sample: JointSample) -> None:
+        """Hand a command to the jump motor; raises Refusal."""
+        self.ask(lambda: self.simulation.command_jump(sample))
+
+    def command_winch(self, sample: JointSample) -> None:
+        """Hand a command to the winch; raises Refusal."""
+        self.ask(lambda: self.simulation.command_winch(sample))
+
+    def set_factor(self, factor: float) -> None:
+        """Go on at another real-time factor."""
+
+        def act() -> None:
+            self._factor = factor
+            self.pacer.set_factor(factor)
+
+        self.ask(act)
+
+    def pause(self, pause: bool) -> str:
+        """Stop simulated time or let it run on; returns what was done."""
+        return self.ask(lambda: self._pause(pause))
+
+    def step(self) -> str:
+        """Make one tick while paused; raises Refusal."""
+        return self.ask(self._step)
+
+    def reset(self, *, clock: bool) -> str:
+        """Put the plant back to its start, and with ``clock`` simulated time to zero."""
+        return self.ask(lambda: self._reset(clock))
+
+    # --- in the thread ---------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._listener.restarted()
+            wait = 0.0
+            while True:
+                request = self._next_request(wait)
+                if request is _TICK:
+                    self._advance()
+                elif request is None:
+                    return
+                else:
+                    request.serve()
+                wait = self.pacer.wait(time.monotonic(), self.stamp_ns)
+        except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
+            self._listener.crashed(error)
+
+    def _next_request(self, wait: float) -> _Request[Any] | None:
+        """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
+        if self.paused:
+            return self._requests.get()
+        try:
+            return self._requests.get(block=wait > 0.0, timeout=wait)
+        except queue.Empty:
+            return _TICK
+
+    def _advance(self) -> None:
+        before_ns = self.stamp_ns
+        tick = self.simulation.tick()
+        self._listener.ticked(tick, before_ns)
+        stopped = tick.after.phase.final
+        if stopped and self.pacer.factor == 0.0:
+            self.pacer.set_factor(_FACTOR_WHEN_STOPPED)
+        over = self._duration_ns > 0 and (stopped or self.stamp_ns >= self._duration_ns)
+        if over and not self._finished:
+            self._finished = self.paused = True
+            self._listener.finished()
+
+    def _pause(self, pause: bool) -> str:
+        if pause == self.paused:
+            return f"already {'paused' if pause else 'running'}"
+        self.paused = pause
+        self.pacer.restart()
+        name = "paused" if pause else "resumed"
+        at = f"at {self.stamp_ns / NANO:g} s"
+        self._listener.happened(Happening(name, f"simulated time {name} {at}", self.stamp_ns))
+        return f"{name} {at}"
+
+    def _step(self) -> str:
+        if not self.paused:
+            raise Refusal(
+                topics.SIM_STEP,
+                RefusalCode.WRONG_PHASE,
+                f"simulated time runs, it must be paused first ({topics.SIM_PAUSE})",
+            )
+        self._advance()
+        return f"at {self.stamp_ns / NANO:g} s"
+
+    def _reset(self, clock: bool) -> str:
+        before = self.stamp_ns / NANO
+        if clock:
+            self.simulation.reset()
+        else:
+            self.simulation.reset_plant()
+        self._finished = False
+        self.pacer.set_factor(self._factor)
+        name, what = ("reset", "plant and clock") if clock else ("reset_plant", "the plant")
+        message = f"{what} put back to the start at {before:g} s"
+        self._listener.happened(Happening(name, message, self.stamp_ns))
+        self._listener.restarted()
+        return message
+
+
+_TICK: _Request[None] = _Request(lambda: None, Future())

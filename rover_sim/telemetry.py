@@ -1,0 +1,282 @@
+"""What a tick of the planar plant looks like from outside: states to samples, pure.
+
+Samples are SI in REP-103 axes. Twists are in the body's own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.samples import (
+    ClockSample,
+    DrawingSample,
+    ImuSample,
+    JointSample,
+    JointValue,
+    OdometrySample,
+    Quaternion,
+    Sample,
+    Shape,
+    TetherSample,
+    Vector,
+    WrenchSample,
+)
+from msg_schemas.table import (
+    BODY1_FRAME,
+    BODY2_FRAME,
+    ENERGY_NAMES,
+    FLOOR_SWITCH,
+    JUMP_SCREW,
+    MAX_TENSION,
+    WINCH_DRUM,
+    WORLD_FRAME,
+)
+from rover_sim.physics import ancf, rep103
+from rover_sim.physics.ancf import Array
+from rover_sim.planar_plant import PlanarPlant, PlanarState
+from rover_sim.plant import Energies, Phase
+
+# Topics of every plant, and those that need a rover.
+_ALWAYS = (
+    topics.CLOCK,
+    topics.TRUTH_TETHER,
+    topics.TRUTH_ENERGY,
+    topics.LOAD_CELL,
+    topics.WINCH_STATE,
+    topics.MARKERS,
+)
+_OF_ROVER = (
+    topics.TRUTH_BODY1,
+    topics.TRUTH_BODY2,
+    topics.IMU,
+    topics.CONTACT,
+    topics.JUMP_MOTOR_STATE,
+)
+
+_TETHER_COLOUR = (0.95, 0.75, 0.20, 1.0)
+_BODY1_COLOUR = (0.30, 0.45, 0.65, 1.0)
+_BODY2_COLOUR = (0.80, 0.35, 0.25, 1.0)
+_TETHER_WIDTH = 0.01
+_POINTS_PER_ELEMENT = 4
+
+
+class Telemetry:
+    """Samples of one plant, topic by topic.
+
+    Args:
+        plant: the plant whose states are told.
+    """
+
+    def __init__(self, plant: PlanarPlant) -> None:
+        self._plant = plant
+        self._scenario = plant.scenario
+        self._makers: Mapping[str, Callable[[_Moment], Sample]] = {
+            topics.CLOCK: lambda moment: ClockSample(moment.stamp_ns),
+            topics.TRUTH_BODY1: self._body1,
+            topics.TRUTH_BODY2: self._body2,
+            topics.TRUTH_TETHER: self._tether,
+            topics.TRUTH_ENERGY: self._energy,
+            topics.IMU: self._imu,
+            topics.CONTACT: self._contact,
+            topics.LOAD_CELL: self._load_cell,
+            topics.JUMP_MOTOR_STATE: self._jump_motor,
+            topics.WINCH_STATE: self._winch,
+            topics.MARKERS: self._markers,
+        }
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that this plant can fill: without a rover there is nothing of a rover."""
+        return _ALWAYS if self._scenario.rover is None else (*_ALWAYS, *_OF_ROVER)
+
+    def samples(
+        self,
+        due: Iterable[str],
+        before: PlanarState,
+        after: PlanarState,
+        dt: float,
+        stamp_ns: int,
+        energies: Energies,
+    ) -> Iterator[tuple[str, Sample]]:
+        """Yield (topic, sample) for the topics that are due.
+
+        Args:
+            due: topics wanted, all of ``self.topics``.
+            before: the state a tick ago; the sensors that measure over a tick need it.
+            after: the state told.
+            dt: time between both [s]; 0 if there was no tick.
+            stamp_ns: simulated time of ``after``.
+            energies: of ``after``.
+        """
+        moment = _Moment(self._plant, before, after, dt, stamp_ns, energies)
+        for name in due:
+            yield name, self._makers[name](moment)
+
+    def _body1(self, moment: _Moment) -> Sample:
+        state = moment.after
+        return _odometry(moment.stamp_ns, state, state.G1, state.G1_rate)
+
+    def _body2(self, moment: _Moment) -> Sample:
+        state = moment.after
+        return _odometry(moment.stamp_ns, state, state.G2, state.G2_rate)
+
+    def _tether(self, moment: _Moment) -> Sample:
+        nodes = moment.after.nodes
+        table = np.empty((nodes.shape[0], 7))
+        table[:, 0:3] = rep103.vector(nodes[:, 0])
+        table[:, 3:6] = rep103.vector(nodes[:, 1])
+        table[:, 6] = moment.tension
+        return TetherSample(moment.stamp_ns, table)
+
+    def _energy(self, moment: _Moment) -> Sample:
+        return JointSample(
+            moment.stamp_ns,
+            {name: JointValue(getattr(moment.energies, name)) for name in ENERGY_NAMES},
+        )
+
+    def _imu(self, moment: _Moment) -> Sample:
+        before, after = moment.before, moment.after
+        acceleration = np.zeros(2)
+        if moment.dt > 0.0:
+            acceleration = (after.G1_rate - before.G1_rate) / moment.dt
+        force = acceleration + np.array([0.0, self._scenario.gravity])
+        # Body 1 turns during the tick: the mean force is taken in its mean attitude.
+        theta = 0.5 * (before.theta + after.theta)
+        return ImuSample(
+            moment.stamp_ns,
+            _vector(rep103.rotation_rate(after.omega)),
+            _vector(rep103.vector(_in_body(theta, force))),
+        )
+
+    def _contact(self, moment: _Moment) -> Sample:
+        stands = moment.after.phase in (Phase.HELD, Phase.LANDED)
+        return JointSample(moment.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if stands else 0.0)})
+
+    def _load_cell(self, moment: _Moment) -> Sample:
+        return WrenchSample(moment.stamp_ns, moment.pull)
+
+    def _jump_motor(self, moment: _Moment) -> Sample:
+        rover = self._scenario.rover
+        if rover is None:
+            raise AssertionError("a plant without a rover has no jump motor")
+        before, after = moment.before, moment.after
+        released = after.compression == 0.0 and after.phase is Phase.FLIGHT
+        rate = 0.0
+        if moment.dt > 0.0 and not released:
+            rate = (after.compression - before.compression) / moment.dt
+        force = rover.spring_rate * after.compression
+        return JointSample(
+            moment.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}
+        )
+
+    def _winch(self, moment: _Moment) -> Sample:
+        length = self._scenario.tether.length
+        # As a real one, the drum's sensor saturates.
+        tension = min(max(float(moment.tension[0]), -MAX_TENSION), MAX_TENSION)
+        return JointSample(moment.stamp_ns, {WINCH_DRUM: JointValue(length, 0.0, tension)})
+
+    def _markers(self, moment: _Moment) -> Sample:
+        state = moment.after
+        line = rep103.vector(_interpolated(state.nodes, self._scenario.tether.length))
+        shapes = [
+            Shape(
+                "tether",
+                "line",
+                WORLD_FRAME,
+                _TETHER_COLOUR,
+                (_TETHER_WIDTH, 0.0, 0.0),
+                tuple(_vector(point) for point in line),
+            )
+        ]
+        rover = self._scenario.rover
+        if rover is not None:
+            for name, (width, height), colour, centre in (
+                (BODY1_FRAME, rover.body1_size, _BODY1_COLOUR, state.G1),
+                (BODY2_FRAME, rover.body2_size, _BODY2_COLOUR, state.G2),
+            ):
+                shapes.append(
+                    Shape(
+                        name,
+                        "box",
+                        WORLD_FRAME,
+                        colour,
+                        (width, width, height),
+                        (),
+                        _vector(rep103.vector(centre)),
+                        _quaternion(rep103.quaternion(state.theta)),
+                    )
+                )
+        return DrawingSample(moment.stamp_ns, tuple(shapes))
+
+
+class _Moment:
+    """A tick's end, with what several topics need of it."""
+
+    def __init__(
+        self,
+        plant: PlanarPlant,
+        before: PlanarState,
+        after: PlanarState,
+        dt: float,
+        stamp_ns: int,
+        energies: Energies,
+    ) -> None:
+        self._plant = plant
+        self.before = before
+        self.after = after
+        self.dt = dt
+        self.stamp_ns = stamp_ns
+        self.energies = energies
+        self._tension: Array | None = None
+
+    @property
+    def tension(self) -> Array:
+        """Tension at the nodes [N], (n + 1,)."""
+        if self._tension is None:
+            self._tension = self._plant.tension(self.after)
+        return self._tension
+
+    @property
+    def pull(self) -> Vector:
+        """Force of the tether on the fairlead [N]: its tension, along its slope there."""
+        slope = self.after.nodes[0, 1]
+        force = float(self.tension[0]) / float(np.hypot(*slope)) * slope
+        return _vector(rep103.vector(force))
+
+
+def _in_body(theta: float, vector: Array) -> Array:
+    """A planar vector (2,) of the world in the axes of a body turned by theta."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([c * vector[0] + s * vector[1], c * vector[1] - s * vector[0]])
+
+
+def _odometry(stamp_ns: int, state: PlanarState, centre: Array, rate: Array) -> OdometrySample:
+    return OdometrySample(
+        stamp_ns,
+        _vector(rep103.vector(centre)),
+        _quaternion(rep103.quaternion(state.theta)),
+        _vector(rep103.vector(_in_body(state.theta, rate))),
+        _vector(rep103.rotation_rate(state.omega)),
+    )
+
+
+def _interpolated(nodes: Array, length: float) -> Array:
+    """Points (m, 2) along the tether's cubics, to draw."""
+    inside = np.arange(_POINTS_PER_ELEMENT) / _POINTS_PER_ELEMENT
+    weights = ancf.shape_functions(inside, length / (nodes.shape[0] - 1))
+    ends = np.stack([nodes[:-1, 0], nodes[:-1, 1], nodes[1:, 0], nodes[1:, 1]])
+    points = np.einsum("pk,kei->epi", weights, ends).reshape(-1, 2)
+    return np.concatenate([points, nodes[-1:, 0]])
+
+
+def _vector(array: Array) -> Vector:
+    x, y, z = array.tolist()
+    return (x, y, z)
+
+
+def _quaternion(array: Array) -> Quaternion:
+    x, y, z, w = array.tolist()
+    return (x, y, z, w)
