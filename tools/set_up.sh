@@ -140,7 +140,7 @@ if ! { [ -x "$venv/bin/python" ] && is_supported "$venv/bin/python" &&
 fi
 
 started=$(date +%s)
-echo "Environment $venv: installing mother_rover${extras:+ with what '$extras' needs} (once; needs PyPI)"
+echo "Environment $venv: installing mother_rover${extras:+ with extras $extras} (once; needs PyPI)"
 : >"$log"
 # The build runs in the environment itself, so that a later refresh needs no network.
 if ! "$venv/bin/python" -c '
