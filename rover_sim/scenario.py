@@ -386,6 +386,8 @@ class Scenario(Configuration):
     @property
     def slack_value(self) -> float:
         """Slack evaluation value dh/df at the start; infinite straight up or down."""
+        if self.start.geometry != "straight" and self.start.slack is not None:
+            return self.start.slack
         x, y = self.tip_position
         return abs(y / x) if abs(x) > 1e-12 * self.tether.length else math.inf
 
