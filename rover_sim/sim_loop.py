@@ -194,6 +194,8 @@ class Simulation:
             if event.name == "take_off":
                 self._actuators.note_take_off(stamp_ns)
             happenings.append(_happening(event, stamp_ns, after, result, self.plant))
+        if after.phase.final:
+            self._actuators.clear()
         self.state = after
         self.stamp_ns += self.tick_ns
         self.ticks += 1

@@ -30,6 +30,7 @@ from msg_schemas.table import (
     ENERGY_NAMES,
     FLOOR_SWITCH,
     JUMP_SCREW,
+    MAX_NUT_SPEED,
     MAX_TENSION,
     WINCH_DRUM,
     WORLD_FRAME,
@@ -167,6 +168,7 @@ class Telemetry:
         rate = 0.0
         if moment.dt > 0.0 and not released:
             rate = (after.compression - before.compression) / moment.dt
+            rate = min(max(rate, -MAX_NUT_SPEED), MAX_NUT_SPEED)  # but for rounding it is
         force = rover.spring_rate * after.compression
         return JointSample(
             moment.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}

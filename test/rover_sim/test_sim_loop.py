@@ -1,0 +1,259 @@
+"""The simulation tick by tick, stepped without ROS and without waiting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from fake_plant import fake_plant
+
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import JUMP_SCREW, WINCH_DRUM
+from rover_sim.plant import Phase
+from rover_sim.scenario import load_scenario
+from rover_sim.sim_loop import NANO, Happening, Pacer, Schedule, Simulation
+
+TICK = 0.01
+
+
+def nut(position: float, velocity: float = 0.1, effort: float = 400.0, at: float = 0.0):
+    return JointSample(round(at * NANO), {JUMP_SCREW: JointValue(position, velocity, effort)})
+
+
+def drum(length: float, rate: float = 0.0):
+    return JointSample(0, {WINCH_DRUM: JointValue(length, rate, 10.0)})
+
+
+@pytest.fixture
+def simulation() -> Simulation:
+    return Simulation(fake_plant(), TICK)
+
+
+def run_to(simulation: Simulation, time: float) -> list[Happening]:
+    """All that happens up to a time."""
+    happened: list[Happening] = []
+    while simulation.stamp_ns < round(time * NANO):
+        happened += simulation.tick().happenings
+    return happened
+
+
+# -------------------------------------------------------------------------------------- schedule
+
+
+def count(rate: float, tick: float, seconds: float) -> int:
+    schedule = Schedule({"it": rate})
+    ticks = range(round(seconds / tick))
+    tick_ns = round(tick * NANO)
+    return sum(len(schedule.due(i * tick_ns, (i + 1) * tick_ns)) for i in ticks)
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 3.0, 7.0, 29.97, 30.0, 33.0, 50.0, 99.0, 100.0])
+def test_a_topic_comes_at_its_rate_even_if_that_is_no_part_of_the_ticks(rate: float):
+    assert count(rate, TICK, 100.0) == int(rate * 100.0)
+
+
+def test_a_topic_at_the_tick_s_rate_comes_after_every_tick():
+    for tick in (1e-3, 0.003, 0.007, 0.01):
+        assert count(1.0 / tick, tick, 5000 * tick) == pytest.approx(5000, abs=1)
+
+
+def test_rates_hold_far_into_a_long_run():
+    far = 10**6 * NANO
+    schedule = Schedule({"it": 100.0})
+    assert all(schedule.due(far + i * 10**7, far + (i + 1) * 10**7) == ["it"] for i in range(1000))
+
+
+# ----------------------------------------------------------------------------------------- pacer
+
+
+def test_ticks_fall_due_by_absolute_deadlines():
+    pacer = Pacer(1.0)
+    assert pacer.wait(100.0, 0) == 0.0
+    assert pacer.wait(100.001, 10_000_000) == pytest.approx(0.009)
+    # A late tick shortens the next wait: no drift.
+    assert pacer.wait(100.015, 20_000_000) == pytest.approx(0.005)
+    assert pacer.wait(100.035, 30_000_000) == 0.0
+    assert pacer.keeps_up(100.035)
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
+def test_the_factor_scales_the_deadlines(factor: float):
+    pacer = Pacer(factor)
+    pacer.wait(0.0, 0)
+    assert pacer.wait(0.0, NANO) == pytest.approx(1.0 / factor)
+
+
+def test_no_factor_means_no_waiting():
+    pacer = Pacer(0.0)
+    assert [pacer.wait(0.0, i * NANO) for i in range(5)] == [0.0] * 5
+    assert pacer.keeps_up(0.0)
+
+
+def test_a_long_delay_is_given_up_and_told_of():
+    pacer = Pacer(1.0)
+    pacer.wait(0.0, 0)
+    pacer.wait(1.0, 10_000_000)
+    assert pacer.given_up == pytest.approx(0.99)
+    assert not pacer.keeps_up(1.0)
+    # It does not rush: the next tick is due a tick later.
+    assert pacer.wait(1.0, 20_000_000) == pytest.approx(0.01)
+    assert pacer.keeps_up(1.0 + Pacer.WINDOW + 0.1)
+
+
+def test_the_factor_reached_is_measured():
+    pacer = Pacer(10.0)
+    for i in range(600):
+        pacer.wait(0.01 * i, 30_000_000 * i)
+    assert pacer.measured == pytest.approx(3.0)
+    pacer.restart()
+    assert pacer.measured is None
+
+
+# ---------------------------------------------------------------------------- simulation, commands
+
+
+def test_simulated_time_advances_by_exact_ticks(simulation: Simulation):
+    run_to(simulation, 10.0)
+    assert simulation.stamp_ns == 10 * NANO
+    assert simulation.ticks == 1000
+
+
+def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation):
+    simulation.command_jump(nut(0.0255))
+    happened = run_to(simulation, 0.3)
+    assert [h.name for h in happened] == ["take_off"]
+    assert happened[0].stamp_ns == pytest.approx(0.255 * NANO, abs=2)
+    assert happened[0].values == {"speed": 1.0}
+    assert simulation.phase is Phase.FLIGHT
+
+
+def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation):
+    simulation.command_jump(nut(0.0255))
+    happened = run_to(simulation, 2.0)
+    assert [h.name for h in happened] == ["take_off"]
+    assert simulation.phase is Phase.LANDED
+    simulation.command_jump(nut(0.02, at=2.0))
+    assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
+
+
+def test_silence_stops_the_nut_where_it_is(simulation: Simulation):
+    simulation.command_jump(nut(0.2))
+    happened = run_to(simulation, 1.0)
+    assert [(h.name, h.level) for h in happened] == [("jump_motor_silent", Level.WARN)]
+    assert happened[0].stamp_ns == pytest.approx(0.5 * NANO, abs=0.02 * NANO)
+    assert simulation.state.compression == pytest.approx(0.05, abs=0.002)
+
+
+def test_renewed_commands_keep_the_nut_moving(simulation: Simulation):
+    happened = []
+    for step in range(1, 16):
+        simulation.command_jump(nut(0.3, at=simulation.stamp_ns / NANO))
+        happened += run_to(simulation, 0.1 * step)
+    assert not happened
+    assert simulation.state.compression == pytest.approx(0.15)
+
+
+def test_a_nut_that_rests_at_its_setpoint_may_be_left_alone(simulation: Simulation):
+    simulation.command_jump(nut(0.0))
+    assert not run_to(simulation, 2.0)
+
+
+def refusal_of(act: Callable[..., None], *arguments: JointSample) -> Refusal:
+    with pytest.raises(Refusal) as caught:
+        act(*arguments)
+    return caught.value
+
+
+def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
+    simulation: Simulation,
+):
+    simulation.command_jump(nut(0.02))
+    run_to(simulation, 0.25)
+    assert simulation.phase is Phase.FLIGHT
+    simulation.command_jump(nut(0.02, at=0.19))
+    refusal = refusal_of(simulation.command_jump, nut(0.02, at=0.35))
+    assert refusal.code is RefusalCode.WRONG_PHASE
+    assert "flight" in refusal.reason
+    run_to(simulation, 1.0)
+    # What was on its way at the take-off starts nothing after the landing either.
+    simulation.command_jump(nut(0.02, at=0.19))
+    assert not run_to(simulation, 1.2)
+    assert simulation.state.phase is Phase.LANDED
+
+
+def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation):
+    refusal = refusal_of(simulation.command_jump, nut(0.2, effort=100.0))
+    assert refusal.code is RefusalCode.OUT_OF_LIMITS
+    assert "164.8 N" in refusal.reason
+    assert not run_to(simulation, 0.1)
+    assert simulation.state.compression == 0.0
+
+
+def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down(
+    simulation: Simulation,
+):
+    simulation.command_jump(nut(0.2))
+    run_to(simulation, 0.3)
+    refusal = refusal_of(simulation.command_jump, nut(0.01))
+    assert "0 to let it down" in refusal.reason
+    simulation.command_jump(nut(0.0))
+    run_to(simulation, 0.7)
+    assert simulation.state.compression == 0.0
+    assert simulation.phase is Phase.HELD
+
+
+def test_a_scenario_without_a_rover_has_no_jump_motor():
+    plant = fake_plant()
+    plant.scenario = load_scenario("tether_pendulum")
+    refusal = refusal_of(Simulation(plant, TICK).command_jump, nut(0.1))
+    assert refusal.code is RefusalCode.NOT_SUPPORTED
+    assert "tether_pendulum has no rover" in refusal.reason
+
+
+def test_a_drum_without_a_motor_only_holds(simulation: Simulation):
+    simulation.command_winch(drum(5.0))
+    for bad in (drum(5.0, 0.1), drum(4.9), drum(5.1, -0.1)):
+        refusal = refusal_of(simulation.command_winch, bad)
+        assert refusal.code is RefusalCode.NOT_SUPPORTED
+        assert "5 m at 0 m/s" in refusal.reason
+
+
+def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
+    simulation = Simulation(fake_plant(diverges_at=0.3), TICK)
+    simulation.command_jump(nut(0.2))
+    happened = run_to(simulation, 1.0)
+    assert [(h.name, h.level) for h in happened] == [("diverged", Level.ERROR)]
+    assert "0.3 s" in happened[0].message
+    assert simulation.phase is Phase.DIVERGED
+    assert simulation.state.time == pytest.approx(0.3)
+    assert simulation.state.compression == pytest.approx(0.03)
+    assert simulation.stamp_ns == NANO
+    for act, sample in ((simulation.command_jump, nut(0.1)), (simulation.command_winch, drum(5))):
+        assert refusal_of(act, sample).code is RefusalCode.WRONG_PHASE
+
+
+def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation: Simulation):
+    simulation.command_jump(nut(0.2))
+    run_to(simulation, 0.3)
+    simulation.reset_plant()
+    assert (simulation.stamp_ns, simulation.state.compression) == (round(0.3 * NANO), 0.0)
+    assert not run_to(simulation, 1.5)
+    assert simulation.state.compression == 0.0
+    simulation.reset()
+    assert (simulation.stamp_ns, simulation.ticks, simulation.halved_ticks) == (0, 0, 0)
+
+
+def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: Simulation):
+    run_to(simulation, 3.0)
+    simulation.reset_plant()
+    simulation.command_jump(nut(0.02, at=3.0))
+    happened = run_to(simulation, 3.5)
+    assert happened[0].stamp_ns == pytest.approx(3.2 * NANO, abs=2)
+
+
+def test_totals_count_halved_ticks_and_the_peak_tension(simulation: Simulation):
+    simulation.command_jump(nut(0.2))
+    run_to(simulation, 0.2)
+    assert simulation.halved_ticks == 20
+    assert simulation.peak_tension == 2.0

@@ -1,0 +1,196 @@
+"""The simulation in its thread: pace, requests, pause, end. No ROS, no plant that costs."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Any
+
+import pytest
+from fake_plant import fake_plant
+
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import JUMP_SCREW
+from rover_sim.plant import Phase
+from rover_sim.sim_loop import NANO, Happening, Simulation, Tick
+from rover_sim.sim_runner import SimRunner
+
+PATIENCE = 30.0
+
+
+class Listening:
+    """Remembers what it is told, and when."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.ticks: list[int] = []
+        self.walls: list[float] = []
+        self.happenings: list[str] = []
+        self.restarts = 0
+        self.ends = 0
+        self.error: Exception | None = None
+
+    def _note(self, act: Any) -> None:
+        with self.changed:
+            act()
+            self.changed.notify_all()
+
+    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+        def note() -> None:
+            self.ticks.append(tick.stamp_ns)
+            self.walls.append(time.monotonic())
+            self.happenings.extend(h.name for h in tick.happenings)
+
+        self._note(note)
+
+    def restarted(self) -> None:
+        self._note(lambda: setattr(self, "restarts", self.restarts + 1))
+
+    def happened(self, happening: Happening) -> None:
+        self._note(lambda: self.happenings.append(happening.name))
+
+    def finished(self) -> None:
+        self._note(lambda: setattr(self, "ends", self.ends + 1))
+
+    def crashed(self, error: Exception) -> None:
+        self._note(lambda: setattr(self, "error", error))
+
+    def wait(self, condition: Any) -> None:
+        with self.changed:
+            assert self.changed.wait_for(condition, PATIENCE)
+
+
+@pytest.fixture
+def listening() -> Listening:
+    return Listening()
+
+
+class Running:
+    """Starts a runner and stops it, whatever the test does."""
+
+    def __init__(self, listening: Listening, factor: float, **options: Any) -> None:
+        self.plant = fake_plant(diverges_at=options.pop("diverges_at", math.inf))
+        self.runner = SimRunner(Simulation(self.plant, 0.01), factor, listening, **options)
+
+    def __enter__(self) -> SimRunner:
+        self.runner.start()
+        return self.runner
+
+    def __exit__(self, *_: object) -> None:
+        self.runner.stop()
+
+
+def nut(position: float, stamp_ns: int = 0) -> JointSample:
+    return JointSample(stamp_ns, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
+
+
+def test_as_fast_as_possible_ends_after_the_wanted_duration(listening: Listening):
+    with Running(listening, 0.0, duration=5.0) as runner:
+        listening.wait(lambda: listening.ends == 1)
+        assert runner.stamp_ns == 5 * NANO
+        assert runner.paused
+    assert listening.ticks == [i * 10_000_000 for i in range(1, 501)]
+
+
+def test_ticks_keep_the_pace(listening: Listening):
+    with Running(listening, 2.0, duration=1.0) as runner:
+        listening.wait(lambda: listening.ends == 1)
+        # A pace cannot be too fast; how slow it may be is the machine's affair.
+        first, last = listening.walls[0], listening.walls[-1]
+        assert last - first >= 0.49 - runner.pacer.CATCH_UP
+        assert runner.pacer.measured is not None
+
+
+def test_a_request_is_served_while_the_thread_waits_for_a_tick(listening: Listening):
+    with Running(listening, 1e-3) as runner:  # a tick every ten seconds
+        listening.wait(lambda: listening.ticks)
+        begin = time.monotonic()
+        runner.command_jump(nut(0.1))
+        assert time.monotonic() - begin < 5.0
+
+
+def test_a_refusal_reaches_who_asked_and_the_simulation_runs_on(listening: Listening):
+    with Running(listening, 0.0) as runner:
+        with pytest.raises(Refusal) as caught:
+            runner.command_jump(JointSample(0, {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)}))
+        assert caught.value.code is RefusalCode.OUT_OF_LIMITS
+        count = len(listening.ticks)
+        listening.wait(lambda: len(listening.ticks) > count)
+
+
+def test_paused_time_stands_and_steps_by_single_ticks(listening: Listening):
+    with Running(listening, 0.0, paused=True) as runner:
+        listening.wait(lambda: listening.restarts == 1)
+        assert runner.step() == "at 0.01 s"
+        assert runner.step() == "at 0.02 s"
+        assert listening.ticks == [10_000_000, 20_000_000]
+        assert runner.pause(True) == "already paused"
+        assert runner.pause(False) == "resumed at 0.02 s"
+        listening.wait(lambda: len(listening.ticks) > 10)
+        runner.pause(True)
+        count = len(listening.ticks)
+        runner.step()
+        assert len(listening.ticks) == count + 1
+    assert listening.happenings == ["resumed", "paused"]
+
+
+def test_a_step_while_running_is_refused(listening: Listening):
+    with Running(listening, 1.0) as runner, pytest.raises(Refusal) as caught:
+        runner.step()
+    assert caught.value.code is RefusalCode.WRONG_PHASE
+
+
+def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
+    with Running(listening, 0.0, paused=True) as runner:
+        for _ in range(3):
+            runner.step()
+        runner.reset(clock=False)
+        assert runner.stamp_ns == 30_000_000
+        assert runner.ask(lambda: runner.simulation.state.time) == 0.0
+        runner.reset(clock=True)
+        assert runner.stamp_ns == 0
+        assert listening.restarts == 3
+    assert listening.happenings == ["reset_plant", "reset"]
+
+
+def test_a_diverged_plant_leaves_time_running_at_the_wall_s_pace(listening: Listening):
+    running = Running(listening, 0.0, diverges_at=0.05)
+    with running as runner:
+        listening.wait(lambda: "diverged" in listening.happenings)
+        count = len(listening.ticks)
+        listening.wait(lambda: len(listening.ticks) > count + 3)
+        assert runner.pacer.factor == 1.0
+        assert runner.simulation.phase is Phase.DIVERGED
+        running.plant.diverges_at = math.inf
+        runner.reset(clock=True)
+        assert runner.pacer.factor == 0.0
+
+
+def test_a_diverged_plant_ends_a_run_of_given_duration(listening: Listening):
+    with Running(listening, 0.0, diverges_at=0.05, duration=1e6):
+        listening.wait(lambda: listening.ends == 1)
+
+
+def test_stopped_and_started_again_it_goes_on_where_it_was(listening: Listening):
+    running = Running(listening, 0.0)
+    with running as runner:
+        listening.wait(lambda: len(listening.ticks) > 10)
+    stamp = runner.stamp_ns
+    assert stamp == listening.ticks[-1]
+    with pytest.raises(Refusal) as caught:
+        runner.pause(True)
+    assert caught.value.code is RefusalCode.NOT_ACTIVE
+    with running:
+        listening.wait(lambda: listening.ticks[-1] > stamp)
+    assert listening.ticks == sorted(listening.ticks)
+
+
+def test_a_bug_in_the_plant_is_told(listening: Listening):
+    running = Running(listening, 0.0)
+    with running as runner:
+        running.plant.error = RuntimeError("a bug")
+        listening.wait(lambda: listening.error is not None)
+        assert "a bug" in str(listening.error)
+        runner.stop()
