@@ -62,6 +62,7 @@ setup(
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "tqdm>=4.64",
         "zstandard>=0.20",
     ],
     extras_require={

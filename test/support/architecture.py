@@ -35,6 +35,7 @@ REQUIREMENTS: dict[str, tuple[str, str]] = {
     "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
     "exudyn": ("exudyn", ""),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
+    "llvmlite": ("numba", "python3-numba"),  # numba's own code generator
     "lz4": ("lz4", "mcap-ros2-support"),  # no key of its own, comes with mcap
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", "mcap-ros2-support"),
@@ -45,6 +46,7 @@ REQUIREMENTS: dict[str, tuple[str, str]] = {
     "rclpy": ("ros-jazzy-rclpy", "rclpy"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "scipy": ("scipy", "python3-scipy"),
+    "tqdm": ("tqdm", "python3-tqdm"),
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", "mcap-ros2-support"),
 }
