@@ -1,0 +1,100 @@
+"""Boulders strewn over a floor: how many of which size lie where, from a seed.
+
+Their diameters follow the cumulative power law N(>= D) ~ D^-b, cut at a smallest and a largest
+diameter. On the Moon b is 2.1 to 2.65 at the mare sites of Surveyors I, III, V and VI and 1.82 on
+the blocky ejecta of Tycho at Surveyor VII, for fragments up to metres (Shoemaker and Morris 1970,
+Radio Science 5(2); Cintala and McBride 1995, NASA TM-104804, extend the counts to larger blocks);
+around young craters blocks of metres and above fall off faster, b = 3 to 5 (Bart and Melosh 2010,
+Icarus 209). No count of decimetre blocks on a pit's floor exists; the default is a mare's b = 2.5,
+and a density well above a mare's, for a floor that carries the debris of a collapse.
+
+A boulder is a spherical cap: of base diameter D it stands up by `height_ratio` D, half a sphere at
+1/2. What has no bits in common between machines is kept out: raw bits of PCG64 make the uniform
+numbers, and diameters are rounded to a micrometre, so that a seed gives the same field under every
+version of numpy.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DIAMETER_QUANTUM = 1.0e-6  # [m]
+
+
+@dataclass(frozen=True)
+class BoulderParameters:
+    """A field of boulders.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    density: float = 0.5  # boulders per area, of all diameters together [1/m^2], >= 0
+    smallest: float = 0.1  # [m], > 0
+    largest: float = 3.0  # [m], >= smallest
+    exponent: float = 2.5  # b [-], > 0
+    height_ratio: float = 0.5  # height over diameter, in (0, 0.5]
+    clear_radius: float = 0.0  # no boulder reaches into this circle below the fairlead [m], >= 0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} = {value}: must be finite")
+        for name in ("density", "clear_radius"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must not be below 0")
+        for name in ("smallest", "exponent"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be above 0")
+        if self.largest < self.smallest:
+            raise ValueError(
+                f"largest = {self.largest}: must not be below smallest = {self.smallest}"
+            )
+        if not 0.0 < self.height_ratio <= 0.5:
+            raise ValueError(f"height_ratio = {self.height_ratio}: must be above 0 and at most 0.5")
+
+
+def uniform(bits: np.random.PCG64, count: int) -> Array:
+    """Uniform numbers in [0, 1) from 53 raw bits each, (count,)."""
+    raw = np.asarray(bits.random_raw(count), dtype=np.uint64)
+    return np.asarray((raw >> np.uint64(11)).astype(np.float64) * 2.0**-53)
+
+
+def diameter_at(parameters: BoulderParameters, share: float) -> float:
+    """Diameter [m] that the given share of the boulders, in [0, 1), stays below."""
+    b = parameters.exponent
+    few = (parameters.largest / parameters.smallest) ** -b
+    diameter = parameters.smallest * (1.0 - share * (1.0 - few)) ** (-1.0 / b)
+    return round(diameter / DIAMETER_QUANTUM) * DIAMETER_QUANTUM
+
+
+def scatter(
+    parameters: BoulderParameters, seed: int, centre: tuple[float, float], half_width: float
+) -> Array:
+    """Boulders on a square, (n, 3): x, y of the centre and diameter [m], the largest first.
+
+    Args:
+        parameters: the field.
+        seed: a whole number, not negative.
+        centre: x and y of the square's centre [m].
+        half_width: half the square's side [m].
+    """
+    count = round(parameters.density * (2.0 * half_width) ** 2)
+    numbers = uniform(np.random.PCG64(seed), 3 * count).reshape(count, 3)
+    field = np.empty((count, 3))
+    field[:, 0] = centre[0] + (2.0 * numbers[:, 0] - 1.0) * half_width
+    field[:, 1] = centre[1] + (2.0 * numbers[:, 1] - 1.0) * half_width
+    field[:, 2] = [diameter_at(parameters, share) for share in numbers[:, 2].tolist()]
+    away = np.sqrt(field[:, 0] ** 2 + field[:, 1] ** 2) - 0.5 * field[:, 2]
+    field = field[away >= parameters.clear_radius]
+    return field[np.argsort(-field[:, 2], kind="stable")]
+
+
+def cap_radius(diameter: Array, height_ratio: float) -> Array:
+    """Radius [m] of the sphere whose cap has the base diameter D and the height ratio * D."""
+    height = height_ratio * diameter
+    return np.asarray((0.25 * diameter**2 + height**2) / (2.0 * height))
