@@ -1,0 +1,1 @@
+"""The rover's controllers: they know the contract and the rover's sensors, never the simulator."""

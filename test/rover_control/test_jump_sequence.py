@@ -1,0 +1,337 @@
+"""The jump's sequence, stepped without ROS against a rover made of three numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msg_schemas import topics
+from msg_schemas.parameters import from_mapping
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Level
+from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS
+from rover_control.jump_sequence import (
+    JumpParameters,
+    JumpPhase,
+    JumpSequence,
+    NutCommand,
+    Sensors,
+    Transition,
+)
+
+NANO = 1_000_000_000
+PARAMETERS = from_mapping(JumpParameters, {})
+GRAVITY = 9.81
+
+
+class Rover:
+    """A rover that stands, compresses, flies for half a second and lands.
+
+    Sensors speak at 100 Hz, the sequence is stepped at 20 Hz.
+    """
+
+    def __init__(self, parameters: JumpParameters = PARAMETERS) -> None:
+        self.sequence = JumpSequence(parameters)
+        self.sensors = Sensors()
+        self.now_ns = 1_000 * NANO
+        self.compression = 0.0
+        self.contact = 1.0
+        self.force = GRAVITY
+        self.flight_left = 0.0
+        self.flight_time = 0.5
+        self.command: NutCommand | None = None
+        self.transitions: list[Transition] = []
+        self.silent: set[str] = set()
+        self.stuck = False
+        self.latch_works = True
+        self.run(0.1)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self.now_ns += NANO // 100
+            self._move(0.01)
+            self._sense()
+            if self.now_ns % (5 * NANO // 100) == 0:
+                self.command = self.sequence.step(self.sensors, self.now_ns)
+                self.transitions += self.sequence.take_transitions()
+
+    def _move(self, dt: float) -> None:
+        if self.flight_left > 0.0:
+            self.flight_left -= dt
+            if self.flight_left <= 0.0:
+                self.contact, self.force = 1.0, GRAVITY
+            return
+        if self.command is None or self.stuck:
+            return
+        way = self.command.compression - self.compression
+        if abs(way) > self.command.rate * dt:
+            self.compression += math.copysign(self.command.rate * dt, way)
+            return
+        self.compression = self.command.compression
+        if self.compression > 0.0 and self.latch_works:
+            self.compression, self.contact, self.force = 0.0, 0.0, 0.2
+            self.flight_left = self.flight_time
+            self.command = None
+
+    def _sense(self) -> None:
+        if topics.CONTACT not in self.silent:
+            joints = {FLOOR_SWITCH: JointValue(self.contact)}
+            self.sensors = self.sensors.with_contact(JointSample(self.now_ns, joints), self.now_ns)
+        if topics.JUMP_MOTOR_STATE not in self.silent:
+            joints = {JUMP_SCREW: JointValue(self.compression)}
+            self.sensors = self.sensors.with_jump_motor(
+                JointSample(self.now_ns, joints), self.now_ns
+            )
+        if topics.IMU not in self.silent:
+            sample = ImuSample(self.now_ns, (0.0, 0.0, 0.0), (0.0, 0.0, self.force))
+            self.sensors = self.sensors.with_imu(sample, self.now_ns)
+
+    def request(self, stroke: float = 0.2, speed: float = 0.1) -> None:
+        self.sequence.request(stroke, speed, self.sensors, self.now_ns)
+
+    def abort(self) -> str:
+        return self.sequence.abort(self.sensors, self.now_ns)
+
+    @property
+    def phases(self) -> list[JumpPhase]:
+        return [change.phase for change in self.transitions]
+
+
+@pytest.fixture
+def rover() -> Rover:
+    return Rover()
+
+
+COMPRESSING, LETTING_DOWN = JumpPhase.COMPRESSING, JumpPhase.LETTING_DOWN
+FLIGHT, LANDED, STANDBY, FAULT = (
+    JumpPhase.FLIGHT, JumpPhase.LANDED, JumpPhase.STANDBY, JumpPhase.FAULT,
+)  # fmt: skip
+
+
+def test_a_jump_goes_through_its_phases_and_back_to_standby(rover: Rover):
+    rover.request(0.2, 0.1)
+    rover.run(1.0)
+    assert rover.command == (0.2, 0.1, PARAMETERS.nut_force)
+    rover.run(3.0)
+    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
+    assert all(change.level is Level.OK for change in rover.transitions)
+    assert rover.command is None
+    landed = rover.transitions[2]
+    assert landed.values["flight_time"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_second_jump_follows_the_first(rover: Rover):
+    for _ in range(2):
+        rover.request()
+        rover.run(4.0)
+    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY] * 2
+
+
+def test_nothing_is_driven_in_standby_and_flight(rover: Rover):
+    assert rover.command is None
+    rover.flight_time = 2.0
+    rover.request()
+    rover.run(3.0)
+    assert rover.sequence.phase is FLIGHT
+    assert rover.command is None
+
+
+@given(
+    stroke=st.floats(0.005, 0.3),
+    speed=st.floats(0.01, 0.5),
+    flight_time=st.floats(0.03, 3.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_every_stroke_speed_and_flight_is_followed(stroke: float, speed: float, flight_time: float):
+    rover = Rover()
+    rover.flight_time = flight_time
+    rover.request(stroke, speed)
+    rover.run(stroke / speed + flight_time + 3.0)
+    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
+
+
+def refusal(rover: Rover, stroke: float = 0.2) -> Refusal:
+    before = rover.sequence.phase
+    with pytest.raises(Refusal) as caught:
+        rover.request(stroke)
+    assert rover.sequence.phase is before
+    return caught.value
+
+
+def test_a_request_during_a_jump_is_refused(rover: Rover):
+    rover.request()
+    rover.run(0.5)
+    assert refusal(rover).code is RefusalCode.WRONG_PHASE
+
+
+def test_a_request_in_the_air_is_refused(rover: Rover):
+    rover.contact = 0.0
+    rover.run(0.1)
+    assert "contact switch is open" in refusal(rover).reason
+
+
+def test_a_request_with_a_loaded_spring_is_refused_and_abort_unloads_it(rover: Rover):
+    rover.compression = 0.05
+    rover.run(0.1)
+    assert "0.05 m already" in refusal(rover).reason
+    assert rover.abort() == "letting the spring down"
+    rover.run(2.0)
+    assert (rover.compression, rover.sequence.phase) == (0.0, STANDBY)
+    rover.request()
+
+
+def test_a_stroke_beyond_the_limit_is_refused(rover: Rover):
+    wrong = refusal(rover, 0.31)
+    assert wrong.code is RefusalCode.OUT_OF_LIMITS
+    assert "at most 0.3 m" in wrong.reason
+
+
+@pytest.mark.parametrize("sensor", [topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU])
+def test_a_request_without_a_sensor_is_refused(rover: Rover, sensor: str):
+    assert "never heard" in _refused_without_sensors()
+    rover.silent = {sensor}
+    rover.run(0.3)
+    wrong = refusal(rover)
+    assert wrong.code is RefusalCode.STALE
+    assert sensor in wrong.reason
+
+
+def _refused_without_sensors() -> str:
+    with pytest.raises(Refusal) as caught:
+        JumpSequence(PARAMETERS).request(0.1, 0.0, Sensors(), NANO)
+    return caught.value.reason
+
+
+def test_an_abort_lets_the_spring_down_softly(rover: Rover):
+    rover.request()
+    rover.run(1.0)
+    rover.abort()
+    rover.run(0.1)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force)
+    assert rover.abort() == "already letting the spring down"
+    rover.run(3.0)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
+    assert rover.compression == 0.0
+    assert rover.sequence.step(rover.sensors, rover.now_ns) is None
+
+
+def test_an_abort_with_nothing_to_do_does_nothing(rover: Rover):
+    assert rover.abort() == "nothing to let down"
+    assert rover.phases == []
+
+
+def test_an_abort_in_flight_is_refused(rover: Rover):
+    rover.flight_time = 3.0
+    rover.request()
+    rover.run(2.5)
+    assert rover.sequence.phase is FLIGHT
+    with pytest.raises(Refusal, match="latch has tripped"):
+        rover.abort()
+
+
+def test_a_nut_that_is_stuck_is_given_up_and_becomes_a_fault_that_abort_leads_out_of(
+    rover: Rover,
+):
+    rover.request()
+    rover.run(0.5)
+    rover.stuck = True
+    rover.run(4.0)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN]
+    assert "no take-off within 3.5 s" in rover.transitions[-1].reason
+    rover.run(10.0)
+    assert rover.phases[-1] is FAULT
+    assert rover.command is None
+    assert topics.JUMP_ABORT in refusal(rover).reason
+    rover.stuck = False
+    rover.abort()
+    rover.run(3.0)
+    assert rover.sequence.phase is STANDBY
+    rover.request()
+
+
+def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
+    rover.latch_works = False
+    rover.request()
+    rover.run(15.0)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
+    assert rover.compression == 0.0
+
+
+@pytest.mark.parametrize("sensor", [topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU])
+def test_a_sensor_lost_while_compressing_ends_it(rover: Rover, sensor: str):
+    rover.request()
+    rover.run(0.5)
+    rover.silent = {sensor}
+    rover.run(1.0)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN]
+    assert rover.transitions[-1].level is Level.ERROR
+    assert sensor in rover.transitions[-1].reason
+
+
+def test_being_lifted_with_the_spring_loaded_is_no_take_off(rover: Rover):
+    rover.request()
+    rover.run(1.0)
+    rover.contact = 0.0
+    rover.run(0.5)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN]
+    assert "spring still held" in rover.transitions[-1].reason
+
+
+def test_a_bouncing_switch_is_no_lift(rover: Rover):
+    rover.request()
+    rover.run(0.5)
+    for _ in range(10):
+        rover.contact = 0.0
+        rover.run(0.05)
+        rover.contact = 1.0
+        rover.run(0.05)
+    assert rover.phases == [COMPRESSING]
+
+
+def test_a_flight_without_end_is_a_fault(rover: Rover):
+    rover.flight_time = 1000.0
+    rover.request()
+    rover.run(PARAMETERS.flight_limit + 3.0)
+    assert rover.phases == [COMPRESSING, FLIGHT, FAULT]
+    assert "no landing within 20 s" in rover.transitions[-1].reason
+
+
+def test_a_landing_that_never_comes_to_rest_is_a_fault(rover: Rover):
+    rover.request()
+    rover.run(2.55)
+    for _ in range(60):
+        rover.force = 5.0
+        rover.run(0.05)
+        rover.force = GRAVITY
+        rover.run(0.05)
+    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, FAULT]
+    assert "not at rest within 5 s" in rover.transitions[-1].reason
+
+
+def test_the_clock_going_back_starts_over(rover: Rover):
+    rover.request()
+    rover.run(0.5)
+    rover.sequence.clock_jumped(0)
+    changes = rover.sequence.take_transitions()
+    assert [change.phase for change in changes] == [STANDBY]
+    assert rover.sequence.step(Sensors(), NANO) is None
+
+
+def test_the_request_s_speed_goes_before_the_parameter_s(rover: Rover):
+    rover.request(0.1, 0.0)
+    rover.run(0.1)
+    assert rover.command is not None
+    assert rover.command.rate == PARAMETERS.nut_speed
+
+
+def test_limits_hold_that_were_changed_by_parameter():
+    rover = Rover(replace(PARAMETERS, largest_stroke=0.1))
+    assert "at most 0.1 m" in refusal(rover, 0.2).reason
+
+
+def test_every_phase_is_a_word_of_the_contract():
+    assert {phase.value for phase in JumpPhase} == {*TOPICS[topics.JUMP_PHASE].words}

@@ -1,0 +1,1 @@
+"""The mother machine's winch: it knows the contract and its own sensors, never the simulator."""
