@@ -122,7 +122,7 @@ class PlanarPlant:
         self.scenario = scenario
         tether = scenario.tether
         self.section = tether.section
-        self._gravity = (0.0, -scenario.gravity)
+        self._elements = tether.elements
         self._model = make_model(scenario)
 
     @property
@@ -186,7 +186,7 @@ class PlanarPlant:
         motion = _motion_of(state)
         planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
         motion.book[planar.COMPRESSION] = 0.0
-        return _state_of(motion, Phase.FLIGHT)
+        return _state_of(motion, self._elements, Phase.FLIGHT)
 
     def step(
         self, state: PlanarState, command: Command, dt: float
@@ -221,7 +221,7 @@ class PlanarPlant:
             events,
             report,
         )
-        after = _state_of(motion, _PHASE_OF[phase_code])
+        after = _state_of(motion, self._elements, _PHASE_OF[phase_code])
         peak = float(report[planar.PEAK_TENSION])
         result = StepResult(
             outcome=_OUTCOME_OF[outcome_code],
@@ -246,7 +246,7 @@ class PlanarPlant:
         Mean axial forces of the elements, interpolated to the nodes and extrapolated to the ends.
         """
         motion = _motion_of(state)
-        tensions = np.empty(motion.q.shape[0] - 1)
+        tensions = np.empty(self._elements)
         energy_momentum.element_tensions(self._model.tether, motion.q, motion.v, tensions)
         return energy_momentum.nodal_tensions(tensions)
 
@@ -261,7 +261,7 @@ class PlanarPlant:
         )
         planar.energies(self._model, motion.q, motion.v, motion.body)
         energy_momentum.element_tensions(
-            self._model.tether, motion.q, motion.v, np.empty(motion.q.shape[0] - 1)
+            self._model.tether, motion.q, motion.v, np.empty(self._elements)
         )
         if self.scenario.rover is not None:
             planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
@@ -287,7 +287,8 @@ def make_model(scenario: Scenario) -> planar.Model:
     return planar.Model(
         tether=energy_momentum.make_tether(
             section,
-            tether.length / tether.elements,
+            tether.length,
+            tether.elements,
             (0.0, -scenario.gravity),
             integration.numerical_damping,
         ),
@@ -361,7 +362,6 @@ def _drive_of(command: Command) -> tuple[float, float]:
 
 def _motion_of(state: PlanarState) -> _Motion:
     """Fresh arrays holding the state."""
-    count = state.nodes.shape[0]
     body = np.zeros(planar.BODY_SIZE)
     body[[planar.X1, planar.Y1]] = state.G1
     body[planar.THETA], body[planar.SLIDE], body[planar.OMEGA] = state.theta, state.s, state.omega
@@ -378,18 +378,17 @@ def _motion_of(state: PlanarState) -> _Motion:
     book[planar.DISSIPATED] = state.ledger.dissipated
     book[planar.REFERENCE] = state.ledger.initial
     return _Motion(
-        state.nodes.reshape(count, 4).copy(), state.node_rates.reshape(count, 4).copy(), body, book
+        energy_momentum.to_rows(state.nodes), energy_momentum.to_rows(state.node_rates), body, book
     )
 
 
-def _state_of(motion: _Motion, phase: Phase) -> PlanarState:
+def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
     q, v, body, book = motion
-    count = q.shape[0]
     return PlanarState(
         time=float(book[planar.TIME]),
         phase=phase,
-        nodes=q.reshape(count, 2, 2),
-        node_rates=v.reshape(count, 2, 2),
+        nodes=energy_momentum.to_nodes(q, elements),
+        node_rates=energy_momentum.to_nodes(v, elements),
         G1=body[[planar.X1, planar.Y1]],
         G1_rate=body[[planar.VX1, planar.VY1]],
         G2_rate=body[[planar.VX2, planar.VY2]],

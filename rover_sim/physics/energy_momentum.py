@@ -23,49 +23,69 @@ which would not hold for damping proportional to K_t. In space the frame does no
 cable has no torsion, and bending that wanders round its cross-section is damped like any other.
 
 The slope at a quadrature point depends on three vectors only, the element's chord (r2 - r1)/l and
-its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes.
-The Newton increments come from a block-tridiagonal elimination, one block a node, fused with the
-assembly. What sits at the tether's two ends (a support, a mass, a rover) adds its own block there
-before the elimination; this module knows nothing more of it.
+its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes,
+for 4 (plane) or 8 (space) elements at once, side by side in packets. What sits at the tether's two
+ends (a support, a mass, a rover) adds its own block there before the elimination; this module
+knows nothing more of it.
 
 The number of directions is that of the gravity vector, a tuple, and hence known to the compiler.
-Arrays: coordinates and rates (n + 1, 2 dim), a row being (r, r') of a node.
+Coordinates and rates are arrays (2 dim, width): row k holds coordinate k of (r, r') of all nodes,
+followed by columns without meaning, so that the last elements fill a packet. `to_rows` and
+`to_nodes` translate.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from rover_sim.physics import ancf
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.block_elimination import hold, make_factor, solve_blocks
+from rover_sim.physics.compiled import checked, kernel
+from rover_sim.physics.packets import fill, load, root, stack, store, transpose
 from rover_sim.physics.section import TetherSection
-
-Array = NDArray[np.float64]
-
-# Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
-FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
-
-kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FAST_MATH))
-checked: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 _WEIGHTS = ancf.GAUSS_WEIGHTS
 _GAUSS = len(_WEIGHTS)
 
 # Slope at a quadrature point from the reduced basis: r' = sum_k BASIS[g, k] (chord, r1', r2')_k,
-# and the products BASIS[g, k] BASIS[g, l] of the pairs kl = 00, 01, 02, 11, 12, 22.
+# and r'' = sum_k CURVING[g, k] (chord, r1', r2')_k / l.
 _BASIS = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
-# r'' from the same basis is sum_k CURVING[g, k] (chord, r1', r2')_k / l.
 _CURVING = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
-_CURVING_PAIRS = np.stack(
-    [_CURVING[:, k] * _CURVING[:, m] for k in range(3) for m in range(k, 3)], axis=1
+
+
+def _pair_products(functions: Array) -> Array:
+    """Products of the functions k and l for kl = 00, 01, 02, 11, 12, 22, (6, 5)."""
+    return np.stack([functions[:, k] * functions[:, m] for k in range(3) for m in range(k, 3)])
+
+
+_PAIRS = _pair_products(_BASIS)
+_CURVING_PAIRS = _pair_products(_CURVING)
+
+# How the tangent in the reduced basis goes to the nodes: entry [side, block, a, b] of a table is
+# for the rows a (0 position, 1 slope) of the element's node `side`, block 0 (D) for the columns of
+# the same node, block 1 (U or L) for those of the other one. First the pair kl and its sign, then
+# the entry of the linear part's six coefficients and its sign.
+_PAIR = np.array([[[[0, 1], [1, 3]], [[0, 2], [1, 4]]], [[[0, 2], [2, 5]], [[0, 1], [2, 4]]]])
+_PAIR_SIGN = np.array(
+    [
+        [[[1.0, -1.0], [-1.0, 1.0]], [[-1.0, -1.0], [1.0, 1.0]]],
+        [[[1.0, 1.0], [1.0, 1.0]], [[-1.0, 1.0], [-1.0, 1.0]]],
+    ]
 )
-_PAIRS = np.stack([_BASIS[:, k] * _BASIS[:, m] for k in range(3) for m in range(k, 3)], axis=1)
+_LINEAR = np.array([[[[0, 1], [1, 2]], [[3, 4], [4, 5]]], [[[0, 1], [1, 2]], [[3, 4], [4, 5]]]])
+_LINEAR_SIGN = np.array(
+    [
+        [[[1.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [-1.0, 1.0]]],
+        [[[1.0, -1.0], [-1.0, 1.0]], [[1.0, -1.0], [1.0, 1.0]]],
+    ]
+)
 
 
 class Tether(NamedTuple):
     """A uniform tether as the compiled functions see it; `gravity` gives the dimension."""
 
+    elements: int  # n
     element_length: float  # l [m]
     axial_stiffness: float  # EA [N]
     bending_stiffness: float  # EI [N m^2]
@@ -79,44 +99,44 @@ class Tether(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays of one integration, allocated once; what they hold is valid for one step.
 
-    With m = 2 dim coordinates a node and index 0 / 1 for root / tip in the end_ arrays.
+    With m = 2 dim coordinates a node, index 0 / 1 for root / tip in the end_ arrays, and rows of
+    `width` columns, one an element or node, filled up to whole packets.
     """
 
-    increment: Array  # D, (n + 1, m)
-    slope: Array  # r' at the step's start at the quadrature points, (n, 5, dim)
-    strain: Array  # eps there, (n, 5)
-    curving: Array  # r'' there, (n, 5, dim); with bending damping only
-    constant: Array  # the part of the residual that does not change with D, (n + 1, m)
-    end_fixed: NDArray[np.bool_]  # which coordinates of an end are held, (2, m)
+    increment: Array  # D, (m, width)
+    slope: Array  # r' at the step's start at the quadrature points, (5 dim, width)
+    strain: Array  # eps there, (5, width)
+    curving: Array  # r'' there, (5 dim, width); with bending damping only
+    constant: Array  # the elements' residual as far as it does not change with D, (2 m, width)
+    end_fixed: Array  # not 0 where a coordinate of an end is held, (2, m)
     end_matrix: Array  # what an end adds to the tangent, (2, m, m)
     end_residual: Array  # and to the residual, (2, m)
-    factor: Array  # of the elimination: D_i^-1 U_i, (n + 1, m, m)
-    solution: Array  # D_i^-1 R_i, then the Newton increment, (n + 1, m)
-    force: Array  # axial force of an element in the reduced basis, (3, dim)
-    tangent: Array  # its tangent for the pairs kl, (6, dim, dim)
-    tensor: Array  # the same at the quadrature points, (5, dim, dim)
-    bend: Array  # t, k, dk and one more of a quadrature point, see _curvature_change, (4, dim)
-    element: Array  # tangent and residual of an element, (2 m, 2 m + 1)
-    pivot: Array  # rows (D_i | U_i | R_i) of the node being eliminated, (m, 2 m + 1)
-    tension: Array  # mean axial force of each element at mid-step [N], (n,)
+    blocks: Array  # the linear equations, see `block_elimination`
+    factor: Array
+    solution: Array  # Newton's increment, node i at i + 1, (n + 3, lanes)
+    tension: Array  # mean axial force of each element at mid-step [N], (width,)
+    loss: Array  # what each element dissipated during the step [J], (width,)
 
 
 def make_tether(
     section: TetherSection,
-    element_length: float,
+    length: float,
+    elements: int,
     gravity: tuple[float, ...],
     numerical_damping: float = 0.0,
 ) -> Tether:
-    """Collect what the compiled functions need, as plain floats.
+    """Collect what the compiled functions need, as plain numbers.
 
     Args:
         section: cross-section.
-        element_length: undeformed length of each element [m].
+        length: undeformed length of the tether [m].
+        elements: their number.
         gravity: gravity vector [m/s^2]; two or three components choose the dimension.
         numerical_damping: x in [0, 1]; 0 conserves energy.
     """
     return Tether(
-        float(element_length),
+        int(elements),
+        float(length / elements),
         float(section.axial_stiffness),
         float(section.bending_stiffness),
         float(section.line_density),
@@ -127,28 +147,46 @@ def make_tether(
     )
 
 
+def to_rows(nodes: Array) -> Array:
+    """Coordinates or rates (n + 1, 2, dim) of nodes as rows (2 dim, width)."""
+    count, _, dim = nodes.shape
+    rows = np.zeros((2 * dim, row_width(count - 1, dim)))
+    rows[:, :count] = nodes.reshape(count, 2 * dim).T
+    return rows
+
+
+def to_nodes(rows: Array, elements: int) -> Array:
+    """Rows (2 dim, width) as coordinates or rates (n + 1, 2, dim) of nodes."""
+    return np.ascontiguousarray(rows[:, : elements + 1].T).reshape(elements + 1, 2, -1)
+
+
+@checked
+def row_width(elements: int, dim: int) -> int:
+    """Columns of a row: whole packets of elements and one packet more for the last nodes."""
+    lanes = 4 if dim == 2 else 8
+    return (elements + lanes - 1) // lanes * lanes + lanes
+
+
 @checked
 def make_workspace(elements: int, dim: int) -> Workspace:
     """Allocate the arrays for a tether of n elements."""
     m = 2 * dim
+    lanes = 4 if dim == 2 else 8
+    width = row_width(elements, dim)
     return Workspace(
-        np.zeros((elements + 1, m)),
-        np.zeros((elements, _GAUSS, dim)),
-        np.zeros((elements, _GAUSS)),
-        np.zeros((elements, _GAUSS, dim)),
-        np.zeros((elements + 1, m)),
-        np.zeros((2, m), dtype=np.bool_),
+        np.zeros((m, width)),
+        np.zeros((_GAUSS * dim, width)),
+        np.zeros((_GAUSS, width)),
+        np.zeros((_GAUSS * dim, width)),
+        np.zeros((2 * m, width)),
+        np.zeros((2, m)),
         np.zeros((2, m, m)),
         np.zeros((2, m)),
-        np.zeros((elements + 1, m, m)),
-        np.zeros((elements + 1, m)),
-        np.zeros((3, dim)),
-        np.zeros((6, dim, dim)),
-        np.zeros((_GAUSS, dim, dim)),
-        np.zeros((4, dim)),
-        np.zeros((2 * m, 2 * m + 1)),
-        np.zeros((m, 2 * m + 1)),
-        np.zeros(elements),
+        np.zeros((width + 2, 2, 2 * m + 1, lanes)),
+        make_factor(elements + 1, m + 1, lanes),
+        np.zeros((elements + 3, lanes)),
+        np.zeros(width),
+        np.zeros(width),
     )
 
 
@@ -199,9 +237,7 @@ def _combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> 
 
 
 @kernel
-def _apply(
-    c: tuple[float, ...], r1: float, s1: float, r2: float, s2: float
-) -> tuple[float, float, float, float]:
+def _apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
     """Product of the element matrix with coefficients c and (r1, r1', r2, r2') of a direction."""
     return (
         c[0] * r1 + c[1] * s1 + c[3] * r2 + c[4] * s2,
@@ -212,305 +248,337 @@ def _apply(
 
 
 @kernel
-def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
-    """Prepare a step of length h from (q0, v0): everything that the increment does not change."""
-    dim = len(tether.gravity)
-    n = q0.shape[0] - 1
-    length = tether.element_length
-    mass = mass_coefficients(tether)
-    bending = bending_coefficients(tether)
-    weight = tether.line_density * length
-    constant = work.constant
-    constant[:] = 0.0
-    for e in range(n):
-        for d in range(dim):
-            inertia = _apply(mass, v0[e, d], v0[e, dim + d], v0[e + 1, d], v0[e + 1, dim + d])
-            elastic = _apply(bending, q0[e, d], q0[e, dim + d], q0[e + 1, d], q0[e + 1, dim + d])
-            load = weight * tether.gravity[d]
-            constant[e, d] += elastic[0] - 2.0 / h * inertia[0] - 0.5 * load
-            constant[e, dim + d] += elastic[1] - 2.0 / h * inertia[1] - load * length / 12.0
-            constant[e + 1, d] += elastic[2] - 2.0 / h * inertia[2] - 0.5 * load
-            constant[e + 1, dim + d] += elastic[3] - 2.0 / h * inertia[3] + load * length / 12.0
-        for g in range(_GAUSS):
-            square = 0.0
-            for d in range(dim):
-                slope = (
-                    _BASIS[g, 0] * (q0[e + 1, d] - q0[e, d]) / length
-                    + _BASIS[g, 1] * q0[e, dim + d]
-                    + _BASIS[g, 2] * q0[e + 1, dim + d]
-                )
-                work.slope[e, g, d] = slope
-                square += slope * slope
-            work.strain[e, g] = 0.5 * (square - 1.0)
-            if tether.bending_damping_time > 0.0:
-                for d in range(dim):
-                    work.curving[e, g, d] = (
-                        _CURVING[g, 0] * (q0[e + 1, d] - q0[e, d]) / length
-                        + _CURVING[g, 1] * q0[e, dim + d]
-                        + _CURVING[g, 2] * q0[e + 1, dim + d]
-                    ) / length
+def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
+    """Direction d of (r1, r1', r2, r2') of the elements from e on, as packets."""
+    dim = len(tag)
+    return (
+        load(tag, rows, (d, e)),
+        load(tag, rows, (dim + d, e)),
+        load(tag, rows, (d, e + 1)),
+        load(tag, rows, (dim + d, e + 1)),
+    )
 
 
 @kernel
-def _axial_element(tether: Tether, average: float, e: int, work: Workspace) -> None:
-    """Axial force and tangent of element e in the reduced basis (chord, r1', r2').
-
-    force_k = sum_g w l N BASIS_k r'_m,
-    tangent_kl = sum_g w l BASIS_k BASIS_l (N/2 I + EA c r'_m r'_1^T), with c = `average`.
-    """
-    dim = len(tether.gravity)
+def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
+    """Prepare a step of length h from (q0, v0): everything that the increment does not change."""
+    tag = tether.gravity
+    dim = len(tag)
     length = tether.element_length
-    increment = work.increment
-    work.force[:] = 0.0
-    work.tangent[:] = 0.0
+    mass = mass_coefficients(tether)
+    bending = bending_coefficients(tether)
+    inverse = 1.0 / length
+    rate = 2.0 / h
+    basis = stack(tag, 9)
+    lanes = work.solution.shape[1]
+    for e in range(0, tether.elements, lanes):
+        for d in range(dim):
+            r1, s1, r2, s2 = _ends(tag, q0, d, e)
+            elastic = _apply(bending, r1, s1, r2, s2)
+            basis[3 * d] = (r2 - r1) * inverse
+            basis[3 * d + 1] = s1
+            basis[3 * d + 2] = s2
+            r1, s1, r2, s2 = _ends(tag, v0, d, e)
+            inertia = _apply(mass, r1, s1, r2, s2)
+            load_half = 0.5 * tether.line_density * length * tether.gravity[d]
+            load_slope = load_half * length / 6.0
+            store(work.constant, (d, e), elastic[0] - rate * inertia[0] - load_half)
+            store(work.constant, (dim + d, e), elastic[1] - rate * inertia[1] - load_slope)
+            store(work.constant, (2 * dim + d, e), elastic[2] - rate * inertia[2] - load_half)
+            store(work.constant, (3 * dim + d, e), elastic[3] - rate * inertia[3] + load_slope)
+        for g in range(_GAUSS):
+            square = fill(tag, -1.0)
+            for d in range(dim):
+                slope = (
+                    _BASIS[g, 0] * basis[3 * d]
+                    + _BASIS[g, 1] * basis[3 * d + 1]
+                    + _BASIS[g, 2] * basis[3 * d + 2]
+                )
+                store(work.slope, (g * dim + d, e), slope)
+                square += slope * slope
+            store(work.strain, (g, e), 0.5 * square)
+        if tether.bending_damping_time > 0.0:
+            for g in range(_GAUSS):
+                for d in range(dim):
+                    curving = (
+                        _CURVING[g, 0] * basis[3 * d]
+                        + _CURVING[g, 1] * basis[3 * d + 1]
+                        + _CURVING[g, 2] * basis[3 * d + 2]
+                    )
+                    store(work.curving, (g * dim + d, e), curving * inverse)
+
+
+@kernel
+def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -> None:
+    """Increments of (chord, r1', r2') of the elements from e on; direction d from 3 d on."""
+    for d in range(len(tag)):
+        r1, s1, r2, s2 = _ends(tag, work.increment, d, e)
+        basis[3 * d] = (r2 - r1) * inverse
+        basis[3 * d + 1] = s1
+        basis[3 * d + 2] = s2
+
+
+@kernel
+def _axial_points(
+    tether: Tether, average: float, e: int, work: Workspace, basis: Any, force: Any, tensor: Any
+) -> None:
+    """Axial force and tangent at the quadrature points of the elements from e on.
+
+    force[g dim + d] = w l N r'_m and tensor[(g dim + d) dim + c] = w l (N/2 I + EA c r'_m r'_1^T),
+    with the average's c.
+    """
+    tag = tether.gravity
+    dim = len(tag)
+    middles = stack(tag, 3)
+    ends = stack(tag, 3)
     for g in range(_GAUSS):
-        stretch = 0.0
+        stretch = fill(tag, 0.0)
         for d in range(dim):
             change = (
-                _BASIS[g, 0] * (increment[e + 1, d] - increment[e, d]) / length
-                + _BASIS[g, 1] * increment[e, dim + d]
-                + _BASIS[g, 2] * increment[e + 1, dim + d]
+                _BASIS[g, 0] * basis[3 * d]
+                + _BASIS[g, 1] * basis[3 * d + 1]
+                + _BASIS[g, 2] * basis[3 * d + 2]
             )
-            middle = work.slope[e, g, d] + 0.5 * change
-            work.tensor[g, 0, d] = middle
-            work.tensor[g, 1, d] = middle + 0.5 * change
+            middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
+            middles[d] = middle
+            ends[d] = middle + 0.5 * change
             stretch += middle * change
-        weight = _WEIGHTS[g] * length
-        rigidity = weight * tether.axial_stiffness
-        tension = rigidity * (work.strain[e, g] + average * stretch)
+        rigidity = _WEIGHTS[g] * tether.element_length * tether.axial_stiffness
+        tension = rigidity * (load(tag, work.strain, (g, e)) + average * stretch)
+        geometric = 0.5 * tension
         for d in range(dim):
-            middle = work.tensor[g, 0, d]
-            for k in range(3):
-                work.force[k, d] += _BASIS[g, k] * tension * middle
+            force[g * dim + d] = tension * middles[d]
+            weighted = (rigidity * average) * middles[d]
             for c in range(dim):
-                entry = rigidity * average * middle * work.tensor[g, 1, c]
+                entry = weighted * ends[c]
                 if c == d:
-                    entry += 0.5 * tension
-                for k in range(6):
-                    work.tangent[k, d, c] += _PAIRS[g, k] * entry
+                    entry += geometric
+                tensor[(g * dim + d) * dim + c] = entry
 
 
 @kernel
 def _curvature_change(
-    tether: Tether, e: int, g: int, work: Workspace
-) -> tuple[float, float, float, float]:
-    """Bending at quadrature point g of element e during the step, for the damping.
+    tether: Tether, e: int, g: int, work: Workspace, basis: Any, bend: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Bending at quadrature point g of the elements from e on during the step, for the damping.
 
-    Writes to work.bend the direction t, the curvature vector k and its change dk. Returns |a|,
-    t . b, k . dk and dk . dk at mid-step.
+    Writes to `bend` the direction t, from dim on the curvature vector k and from 2 dim on its
+    change dk. Returns 1/|a|, t . b / |a|, k . dk and dk . dk at mid-step.
     """
-    dim = len(tether.gravity)
+    tag = tether.gravity
+    dim = len(tag)
     inverse = 1.0 / tether.element_length
-    increment, bend = work.increment, work.bend
-    square, along, drift, stretch = 0.0, 0.0, 0.0, 0.0
+    square = fill(tag, 0.0)
+    along = fill(tag, 0.0)
+    stretch = fill(tag, 0.0)
     for d in range(dim):
-        chord = (increment[e + 1, d] - increment[e, d]) * inverse
-        first, second = increment[e, dim + d], increment[e + 1, dim + d]
-        da = _BASIS[g, 0] * chord + _BASIS[g, 1] * first + _BASIS[g, 2] * second
-        db = _CURVING[g, 0] * chord + _CURVING[g, 1] * first + _CURVING[g, 2] * second
+        first, second, third = basis[3 * d], basis[3 * d + 1], basis[3 * d + 2]
+        da = _BASIS[g, 0] * first + _BASIS[g, 1] * second + _BASIS[g, 2] * third
+        db = _CURVING[g, 0] * first + _CURVING[g, 1] * second + _CURVING[g, 2] * third
         db *= inverse
-        bend[0, d] = work.slope[e, g, d] + 0.5 * da
-        bend[1, d] = work.curving[e, g, d] + 0.5 * db
-        bend[2, d] = da
-        bend[3, d] = db
-        square += bend[0, d] ** 2
-        along += bend[0, d] * bend[1, d]
-        stretch += bend[0, d] * da
-    size = np.sqrt(square)
-    along /= size
-    stretch /= size
+        a = load(tag, work.slope, (g * dim + d, e)) + 0.5 * da
+        b = load(tag, work.curving, (g * dim + d, e)) + 0.5 * db
+        bend[d] = a
+        bend[dim + d] = b
+        bend[2 * dim + d] = da
+        bend[3 * dim + d] = db
+        square += a * a
+        along += a * b
+        stretch += a * da
+    shrink = 1.0 / root(square)
+    along *= shrink * shrink
+    stretch *= shrink
+    drift = fill(tag, 0.0)
     for d in range(dim):
-        bend[0, d] /= size
-        bend[1, d] = (bend[1, d] - along * bend[0, d]) / size
-        bend[2, d] = bend[3, d] - along / size * bend[2, d]
-        drift += bend[0, d] * bend[2, d]
-    cross, change = 0.0, 0.0
+        t = bend[d] * shrink
+        db = bend[3 * dim + d] - along * bend[2 * dim + d]
+        bend[dim + d] = (bend[dim + d] * shrink) - along * t
+        bend[2 * dim + d] = db
+        bend[d] = t
+        drift += t * db
+    cross = fill(tag, 0.0)
+    change = fill(tag, 0.0)
     for d in range(dim):
-        dk = (bend[2, d] - drift * bend[0, d] - bend[1, d] * stretch) / size
-        bend[2, d] = dk
-        cross += bend[1, d] * dk
+        dk = (bend[2 * dim + d] - drift * bend[d] - bend[dim + d] * stretch) * shrink
+        bend[2 * dim + d] = dk
+        cross += bend[dim + d] * dk
         change += dk * dk
-    return size, along, cross, change
+    return shrink, along, cross, change
 
 
 @kernel
-def _bending_damping_element(tether: Tether, h: float, e: int, work: Workspace) -> None:
-    """Add the bending damping of element e to the force and tangent in the reduced basis.
-
-    The tangent keeps what the second derivatives contribute, P/|a|^2; the rest is smaller by the
-    angle that an element bends and acts along the tether, where the axial stiffness rules.
-    """
-    dim = len(tether.gravity)
-    length = tether.element_length
-    bend = work.bend
-    for g in range(_GAUSS):
-        size, along, cross, _ = _curvature_change(tether, e, g, work)
-        viscosity = _WEIGHTS[g] * length * tether.bending_stiffness
-        viscosity *= tether.bending_damping_time / (h * size)
-        for d in range(dim):
-            on_slope = -viscosity * (bend[2, d] * along / size + bend[0, d] * cross)
-            on_curving = viscosity * bend[2, d] / length
-            for k in range(3):
-                work.force[k, d] += _BASIS[g, k] * on_slope + _CURVING[g, k] * on_curving
-            for c in range(dim):
-                unit = 1.0 if c == d else 0.0
-                entry = viscosity / (size * length**2) * (unit - bend[0, d] * bend[0, c])
-                for k in range(6):
-                    work.tangent[k, d, c] += _CURVING_PAIRS[g, k] * entry
-
-
-@kernel
-def _assemble_element(
-    tether: Tether, h: float, linear: tuple[float, ...], average: float, e: int, work: Workspace
+def _add_bending_damping(
+    tether: Tether, h: float, e: int, work: Workspace, basis: Any, force: Any, tangent: Any
 ) -> None:
-    """Tangent and residual (last column) of element e on its (r1, r1', r2, r2').
+    """Add the bending damping of the elements from e on to force and tangent.
 
-    `linear` holds the coefficients of the part of the residual that is linear in D.
+    Both in the reduced basis: force[3 d + k] and tangent[(pair dim + d) dim + c]. The tangent keeps
+    what the second derivatives contribute, P/|a|^2; the rest is smaller by the angle that an
+    element bends and acts along the tether, where the axial stiffness rules.
     """
-    dim = len(tether.gravity)
+    tag = tether.gravity
+    dim = len(tag)
+    length = tether.element_length
+    bend = stack(tag, 12)
+    for g in range(_GAUSS):
+        shrink, along, cross, _ = _curvature_change(tether, e, g, work, basis, bend)
+        viscosity = _WEIGHTS[g] * length * tether.bending_stiffness * tether.bending_damping_time
+        weight = (viscosity / h) * shrink
+        for d in range(dim):
+            dk = bend[2 * dim + d]
+            on_slope = fill(tag, 0.0) - weight * (dk * along + bend[d] * cross)
+            on_curving = weight * dk * (1.0 / length)
+            for k in range(3):
+                force[3 * d + k] = (
+                    force[3 * d + k] + _BASIS[g, k] * on_slope + _CURVING[g, k] * on_curving
+                )
+            for c in range(dim):
+                entry = fill(tag, 1.0 if c == d else 0.0) - bend[d] * bend[c]
+                entry *= weight * shrink * (1.0 / length**2)
+                for pair in range(6):
+                    index = (pair * dim + d) * dim + c
+                    tangent[index] = tangent[index] + _CURVING_PAIRS[pair, g] * entry
+
+
+@kernel
+def _assemble(tether: Tether, h: float, work: Workspace) -> None:
+    """Write tangent and residual of all elements to work.blocks."""
+    tag = tether.gravity
+    dim = len(tag)
     inverse = 1.0 / tether.element_length
-    _axial_element(tether, average, e, work)
-    if tether.bending_damping_time > 0.0:
-        _bending_damping_element(tether, h, e, work)
-    increment, force, tangent, block = work.increment, work.force, work.tangent, work.element
-    last = 4 * dim
+    average = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
+    linear = _combine(2.0 / h**2, mass_coefficients(tether), 0.5, bending_coefficients(tether))
+    basis = stack(tag, 9)
+    points_force = stack(tag, 15)
+    points_tensor = stack(tag, 45)
+    force = stack(tag, 9)
+    tangent = stack(tag, 54)
+    lanes = work.solution.shape[1]
+    for e in range(0, tether.elements, lanes):
+        _load_basis(tag, inverse, e, work, basis)
+        _axial_points(tether, average, e, work, basis, points_force, points_tensor)
+        for d in range(dim):
+            for k in range(3):
+                total = fill(tag, 0.0)
+                for g in range(_GAUSS):
+                    total += _BASIS[g, k] * points_force[g * dim + d]
+                force[3 * d + k] = total
+            for c in range(dim):
+                for pair in range(6):
+                    total = fill(tag, 0.0)
+                    for g in range(_GAUSS):
+                        total += _PAIRS[pair, g] * points_tensor[(g * dim + d) * dim + c]
+                    tangent[(pair * dim + d) * dim + c] = total
+        if tether.bending_damping_time > 0.0:
+            _add_bending_damping(tether, h, e, work, basis, force, tangent)
+        # the chord is the difference of the positions over l
+        for entry in range(dim * dim):
+            tangent[entry] = tangent[entry] * (inverse * inverse)
+        for entry in range(dim * dim, 3 * dim * dim):
+            tangent[entry] = tangent[entry] * inverse
+        _store_tangent(tag, linear, e, tangent, work.blocks)
+        _store_residual(tag, linear, inverse, e, force, work)
+
+
+@kernel
+def _store_tangent(
+    tag: Any, linear: tuple[float, ...], e: int, tangent: Any, blocks: Array
+) -> None:
+    """Spread the tangents of the elements from e on to their nodes' blocks."""
+    dim = len(tag)
+    m = 2 * dim
+    lanes = blocks.shape[3]
+    rows = stack(tag, 8)
+    for side in range(2):
+        for block in range(2):
+            for b in range(2):
+                for c in range(dim):
+                    for a in range(2):
+                        pair = _PAIR[side, block, a, b]
+                        sign = _PAIR_SIGN[side, block, a, b]
+                        constant = linear[_LINEAR[side, block, a, b]]
+                        constant *= _LINEAR_SIGN[side, block, a, b]
+                        for d in range(dim):
+                            entry = sign * tangent[(pair * dim + d) * dim + c]
+                            if c == d:
+                                entry += constant
+                            rows[a * dim + d] = entry
+                    for surplus in range(m, lanes):
+                        rows[surplus] = fill(tag, 0.0)
+                    transpose(rows, 0)
+                    column = block * (m + 1) + b * dim + c
+                    for w in range(lanes):
+                        store(blocks, (e + 1 + w, side, column, 0), rows[w])
+
+
+@kernel
+def _store_residual(
+    tag: Any, linear: tuple[float, ...], inverse: float, e: int, force: Any, work: Workspace
+) -> None:
+    """Spread the residuals of the elements from e on to their nodes' blocks."""
+    dim = len(tag)
+    m = 2 * dim
+    lanes = work.blocks.shape[3]
+    first = stack(tag, 8)
+    second = stack(tag, 8)
     for d in range(dim):
-        parts = _apply(
-            linear,
-            increment[e, d],
-            increment[e, dim + d],
-            increment[e + 1, d],
-            increment[e + 1, dim + d],
-        )
-        block[d, last] = parts[0] - force[0, d] * inverse
-        block[dim + d, last] = parts[1] + force[1, d]
-        block[2 * dim + d, last] = parts[2] + force[0, d] * inverse
-        block[3 * dim + d, last] = parts[3] + force[2, d]
-        for c in range(dim):
-            unit = 1.0 if c == d else 0.0
-            chord = tangent[0, d, c] * inverse * inverse
-            first = tangent[1, d, c] * inverse
-            second = tangent[2, d, c] * inverse
-            between = tangent[4, d, c]
-            block[d, c] = linear[0] * unit + chord
-            block[d, dim + c] = linear[1] * unit - first
-            block[d, 2 * dim + c] = linear[3] * unit - chord
-            block[d, 3 * dim + c] = linear[4] * unit - second
-            block[dim + d, c] = linear[1] * unit - first
-            block[dim + d, dim + c] = linear[2] * unit + tangent[3, d, c]
-            block[dim + d, 2 * dim + c] = -linear[4] * unit + first
-            block[dim + d, 3 * dim + c] = linear[5] * unit + between
-            block[2 * dim + d, c] = linear[3] * unit - chord
-            block[2 * dim + d, dim + c] = -linear[4] * unit + first
-            block[2 * dim + d, 2 * dim + c] = linear[0] * unit + chord
-            block[2 * dim + d, 3 * dim + c] = -linear[1] * unit + second
-            block[3 * dim + d, c] = linear[4] * unit - second
-            block[3 * dim + d, dim + c] = linear[5] * unit + between
-            block[3 * dim + d, 2 * dim + c] = -linear[1] * unit + second
-            block[3 * dim + d, 3 * dim + c] = linear[2] * unit + tangent[5, d, c]
+        r1, s1, r2, s2 = _ends(tag, work.increment, d, e)
+        parts = _apply(linear, r1, s1, r2, s2)
+        chord = force[3 * d] * inverse
+        constant = work.constant
+        first[d] = load(tag, constant, (d, e)) + parts[0] - chord
+        first[dim + d] = load(tag, constant, (dim + d, e)) + parts[1] + force[3 * d + 1]
+        second[d] = load(tag, constant, (m + d, e)) + parts[2] + chord
+        second[dim + d] = load(tag, constant, (m + dim + d, e)) + parts[3] + force[3 * d + 2]
+    for surplus in range(m, lanes):
+        first[surplus] = fill(tag, 0.0)
+        second[surplus] = fill(tag, 0.0)
+    transpose(first, 0)
+    transpose(second, 0)
+    for w in range(lanes):
+        store(work.blocks, (e + 1 + w, 0, m, 0), first[w])
+        store(work.blocks, (e + 1 + w, 1, m, 0), second[w])
 
 
 @kernel
-def _eliminate_node(i: int, columns: int, work: Workspace) -> None:
-    """Gauss-Jordan on the pivot rows (D | U | R); stores D^-1 U and D^-1 R of node i.
-
-    No pivoting: inertia dominates D, and a step for which it does not is halved by the caller.
-    """
-    pivot = work.pivot
-    m = pivot.shape[0]
-    for k in range(m):
-        scale = 1.0 / pivot[k, k]
-        for c in range(columns):
-            pivot[k, c] *= scale
+def _add_ends(tether: Tether, work: Workspace) -> None:
+    """Put the ends' own blocks into the equations and hold what is held there."""
+    m = 2 * len(tether.gravity)
+    n = tether.elements
+    blocks = work.blocks
+    for end in range(2):
+        # the root is node 1 of the element before the first, the tip node 0 of that after the last
+        outer, outer_side = (0, 1) if end == 0 else (n + 1, 0)
+        inner, inner_side = (1, 0) if end == 0 else (n, 1)
         for r in range(m):
-            if r != k:
-                multiplier = pivot[r, k]
-                for c in range(columns):
-                    pivot[r, c] -= multiplier * pivot[k, c]
-    for r in range(m):
-        work.solution[i, r] = pivot[r, columns - 1]
-        for c in range(m, columns - 1):
-            work.factor[i, r, c - m] = pivot[r, c]
-
-
-@kernel
-def _hold(end: int, columns: int, work: Workspace) -> None:
-    """Replace the pivot rows of held coordinates by "increment = 0"."""
-    pivot = work.pivot
-    for r in range(pivot.shape[0]):
-        if work.end_fixed[end, r]:
-            for c in range(columns):
-                pivot[r, c] = 0.0
-            pivot[r, r] = 1.0
+            blocks[outer, outer_side, m, r] = work.end_residual[end, r]
+            for c in range(m):
+                blocks[outer, outer_side, c, r] = work.end_matrix[end, r, c]
+        for r in range(m):
+            if work.end_fixed[end, r] != 0.0:
+                hold(blocks, outer, outer_side, r, own=True)
+                hold(blocks, inner, inner_side, r, own=False)
 
 
 @kernel
 def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
-    """Assemble, eliminate and apply one Newton increment to work.increment.
+    """Assemble, solve and apply one Newton increment to work.increment.
 
     The increment itself stays in work.solution. Returns its largest entry [m], slopes times the
     element's length; NaN if an entry is.
     """
     dim = len(tether.gravity)
-    m = 2 * dim
-    n = work.slope.shape[0]
-    average = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
-    linear = _combine(
-        2.0 / h**2,
-        mass_coefficients(tether),
-        0.5,
-        bending_coefficients(tether),
-    )
-    pivot, block = work.pivot, work.element
-    for r in range(m):
-        for c in range(m):
-            pivot[r, c] = work.end_matrix[0, r, c]
-        pivot[r, 2 * m] = work.end_residual[0, r] + work.constant[0, r]
-    for e in range(n):
-        _assemble_element(tether, h, linear, average, e, work)
-        for r in range(m):
-            for c in range(m):
-                pivot[r, c] += block[r, c]
-                pivot[r, m + c] = block[r, m + c]
-            pivot[r, 2 * m] += block[r, 2 * m]
-        if e == 0:
-            _hold(0, 2 * m + 1, work)
-        _eliminate_node(e, 2 * m + 1, work)
-        for r in range(m):
-            for c in range(m):
-                entry = block[m + r, m + c]
-                for k in range(m):
-                    entry -= block[m + r, k] * work.factor[e, k, c]
-                pivot[r, c] = entry
-            entry = block[m + r, 2 * m] + work.constant[e + 1, r]
-            for k in range(m):
-                entry -= block[m + r, k] * work.solution[e, k]
-            pivot[r, 2 * m] = entry
-    for r in range(m):
-        for c in range(m):
-            pivot[r, c] += work.end_matrix[1, r, c]
-        pivot[r, m] = pivot[r, 2 * m] + work.end_residual[1, r]
-    _hold(1, m + 1, work)
-    _eliminate_node(n, m + 1, work)
-    return _substitute(tether.element_length, dim, work)
-
-
-@kernel
-def _substitute(length: float, dim: int, work: Workspace) -> float:
-    """Back substitution from the tip; subtracts the solution from the increment."""
-    m = 2 * dim
-    n = work.slope.shape[0]
+    _assemble(tether, h, work)
+    _add_ends(tether, work)
+    solve_blocks(tether.gravity, tether.elements, work.blocks, work.factor, work.solution)
     largest = 0.0
     total = 0.0
-    for i in range(n, -1, -1):
-        for r in range(m):
-            entry = work.solution[i, r]
-            if i < n:
-                for c in range(m):
-                    entry -= work.factor[i, r, c] * work.solution[i + 1, c]
-            work.solution[i, r] = entry
-            work.increment[i, r] -= entry
-            size = abs(entry) if r < dim else length * abs(entry)
+    for k in range(2 * dim):
+        unit = 1.0 if k < dim else tether.element_length
+        for i in range(tether.elements + 1):
+            change = work.solution[i + 1, k]
+            work.increment[k, i] -= change
+            size = unit * abs(change)
             largest = max(largest, size)
             total += size
     return largest if np.isfinite(total) else np.nan
@@ -527,49 +595,59 @@ def end_step(
         N |r'| over an element at mid-step, damping included; and the largest change of a node's
         slope, the turn during the step [rad] where the tether is not strained much.
     """
-    dim = len(tether.gravity)
-    n = q0.shape[0] - 1
+    tag = tether.gravity
+    dim = len(tag)
+    n = tether.elements
     length = tether.element_length
     increment = work.increment
-    turn = 0.0
-    for i in range(n + 1):
-        for k in range(2 * dim):
-            q1[i, k] = q0[i, k] + increment[i, k]
-            v1[i, k] = 2.0 / h * increment[i, k] - v0[i, k]
-        square = 0.0
-        for d in range(dim):
-            square += increment[i, dim + d] ** 2
-        turn = max(turn, square)
+    lanes = work.solution.shape[1]
+    for k in range(2 * dim):
+        for i in range(0, n + 1, lanes):
+            change = load(tag, increment, (k, i))
+            store(q1, (k, i), load(tag, q0, (k, i)) + change)
+            store(v1, (k, i), (2.0 / h) * change - load(tag, v0, (k, i)))
     damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
-    axial_loss = 0.0
-    peak = -np.inf
-    for e in range(n):
-        mean = 0.0
+    basis = stack(tag, 9)
+    bend = stack(tag, 12)
+    for e in range(0, n, lanes):
+        _load_basis(tag, 1.0 / length, e, work, basis)
+        mean = fill(tag, 0.0)
+        loss = fill(tag, 0.0)
         for g in range(_GAUSS):
-            stretch = 0.0
-            square = 0.0
+            stretch = fill(tag, 0.0)
+            square = fill(tag, 0.0)
             for d in range(dim):
                 change = (
-                    _BASIS[g, 0] * (increment[e + 1, d] - increment[e, d]) / length
-                    + _BASIS[g, 1] * increment[e, dim + d]
-                    + _BASIS[g, 2] * increment[e + 1, dim + d]
+                    _BASIS[g, 0] * basis[3 * d]
+                    + _BASIS[g, 1] * basis[3 * d + 1]
+                    + _BASIS[g, 2] * basis[3 * d + 2]
                 )
-                middle = work.slope[e, g, d] + 0.5 * change
+                middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
                 stretch += middle * change
                 square += middle * middle
-            axial_loss += _WEIGHTS[g] * stretch * stretch
-            mean += _WEIGHTS[g] * (work.strain[e, g] + (0.5 + damping) * stretch) * np.sqrt(square)
-        tension = tether.axial_stiffness * mean
-        work.tension[e] = tension
-        peak = max(peak, tension)
-    loss = damping * tether.axial_stiffness * length * axial_loss
-    if tether.bending_damping_time > 0.0:
-        viscosity = tether.bending_stiffness * tether.bending_damping_time / h * length
-        for e in range(n):
+            strain = load(tag, work.strain, (g, e)) + (0.5 + damping) * stretch
+            mean += _WEIGHTS[g] * strain * root(square)
+            loss += _WEIGHTS[g] * stretch * stretch
+        loss *= damping * tether.axial_stiffness * length
+        if tether.bending_damping_time > 0.0:
+            viscosity = tether.bending_stiffness * tether.bending_damping_time / h * length
             for g in range(_GAUSS):
-                _, _, _, change = _curvature_change(tether, e, g, work)
-                loss += viscosity * _WEIGHTS[g] * change
-    return loss, peak, np.sqrt(turn)
+                _, _, _, change = _curvature_change(tether, e, g, work, basis, bend)
+                loss += (viscosity * _WEIGHTS[g]) * change
+        store(work.tension, (e,), tether.axial_stiffness * mean)
+        store(work.loss, (e,), loss)
+    peak = -np.inf
+    dissipated = 0.0
+    for e in range(n):
+        dissipated += work.loss[e]
+        peak = max(peak, work.tension[e])
+    turn = 0.0
+    for i in range(n + 1):
+        square = 0.0
+        for d in range(dim):
+            square += increment[dim + d, i] ** 2
+        turn = max(turn, square)
+    return dissipated, peak, np.sqrt(turn)
 
 
 @kernel
@@ -584,12 +662,12 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
     gravity = 0.0
     axial = 0.0
     bending = 0.0
-    for e in range(q.shape[0] - 1):
+    for e in range(tether.elements):
         for d in range(dim):
-            r1, s1, r2, s2 = v[e, d], v[e, dim + d], v[e + 1, d], v[e + 1, dim + d]
+            r1, s1, r2, s2 = v[d, e], v[dim + d, e], v[d, e + 1], v[dim + d, e + 1]
             p = _apply(mass, r1, s1, r2, s2)
             kinetic += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
-            r1, s1, r2, s2 = q[e, d], q[e, dim + d], q[e + 1, d], q[e + 1, dim + d]
+            r1, s1, r2, s2 = q[d, e], q[dim + d, e], q[d, e + 1], q[dim + d, e + 1]
             p = _apply(bending_matrix, r1, s1, r2, s2)
             bending += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
             gravity -= weight * tether.gravity[d] * (0.5 * (r1 + r2) + length * (s1 - s2) / 12.0)
@@ -597,9 +675,9 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
             square = 0.0
             for d in range(dim):
                 slope = (
-                    _BASIS[g, 0] * (q[e + 1, d] - q[e, d]) / length
-                    + _BASIS[g, 1] * q[e, dim + d]
-                    + _BASIS[g, 2] * q[e + 1, dim + d]
+                    _BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
+                    + _BASIS[g, 1] * q[dim + d, e]
+                    + _BASIS[g, 2] * q[dim + d, e + 1]
                 )
                 square += slope * slope
             axial += _WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
@@ -611,21 +689,21 @@ def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> Non
     """Write each element's tension [N] at a state: the mean of EA (eps + tau_a deps/dt) |r'|."""
     dim = len(tether.gravity)
     length = tether.element_length
-    for e in range(q.shape[0] - 1):
+    for e in range(tether.elements):
         mean = 0.0
         for g in range(_GAUSS):
             square = 0.0
             rate = 0.0
             for d in range(dim):
                 slope = (
-                    _BASIS[g, 0] * (q[e + 1, d] - q[e, d]) / length
-                    + _BASIS[g, 1] * q[e, dim + d]
-                    + _BASIS[g, 2] * q[e + 1, dim + d]
+                    _BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
+                    + _BASIS[g, 1] * q[dim + d, e]
+                    + _BASIS[g, 2] * q[dim + d, e + 1]
                 )
                 slope_rate = (
-                    _BASIS[g, 0] * (v[e + 1, d] - v[e, d]) / length
-                    + _BASIS[g, 1] * v[e, dim + d]
-                    + _BASIS[g, 2] * v[e + 1, dim + d]
+                    _BASIS[g, 0] * (v[d, e + 1] - v[d, e]) / length
+                    + _BASIS[g, 1] * v[dim + d, e]
+                    + _BASIS[g, 2] * v[dim + d, e + 1]
                 )
                 square += slope * slope
                 rate += slope * slope_rate

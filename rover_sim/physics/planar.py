@@ -24,16 +24,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import checked, kernel
 from rover_sim.physics.energy_momentum import (
-    Array,
     Tether,
     Workspace,
     begin_step,
-    checked,
     end_step,
-    kernel,
     make_workspace,
     newton_increment,
+    row_width,
     tether_energies,
 )
 
@@ -91,6 +91,9 @@ _MAX_TURN = 1.0
 # again after so many steps that ended on its word.
 _TRUSTED_STEPS = 8
 _TRUST_MARGIN = 0.1
+# Entries of the array `search`.
+_LENGTH, _LOW, _HIGH, _TRIES = range(4)
+_MOST_TRIES = 12.0
 
 
 class Rover(NamedTuple):
@@ -127,14 +130,16 @@ class Solver(NamedTuple):
     """Arrays of one call of `advance`."""
 
     work: Workspace
-    q1: Array  # (n + 1, 4), the state after an attempted step
+    q1: Array  # (4, width), the state after an attempted step
     v1: Array
     body1: Array  # (BODY_SIZE,)
     turn: Array  # (2,): increments th and ds
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
-    history: Array  # (3, n + 2, 4): mid-step rates of the last steps, (th/h, ds/h) in the last row
+    history: Array  # (3, 4, width): mid-step rates of the last three steps
+    turn_history: Array  # (3, 2): the same of th and ds
     history_time: Array  # (3,) [s], their instants relative to the start of the coming step
     control: Array  # (2,): the Newton constant C, steps since it was measured; see _TRUSTED_STEPS
+    search: Array  # (4,): of the touchdown's instant, see `_seek_touchdown`
     report: Array  # (REPORT_SIZE,)
 
 
@@ -144,19 +149,23 @@ NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
 @checked
 def make_solver(elements: int, report: Array) -> Solver:
     """Allocate the arrays for a tether of n elements, reporting to `report`."""
-    report[:] = 0.0
+    for k in range(REPORT_SIZE):
+        report[k] = 0.0
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
+    width = row_width(elements, 2)
     return Solver(
         make_workspace(elements, 2),
-        np.zeros((elements + 1, 4)),
-        np.zeros((elements + 1, 4)),
+        np.zeros((4, width)),
+        np.zeros((4, width)),
         np.zeros(BODY_SIZE),
         np.zeros(2),
         np.zeros((2, 3)),
-        np.zeros((3, elements + 2, 4)),
+        np.zeros((3, 4, width)),
+        np.zeros((3, 2)),
         np.zeros(3),
         np.array([0.0, float(_TRUSTED_STEPS)]),
+        np.zeros(4),
         report,
     )
 
@@ -190,9 +199,9 @@ def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]
         kinetic += more
         gravity += weight
     else:
-        n = q.shape[0] - 1
-        kinetic += 0.5 * model.tip_mass * (v[n, 0] ** 2 + v[n, 1] ** 2)
-        gravity -= model.tip_mass * (gx * q[n, 0] + gy * q[n, 1])
+        n = model.tether.elements
+        kinetic += 0.5 * model.tip_mass * (v[0, n] ** 2 + v[1, n] ** 2)
+        gravity -= model.tip_mass * (gx * q[0, n] + gy * q[1, n])
     return kinetic, gravity, axial, bending, spring
 
 
@@ -209,8 +218,8 @@ def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
     rover = model.rover
     gx, gy = model.tether.gravity
     work = solver.work
-    n = work.increment.shape[0] - 1
-    drx, dry = work.increment[n, 0], work.increment[n, 1]
+    n = model.tether.elements
+    drx, dry = work.increment[0, n], work.increment[1, n]
     th, ds = solver.turn[0], solver.turn[1]
     a, b = rover.attachment_x, rover.attachment_y
     s0 = body[SLIDE]
@@ -302,13 +311,12 @@ def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
 
 
 @kernel
-def _rover_increment(solver: Solver) -> float:
+def _rover_increment(n: int, solver: Solver) -> float:
     """Newton increment of th and ds from that of the last node; returns the larger one."""
     work, z = solver.work, solver.condensed
-    n = work.increment.shape[0] - 1
     largest = 0.0
     for k in range(2):
-        change = z[k, 0] - z[k, 1] * work.solution[n, 0] - z[k, 2] * work.solution[n, 1]
+        change = z[k, 0] - z[k, 1] * work.solution[n + 1, 0] - z[k, 2] * work.solution[n + 1, 1]
         solver.turn[k] -= change
         largest = max(largest, abs(change))
     return largest
@@ -317,19 +325,28 @@ def _rover_increment(solver: Solver) -> float:
 @kernel
 def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
-    n = v0.shape[0] - 1
+    n = model.tether.elements
     for d in range(2):
         work.end_matrix[1, d, d] = 2.0 * model.tip_mass / h**2
         work.end_residual[1, d] = model.tip_mass * (
-            2.0 / h * (work.increment[n, d] / h - v0[n, d]) - model.tether.gravity[d]
+            2.0 / h * (work.increment[d, n] / h - v0[d, n]) - model.tether.gravity[d]
         )
+
+
+@kernel
+def _clear_tip(work: Workspace) -> None:
+    """Take what the rover added off the tether's tip."""
+    for d in range(2):
+        work.end_residual[1, d] = 0.0
+        for c in range(2):
+            work.end_matrix[1, d, c] = 0.0
 
 
 @kernel
 def _rover_end_step(model: Model, h: float, body: Array, solver: Solver) -> float:
     """Write the rover's state after a converged step; returns the damper's loss [J]."""
     rover, work, body1 = model.rover, solver.work, solver.body1
-    n = work.increment.shape[0] - 1
+    n = model.tether.elements
     th, ds = solver.turn[0], solver.turn[1]
     theta1 = body[THETA] + 2.0 * np.arctan(0.5 * th)
     sm = body[SLIDE] + 0.5 * ds
@@ -337,7 +354,7 @@ def _rover_end_step(model: Model, h: float, body: Array, solver: Solver) -> floa
     zm = 0.5 * (np.sin(body[THETA]) + np.sin(theta1))
     px = cm * rover.attachment_x - zm * rover.attachment_y
     py = zm * rover.attachment_x + cm * rover.attachment_y
-    dx1, dy1 = work.increment[n, 0] + th * py, work.increment[n, 1] - th * px
+    dx1, dy1 = work.increment[0, n] + th * py, work.increment[1, n] - th * px
     dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
     body1[X1] = body[X1] + dx1
     body1[Y1] = body[Y1] + dy1
@@ -352,7 +369,9 @@ def _rover_end_step(model: Model, h: float, body: Array, solver: Solver) -> floa
 
 
 @kernel
-def _predict(h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver) -> None:
+def _predict(
+    n: int, h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver
+) -> None:
     """Start the Newton iteration from rates at mid-step, extrapolated from the last steps.
 
     `depth` of the past steps are used (Lagrange's polynomial in time); with none, the rates at
@@ -360,11 +379,10 @@ def _predict(h: float, v: Array, body: Array, depth: int, flying: bool, solver: 
     """
     work = solver.work
     increment, history, times = work.increment, solver.history, solver.history_time
-    n = v.shape[0] - 1
     if depth == 0:
-        for i in range(n + 1):
-            for k in range(4):
-                increment[i, k] = h * v[i, k]
+        for k in range(4):
+            for i in range(increment.shape[1]):
+                increment[k, i] = h * v[k, i]
         c, z = np.cos(body[THETA]), np.sin(body[THETA])
         solver.turn[0] = h * body[OMEGA]
         solver.turn[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
@@ -381,41 +399,39 @@ def _predict(h: float, v: Array, body: Array, depth: int, flying: bool, solver: 
             second /= (times[1] - times[0]) * (times[1] - times[2])
             third = 1.0 - first - second
         first, second, third = h * first, h * second, h * third
-        for i in range(n + 1):
-            for k in range(4):
-                increment[i, k] = (
-                    first * history[0, i, k] + second * history[1, i, k] + third * history[2, i, k]
+        for k in range(4):
+            for i in range(increment.shape[1]):
+                increment[k, i] = (
+                    first * history[0, k, i] + second * history[1, k, i] + third * history[2, k, i]
                 )
+        turns = solver.turn_history
         for k in range(2):
-            solver.turn[k] = (
-                first * history[0, n + 1, k]
-                + second * history[1, n + 1, k]
-                + third * history[2, n + 1, k]
-            )
+            solver.turn[k] = first * turns[0, k] + second * turns[1, k] + third * turns[2, k]
     for k in range(4):
-        if work.end_fixed[0, k]:
-            increment[0, k] = 0.0
-        if work.end_fixed[1, k]:
-            increment[n, k] = 0.0
+        if work.end_fixed[0, k] != 0.0:
+            increment[k, 0] = 0.0
+        if work.end_fixed[1, k] != 0.0:
+            increment[k, n] = 0.0
     if not flying:
-        solver.turn[:] = 0.0
+        solver.turn[0] = 0.0
+        solver.turn[1] = 0.0
 
 
 @kernel
 def _remember(h: float, solver: Solver) -> None:
     """Push the finished step's mid-step rates onto the history."""
     history, times, increment = solver.history, solver.history_time, solver.work.increment
-    n = increment.shape[0] - 1
     inverse = 1.0 / h
-    for i in range(n + 1):
-        for k in range(4):
-            history[2, i, k] = history[1, i, k]
-            history[1, i, k] = history[0, i, k]
-            history[0, i, k] = inverse * increment[i, k]
+    for k in range(4):
+        for i in range(increment.shape[1]):
+            history[2, k, i] = history[1, k, i]
+            history[1, k, i] = history[0, k, i]
+            history[0, k, i] = inverse * increment[k, i]
+    turns = solver.turn_history
     for k in range(2):
-        history[2, n + 1, k] = history[1, n + 1, k]
-        history[1, n + 1, k] = history[0, n + 1, k]
-        history[0, n + 1, k] = inverse * solver.turn[k]
+        turns[2, k] = turns[1, k]
+        turns[1, k] = turns[0, k]
+        turns[0, k] = inverse * solver.turn[k]
     times[2] = times[1] - h
     times[1] = times[0] - h
     times[0] = -0.5 * h
@@ -442,12 +458,13 @@ def attempt_step(
         largest tension [N].
     """
     work = solver.work
-    work.end_fixed[0, :2] = model.root_pinned
-    work.end_fixed[0, 2:] = model.root_clamped
-    work.end_fixed[1, :2] = model.has_rover and not flying
-    work.end_matrix[:] = 0.0
-    work.end_residual[:] = 0.0
-    _predict(h, v, body, depth, flying, solver)
+    for d in range(2):
+        work.end_fixed[0, d] = 1.0 if model.root_pinned else 0.0
+        work.end_fixed[0, 2 + d] = 1.0 if model.root_clamped else 0.0
+        work.end_fixed[1, d] = 1.0 if model.has_rover and not flying else 0.0
+    if not flying:
+        _clear_tip(work)
+    _predict(model.tether.elements, h, v, body, depth, flying, solver)
     begin_step(model.tether, h, q, v, work)
     previous = np.inf
     converged = False
@@ -459,7 +476,7 @@ def attempt_step(
         change = newton_increment(model.tether, h, work)
         if flying:
             # Not max(), which would let a NaN pass.
-            change += _rover_increment(solver)
+            change += _rover_increment(model.tether.elements, solver)
         solver.report[ITERATIONS] += 1.0
         if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
             break
@@ -483,7 +500,8 @@ def attempt_step(
     if flying:
         dissipated += _rover_end_step(model, h, body, solver)
     else:
-        solver.body1[:] = body
+        for k in range(BODY_SIZE):
+            solver.body1[k] = body[k]
     if not turn < _MAX_TURN:
         return False, 0.0, 0.0
     return True, dissipated, tension
@@ -498,7 +516,7 @@ def take_off(
     The tether's last node gets the same velocity, the other nodes keep theirs, or all get rates
     linear in arc length (`linear_rates`). What the system's energy grows by is booked as input.
     """
-    n = q.shape[0] - 1
+    n = model.tether.elements
     before = stored_energy(model, q, v, body)
     body[SLIDE] = model.rover.spring_free_length
     body[OMEGA] = 0.0
@@ -507,11 +525,11 @@ def take_off(
     for d in range(2):
         if model.linear_rates:
             for i in range(n + 1):
-                v[i, d] = velocity[d] * i / n
-                v[i, 2 + d] = velocity[d] / (n * model.tether.element_length)
+                v[d, i] = velocity[d] * i / n
+                v[2 + d, i] = velocity[d] / (n * model.tether.element_length)
             if model.root_clamped:
-                v[0, 2 + d] = 0.0
-        v[n, d] = velocity[d]
+                v[2 + d, 0] = 0.0
+        v[d, n] = velocity[d]
     book[INPUT] += stored_energy(model, q, v, body) - before
     book[TAKE_OFF_TIME] = book[TIME]
     book[START_X], book[START_Y] = body[X1], body[Y1]
@@ -523,8 +541,10 @@ def take_off(
 def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> None:
     """Stop the rover where it is; its energy of motion is booked as dissipated."""
     before = stored_energy(model, q, v, body)
-    body[VX1:] = 0.0
-    v[v.shape[0] - 1, :2] = 0.0
+    for k in range(VX1, BODY_SIZE):
+        body[k] = 0.0
+    for d in range(2):
+        v[d, model.tether.elements] = 0.0
     book[DISSIPATED] += before - stored_energy(model, q, v, body)
 
 
@@ -604,46 +624,53 @@ def _record(
     return count
 
 
-@checked
-def _step_to_touchdown(
-    model: Model, h: float, q: Array, v: Array, body: Array, book: Array, depth: int, solver: Solver
-) -> tuple[bool, float, float, float]:
-    """Repeat the step just tried with the length at which G1 is back at its starting height.
+@kernel
+def _comes_down(body: Array, body1: Array, level: float) -> bool:
+    """Whether G1 falls through the level between two states, having been above it."""
+    above = body[Y1] > level or (body[Y1] == level and body[VY1] > 0.0)
+    return above and body1[Y1] <= level and body1[VY1] < 0.0
 
-    The step ends above that height at some length, below at h; its own result as a function of its
-    length is searched for the zero, from the cubic's root by the secant method with a bracket.
+
+@kernel
+def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
+    """Look at a step of length h that may end at the level; if not, say which length to try next.
+
+    The step's own end as a function of its length is searched for the level: first where the cubic
+    through both ends has it, then by the secant method, within a bracket. What is remembered
+    between the tries is in solver.search.
 
     Returns:
-        As `attempt_step`, then the length found [s].
+        Whether the step ends at the level, to the accuracy [m].
     """
-    level = book[START_Y]
-    y0, dy0 = body[Y1], body[VY1]
+    search = solver.search
     y1, dy1 = solver.body1[Y1], solver.body1[VY1]
-    low = 0.0
-    if dy0 > 0.0 >= dy1:
-        low = _apex_instant(h, y0, dy0, y1, dy1)
-    length = _crossing_instant(low, h, h, y0, dy0, y1, dy1, level)
-    high = h
-    ok, dissipated, tension = False, 0.0, 0.0
-    for _ in range(12):
-        ok, dissipated, tension = attempt_step(
-            model, length, q, v, body, True, min(depth, 1), solver
-        )
-        if not ok:
-            break
-        gap = solver.body1[Y1] - level
-        if abs(gap) < 1e-13 + 1e-4 * model.tolerance:
-            break
-        if gap > 0.0:
-            low = length
-        else:
-            high = length
-        rate = solver.body1[VY1]
-        following = length - gap / rate if rate < 0.0 else 0.5 * (low + high)
-        if not low < following < high:
-            following = 0.5 * (low + high)
-        length = following
-    return ok, dissipated, tension, length
+    if search[_TRIES] == 0.0:
+        y0, dy0 = body[Y1], body[VY1]
+        low = _apex_instant(h, y0, dy0, y1, dy1) if dy0 > 0.0 else 0.0
+        search[_LOW], search[_HIGH] = low, h
+        search[_LENGTH] = _crossing_instant(low, h, h, y0, dy0, y1, dy1, level)
+    else:
+        gap = y1 - level
+        if abs(gap) <= accuracy or search[_TRIES] >= _MOST_TRIES:
+            return True
+        search[_LOW if gap > 0.0 else _HIGH] = h
+        following = h - gap / dy1 if dy1 < 0.0 else 0.0
+        if not search[_LOW] < following < search[_HIGH]:
+            following = 0.5 * (search[_LOW] + search[_HIGH])
+        search[_LENGTH] = following
+    search[_TRIES] += 1.0
+    return False
+
+
+@kernel
+def _keep(solver: Solver, q: Array, v: Array, body: Array) -> None:
+    """Make the attempted step's end the state."""
+    for k in range(q.shape[0]):
+        for i in range(q.shape[1]):
+            q[k, i] = solver.q1[k, i]
+            v[k, i] = solver.v1[k, i]
+    for k in range(BODY_SIZE):
+        body[k] = solver.body1[k]
 
 
 @kernel
@@ -656,11 +683,11 @@ def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) ->
     report[BENDING] = bending
     report[SPRING] = spring
     if model.has_rover:
-        n = q.shape[0] - 1
+        n = model.tether.elements
         a, b = model.rover.attachment_x, model.rover.attachment_y
         c, z = np.cos(body[THETA]), np.sin(body[THETA])
         report[CONSTRAINT_DRIFT] = np.hypot(
-            body[X1] + c * a - z * b - q[n, 0], body[Y1] + z * a + c * b - q[n, 1]
+            body[X1] + c * a - z * b - q[0, n], body[Y1] + z * a + c * b - q[1, n]
         )
 
 
@@ -682,7 +709,7 @@ def advance(
 
     Args:
         model: constants.
-        q: nodal coordinates (n + 1, 4).
+        q: nodal coordinates in rows, (4, width).
         v: their rates.
         body: the rover's state (BODY_SIZE,).
         book: what else is remembered (BOOK_SIZE,).
@@ -697,13 +724,15 @@ def advance(
         Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last good
         state, after OUTCOME_BROKEN that at the end of the step in which the tether broke.
     """
-    elements = q.shape[0] - 1
+    elements = model.tether.elements
     solver = make_solver(elements, report)
     count = 0
     depth = 0
     elapsed = 0.0
     start = book[TIME]
     done = phase in (DIVERGED, TETHER_BROKEN)
+    search = solver.search
+    accuracy = 1e-13 + 1e-4 * model.tolerance
     while not done and elapsed < dt * (1.0 - 1e-12):
         step = model.step
         if dt - elapsed < step * (1.0 + 1e-6):
@@ -726,17 +755,15 @@ def advance(
         unit = 1 << model.max_halvings
         part, left = unit, unit
         while left > 0 and step > 0.0:
-            h = step * part / unit
+            seeking = search[_TRIES] > 0.0
+            h = search[_LENGTH] if seeking else step * part / unit
             ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, depth, solver)
             touches = False
-            if ok and flying:
-                y0, y1 = body[Y1], solver.body1[Y1]
-                above = y0 > book[START_Y] or (y0 == book[START_Y] and body[VY1] > 0.0)
-                touches = above and y1 <= book[START_Y] and solver.body1[VY1] < 0.0
-                if touches:
-                    ok, dissipated, tension, h = _step_to_touchdown(
-                        model, h, q, v, body, book, depth, solver
-                    )
+            if ok and flying and (seeking or _comes_down(body, solver.body1, book[START_Y])):
+                touches = _seek_touchdown(h, book[START_Y], accuracy, body, solver)
+                if not touches:
+                    continue
+            search[_TRIES] = 0.0
             if not ok:
                 depth = 0
                 solver.control[1] = _TRUSTED_STEPS
@@ -744,15 +771,9 @@ def advance(
                 if part == 0:
                     phase = DIVERGED
                     done = True
+                    rise = body[Y1] - book[START_Y]
                     count = _record(
-                        EVENT_DIVERGED,
-                        start + elapsed,
-                        body[Y1] - book[START_Y],
-                        0.0,
-                        body,
-                        book,
-                        events,
-                        count,
+                        EVENT_DIVERGED, start + elapsed, rise, 0.0, body, book, events, count
                     )
                     break
                 report[HALVINGS] += 1.0
@@ -774,9 +795,7 @@ def advance(
                         events,
                         count,
                     )
-            q[:] = solver.q1
-            v[:] = solver.v1
-            body[:] = solver.body1
+            _keep(solver, q, v, body)
             book[DISSIPATED] += dissipated
             _remember(h, solver)
             depth = min(depth + 1, 3)

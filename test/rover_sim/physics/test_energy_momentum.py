@@ -30,16 +30,16 @@ class Chain:
         self.section = section
         self.length = LENGTH / (self.count - 1)
         self.tether: Tether = energy_momentum.make_tether(
-            section, self.length, gravity, numerical_damping
+            section, LENGTH, self.count - 1, gravity, numerical_damping
         )
         self.work: Workspace = energy_momentum.make_workspace(self.count - 1, self.dim)
-        self.work.end_fixed[0, : self.dim] = root_held
-        self.q = nodes.reshape(self.count, 2 * self.dim).copy()
-        self.v = rates.reshape(self.count, 2 * self.dim).copy()
+        self.work.end_fixed[0, : self.dim] = float(root_held)
+        self.q = energy_momentum.to_rows(nodes)
+        self.v = energy_momentum.to_rows(rates)
         self.dissipated = 0.0
 
     def step(self, h: float) -> None:
-        q1, v1 = np.empty_like(self.q), np.empty_like(self.v)
+        q1, v1 = np.zeros_like(self.q), np.zeros_like(self.v)
         self.work.increment[:] = h * self.v
         energy_momentum.begin_step(self.tether, h, self.q, self.v, self.work)
         for _ in range(30):
@@ -53,11 +53,11 @@ class Chain:
 
     @property
     def nodes(self) -> np.ndarray:
-        return np.asarray(self.q.reshape(self.count, 2, self.dim))
+        return energy_momentum.to_nodes(self.q, self.count - 1)
 
     @property
     def rates(self) -> np.ndarray:
-        return np.asarray(self.v.reshape(self.count, 2, self.dim))
+        return energy_momentum.to_nodes(self.v, self.count - 1)
 
     def energy(self) -> float:
         return float(sum(energy_momentum.tether_energies(self.tether, self.q, self.v)))
@@ -123,7 +123,7 @@ def test_a_step_satisfies_the_midpoint_equation_written_out_with_the_elements(di
 def test_newton_converges_quadratically(dim: int) -> None:
     nodes, rates = bent(dim)
     chain = Chain(nodes, rates, TABLE_1, (0.0, -9.81, 0.0)[:dim], root_held=True)
-    chain.v[0, :dim] = 0.0
+    chain.v[:dim, 0] = 0.0
     h = 4e-3
     energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
     chain.work.increment[:] = h * chain.v
@@ -187,7 +187,7 @@ def test_turning_a_bent_tether_rigidly_is_not_damped(dim: int) -> None:
     # a rigid turn about the origin by Cayley's map, which the step must reproduce
     h = 1e-2
     turn = np.linalg.solve(np.eye(dim) - 0.5 * h * spin, np.eye(dim) + 0.5 * h * spin)
-    chain.work.increment[:] = ((nodes @ turn.T) - nodes).reshape(chain.q.shape)
+    chain.work.increment[:] = energy_momentum.to_rows(nodes @ turn.T - nodes)
     energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
     loss, _, _ = energy_momentum.end_step(
         chain.tether, h, chain.q, chain.v, chain.work, chain.q.copy(), chain.v.copy()
@@ -213,7 +213,7 @@ def test_not_a_number_is_reported_as_such() -> None:
     nodes, rates = bent(2)
     chain = Chain(nodes, rates, TABLE_1, (0.0, -9.81), root_held=False)
     chain.work.increment[:] = 0.0
-    chain.v[4, 1] = math.nan
+    chain.v[1, 4] = math.nan
     energy_momentum.begin_step(chain.tether, 1e-3, chain.q, chain.v, chain.work)
     assert math.isnan(energy_momentum.newton_increment(chain.tether, 1e-3, chain.work))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
-from rover_sim.physics import planar
+from rover_sim.physics import ancf, energy_momentum, planar
 from rover_sim.plant import Command, Outcome, Phase
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -203,18 +203,18 @@ def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
         tether=tether, root_pinned=False, step=h, hold_after_landing=False, tolerance=1e-14
     )
     n = state.nodes.shape[0] - 1
-    q = np.array(state.nodes).reshape(n + 1, 4)
-    v = np.zeros_like(q)
+    rates = np.zeros((n + 1, 2, 2))
     x = np.linspace(0.0, 1.0, n + 1)
-    v[:, 0], v[:, 1] = 0.5 * x**2, 1.0 - 2.0 * x
-    v[:, 2], v[:, 3] = 0.5 * 2 * x / 5.0, -2.0 / 5.0
+    rates[:, 0, 0], rates[:, 0, 1] = 0.5 * x**2, 1.0 - 2.0 * x
+    rates[:, 1, 0], rates[:, 1, 1] = 0.5 * 2 * x / 5.0, -2.0 / 5.0
+    q, v = energy_momentum.to_rows(state.nodes), energy_momentum.to_rows(rates)
     body = np.zeros(planar.BODY_SIZE)
     body[[planar.X1, planar.Y1]] = state.G1
     body[planar.SLIDE] = state.s + 0.02
     rover = model.rover
     omega, a, b = 1.5, rover.attachment_x, rover.attachment_y
     body[planar.OMEGA] = omega
-    body[[planar.VX1, planar.VY1]] = v[n, :2] - omega * np.array([-b, a])
+    body[[planar.VX1, planar.VY1]] = rates[n, 0] - omega * np.array([-b, a])
     body[[planar.VX2, planar.VY2]] = body[[planar.VX1, planar.VY1]]
     body[planar.VX2] -= omega * body[planar.SLIDE]
     body[planar.VY2] += 0.4
@@ -223,11 +223,9 @@ def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
 
 def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Linear momentum and angular momentum about the origin."""
-    from rover_sim.physics import ancf
-
     tether, rover = model.tether, model.rover
-    e = ancf.element_coordinates(q.reshape(-1, 2, 2))
-    rates = ancf.element_coordinates(v.reshape(-1, 2, 2))
+    e = ancf.element_coordinates(energy_momentum.to_nodes(q, tether.elements))
+    rates = ancf.element_coordinates(energy_momentum.to_nodes(v, tether.elements))
     mass = ancf.mass_matrix(tether.line_density, tether.element_length)
     load = ancf.load_vector(tether.line_density, tether.element_length)
     tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)

@@ -1,0 +1,137 @@
+"""Solve the block-tridiagonal equations of a chain of nodes, one block of m = 2 dim a node.
+
+The equations of node i are
+
+    L_i x_(i-1) + D_i x_i + U_i x_(i+1) = R_i,
+
+and arrive as contributions of the elements, each with a side for either of its nodes: side 0 holds
+the rows of its first node (D, R, and U towards its second), side 1 those of its second node (D, R,
+and L towards its first). An array `blocks` (n + 2, 2, 2 m + 1, lanes) has element e at e + 1 and,
+in front and behind, what the chain's ends add, as elements with one node. The columns of a side are
+D (m), R (1), then the coupling (m), each a packet over the rows, whose surplus lanes are zero.
+
+Elimination runs from both ends towards the middle: two independent chains of operations, which the
+processor overlaps, as each is bound by latency and not by throughput. Within a block there is no
+pivoting: inertia dominates D, and steps for which it does not fail and are made shorter.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import kernel
+from rover_sim.physics.packets import lane, load, stack, store, with_lane
+
+
+@kernel
+def make_factor(nodes: int, columns: int, lanes: int) -> Array:
+    """Scratch array (nodes + 2, m + 1, lanes) of `solve_blocks`; see `_eliminate`."""
+    return np.zeros((nodes + 2, columns, lanes))
+
+
+@kernel
+def _eliminate(
+    tag: tuple[float, ...],
+    blocks: Array,
+    before: int,
+    before_side: int,
+    after: int,
+    after_side: int,
+    previous: int,
+    node: int,
+    factor: Array,
+) -> None:
+    """Express x of a node by that of the node after it, in a chain running either way.
+
+    With the factors G, y of the node before (x_before = y - G x) the node's equations are
+
+        (D - C G) x + C' x_after = R - C y,
+
+    D and R being sums of the sides of the elements before and after, C and C' their couplings.
+    Gauss and Jordan's method on (D - C G | R - C y | C') leaves y and G, stored as the columns
+    (G, y) at factor[node].
+    """
+    m = 2 * len(tag)
+    columns = stack(tag, 13)
+    coupling = stack(tag, 6)
+    for k in range(m):
+        coupling[k] = load(tag, blocks, (before, before_side, m + 1 + k, 0))
+        columns[m + 1 + k] = load(tag, blocks, (after, after_side, m + 1 + k, 0))
+    for c in range(m + 1):
+        column = load(tag, blocks, (before, before_side, c, 0))
+        column += load(tag, blocks, (after, after_side, c, 0))
+        for k in range(m):
+            column -= coupling[k] * factor[previous, c, k]
+        columns[c] = column
+    for k in range(m):
+        pivot = columns[k]
+        inverse = 1.0 / lane(pivot, k)
+        for c in range(k + 1, 2 * m + 1):
+            column = columns[c]
+            multiple = lane(column, k) * inverse
+            columns[c] = with_lane(column - pivot * multiple, k, multiple)
+    store(factor, (node, m, 0), columns[m])
+    for k in range(m):
+        store(factor, (node, k, 0), columns[m + 1 + k])
+
+
+@kernel
+def _fold(
+    tag: tuple[float, ...], blocks: Array, element: int, side: int, previous: int, factor: Array
+) -> None:
+    """Take an eliminated neighbour's C G and C y off the D and R of an element's side, in place."""
+    m = 2 * len(tag)
+    for c in range(m + 1):
+        column = load(tag, blocks, (element, side, c, 0))
+        for k in range(m):
+            column -= load(tag, blocks, (element, side, m + 1 + k, 0)) * factor[previous, c, k]
+        store(blocks, (element, side, c, 0), column)
+
+
+@kernel
+def _substitute(
+    tag: tuple[float, ...], node: int, known: int, factor: Array, solution: Array
+) -> None:
+    """Unknowns of a node from those of its known neighbour, x = y - G x_known."""
+    m = 2 * len(tag)
+    result = load(tag, factor, (node, m, 0))
+    for k in range(m):
+        result -= load(tag, factor, (node, k, 0)) * solution[known, k]
+    store(solution, (node, 0), result)
+
+
+@kernel
+def hold(blocks: Array, element: int, side: int, row: int, own: bool) -> None:
+    """Turn a row of a side into "x = 0" (`own`), or into nothing, for the other side of the sum."""
+    for c in range(blocks.shape[2]):
+        blocks[element, side, c, row] = 0.0
+    if own:
+        blocks[element, side, row, row] = 1.0
+
+
+@kernel
+def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array) -> None:
+    """Solve for all nodes.
+
+    Args:
+        tag: of the packets, see there.
+        n: number of elements.
+        blocks: the equations, (n + 2, 2, 2 m + 1, lanes) at least; side (middle, 0) is changed.
+        factor: (n + 3, m + 1, lanes); its first and last entries must be zero. Node i is at i + 1.
+        solution: x, (n + 3, lanes); node i at i + 1.
+    """
+    middle = (n + 1) // 2
+    for i in range(middle):
+        _eliminate(tag, blocks, i, 1, i + 1, 0, i, i + 1, factor)
+        j = n - i
+        if j > middle:
+            _eliminate(tag, blocks, j + 1, 0, j, 1, j + 2, j + 1, factor)
+    _fold(tag, blocks, middle + 1, 0, middle + 2, factor)
+    _eliminate(tag, blocks, middle, 1, middle + 1, 0, middle, middle + 1, factor)
+    store(solution, (middle + 1, 0), load(tag, factor, (middle + 1, 2 * len(tag), 0)))
+    for i in range(middle):
+        _substitute(tag, middle - i, middle + 1 - i, factor, solution)
+        j = middle + 1 + i
+        if j <= n:
+            _substitute(tag, j + 1, j, factor, solution)
