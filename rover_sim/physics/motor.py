@@ -1,0 +1,116 @@
+"""Electric motor with its drive: torque and speed limits, current, and a rate servo."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.ranges import check_ranges
+
+
+class MotorMode(IntEnum):
+    """What the motor's drive is asked to do."""
+
+    OFF = 0  # no current, the rotor turns freely
+    TORQUE = 1  # the torque asked for, within the limits
+    RATE = 2  # holds the rate asked for; the torque asked for is fed forward
+    POSITION = 3  # runs to a position at no more than the rate asked for (jump drive only)
+
+
+# Plain integers, as the compiled functions and their states want them.
+OFF, TORQUE, RATE, POSITION = (int(mode) for mode in MotorMode)
+
+
+@dataclass(frozen=True)
+class MotorParameters:
+    """A brushless motor with a current-limited drive; all values at the motor's own shaft.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    max_torque: float  # the drive's current limit [N m], > 0
+    stall_torque: float  # at the bus voltage, without the current limit [N m], > 0
+    no_load_rate: float  # where the voltage leaves no driving torque [rad/s], > 0
+    torque_constant: float  # [N m/A], > 0
+    servo_bandwidth: float  # of the rate servo [rad/s], > 0; far below 2/h of the substep
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            positive=(
+                "max_torque",
+                "stall_torque",
+                "no_load_rate",
+                "torque_constant",
+                "servo_bandwidth",
+            ),
+        )
+
+
+class Motor(NamedTuple):
+    """`MotorParameters` as the compiled functions see them."""
+
+    max_torque: float
+    stall_torque: float
+    no_load_rate: float
+    torque_constant: float
+    servo_bandwidth: float
+
+
+def make_motor(parameters: MotorParameters) -> Motor:
+    """Collect what the compiled functions need, as plain floats."""
+    return Motor(
+        float(parameters.max_torque),
+        float(parameters.stall_torque),
+        float(parameters.no_load_rate),
+        float(parameters.torque_constant),
+        float(parameters.servo_bandwidth),
+    )
+
+
+@checked
+def limited_torque(motor: Motor, wanted: float, rate: float, limit: float) -> float:
+    """The torque [N m] that the motor gives at a rate when `wanted` is asked for.
+
+    Driving, the back-EMF leaves stall_torque (1 - |rate|/no_load_rate); braking, only the current
+    limit counts. `limit` is a further bound on the magnitude. A wanted value that is not a number
+    gives no torque.
+    """
+    bound = min(motor.max_torque, limit)
+    if wanted * rate > 0.0:
+        bound = min(bound, motor.stall_torque * (1.0 - abs(rate) / motor.no_load_rate))
+    bound = max(bound, 0.0)
+    if wanted > bound:
+        return bound
+    if wanted < -bound:
+        return -bound
+    if wanted == wanted:  # noqa: PLR0124 - false for NaN alone
+        return wanted
+    return 0.0
+
+
+@checked
+def rate_servo(
+    motor: Motor,
+    inertia: float,
+    wanted_rate: float,
+    rate: float,
+    feed_forward: float,
+    limit: float,
+    integral: float,
+    h: float,
+) -> tuple[float, float]:
+    """Torque [N m] of the PI rate loop and its new integral [N m].
+
+    With bandwidth b and inertia J at the motor the gains are J b and J b^2/4, so that the loop is
+    critically damped on the bare inertia. The integral rests while the torque is at its limit,
+    unless it would lead back inside.
+    """
+    error = wanted_rate - rate
+    gain = inertia * motor.servo_bandwidth
+    wanted = feed_forward + gain * error + integral
+    torque = limited_torque(motor, wanted, rate, limit)
+    if (wanted - torque) * error <= 0.0:
+        integral += 0.25 * gain * motor.servo_bandwidth * error * h
+    return torque, integral

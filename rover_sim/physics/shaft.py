@@ -1,0 +1,207 @@
+"""A shaft with dry friction: exact standstill, exact energy books.
+
+The shaft obeys J w' = D(direction) - F(w) direction - c w - d w, with a drive D that may depend on
+the direction of motion (a gear passes less torque when it drives than when it is driven), dry
+friction F, a viscous coefficient c and the slope d of a load. Dry friction follows Stribeck's
+curve, F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of motion.
+
+A step is cut where the shaft comes to rest. There it stays, with a rate of exactly zero, as long
+as no direction's drive exceeds its breakaway friction; otherwise it leaves rest within the same
+step. So a step has at most two pieces, each under constant dry torques, with the viscous torque at
+the piece's mean rate (midpoint rule) and the load's slope at its end rate (implicit, so that a
+steep slope cannot overshoot). A piece's angle is its duration times its mean rate, hence torque
+times angle is its work to rounding, and J (w1^2 - w0^2)/2 equals the sum of these works.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.ranges import check_ranges
+
+
+@dataclass(frozen=True)
+class FrictionParameters:
+    """Friction of a shaft's bearings, seals and gears.
+
+    Raises:
+        ValueError: a value is not finite or out of its range, or the breakaway torque is below
+            the sliding torque.
+    """
+
+    coulomb: float  # F_c, dry torque when turning fast [N m], >= 0
+    breakaway: float  # F_s, dry torque at rest [N m], >= F_c
+    stribeck_rate: float  # w_s, rate over which the one falls to the other [rad/s], > 0
+    viscous: float  # c [N m s/rad], >= 0
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self, positive=("stribeck_rate",), not_negative=("coulomb", "breakaway", "viscous")
+        )
+        if self.breakaway < self.coulomb:
+            raise ValueError(f"breakaway = {self.breakaway}: must be at least {self.coulomb}")
+
+
+class Friction(NamedTuple):
+    """`FrictionParameters` as the compiled functions see them."""
+
+    coulomb: float
+    breakaway: float
+    stribeck_rate: float
+    viscous: float
+
+
+class Motion(NamedTuple):
+    """What a shaft did in one step.
+
+    The first piece keeps the sign of the starting rate and is empty if the shaft starts at rest;
+    the second starts from rest and is empty if the shaft did not leave it.
+    """
+
+    rate: float  # at the end of the step [rad/s]
+    first: float  # angle of the first piece [rad]
+    first_time: float  # its duration [s]
+    second: float  # angle of the second piece [rad]
+    second_time: float  # its duration [s]
+
+
+def make_friction(parameters: FrictionParameters) -> Friction:
+    """Collect what the compiled functions need, as plain floats."""
+    return Friction(
+        float(parameters.coulomb),
+        float(parameters.breakaway),
+        float(parameters.stribeck_rate),
+        float(parameters.viscous),
+    )
+
+
+@checked
+def sliding_torque(friction: Friction, rate: float) -> float:
+    """Dry friction F(w) [N m] by Stribeck's curve."""
+    if friction.breakaway == friction.coulomb:
+        return friction.coulomb
+    ratio = rate / friction.stribeck_rate
+    return friction.coulomb + (friction.breakaway - friction.coulomb) * math.exp(-ratio * ratio)
+
+
+@checked
+def geared(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
+    """Torque behind a lossy gear, for forward and for backward motion [N m].
+
+    A gear that drives passes `efficiency` of the torque; one that is driven (its motor brakes)
+    holds against torque / back_efficiency. The forward value is never above the backward one:
+    between them the gear's friction holds the shaft.
+    """
+    if torque >= 0.0:
+        return torque * efficiency, torque / back_efficiency
+    return torque / back_efficiency, torque * efficiency
+
+
+@checked
+def advance_shaft(
+    inertia: float,
+    rate: float,
+    forward: float,
+    backward: float,
+    forward_rest: float,
+    backward_rest: float,
+    viscous: float,
+    load_slope: float,
+    h: float,
+) -> Motion:
+    """Advance a shaft by h.
+
+    Args:
+        inertia: J [kg m^2].
+        rate: w at the start [rad/s].
+        forward: drive less dry friction while turning forward [N m].
+        backward: drive plus dry friction while turning backward [N m].
+        forward_rest: drive less breakaway friction, forward [N m]; above 0 the shaft leaves rest.
+        backward_rest: drive plus breakaway friction, backward [N m]; below 0 it leaves rest.
+        viscous: c [N m s/rad].
+        load_slope: d [N m s/rad], fall of the load's torque with the rate.
+        h: duration [s].
+    """
+    first = 0.0
+    first_time = 0.0
+    if rate != 0.0:
+        torque = forward if rate > 0.0 else backward
+        end = (rate * (inertia - 0.5 * viscous * h) + torque * h) / (
+            inertia + 0.5 * viscous * h + load_slope * h
+        )
+        if end > 0.0 if rate > 0.0 else end < 0.0:
+            return Motion(end, 0.5 * (rate + end) * h, h, 0.0, 0.0)
+        braking = torque - 0.5 * viscous * rate
+        first_time = min(h, -inertia * rate / braking) if braking != 0.0 else h
+        first = 0.5 * rate * first_time
+    torque = 0.0
+    if forward_rest > 0.0:
+        torque = forward_rest
+    elif backward_rest < 0.0:
+        torque = backward_rest
+    left = h - first_time
+    if torque == 0.0 or left <= 0.0:
+        return Motion(0.0, first, first_time, 0.0, 0.0)
+    end = torque * left / (inertia + 0.5 * viscous * left + load_slope * left)
+    return Motion(end, first, first_time, 0.5 * end * left, left)
+
+
+@checked
+def stopped(motion: Motion, allowed: float) -> Motion:
+    """A motion cut where its angle reaches a stop, each piece keeping its mean rate."""
+    if motion.first * allowed > 0.0 and abs(motion.first) >= abs(allowed):
+        return Motion(0.0, allowed, motion.first_time * allowed / motion.first, 0.0, 0.0)
+    if motion.second == 0.0:
+        return Motion(0.0, allowed, 0.0, 0.0, 0.0)
+    second = allowed - motion.first
+    time = motion.second_time * second / motion.second
+    return Motion(0.0, motion.first, motion.first_time, second, time)
+
+
+@checked
+def by_direction(motion: Motion, forward: float, backward: float) -> float:
+    """Work [J] of a torque with one value for forward and one for backward motion."""
+    first = forward if motion.first > 0.0 else backward
+    second = forward if motion.second > 0.0 else backward
+    return first * motion.first + second * motion.second
+
+
+@checked
+def dry_heat(motion: Motion, sliding: float, breakaway: float) -> float:
+    """Heat [J] of dry friction: the first piece slides, the second leaves rest."""
+    return sliding * abs(motion.first) + breakaway * abs(motion.second)
+
+
+@checked
+def viscous_heat(motion: Motion, viscous: float) -> float:
+    """Heat [J] of viscous friction, at the mean rate of each piece."""
+    heat = 0.0
+    if motion.first_time > 0.0:
+        heat += viscous * motion.first * motion.first / motion.first_time
+    if motion.second_time > 0.0:
+        heat += viscous * motion.second * motion.second / motion.second_time
+    return heat
+
+
+@checked
+def slope_heat(motion: Motion, load_slope: float) -> float:
+    """What the load's slope takes [J]: slope times end rate times angle of the last piece."""
+    last = motion.second if motion.second != 0.0 else motion.first
+    return load_slope * motion.rate * last
+
+
+@checked
+def carried_work(
+    inertia: float, rate: float, end: float, angle: float, base: float, base_end: float, h: float
+) -> float:
+    """Work [J] of a turning base on a rotor whose rate relative to it goes from `rate` to `end`.
+
+    The base turns about the rotor's axis with a rate that runs linearly from `base` to `base_end`.
+    The rotor's kinetic energy J (rate + base)^2/2 changes by this and by the work of the torques
+    between the two over the relative `angle`, when these include -J base'.
+    """
+    change = base_end - base
+    return inertia * (
+        end * base_end - rate * base - change / h * angle + 0.5 * change * (base_end + base)
+    )

@@ -1,0 +1,414 @@
+"""Wheel drive: two wheels behind one motor, through bevel gears and ratchets.
+
+Mechanism. The source paper gives the traveling mechanism bevel gears and ratchets "on each wheel
+drive system" and asks that straight and turning motion come from combining both senses of one
+motor; while the rover hangs, the same motor must turn it about the axle. The arrangement here is
+a simple one that does all three [choice]: the motor's bevel gear turns the axle at the rate u;
+
+- the left wheel is fixed to the axle;
+- the right wheel has two ratchets. One takes it along with the axle and lets it overrun: w >= u.
+  The other is held by Body 1 and does not let it turn backward: w >= 0.
+
+    motor     left wheel   right wheel            the rover on its wheels
+    forward   forward      driven forward         drives straight ahead
+    reverse   backward     held                   turns left (+z) about its right wheel
+    braked    braked       rolls on               turns left (+z) as long as it coasts
+    at rest   at rest      rolls forward only     cannot roll back on the right side
+    off       drags motor  rolls forward only
+
+Straight runs and left turns reach every pose. Hanging, the wheels' momentum about the axle,
+relative to Body 1, is I (u + w) and runs from -I w_max (the left wheel alone) to 2 I w_max, so
+that the wheels react both ways from rest. What both have taken up together comes back from the
+left wheel alone while the right one coasts down by its bearing's friction.
+
+The arrangement with a reversing gear for the right wheel (driven forward in both senses, turning in
+place) was set aside: there w >= |u|, the wheels' momentum is never negative, and the wheels could
+not hold the attitude without a bias that bearing friction takes away within seconds.
+
+Mathematics. With torques a, b >= 0 of the driving and of the holding ratchet,
+
+    (I + N^2 J_m) u' = gear torque + left load - friction - I W' - a,       0 <= a _|_ w - u >= 0,
+    I w'             =              right load - friction - I W' + a + b,   0 <= b _|_ w >= 0,
+
+with the rates relative to Body 1, which turns at W about the axle (base_link +y; rolling forward is
+a positive rate). The complementarity is solved exactly for the accelerations: in each piece of a
+step the wheels either move apart or together as one shaft. When an overrunning wheel is caught up
+by its axle within a step, the two go on at their common rate, momentum conserved; the relative
+motion of at most one step's acceleration becomes ratchet heat. The tooth pitch is neglected (sprag
+clutches have none).
+
+The motor's rotor spins across the axle: its inertia counts in u (N^2 J_m) but not in the momentum
+about the axle; its own momentum is given apart.
+
+Body 1's equation takes the momentum h = I (u + W) + I (w + W), absolute and along base_link +y,
+with the wheels' spin inertia left out of Body 1's. W is the rate at the start of the step, so the
+wheels take the body's angular acceleration of the step before.
+
+Energy, exact to rounding in every step: d(kinetic) = motor work + load work + body work
+- gear, friction and ratchet heat.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.motor import (
+    RATE,
+    TORQUE,
+    Motor,
+    MotorParameters,
+    limited_torque,
+    make_motor,
+    rate_servo,
+)
+from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.shaft import (
+    Friction,
+    FrictionParameters,
+    Motion,
+    advance_shaft,
+    by_direction,
+    carried_work,
+    dry_heat,
+    geared,
+    make_friction,
+    sliding_torque,
+    slope_heat,
+    viscous_heat,
+)
+
+_INFINITE = float("inf")
+# A wheel this close to its axle counts as engaged [rad/s]; rounding, not physics.
+_TOUCH = 1e-12
+
+
+class Ratchet(IntEnum):
+    """What the right wheel does at the end of a step."""
+
+    OVERRUNNING = 0  # turns forward faster than the axle
+    DRIVEN = 1  # turns with the axle
+    HELD = 2  # at rest, while the axle rests or turns backward
+
+
+_OVERRUNNING, _DRIVEN, _HELD = (int(ratchet) for ratchet in Ratchet)
+
+
+@dataclass(frozen=True)
+class WheelDriveParameters:
+    """Two wheels of 0.15 m radius and 0.4 kg that push a 10 kg rover with up to 20 N.
+
+    Friction is stated at the wheels. The left side carries the gear train's.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    wheel_inertia: float = 6.0e-3  # I of each wheel about the axle [kg m^2]
+    gear_ratio: float = 60.0  # N, motor turns per wheel turn
+    motor_inertia: float = 1.0e-6  # J_m [kg m^2]
+    efficiency: float = 0.8  # of gears, motor driving
+    back_efficiency: float = 0.75  # of gears, wheels driving; 2 - 1/efficiency
+    left_friction: FrictionParameters = field(
+        default_factory=lambda: FrictionParameters(
+            coulomb=0.02, breakaway=0.03, stribeck_rate=0.2, viscous=1.0e-3
+        )
+    )
+    right_friction: FrictionParameters = field(
+        default_factory=lambda: FrictionParameters(
+            coulomb=0.005, breakaway=0.008, stribeck_rate=0.2, viscous=5.0e-4
+        )
+    )
+    motor: MotorParameters = field(
+        default_factory=lambda: MotorParameters(
+            max_torque=0.06,  # 2.9 N m at the wheels
+            stall_torque=0.12,
+            no_load_rate=600.0,  # 10 rad/s at the wheels, 1.5 m/s
+            torque_constant=0.02,
+            servo_bandwidth=40.0,
+        )
+    )
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            positive=("wheel_inertia", "gear_ratio"),
+            not_negative=("motor_inertia",),
+            fraction=("efficiency", "back_efficiency"),
+        )
+
+
+class WheelDrive(NamedTuple):
+    """`WheelDriveParameters` as the compiled functions see them."""
+
+    wheel_inertia: float
+    train_inertia: float  # I + N^2 J_m of the left wheel with the motor
+    gear_ratio: float
+    motor_inertia: float
+    efficiency: float
+    back_efficiency: float
+    left_friction: Friction
+    right_friction: Friction
+    motor: Motor
+
+
+class WheelState(NamedTuple):
+    """Relative to Body 1: angles turned [rad] and rates [rad/s], forward positive."""
+
+    left_angle: float = 0.0
+    right_angle: float = 0.0
+    left: float = 0.0  # u
+    right: float = 0.0  # w >= u and w >= 0
+    body_rate: float = 0.0  # W that the last step assumed at its end [rad/s]
+    integral: float = 0.0  # of the rate servo [N m]
+
+
+class WheelCommand(NamedTuple):
+    """What the wheel motor is asked to do."""
+
+    mode: int  # MotorMode: OFF, TORQUE or RATE
+    torque: float  # at the motor shaft [N m], > 0 forward; with RATE fed forward
+    rate: float  # with RATE, of the left wheel [rad/s]
+    max_torque: float  # at the motor shaft [N m]; inf: the motor's own limit
+
+
+class WheelLoads(NamedTuple):
+    """What acts on the wheels: ground torque about +y and its slope over the wheel's rate.
+
+    A torque is `torque - slope (rate - rate at the step's start)`; a slope >= 0 [N m s/rad] keeps
+    a stiff contact from oscillating against the wheel.
+    """
+
+    left_torque: float  # [N m]
+    left_slope: float
+    right_torque: float
+    right_slope: float
+    body_rate: float  # W of Body 1 about +y at the step's start [rad/s]
+
+
+class WheelOutputs(NamedTuple):
+    """What the drive did in the step."""
+
+    left_rate: float  # mean of the step, relative to Body 1 [rad/s]
+    right_rate: float
+    momentum: float  # h about base_link +y at the step's end, absolute [N m s]
+    motor_momentum: float  # of the motor's rotor about its own axis, relative [N m s]
+    torque_on_body: float  # mean, of the whole drive about +y [N m]: loads - dh/dt
+    ratchet: int  # Ratchet
+    motor_torque: float  # at the motor shaft [N m]
+    current: float  # of the motor [A]
+    stalled: bool  # the motor pulls and neither wheel turns
+
+
+class WheelBooks(NamedTuple):
+    """Energy of the step [J]; the heats are never negative."""
+
+    kinetic: float  # at the step's end: wheels absolute, motor rotor relative
+    motor_work: float
+    load_work: float  # of the ground torques on the wheels' rates relative to Body 1
+    body_work: float  # of Body 1 carrying the wheels
+    gear_heat: float
+    friction_heat: float
+    ratchet_heat: float
+
+
+def make_wheel_drive(parameters: WheelDriveParameters) -> WheelDrive:
+    """Collect what the compiled functions need, as plain floats."""
+    p = parameters
+    return WheelDrive(
+        wheel_inertia=float(p.wheel_inertia),
+        train_inertia=float(p.wheel_inertia + p.gear_ratio**2 * p.motor_inertia),
+        gear_ratio=float(p.gear_ratio),
+        motor_inertia=float(p.motor_inertia),
+        efficiency=float(p.efficiency),
+        back_efficiency=float(p.back_efficiency),
+        left_friction=make_friction(p.left_friction),
+        right_friction=make_friction(p.right_friction),
+        motor=make_motor(p.motor),
+    )
+
+
+class _Side(NamedTuple):
+    """Torques on one wheel in a step, constant but for `viscous` and `slope` times a rate."""
+
+    drive_forward: float  # gear, load and the body's angular acceleration, moving forward
+    drive_backward: float
+    sliding: float
+    breakaway: float
+    viscous: float
+    slope: float
+
+
+@checked
+def _alone(inertia: float, side: _Side, rate: float, may_reverse: bool, h: float) -> Motion:
+    """Motion of one wheel that the other does not touch."""
+    return advance_shaft(
+        inertia,
+        rate,
+        side.drive_forward - side.sliding,
+        side.drive_backward + side.sliding,
+        side.drive_forward - side.breakaway,
+        side.drive_backward + side.breakaway if may_reverse else _INFINITE,
+        side.viscous,
+        side.slope,
+        h,
+    )
+
+
+@checked
+def _heat(motion: Motion, side: _Side) -> float:
+    """Friction heat [J] of one wheel's motion."""
+    return dry_heat(motion, side.sliding, side.breakaway) + viscous_heat(motion, side.viscous)
+
+
+@checked
+def _load_impulse(motion: Motion, load: float, slope: float, span: float) -> float:
+    """Impulse [N m s] of a ground torque over the span of a motion."""
+    last_time = motion.second_time if motion.second != 0.0 else motion.first_time
+    return load * span - slope * motion.rate * last_time
+
+
+@checked
+def _together(drive: WheelDrive, left: _Side, right: _Side, rate: float, h: float) -> Motion:
+    """Motion of both wheels as one shaft that turns forward, until it comes to rest."""
+    torque = left.drive_forward + right.drive_forward
+    at_rest = torque - left.breakaway - right.breakaway if rate == 0.0 else 0.0
+    return advance_shaft(
+        drive.train_inertia + drive.wheel_inertia,
+        rate,
+        torque - left.sliding - right.sliding,
+        0.0,
+        at_rest,
+        _INFINITE,
+        left.viscous + right.viscous,
+        left.slope + right.slope,
+        h,
+    )
+
+
+@checked
+def advance(
+    drive: WheelDrive, state: WheelState, command: WheelCommand, loads: WheelLoads, h: float
+) -> tuple[WheelState, WheelOutputs, WheelBooks]:
+    """Advance the wheels by h.
+
+    Args:
+        drive: from `make_wheel_drive`.
+        state: at the start of the step.
+        command: held over the step.
+        loads: ground torques and Body 1's rate about the axle.
+        h: duration [s], > 0.
+
+    Returns:
+        State at the end, outputs and energy books of the step.
+    """
+    u, w = state.left, state.right
+    ratio = drive.gear_ratio
+    shaft_torque, integral = 0.0, 0.0
+    if command.mode == TORQUE:
+        shaft_torque = limited_torque(drive.motor, command.torque, ratio * u, command.max_torque)
+    elif command.mode == RATE:
+        shaft_torque, integral = rate_servo(
+            drive.motor,
+            (drive.train_inertia + drive.wheel_inertia) / (ratio * ratio),
+            ratio * command.rate,
+            ratio * u,
+            command.torque,
+            command.max_torque,
+            state.integral,
+            h,
+        )
+    forward, backward = geared(ratio * shaft_torque, drive.efficiency, drive.back_efficiency)
+
+    inertia = drive.wheel_inertia
+    carried = -inertia * (loads.body_rate - state.body_rate) / h
+    left_load = loads.left_torque + loads.left_slope * u
+    right_load = loads.right_torque + loads.right_slope * w
+    left = _Side(
+        forward + left_load + carried,
+        backward + left_load + carried,
+        sliding_torque(drive.left_friction, u),
+        drive.left_friction.breakaway,
+        drive.left_friction.viscous,
+        loads.left_slope,
+    )
+    right = _Side(
+        right_load + carried,
+        right_load + carried,
+        sliding_torque(drive.right_friction, w),
+        drive.right_friction.breakaway,
+        drive.right_friction.viscous,
+        loads.right_slope,
+    )
+
+    left_angle, right_angle = 0.0, 0.0
+    transmitted, friction_heat, load_work, load_impulse = 0.0, 0.0, 0.0, 0.0
+    remaining = h
+    while remaining > 0.0:  # a second time if the wheels come to rest together within the step
+        span = remaining
+        left_motion = _alone(drive.train_inertia, left, u, True, span)
+        right_motion = _alone(inertia, right, w, False, span)
+        # Engaged, if by itself the right wheel would fall behind the axle.
+        if w <= u + _TOUCH and right_motion.rate < left_motion.rate:
+            left_motion = right_motion = _together(drive, left, right, w, span)
+            if w > 0.0 and right_motion.rate == 0.0:
+                span = right_motion.first_time
+        left_turn = left_motion.first + left_motion.second
+        right_turn = right_motion.first + right_motion.second
+        left_angle += left_turn
+        right_angle += right_turn
+        transmitted += by_direction(left_motion, forward, backward)
+        friction_heat += _heat(left_motion, left) + _heat(right_motion, right)
+        load_work += left_load * left_turn - slope_heat(left_motion, left.slope)
+        load_work += right_load * right_turn - slope_heat(right_motion, right.slope)
+        load_impulse += _load_impulse(left_motion, left_load, left.slope, span)
+        load_impulse += _load_impulse(right_motion, right_load, right.slope, span)
+        u, w = left_motion.rate, right_motion.rate
+        remaining -= span
+
+    ratchet_heat = 0.0
+    lag = u - w
+    if lag > 0.0:
+        both = drive.train_inertia + inertia
+        u = w = (drive.train_inertia * u + inertia * w) / both
+        ratchet_heat = 0.5 * drive.train_inertia * inertia / both * lag * lag
+    ratchet = _OVERRUNNING
+    if w == 0.0:
+        ratchet = _HELD
+    elif w <= u + _TOUCH:
+        ratchet = _DRIVEN
+
+    base0, base1 = state.body_rate, loads.body_rate
+    before = inertia * (state.left + state.right + 2.0 * base0)
+    momentum = inertia * (u + w + 2.0 * base1)
+    body_work = carried_work(inertia, state.left, u, left_angle, base0, base1, h)
+    body_work += carried_work(inertia, state.right, w, right_angle, base0, base1, h)
+    motor_work = ratio * shaft_torque * left_angle
+    motor_rate = ratio * u
+    kinetic = 0.5 * inertia * ((u + base1) ** 2 + (w + base1) ** 2)
+    kinetic += 0.5 * drive.motor_inertia * motor_rate * motor_rate
+    return (
+        WheelState(
+            state.left_angle + left_angle, state.right_angle + right_angle, u, w, base1, integral
+        ),
+        WheelOutputs(
+            left_angle / h,
+            right_angle / h,
+            momentum,
+            drive.motor_inertia * motor_rate,
+            (load_impulse - momentum + before) / h,
+            ratchet,
+            shaft_torque,
+            shaft_torque / drive.motor.torque_constant,
+            shaft_torque != 0.0 and left_angle == 0.0 and right_angle == 0.0,
+        ),
+        WheelBooks(
+            kinetic,
+            motor_work,
+            load_work,
+            body_work,
+            motor_work - transmitted,
+            friction_heat,
+            ratchet_heat,
+        ),
+    )
