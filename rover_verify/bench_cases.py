@@ -1,0 +1,270 @@
+"""The motions of the bench, and how each code is taken through them at matched tip error."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_sim import Command, PlanarPlant, PlanarState, load_scenario
+from rover_verify.exudyn_peer import ExudynModel
+from rover_verify.trial import SAMPLE, Setting, Trial
+
+_NO_COMMAND = Command()
+
+OURS = "energy_momentum"
+# The step and tolerance that the suite itself flies with.
+FLOWN = Setting(1e-3, 1e-8, OURS)
+PEER_USUAL = Setting(1e-3, 1e-8, "GeneralizedAlpha")
+
+_STEPS = (4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One motion at one number of elements.
+
+    Attributes:
+        name: as the table shows it.
+        scenario: name of a shipped scenario.
+        overrides: by dotted path.
+        elements: n.
+        duration: simulated time that is timed [s].
+        compared_until: tip errors count up to here [s]; later the motion is chaotic and paths
+            cannot be compared point by point.
+        accuracy: tip error at which the codes are compared [m].
+    """
+
+    name: str
+    scenario: str
+    overrides: tuple[tuple[str, object], ...]
+    elements: int
+    duration: float
+    compared_until: float
+    accuracy: float
+
+    def plant(self, setting: Setting = FLOWN) -> PlanarPlant:
+        """Our plant at a setting."""
+        overrides = {
+            **dict(self.overrides),
+            "tether.elements": self.elements,
+            "integration.h": setting.h,
+            "integration.tolerance": setting.tolerance,
+        }
+        return PlanarPlant(load_scenario(self.scenario, overrides))
+
+    def start(self) -> PlanarState:
+        """Where both codes start; a rover has just taken off."""
+        plant = self.plant()
+        state = plant.initial_state()
+        return state if plant.scenario.rover is None else plant.take_off(state)
+
+
+_JUMP = (("start.geometry", "+K"), ("start.slack", 2.0), ("after_landing", "fly_on"))
+
+
+def cases() -> list[Case]:
+    """Every case, in the table's order."""
+    pendulum = "tether_pendulum"
+    return [
+        *(Case("pendulum, 1 s", pendulum, (), n, 1.0, 0.8, 1e-3) for n in (5, 20, 50, 100)),
+        *(Case("pendulum, 2 s", pendulum, (), n, 2.0, 0.8, 1e-3) for n in (20, 100)),
+        *(Case("jump", "paper_table1_high", _JUMP, n, 0.5, 0.5, 1e-4) for n in (5, 20, 50, 100)),
+    ]
+
+
+class Ours:
+    """Our plant, through its public face, one call per sample."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._start = case.start()
+
+    def run(self, setting: Setting, duration: float) -> Trial | None:
+        """Simulate from the start; None if the plant diverges."""
+        plant = self._case.plant(setting)
+        plant.warm_up()
+        state, path, iterations = self._start, [self._start.nodes[-1, 0]], 0
+        began = time.process_time()
+        for _ in range(round(duration / SAMPLE)):
+            state, result = plant.step(state, _NO_COMMAND, SAMPLE)
+            path.append(state.nodes[-1, 0])
+            iterations += result.newton_iterations
+        spent = time.process_time() - began
+        return None if state.phase.final else Trial(spent, np.array(path), iterations)
+
+    def settings(self) -> list[Setting]:
+        """What may be best: every step with a loose and a tight tolerance [m]."""
+        return [Setting(h, tolerance, OURS) for h in _STEPS for tolerance in (1e-3, 1e-5, 1e-8)]
+
+    def reference(self) -> Setting:
+        """Setting of the converged solution."""
+        return Setting(1e-3 / 32, 1e-11, OURS)
+
+
+class Exudyn:
+    """The peer: implicit methods on pins and joints, and explicit ones on pins made of springs.
+
+    Exudyn's explicit integrators take the pin's constraint away wrongly when the mass matrix is
+    not diagonal (they converge to a motion 18 mm off), so they get a stiff spring instead; the
+    error that its compliance makes counts as theirs. Joints of a rover they cannot take at all.
+    """
+
+    def __init__(self, case: Case) -> None:
+        plant, start = case.plant(), case.start()
+        self._case = case
+        self._pinned = ExudynModel(plant, start, springy_pins=False)
+        self._springy = (
+            ExudynModel(plant, start, springy_pins=True) if plant.scenario.rover is None else None
+        )
+
+    def run(self, setting: Setting, duration: float) -> Trial | None:
+        """Simulate from the start; None if the solver gives up."""
+        if setting.method == "VelocityVerlet":
+            return None if self._springy is None else self._springy.run(setting, duration)
+        return self._pinned.run(setting, duration)
+
+    def settings(self) -> list[Setting]:
+        """What may be best: generalised-alpha, and Verlet where its stable step is not tiny."""
+        found = [
+            Setting(h, tolerance, "GeneralizedAlpha")
+            for h in _STEPS
+            for tolerance in (1e-2, 1e-3, 1e-5)
+            # Long steps and loose tolerances with a rover on a fine mesh fail, and take minutes.
+            if self._springy is not None
+            or self._case.elements <= 20
+            or (h <= 1.25e-3 and tolerance <= 1e-3)
+        ]
+        found.append(PEER_USUAL)
+        if self._springy is not None and self._case.elements <= 20:
+            found += [Setting(h, 0.0, "VelocityVerlet") for h in (2.5e-4, 1.25e-4)]
+        return found
+
+    def reference(self) -> Setting:
+        """Setting of the converged solution."""
+        return Setting(1e-3 / 32, 1e-10, "GeneralizedAlpha")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting of one code in a case: what it costs and how far it is off."""
+
+    setting: Setting
+    cpu: float
+    error: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A code's settings in a case, and how well its reference has converged.
+
+    Attributes:
+        points: every setting that got through.
+        reference_change: largest change of the reference when its step is halved [m].
+    """
+
+    points: tuple[Point, ...]
+    reference_change: float
+
+    def fastest(self, error: float) -> Point | None:
+        """The cheapest setting whose error is not above the given one."""
+        good = [point for point in self.points if point.error <= error]
+        return min(good, key=lambda point: point.cpu, default=None)
+
+    def most_accurate(self) -> Point:
+        """The setting with the smallest error."""
+        return min(self.points, key=lambda point: point.error)
+
+    def at(self, setting: Setting) -> Point | None:
+        """The point of a setting, None if that did not get through."""
+        return next((point for point in self.points if point.setting == setting), None)
+
+    def frontier(self) -> list[Point]:
+        """Settings that no other beats in both cost and error, dearest last."""
+        kept: list[Point] = []
+        for point in sorted(self.points, key=lambda point: point.cpu):
+            if not kept or point.error < kept[-1].error:
+                kept.append(point)
+        return kept
+
+
+Code = Ours | Exudyn
+
+
+def survey(case: Case, code: Code, tell: Callable[[str], None]) -> Survey:
+    """Take a code through a case at its reference and at all its settings."""
+    until = case.compared_until
+    fine = code.reference()
+    coarser = Setting(2.0 * fine.h, fine.tolerance, fine.method)
+    tell("reference")
+    reference = _path(code.run(fine, until))
+    change = _trial(code.run(coarser, until)).error(reference, until)
+    points = []
+    for setting in code.settings():
+        tell(str(setting))
+        trial = code.run(setting, case.duration)
+        if trial is not None:
+            points.append(
+                Point(setting, trial.cpu, trial.error(reference, until), trial.iterations)
+            )
+    return Survey(tuple(points), change)
+
+
+def _trial(trial: Trial | None) -> Trial:
+    if trial is None:
+        raise RuntimeError("the reference solution did not get through")
+    return trial
+
+
+def _path(trial: Trial | None) -> NDArray[np.float64]:
+    return _trial(trial).path
+
+
+@dataclass(frozen=True)
+class Match:
+    """The settings of both codes that are compared; ours is at least as accurate."""
+
+    ours: Point
+    peer: Point | None
+
+
+def match(case: Case, ours: Survey, peer: Survey | None) -> Match:
+    """Settings of equal accuracy: the peer's fastest within the case's accuracy, ours to match.
+
+    Ours is the fastest that is no less accurate than the peer's; so what is left of the
+    difference in accuracy counts against us.
+    """
+    if peer is None:
+        return Match(ours.fastest(case.accuracy) or ours.most_accurate(), None)
+    theirs = peer.fastest(case.accuracy) or peer.most_accurate()
+    return Match(ours.fastest(theirs.error) or ours.most_accurate(), theirs)
+
+
+def ratios_along(ours: Survey, peer: Survey, accuracy: float) -> Iterator[tuple[float, float]]:
+    """(peer's error, peer's cost over ours) at each point of the peer's frontier.
+
+    Only where ours can be as accurate, and where the error is at most ten times the wanted one.
+    """
+    for theirs in peer.frontier():
+        own = ours.fastest(theirs.error)
+        if own is not None and theirs.error <= 10.0 * accuracy:
+            yield theirs.error, theirs.cpu / own.cpu
+
+
+def timed(
+    runs: Sequence[Callable[[], Trial | None]], repetitions: int, tell: Callable[[str], None]
+) -> list[float]:
+    """Median CPU time of each run [s], taken in turn so that a noisy spell hits all alike."""
+    spent: list[list[float]] = [[] for _ in runs]
+    for repetition in range(repetitions):
+        tell(f"timing {repetition + 1}/{repetitions}")
+        for index, run in enumerate(runs):
+            trial = run()
+            if trial is not None:
+                spent[index].append(trial.cpu)
+    return [statistics.median(times) if times else float("nan") for times in spent]

@@ -1,0 +1,59 @@
+"""Checks: each measures what one requirement limits.
+
+A check takes a `Batch` (how many runs, which seed, a scratch folder) and returns a `Measured`
+value; it judges nothing. What it cannot do here (a missing tool) it says by `NotPossible`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+
+class NotPossible(RuntimeError):
+    """The check cannot be run on this machine; the message says what is missing."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a check found.
+
+    Attributes:
+        value: the number that is held to the limit, in the limit's unit.
+        note: one sentence about how it came about.
+        details: further values, by name.
+    """
+
+    value: float
+    note: str = ""
+    details: Mapping[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """How a check is to be run.
+
+    Attributes:
+        runs: number of random runs, where a check makes some.
+        seed: seed of everything random.
+        folder: scratch folder of this check, empty.
+        progress: told how many of how many runs are done.
+    """
+
+    runs: int
+    seed: int
+    folder: Path
+    progress: Callable[[int, int], None] = lambda _done, _total: None
+
+    def generators(self, runs: int | None = None) -> Iterator[np.random.Generator]:
+        """One independent random generator a run, the same whatever the number of runs."""
+        count = self.runs if runs is None else runs
+        for index in range(count):
+            yield np.random.default_rng([self.seed, index])
+            self.progress(index + 1, count)
+
+
+Check = Callable[[Batch], Measured]

@@ -1,0 +1,269 @@
+"""`verify`: measure every requirement that has a check, and report all of them.
+
+Results are kept as they come: a run that was stopped goes on where it was with the same command,
+as long as runs, seed and source code are the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import json
+import os
+import shutil
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from rover_verify import page
+from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.requirements import CHECKS_PACKAGE, Requirement, load_requirements
+
+# What may change a result: the suite's own source, wherever it is imported from.
+_SOURCES = (
+    "msg_schemas", "rover_sim", "rover_control", "tether_winch", "rover_bags", "rover_verify",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one requirement.
+
+    Attributes:
+        state: PASS, FAIL, ERROR (the check broke), NOT RUN (not possible here), OPEN.
+        measured: the value, None if there is none.
+        passed: whether the value is within the limit.
+        seconds: how long it took.
+        note: how the value came about, or why there is none.
+        details: further values.
+    """
+
+    state: str
+    measured: float | None
+    passed: bool
+    seconds: float = 0.0
+    note: str = ""
+    details: Mapping[str, float | str] | None = None
+
+
+def find_check(name: str) -> Callable[[Batch], Measured]:
+    """The function that a row names, ``module.function`` below the package of checks.
+
+    Raises:
+        LookupError: there is no such function.
+    """
+    module_name, _, function = name.partition(".")
+    try:
+        module = importlib.import_module(f"{CHECKS_PACKAGE}.{module_name}")
+        check: Callable[[Batch], Measured] = getattr(module, function)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise LookupError(f"there is no check {name}: {error}") from error
+    return check
+
+
+def measure(row: Requirement, batch: Batch) -> Result:
+    """Run a row's check and hold the value to the limit."""
+    if row.check is None:
+        return Result("OPEN", None, passed=False, note="does not exist yet")
+    began = time.monotonic()
+    try:
+        measured = find_check(row.check)(batch)
+    except NotPossible as reason:
+        return Result("NOT RUN", None, passed=False, note=str(reason))
+    except Exception as error:  # noqa: BLE001 - one broken check must not hide the others
+        trace = "".join(traceback.format_exception(error))
+        (batch.folder / "error.txt").write_text(trace, encoding="utf-8")
+        note = f"{type(error).__name__}: {str(error).strip()[:300]}"
+        return Result("ERROR", None, passed=False, seconds=time.monotonic() - began, note=note)
+    passed = row.limit.holds(measured.value)
+    state = "PASS" if passed else "FAIL"
+    if row.status == "open":
+        state = "OPEN"
+    return Result(
+        state,
+        float(measured.value),
+        passed,
+        time.monotonic() - began,
+        measured.note,
+        dict(measured.details),
+    )
+
+
+class Store:
+    """Results on disk, one file a row, valid for one combination of runs, seed and source."""
+
+    def __init__(self, folder: Path, runs: int, seed: int, source: str) -> None:
+        self._folder = folder
+        self._key = {"runs": runs, "seed": seed, "source": source}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, row: Requirement) -> Result | None:
+        """The kept result of a row that went well under the same conditions, or None."""
+        try:
+            content = json.loads(self._path(row).read_text(encoding="utf-8"))
+        except (FileNotFoundError, json.JSONDecodeError):
+            return None
+        if content.get("key") != self._key_of(row) or content["result"]["measured"] is None:
+            return None
+        result = Result(**content["result"])
+        return None if result.state == "FAIL" else result
+
+    def put(self, row: Requirement, result: Result) -> None:
+        """Keep a result; a file is there whole or not at all."""
+        content = {"key": self._key_of(row), "result": asdict(result)}
+        partial = self._path(row).with_suffix(".partial")
+        partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        partial.replace(self._path(row))
+
+    def _key_of(self, row: Requirement) -> dict[str, object]:
+        return {**self._key, "limit": str(row.limit), "check": row.check, "status": row.status}
+
+    def _path(self, row: Requirement) -> Path:
+        return self._folder / f"{row.id}.json"
+
+
+def source_digest() -> str:
+    """A digest of the suite's source code."""
+    digest = hashlib.sha256()
+    for name in _SOURCES:
+        folder = Path(str(importlib.import_module(name).__file__)).parent
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in {".py", ".yaml"} and path.name != "requirements.yaml":
+                digest.update(str(path.relative_to(folder)).encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def verify(
+    rows: Sequence[Requirement],
+    out: Path,
+    runs: int,
+    seed: int,
+    *,
+    fresh: bool = False,
+    quiet: bool = False,
+) -> list[Result]:
+    """Measure the rows, in their order; kept results are taken over unless `fresh`."""
+    store = Store(out / "verification" / "results", runs, seed, source_digest())
+    results: list[Result] = []
+    with tqdm(total=len(rows), disable=quiet, unit="row", dynamic_ncols=True, leave=False) as bar:
+        for row in rows:
+            bar.set_description(row.id)
+            kept = None if fresh else store.get(row)
+            result = kept if kept is not None else _measure_row(row, out, runs, seed, bar)
+            if kept is None and row.check is not None:
+                store.put(row, result)
+            results.append(result)
+            if row.check is not None:
+                bar.write(_line(row, result, kept=kept is not None), file=sys.stdout)
+                sys.stdout.flush()
+            bar.update()
+    return results
+
+
+def _measure_row(row: Requirement, out: Path, runs: int, seed: int, bar: Any) -> Result:
+    folder = out / "verification" / "scratch" / row.id
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+
+    def progress(done: int, total: int) -> None:
+        bar.set_postfix_str(f"{done}/{total}", refresh=False)
+        bar.refresh()
+
+    result = measure(row, Batch(runs, seed, folder.resolve(), progress))
+    bar.set_postfix_str("")
+    if result.state in {"PASS", "OPEN"}:
+        shutil.rmtree(folder, ignore_errors=True)
+    return result
+
+
+def _line(row: Requirement, result: Result, *, kept: bool) -> str:
+    value = "-" if result.measured is None else f"{result.measured:.6g} {row.limit.unit}"
+    time_taken = "kept" if kept else f"{result.seconds:.1f} s"
+    return (
+        f"{result.state:8}{row.id:22}{value:>18}   required {row.limit!s:<16} {time_taken:>8}  "
+        f"{result.note}"
+    )
+
+
+def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[str, object]]:
+    """Rows and results as plain values, for verification.json."""
+    return [
+        {
+            "id": row.id,
+            "area": row.area,
+            "statement": row.statement,
+            "required": str(row.limit),
+            "measured": result.measured,
+            "unit": row.limit.unit,
+            "pass": result.passed,
+            "state": result.state,
+            "status": row.status,
+            "milestone": row.milestone,
+            "method": row.method,
+            "command": row.command,
+            "seconds": round(result.seconds, 3),
+            "note": result.note or row.note,
+            "details": dict(result.details or {}),
+        }
+        for row, result in zip(rows, results, strict=True)
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Verify; exit code 1 if a required row failed or its check broke."""
+    parser = argparse.ArgumentParser(prog="verify", description=__doc__)
+    parser.add_argument("--runs", type=int, default=20, help="random runs of each batch")
+    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
+    parser.add_argument("--only", nargs="+", metavar="ID", help="these rows, or all that begin so")
+    parser.add_argument("--list", action="store_true", help="show the requirements and stop")
+    parser.add_argument("--fresh", action="store_true", help="measure anew what is kept, too")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
+    options = parser.parse_args(arguments)
+    if options.runs < 1 or options.seed < 0:
+        parser.error("--runs must be at least 1 and --seed at least 0")
+    rows = load_requirements()
+    if options.only:
+        rows = [row for row in rows if any(row.id.startswith(name) for name in options.only)]
+        if not rows:
+            parser.error(f"no requirement begins with {' or '.join(options.only)}; see --list")
+    if options.list:
+        for row in rows:
+            print(f"{row.id:22}{row.status:10}{row.limit!s:20}{row.statement}")
+        return 0
+    # Nothing reaches out of this machine, and wrong types are errors.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+    try:
+        results = verify(
+            rows,
+            options.out,
+            options.runs,
+            options.seed,
+            fresh=options.fresh,
+            quiet=not sys.stderr.isatty(),
+        )
+    except KeyboardInterrupt:
+        print("\nstopped; the same command goes on from here", file=sys.stderr)
+        return 130
+    content = report(rows, results)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "verification.json"
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    html = options.out / "verification.html"
+    html.write_text(page.render(content, options.runs, options.seed), encoding="utf-8")
+    counts = {state: sum(result.state == state for result in results) for state in page.STATES}
+    print(", ".join(f"{count} {state}" for state, count in counts.items() if count))
+    print(f"Written: {path}, {html}")
+    return 1 if counts["FAIL"] or counts["ERROR"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

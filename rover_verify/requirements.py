@@ -1,0 +1,197 @@
+"""The suite's requirements: read from `requirements.yaml`, checked, and written as a document."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.resources
+import math
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+METHODS = ("test", "analysis", "demonstration")
+STATUSES = ("required", "open")
+OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
+    "<=": lambda measured, limit: measured <= limit,
+    ">=": lambda measured, limit: measured >= limit,
+    "==": lambda measured, limit: measured == limit,
+}
+CHECKS_PACKAGE = "rover_verify.checks"
+
+_ID = re.compile(r"[A-Z]+(-[A-Z0-9]+)*-\d\d")
+_CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+")
+_KEYS = {"id", "statement", "method", "limit", "check", "status", "milestone", "command", "note"}
+_NEEDED = {"id", "statement", "method", "limit"}
+
+
+class RequirementError(ValueError):
+    """The table of requirements is not well-formed; says which row and what would be right."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What a measured value is held to."""
+
+    operator: str
+    value: float
+    unit: str
+
+    def holds(self, measured: float) -> bool:
+        """Whether the value is within the limit; NaN never is."""
+        return not math.isnan(measured) and OPERATORS[self.operator](measured, self.value)
+
+    def __str__(self) -> str:
+        """As the table shows it, e.g. ``<= 1e-06 J``."""
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.operator} {self.value:g}{unit}"
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One row of the table.
+
+    Attributes:
+        id: identifier, never reused.
+        area: the heading it stands under.
+        statement: what is required, as a sentence.
+        method: test, analysis or demonstration.
+        limit: what the measured value is held to.
+        check: ``module.function`` below `CHECKS_PACKAGE`, or None.
+        status: ``required`` (must pass), or ``open`` (what it is about does not exist yet; a check
+            it may have is measured and told, but does not decide).
+        milestone: what will bring it, for open ones.
+        command: how a person runs it alone.
+        note: what a reader should know.
+    """
+
+    id: str
+    area: str
+    statement: str
+    method: str
+    limit: Limit
+    check: str | None
+    status: str
+    milestone: str
+    command: str
+    note: str
+
+
+def load_requirements(text: str | None = None) -> list[Requirement]:
+    """Read the table, by default the one that comes with the package.
+
+    Raises:
+        RequirementError: a row is malformed, or an identifier stands twice.
+    """
+    if text is None:
+        source = importlib.resources.files("rover_verify").joinpath("requirements.yaml")
+        text = source.read_text(encoding="utf-8")
+    content = yaml.safe_load(text)
+    if not isinstance(content, list):
+        raise RequirementError("the table should be a list of areas")
+    rows: list[Requirement] = []
+    for area in content:
+        if not isinstance(area, dict) or not {"area", "rows"} <= set(area):
+            raise RequirementError(f"an area should hold area and rows, not {str(area)[:60]}")
+        rows += [_read(row, area) for row in area["rows"]]
+    seen: set[str] = set()
+    for row in rows:
+        if row.id in seen:
+            raise RequirementError(f"{row.id} stands twice; identifiers must be unique")
+        seen.add(row.id)
+    return rows
+
+
+def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
+    if not isinstance(row, dict) or not isinstance(row.get("id"), str):
+        raise RequirementError(f"a row should be a mapping with an id, not {str(row)[:60]}")
+    name = row["id"]
+    if not _ID.fullmatch(name):
+        raise RequirementError(f"{name}: an identifier should look like AREA-TOPIC-01")
+    unknown, missing = set(row) - _KEYS, _NEEDED - set(row)
+    if unknown or missing:
+        wrong = f"unknown {sorted(unknown)}" if unknown else f"missing {sorted(missing)}"
+        raise RequirementError(f"{name}: {wrong}; a row has {', '.join(sorted(_KEYS))}")
+    if row["method"] not in METHODS:
+        raise RequirementError(f"{name}: method {row['method']!r}, not one of {METHODS}")
+    status = row.get("status", area.get("status", "required"))
+    if status not in STATUSES:
+        raise RequirementError(f"{name}: status {status!r}, not one of {STATUSES}")
+    check = row.get("check")
+    if check is not None and not _CHECK.fullmatch(str(check)):
+        raise RequirementError(f"{name}: check {check!r} should read module.function")
+    if check is None and status == "required":
+        raise RequirementError(f"{name}: required, and has no check")
+    return Requirement(
+        id=name,
+        area=str(area["area"]),
+        statement=" ".join(str(row["statement"]).split()),
+        method=row["method"],
+        limit=_read_limit(name, row["limit"]),
+        check=check,
+        status=status,
+        milestone=str(row.get("milestone", area.get("milestone", ""))),
+        command=str(row.get("command", f"verify --only {name}")),
+        note=" ".join(str(row.get("note", "")).split()),
+    )
+
+
+def _read_limit(name: str, limit: Any) -> Limit:
+    if not isinstance(limit, list) or len(limit) != 3:
+        raise RequirementError(f"{name}: limit {limit!r} should be [operator, number, unit]")
+    operator, value, unit = limit
+    if operator not in OPERATORS:
+        raise RequirementError(f"{name}: operator {operator!r}, not one of {list(OPERATORS)}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise RequirementError(f"{name}: limit {value!r} should be a finite number")
+    return Limit(operator, float(value), str(unit))
+
+
+def document(rows: Sequence[Requirement]) -> str:
+    """The table as Markdown."""
+    lines = [
+        "# Requirements",
+        "",
+        "Written by `python -m rover_verify.requirements`; do not edit. The source is",
+        "`rover_verify/requirements.yaml`, and `make verify` measures.",
+        "",
+        "Status `required` must pass; `open` states what does not exist yet, or what is measured",
+        "but not reached yet.",
+    ]
+    area = None
+    for row in rows:
+        if row.area != area:
+            area = row.area
+            lines += [
+                "",
+                f"## {area}",
+                "",
+                "| id | requirement | limit | method | status | alone |",
+                "|---|---|---|---|---|---|",
+            ]
+        status = row.status if not row.milestone else f"{row.status} ({row.milestone})"
+        statement = row.statement if not row.note else f"{row.statement} ({row.note})"
+        cells = [row.id, statement, str(row.limit), row.method, status, f"`{row.command}`"]
+        if row.check is None:
+            cells[-1] = "-"
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the document."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/requirements.md"))
+    options = parser.parse_args(arguments)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(document(load_requirements()), encoding="utf-8")
+    print(f"Written: {options.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

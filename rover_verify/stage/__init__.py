@@ -1,0 +1,36 @@
+"""A stage: one ROS domain of its own, with the processes and observers that play in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from rover_verify.stage.observer import Observer
+from rover_verify.stage.processes import Process, Processes, clean_shared_memory
+from rover_verify.stage.ros_domain import reserved_domain
+
+__all__ = ["Observer", "Process", "Processes", "Stage", "clean_shared_memory", "open_stage"]
+
+
+class Stage:
+    """Processes and observers in one domain; closing it stops them all."""
+
+    def __init__(self, domain: int, folder: Path, closing: ExitStack) -> None:
+        self.domain = domain
+        self.processes = Processes(domain, folder)
+        self._closing = closing
+        closing.callback(self.processes.end)
+
+    def observer(self, namespace: str = "") -> Observer:
+        """Return a new observer in this domain, closed with the stage."""
+        made = Observer(self.domain, namespace)
+        self._closing.callback(made.close)
+        return made
+
+
+@contextmanager
+def open_stage(folder: Path) -> Iterator[Stage]:
+    """Open a stage in a domain of its own; its processes run in ``folder``."""
+    with reserved_domain() as domain, ExitStack() as closing:
+        yield Stage(domain, folder, closing)

@@ -1,0 +1,223 @@
+"""Executables of the suite as separate processes.
+
+A process is started as ``python -m module``, so that it runs from the bare tree
+and from an installation alike, in a group of its own, so that what it leaves
+behind is found. Its output is read as it comes; waits have bounds and end with
+the output in the message.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msg_schemas
+
+# Generous: machines are slow and busy. What goes well does not wait that long.
+PATIENCE = 60.0
+
+# Where the suite is imported from.
+_IMPORTED_FROM = Path(msg_schemas.__file__).parents[1]
+
+
+def environment(domain: int, extra: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the environment for a process in a ROS domain of its own, on this machine only."""
+    given = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
+    paths = [str(_IMPORTED_FROM), *given]
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths)),
+        "PYTHONUNBUFFERED": "1",
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_PYTHON_CHECK_FIELDS": "1",
+        **(extra or {}),
+    }
+
+
+def ros_arguments(
+    parameters: Mapping[str, object] | None = None,
+    namespace: str = "",
+    params_file: Path | None = None,
+) -> list[str]:
+    """Return ``--ros-args`` and what follows it."""
+    arguments = []
+    if namespace:
+        arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
+    if params_file is not None:
+        arguments += ["--params-file", str(params_file)]
+    for name, value in (parameters or {}).items():
+        arguments += ["-p", f"{name}:={_yaml(value)}"]
+    return ["--ros-args", *arguments] if arguments else []
+
+
+def _yaml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    # Quoted, as ROS would take text such as "1" or "a: b" for something else.
+    return f"'{value}'" if isinstance(value, str) else str(value)
+
+
+class Process:
+    """One running executable, its output so far, and how it ended."""
+
+    def __init__(
+        self, module: str, arguments: Sequence[str], env: Mapping[str, str], cwd: Path
+    ) -> None:
+        self.module = module
+        self._changed = threading.Condition()
+        self._lines: list[str] = []
+        self._popen = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            env=dict(env),
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._popen.stdout is not None
+        for line in self._popen.stdout:
+            with self._changed:
+                self._lines.append(line)
+                self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    @property
+    def pid(self) -> int:
+        """Process id, and that of its group."""
+        return self._popen.pid
+
+    @property
+    def output(self) -> str:
+        """What it printed so far, errors included."""
+        with self._changed:
+            return "".join(self._lines)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._popen.poll() is None
+
+    def wait_for_output(self, pattern: str, timeout: float = PATIENCE) -> re.Match[str]:
+        """Wait until the output holds a pattern; AssertionError if it ends without it."""
+        deadline = time.monotonic() + timeout
+        with self._changed:
+            while True:
+                match = re.search(pattern, "".join(self._lines))
+                if match:
+                    return match
+                ended = not self.is_running and not self._reader.is_alive()
+                if ended or time.monotonic() > deadline:
+                    how = "ended" if ended else f"did not in {timeout:g} s"
+                    raise AssertionError(
+                        f"{self.module} should print {pattern!r}, it {how}:\n"
+                        + "".join(self._lines)
+                    )
+                self._changed.wait(0.2)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the process alone."""
+        self._popen.send_signal(number)
+
+    def send_to_group(self, number: signal.Signals) -> None:
+        """Send a signal to the whole group, as a terminal does with Ctrl-C."""
+        os.killpg(self.pid, number)
+
+    def wait(self, timeout: float = PATIENCE) -> int:
+        """Wait for the end and return the exit code; AssertionError if it lives on."""
+        try:
+            code = self._popen.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(
+                f"{self.module} should have ended within {timeout:g} s:\n{self.output}"
+            ) from None
+        self._reader.join(5.0)
+        return code
+
+    def stop(self, number: signal.Signals = signal.SIGINT, timeout: float = PATIENCE) -> int:
+        """Send a signal and wait for the exit code."""
+        self.send(number)
+        return self.wait(timeout)
+
+    def group_is_gone(self) -> bool:
+        """Whether nothing of the process's group runs any more."""
+        try:
+            os.killpg(self.pid, 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+    def kill_group(self) -> None:
+        """End whatever is left, at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._popen.wait()
+        self._reader.join(5.0)
+
+
+class Processes:
+    """Starts executables in one ROS domain and holds them to leaving nothing behind."""
+
+    def __init__(self, domain: int, folder: Path) -> None:
+        self.domain = domain
+        self._folder = folder
+        self._started: list[Process] = []
+
+    def start(
+        self,
+        module: str,
+        parameters: Mapping[str, object] | None = None,
+        *arguments: str,
+        namespace: str = "",
+        params_file: Path | None = None,
+        extra_environment: Mapping[str, str] | None = None,
+    ) -> Process:
+        """Start ``python -m module`` with arguments, then parameters in ROS's own way."""
+        given = [*arguments, *ros_arguments(parameters, namespace, params_file)]
+        env = environment(self.domain, extra_environment)
+        process = Process(module, given, env, self._folder)
+        self._started.append(process)
+        return process
+
+    def end(self) -> None:
+        """Stop all that runs; AssertionError if one resists or leaves children."""
+        for process in self._started:
+            if process.is_running:
+                process.send(signal.SIGINT)
+        complaints = []
+        for process in self._started:
+            try:
+                process.wait()
+            except AssertionError as stuck:
+                complaints.append(str(stuck))
+            if not process.group_is_gone():
+                complaints.append(f"{process.module} left processes of its group running")
+                process.kill_group()
+            # Shown by pytest where the test has failed.
+            print(f"--- {process.module}:\n{process.output}")
+        assert not complaints, "\n".join(complaints)
+
+
+def clean_shared_memory() -> None:
+    """Remove what killed participants left in shared memory; what is in use stays."""
+    beside = Path(sys.executable).with_name("fastdds")
+    tool = str(beside) if beside.exists() else shutil.which("fastdds")
+    if tool is not None:
+        subprocess.run([tool, "shm", "clean"], check=False, capture_output=True, timeout=60)
