@@ -59,6 +59,7 @@ setup(
         "mcap-ros2-support>=0.5",
         "numba>=0.59",
         "numpy>=1.26",
+        "pillow>=9.4",
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",

@@ -32,6 +32,7 @@ NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
 
 # What an import needs: distribution on PyPI, key of rosdep (each message package besides).
 REQUIREMENTS: dict[str, tuple[str, str]] = {
+    "PIL": ("pillow", "python3-pil"),
     "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
     "exudyn": ("exudyn", ""),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
