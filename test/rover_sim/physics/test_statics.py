@@ -353,7 +353,7 @@ class TestOtherSupports:
 @settings(max_examples=40, deadline=None)
 @given(
     angle=st.floats(-math.pi, math.pi),
-    ratio=st.floats(0.05, 0.995),
+    ratio=st.floats(0.15, 0.995),
     elements=st.integers(5, 30),
     modulus=st.floats(7.0, 10.9),
 )
