@@ -1,0 +1,362 @@
+"""Moving pictures of rover and tether: frames for the page's player, and a GIF.
+
+Side view in the plane of x (forward) and z (up), equal scales, metres.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from msg_schemas import topics
+from msg_schemas.samples import TETHER_COLUMNS
+from rover_bags.metrics import Jump, Motion, Window, motion
+from rover_bags.read import Bag, Floats
+
+LEAD: Final = 0.25
+"""Simulated time [s] shown before take-off."""
+TRAIL: Final = 0.45
+"""Simulated time [s] shown after touchdown."""
+_MOST_FRAMES: Final = 600
+_FINE: Final = 2
+"""Pictures are drawn so many times finer and then scaled down, for smooth edges."""
+_SIZES: Final = {"body1_size": (0.30, 0.15), "body2_size": (0.20, 0.10)}
+_TENSION: Final = TETHER_COLUMNS.index("tension")
+# Positions and slopes in the plane, and the tension.
+_SHOWN: Final = [TETHER_COLUMNS.index(name) for name in ("x", "z", "tx", "tz", "tension")]
+_TEXT: Final = (33, 37, 41)
+_BODY1: Final = (0, 114, 178)
+_BODY2: Final = (213, 94, 0)
+_SCALE: Final = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (230, 190, 30))
+"""Colours from slack to taut: dark to light, told apart by colour-blind eyes."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What moves, sampled in time.
+
+    Attributes:
+        time: Time of each frame since take-off [s], shape (F,).
+        body1, body2: x [m], z [m], theta [rad] of the bodies' centres, shape (F, 3).
+        tether: x, z [m], slopes dx/ds, dz/ds [-] and tension [N] by node, shape (F, n + 1, 5).
+        element: Length of a tether element [m].
+        sizes: Width and height of the bodies [m].
+        ground: Height of what stands lowest in the first frame [m].
+        low, high: Corners (x, z) of what is in view [m].
+        near: Corners of the view of the rover from near [m].
+        strongest: Tension at the strong end of the colour scale [N].
+    """
+
+    time: Floats
+    body1: Floats
+    body2: Floats
+    tether: Floats
+    element: float
+    sizes: Mapping[str, tuple[float, float]]
+    ground: float
+    low: tuple[float, float]
+    high: tuple[float, float]
+    near: tuple[tuple[float, float], tuple[float, float]]
+    strongest: float
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for the player."""
+        return {
+            "time": np.round(self.time, 5).tolist(),
+            "body1": np.round(self.body1, 5).tolist(),
+            "body2": np.round(self.body2, 5).tolist(),
+            "tether": np.round(self.tether, 4).tolist(),
+            "element": self.element,
+            "sizes": {name: list(size) for name, size in self.sizes.items()},
+            "ground": self.ground,
+            "low": list(self.low),
+            "high": list(self.high),
+            "near": [list(corner) for corner in self.near],
+            "strongest": self.strongest,
+            "scale": [list(colour) for colour in _SCALE],
+        }
+
+
+def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
+    """The scene of a jump, or of the whole bag; None where bodies or tether are not recorded."""
+    tracks = [
+        bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
+    ]
+    if any(track is None for track in tracks):
+        return None
+    first, second, tether = (track for track in tracks if track is not None)
+    if tether.nodes is None:
+        return None
+    body1, body2 = motion(first), motion(second)
+    if jump is None:
+        chosen = np.arange(len(tether))
+        origin = float(tether.time[0])
+    else:
+        chosen = shown(body1, jump).indices(tether)
+        origin = jump.take_off_s
+    chosen = chosen[np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])]
+    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MOST_FRAMES))]
+    if len(chosen) < 2:
+        return None
+    time = tether.time[chosen]
+    poses = [_poses(body, time, tether.log_ns[chosen]) for body in (body1, body2)]
+    nodes = tether.nodes[chosen][:, :, _SHOWN]
+    sizes = _sizes(bag)
+    points = np.concatenate([nodes[:, :, :2].reshape(-1, 2), poses[0][:, :2], poses[1][:, :2]])
+    margin = 0.5 * max(sizes["body1_size"]) + 0.15
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    ground = min(z for _, z in _corners(poses[0][0], sizes["body1_size"]))
+    return Scene(
+        time=time - origin,
+        body1=poses[0],
+        body2=poses[1],
+        tether=nodes,
+        element=_element(bag, tether.nodes[chosen[0]]),
+        sizes=sizes,
+        ground=ground,
+        low=(float(low[0]), float(min(low[1], ground - 0.1))),
+        high=(float(high[0]), float(high[1])),
+        near=_near(poses, ground, margin),
+        strongest=float(max(nodes[:, :, -1].max(), 1e-3)),
+    )
+
+
+def _near(
+    poses: list[Floats], ground: float, margin: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    points = np.concatenate([pose[:, :2] for pose in poses])
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return (
+        (float(low[0]), float(min(low[1], ground - 0.1))),
+        (float(high[0]), float(high[1])),
+    )
+
+
+def shown(body: Motion, jump: Jump) -> Window:
+    """The stretch of a bag that pictures of a jump show."""
+    end = jump.take_off_s + jump.flight_time_s
+    at = int(np.argmin(np.abs(body.time - jump.take_off_s)))
+    window = Window.of(body, at, at)
+    begin, stop = jump.take_off_s - LEAD, end + TRAIL
+    span = int((stop - begin) * 60e9)
+    return Window(begin, stop, window.log_begin - span, window.log_end + span)
+
+
+def _poses(body: Motion, time: Floats, log_ns: NDArray[np.int64]) -> Floats:
+    """x, z, theta of a body at given times, by interpolation between its samples near them."""
+    margin = 2_000_000_000
+    near = (body.log_ns >= log_ns[0] - margin) & (body.log_ns <= log_ns[-1] + margin)
+    t = body.time[near]
+    columns = (body.position[near, 0], body.position[near, 2], body.theta[near])
+    return np.stack([np.interp(time, t, column) for column in columns], axis=1)
+
+
+def _sizes(bag: Bag) -> dict[str, tuple[float, float]]:
+    rover = bag.scenario.get("rover") or {}
+    return {
+        name: tuple(float(v) for v in rover.get(name, usual))[:2]  # type: ignore[misc]
+        for name, usual in _SIZES.items()
+    }
+
+
+def _element(bag: Bag, nodes: Floats) -> float:
+    count = len(nodes) - 1
+    tether = bag.scenario.get("tether") or {}
+    length = tether.get("length")
+    if not isinstance(length, float | int):
+        length = float(np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1).sum())
+    return float(length) / count
+
+
+# --- GIF ------------------------------------------------------------------------------------------
+
+
+def write_gif(
+    scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 25.0
+) -> None:
+    """Writes a GIF.
+
+    Args:
+        scene: What to show.
+        path: File to write.
+        width: Of the picture [pixel].
+        slower: Simulated time runs so many times slower.
+        rate: Pictures per second.
+    """
+    span = float(scene.time[-1] - scene.time[0])
+    step = max(1.0 / (rate * slower), span / _MOST_FRAMES)
+    times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
+    pictures = [_picture(scene, float(time), width, slower) for time in times]
+    palette = pictures[len(pictures) // 2].quantize(64)
+    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    duration = [round(1000.0 / rate)] * len(frames)
+    duration[-1] = 1200
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=duration,
+        loop=0,
+        optimize=True,
+    )
+
+
+class _View:
+    """Maps metres to pixels of a panel that shows a box with equal scales."""
+
+    def __init__(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        panel: tuple[int, int, int, int],
+    ) -> None:
+        self.panel = panel
+        left, top, right, bottom = panel
+        self.scale = min((right - left) / (high[0] - low[0]), (bottom - top) / (high[1] - low[1]))
+        self._x = 0.5 * (left + right) - 0.5 * self.scale * (low[0] + high[0])
+        self._z = 0.5 * (top + bottom) + 0.5 * self.scale * (low[1] + high[1])
+
+    def at(self, x: float, z: float) -> tuple[float, float]:
+        return (self._x + self.scale * x, self._z - self.scale * z)
+
+
+def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Image:
+    """Left the whole scene, right the rover from near."""
+    height = round(0.62 * width)
+    image = Image.new("RGB", (_FINE * width, _FINE * height), "white")
+    draw = ImageDraw.Draw(image)
+    poses = [_at(scene, values, time) for values in (scene.body1, scene.body2)]
+    tether = _at(scene, scene.tether, time)
+    top, bottom = 52 * _FINE, (height - 10) * _FINE
+    middle, right = round(0.42 * width) * _FINE, (width - 8) * _FINE
+    views = (
+        _View(scene.low, scene.high, (8 * _FINE, top, middle, bottom)),
+        _View(*scene.near, (middle + 10 * _FINE, top, right, bottom)),
+    )
+    for view in views:
+        panel = Image.new("RGB", image.size, "white")
+        _draw_scene(ImageDraw.Draw(panel), view, scene, time, poses, tether)
+        image.paste(panel.crop(view.panel), view.panel[:2])
+        draw.rectangle(view.panel, outline=(206, 212, 218), width=_FINE)
+    large, small = (ImageFont.load_default(size=size * _FINE) for size in (15, 12))
+    draw.text((10 * _FINE, 7 * _FINE), f"{time:+.2f} s after take-off", fill=_TEXT, font=large)
+    rise = poses[0][1] - scene.body1[0, 1]
+    note = (
+        f"rise {rise:.3f} m,  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  "
+        f"{slower:g} times slower"
+    )
+    draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
+    return image.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _draw_scene(
+    draw: ImageDraw.ImageDraw,
+    view: _View,
+    scene: Scene,
+    time: float,
+    poses: list[Floats],
+    tether: Floats,
+) -> None:
+    _draw_ground(draw, view, scene)
+    past = scene.body1[scene.time <= time]
+    if len(past) > 1:
+        draw.line([view.at(x, z) for x, z, _ in past], fill=(150, 160, 170), width=_FINE)
+    _draw_tether(draw, view, scene, tether)
+    draw.line([view.at(*pose[:2]) for pose in poses], fill=(134, 142, 150), width=4 * _FINE)
+    for pose, name, colour in (
+        (poses[1], "body2_size", _BODY2),
+        (poses[0], "body1_size", _BODY1),
+    ):
+        corners = [view.at(*corner) for corner in _corners(pose, scene.sizes[name])]
+        draw.polygon(corners, fill=colour, outline="white")
+    x, z = view.at(*tether[0, :2])
+    draw.rectangle((x - 6, z - 6, x + 6, z + 6), fill=_TEXT)
+    _draw_ruler(draw, view)
+
+
+def _at(scene: Scene, values: Floats, time: float) -> Floats:
+    index = int(np.clip(np.searchsorted(scene.time, time) - 1, 0, len(scene.time) - 2))
+    share = (time - scene.time[index]) / (scene.time[index + 1] - scene.time[index])
+    share = float(np.clip(share, 0.0, 1.0))
+    blended: Floats = (1.0 - share) * values[index] + share * values[index + 1]
+    return blended
+
+
+def _corners(pose: Floats, size: tuple[float, float]) -> list[tuple[float, float]]:
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return [
+        (
+            pose[0] + c * a * size[0] / 2 - s * b * size[1] / 2,
+            pose[1] + s * a * size[0] / 2 + c * b * size[1] / 2,
+        )
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+
+
+def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
+    # Only under the rover: where the mother machine stands there is none at this height.
+    reach = scene.body1[:, 0]
+    left, right = float(reach.min()) - 0.35, float(reach.max()) + 0.35
+    top, bottom = view.at(left, scene.ground), view.at(right, scene.ground)
+    draw.line([top, bottom], fill=(120, 110, 100), width=4)
+
+
+def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Floats) -> None:
+    for left, right in pairwise(nodes):
+        curve = element_curve(left, right, scene.element, 8)
+        tension = np.linspace(left[4], right[4], len(curve))
+        for piece in range(len(curve) - 1):
+            colour = tension_colour(float(tension[piece]), scene.strongest)
+            ends = [view.at(*curve[piece]), view.at(*curve[piece + 1])]
+            draw.line(ends, fill=colour, width=3 * _FINE)
+
+
+def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Floats:
+    """Points (pieces + 1, 2) of a tether element's cubic.
+
+    Args:
+        left: One end: x, z [m] and slopes dx/ds, dz/ds [-], as in ``Scene.tether``.
+        right: The other end.
+        length: Of the element [m].
+        pieces: How many straight pieces stand for the curve.
+    """
+    s = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+    cubic: Floats = (
+        (2 * s**3 - 3 * s**2 + 1) * left[:2]
+        + (s**3 - 2 * s**2 + s) * length * left[2:4]
+        + (3 * s**2 - 2 * s**3) * right[:2]
+        + (s**3 - s**2) * length * right[2:4]
+    )
+    return cubic
+
+
+def tension_colour(tension: float, strongest: float) -> tuple[int, int, int]:
+    """Colour of a tension on the scale that the player uses, too."""
+    place = min(max(tension / strongest, 0.0), 1.0) * (len(_SCALE) - 1)
+    index = min(int(place), len(_SCALE) - 2)
+    share = place - index
+    first, second = _SCALE[index], _SCALE[index + 1]
+    red, green, blue = (
+        round((1 - share) * a + share * b) for a, b in zip(first, second, strict=True)
+    )
+    return (red, green, blue)
+
+
+def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:
+    """A bar of a round length, so that sizes can be read off."""
+    left, _, right, bottom = view.panel
+    span = (right - left) / view.scale
+    length = next((v for v in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if v <= 0.35 * span), 0.05)
+    y, x = bottom - 14 * _FINE, left + 12 * _FINE
+    end = x + view.scale * length
+    draw.line([(x, y), (end, y)], fill=_TEXT, width=2 * _FINE)
+    for place in (x, end):
+        draw.line([(place, y - 4 * _FINE), (place, y + 4 * _FINE)], fill=_TEXT, width=2 * _FINE)
+    font = ImageFont.load_default(size=12 * _FINE)
+    draw.text((end + 6 * _FINE, y - 8 * _FINE), f"{length:g} m", fill=_TEXT, font=font)
