@@ -9,6 +9,7 @@ the output in the message.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import re
 import shutil
@@ -27,6 +28,15 @@ PATIENCE = 60.0
 
 # Where the suite is imported from.
 _IMPORTED_FROM = Path(msg_schemas.__file__).parents[1]
+
+# Sent to a process by the kernel when the one that started it dies, however it dies.
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+
+def _end_with_parent() -> None:
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def environment(domain: int, extra: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -48,9 +58,12 @@ def ros_arguments(
     parameters: Mapping[str, object] | None = None,
     namespace: str = "",
     params_file: Path | None = None,
+    remap: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Return ``--ros-args`` and what follows it."""
     arguments = []
+    for name, other in (remap or {}).items():
+        arguments += ["-r", f"{name}:={other}"]
     if namespace:
         arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
     if params_file is not None:
@@ -86,6 +99,7 @@ class Process:
             text=True,
             errors="replace",
             start_new_session=True,
+            preexec_fn=_end_with_parent,  # noqa: PLW1509 - one system call, no lock
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -187,10 +201,11 @@ class Processes:
         *arguments: str,
         namespace: str = "",
         params_file: Path | None = None,
+        remap: Mapping[str, str] | None = None,
         extra_environment: Mapping[str, str] | None = None,
     ) -> Process:
         """Start ``python -m module`` with arguments, then parameters in ROS's own way."""
-        given = [*arguments, *ros_arguments(parameters, namespace, params_file)]
+        given = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
         env = environment(self.domain, extra_environment)
         process = Process(module, given, env, self._folder)
         self._started.append(process)
@@ -210,8 +225,6 @@ class Processes:
             if not process.group_is_gone():
                 complaints.append(f"{process.module} left processes of its group running")
                 process.kill_group()
-            # Shown by pytest where the test has failed.
-            print(f"--- {process.module}:\n{process.output}")
         assert not complaints, "\n".join(complaints)
 
 
