@@ -56,6 +56,17 @@ def observer(stage: Stage) -> Observer:
     return stage.observer()
 
 
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """Fill the cache of compiled kernels once: a sim node that starts need not compile then."""
+    from ros_domain import locked
+
+    from rover_sim import build_plant, load_scenario
+
+    with locked("compiling"):
+        build_plant(load_scenario("paper_table1_low")).warm_up()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _shared_memory() -> Iterator[None]:
     """Remove what killed processes have left in shared memory."""

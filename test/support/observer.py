@@ -10,13 +10,13 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from processes import PATIENCE
+from processes import PATIENCE, ros_arguments
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -56,6 +56,12 @@ class Feed:
         """A copy of what has arrived so far."""
         with self._changed:
             return list(self._samples)
+
+    @property
+    def last(self) -> Any:
+        """The newest sample; None = nothing has arrived."""
+        with self._changed:
+            return self._samples[-1] if self._samples else None
 
     def __len__(self) -> int:
         with self._changed:
@@ -101,13 +107,16 @@ class Feed:
 class Observer:
     """Listens, commands and calls in one ROS domain (and namespace)."""
 
-    def __init__(self, domain: int, namespace: str = "") -> None:
+    def __init__(
+        self, domain: int, namespace: str = "", remap: Mapping[str, str] | None = None
+    ) -> None:
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self.node = rclpy.create_node(
             f"observer_{next(_number)}",
             namespace=namespace,
             context=self._context,
+            cli_args=ros_arguments(remap=remap),
             use_global_arguments=False,
         )
         self._changed = threading.Condition()
@@ -183,8 +192,13 @@ class Observer:
 
     def time_ns(self) -> int:
         """Simulated time as last heard."""
-        samples = self.listen(topics.CLOCK).samples
-        return int(samples[-1].stamp_ns) if samples else 0
+        last = self.listen(topics.CLOCK).last
+        return 0 if last is None else int(last.stamp_ns)
+
+    def wait_for_time(self, stamp_ns: int) -> int:
+        """Wait until simulated time has come so far; returns it."""
+        clock = self.listen(topics.CLOCK)
+        return int(clock.wait(lambda s: s.stamp_ns >= stamp_ns, max(0, len(clock) - 1)).stamp_ns)
 
     # --- commanding ------------------------------------------------------------------------------
 

@@ -48,9 +48,12 @@ def ros_arguments(
     parameters: Mapping[str, object] | None = None,
     namespace: str = "",
     params_file: Path | None = None,
+    remap: Mapping[str, str] | None = None,
 ) -> list[str]:
     """Return ``--ros-args`` and what follows it."""
     arguments = []
+    for name, other in (remap or {}).items():
+        arguments += ["-r", f"{name}:={other}"]
     if namespace:
         arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
     if params_file is not None:
@@ -185,10 +188,11 @@ class Processes:
         *arguments: str,
         namespace: str = "",
         params_file: Path | None = None,
+        remap: Mapping[str, str] | None = None,
         extra_environment: Mapping[str, str] | None = None,
     ) -> Process:
         """Start ``python -m module`` with arguments, then parameters in ROS's own way."""
-        given = [*arguments, *ros_arguments(parameters, namespace, params_file)]
+        given = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
         env = environment(self.domain, extra_environment)
         process = Process(module, given, env, self._folder)
         self._started.append(process)

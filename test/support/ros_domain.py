@@ -1,4 +1,4 @@
-"""ROS domains that no other test uses at the same time, whoever runs it.
+"""Locks between test runs, and ROS domains that no other test uses at the same time.
 
 A domain is reserved by an exclusive lock on a file named after it, in a folder
 that all users of the machine share. The lock belongs to the open file: the kernel
@@ -36,6 +36,26 @@ def _open_shared(path: Path) -> int:
         return descriptor
 
 
+def _make_folder() -> None:
+    try:
+        _LOCKS.mkdir(mode=0o777)
+        _LOCKS.chmod(0o1777)
+    except FileExistsError:
+        pass
+
+
+@contextmanager
+def locked(name: str) -> Iterator[None]:
+    """Let one test run at a time into the block."""
+    _make_folder()
+    descriptor = _open_shared(_LOCKS / f"{name}.lock")
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def _try_lock(domain: int) -> int | None:
     descriptor = _open_shared(_LOCKS / f"{domain}.lock")
     try:
@@ -53,11 +73,7 @@ def reserved_domain() -> Iterator[int]:
     Raises:
         TimeoutError: all domains stayed taken.
     """
-    try:
-        _LOCKS.mkdir(mode=0o777)
-        _LOCKS.chmod(0o1777)
-    except FileExistsError:
-        pass
+    _make_folder()
     # A random order: a domain just left is not the next one taken, so that what its participants
     # still say finds nobody.
     order = random.sample(DOMAINS, len(DOMAINS))

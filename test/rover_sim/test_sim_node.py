@@ -1,0 +1,529 @@
+"""sim_node as a process of its own, heard and commanded from another one over DDS."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+import signal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from driving import drive_nut, has_event
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.parameters import ParameterError, from_mapping
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS, WINCH_DRUM
+from rover_sim import build_plant, jump, load_scenario
+from rover_sim.sim_node import RateParameters, SimParameters, load
+
+if TYPE_CHECKING:
+    from observer import Observer
+    from processes import Process, Processes
+    from stage import Stage
+
+    Sim = tuple[Process, Observer]
+
+pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
+
+MODULE = "rover_sim.sim_node"
+NODE = "sim_node"
+NANO = 1_000_000_000
+DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}'
+
+
+def start(stage: Stage, **parameters: object) -> Sim:
+    process = stage.processes.start(MODULE, {"scenario": "paper_table1_high", **parameters})
+    observer = stage.observer()
+    observer.listen(topics.EVENTS)
+    observer.listen(topics.DIAGNOSTICS)
+    observer.listen(topics.CLOCK)
+    observer.wait_for_event("active")
+    return process, observer
+
+
+def status(observer: Observer, key: str, value: str, since: int = 0) -> Any:
+    """Wait until the sim's status says so."""
+    return observer.wait_for_status(topics.SIM_STATUS, lambda s: s.values.get(key) == value, since)
+
+
+def pause(observer: Observer) -> int:
+    """Pause and return the time at which it stands."""
+    answer = observer.call(topics.SIM_PAUSE, True)
+    assert answer.success, answer.message
+    stamp = round(float(answer.message.split()[-2]) * NANO)
+    return observer.wait_for_time(stamp)
+
+
+# ------------------------------------------------------------------------------------ it is heard
+
+
+def test_every_topic_is_heard_at_its_rate_in_simulated_time(stage: Stage):
+    _, observer = start(stage)
+    rows = [r for r in TOPICS.values() if "sim_node" in r.publisher and r.rate is not None]
+    feeds = {row.name: observer.listen(row.name) for row in rows}
+    for row in rows:
+        if row.name == topics.SIM_STATUS:
+            feeds[row.name].wait_for_count(5)
+            continue
+        assert row.rate is not None
+        stamps = [sample.stamp_ns for sample in feeds[row.name].wait_for_count(40)]
+        gaps = {b - a for a, b in itertools.pairwise(stamps[1:])}
+        assert gaps == {round(NANO / row.rate)}, row.name
+
+
+def test_standing_it_shows_a_rover_at_rest(stage: Stage):
+    _, observer = start(stage)
+    assert observer.wait_for_text(topics.TRUTH_PHASE, "held")
+    assert observer.listen(topics.CONTACT).wait().joints[FLOOR_SWITCH].position == 1.0
+    force = observer.listen(topics.IMU).wait().linear_acceleration
+    assert force == pytest.approx((0.0, 0.0, 9.81), abs=1e-6)
+    body = observer.listen(topics.TRUTH_BODY1).wait()
+    assert body.position == pytest.approx((2.2 + 0.15, 0.0, -2.2), abs=1e-6)
+    assert body.linear == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_its_configuration_is_latched_with_all_values_and_the_seed(stage: Stage):
+    _, observer = start(
+        stage, overrides='{"start.slack": 1.5, "tether.elements": 7}', seed=42, tick=0.02,
+        clock_rate=50.0, sensor_rate=50.0, truth_rate=50.0,
+    )  # fmt: skip
+    content = json.loads(observer.listen(topics.CONFIG).wait().text)
+    expected = load_scenario("paper_table1_high", {"start.slack": 1.5, "tether.elements": 7})
+    assert content["scenario"] == json.loads(json.dumps(expected.to_mapping()))
+    assert content["seed"] == 42
+    assert content["parameters"]["tick"] == 0.02
+    shape = observer.listen(topics.TRUTH_TETHER).wait().nodes
+    assert shape.shape == (8, 7)
+
+
+# ------------------------------------------------------------------------------------- it is flown
+
+
+@pytest.mark.parametrize("changes", [{}, {"start.geometry": "+K", "start.slack": 2.0}])
+def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
+    stage: Stage, changes: dict[str, object]
+):
+    _, observer = start(stage, overrides=json.dumps(changes), real_time_factor=2.0)
+    bodies = observer.listen(topics.TRUTH_BODY1)
+    nut = observer.listen(topics.JUMP_MOTOR_STATE)
+    drive_nut(observer, 0.2, 0.4, has_event(observer, "take_off"))
+    flown = {k: float(v) for k, v in observer.wait_for_event("touchdown").values.items()}
+    observer.wait_for_text(topics.TRUTH_PHASE, "landed")
+
+    alone = jump(build_plant(load_scenario("paper_table1_high", changes)))
+    assert flown["height"] == pytest.approx(alone.height, abs=1e-5)
+    assert flown["attitude_variation"] == pytest.approx(alone.attitude_variation, abs=2e-4)
+    assert flown["flight_time"] == pytest.approx(alone.flight_time, abs=1e-5)
+    # The truth that was published on the way tells the same.
+    heights = [sample.position[2] for sample in bodies.samples]
+    assert max(heights) - heights[0] == pytest.approx(alone.height, abs=5e-4)
+    speeds = {round(s.joints[JUMP_SCREW].velocity, 6) for s in nut.samples}
+    assert 0.4 in speeds
+    observer.wait_for_event("apex")
+
+
+# ------------------------------------------------------------------------- bad commands are refused
+
+
+@pytest.fixture(scope="module")
+def sim(shared_stage: Stage) -> Sim:
+    """A running simulation, for tests after which the nut is at zero again."""
+    running = start(shared_stage)
+    running[1].listen(topics.JUMP_MOTOR_STATE).wait()
+    return running
+
+
+def bad_jump_commands() -> list[Any]:
+    def set_(part: str, value: float) -> Callable[[Any], object]:
+        return lambda m: getattr(m, part).__setitem__(0, value)
+
+    def at(seconds: float) -> Callable[[Any], object]:
+        def change(message: Any) -> None:
+            stamp = message.header.stamp.sec * NANO + message.header.stamp.nanosec
+            stamp += round(seconds * NANO)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANO)
+
+        return change
+
+    def unstamp(message: Any) -> None:
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+    cases: dict[str, tuple[str, str, Callable[[Any], object]]] = {
+        "nan": ("not_finite", "nan", set_("position", math.nan)),
+        "infinite speed": ("not_finite", "inf", set_("velocity", math.inf)),
+        "wrong joint": ("wrong_name", "jump_screw", lambda m: m.name.__setitem__(0, "screw")),
+        "no joint": ("wrong_name", "jump_screw", lambda m: m.name.clear()),
+        "wrong length": ("wrong_length", "velocity", lambda m: m.velocity.append(0.1)),
+        "negative": ("out_of_limits", "0 .. 0.4 m", set_("position", -0.1)),
+        "too far": ("out_of_limits", "0 .. 0.4 m", set_("position", 0.41)),
+        "too fast": ("out_of_limits", "0.5 m/s", set_("velocity", 0.6)),
+        "too weak": ("out_of_limits", "164.8 N", set_("effort", 100.0)),
+        "stale": ("stale", "at most 0.5 s", at(-1.0)),
+        "future": ("from_the_future", "at most 0.1 s", at(+10.0)),
+        "unstamped": ("unstamped", "header.stamp", unstamp),
+    }
+    return [pytest.param(*case, id=name) for name, case in cases.items()]
+
+
+@pytest.mark.parametrize(("code", "words", "change"), bad_jump_commands())
+def test_a_bad_jump_command_is_refused_with_its_reason_and_nothing_moves(
+    sim: Sim, code: str, words: str, change: Callable[[Any], object]
+):
+    process, observer = sim
+    nut = observer.listen(topics.JUMP_MOTOR_STATE)
+    moved, heard = len(nut), len(observer.listen(topics.DIAGNOSTICS))
+    stamp = observer.wait_for_time(2 * NANO)
+    value = {JUMP_SCREW: JointValue(0.2, 0.1, 400.0)}
+    message = encode(topics.JUMP_MOTOR_COMMAND, JointSample(stamp, value))
+    change(message)
+    observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message)
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+    assert words in refusal.message
+    observer.wait_for_time(observer.time_ns() + NANO // 10)
+    assert all(s.joints[JUMP_SCREW] == (0.0, 0.0, 0.0) for s in nut.samples[moved:])
+    assert process.is_running
+
+
+def test_a_command_older_than_the_last_accepted_one_is_refused(sim: Sim):
+    _, observer = sim
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    now = observer.wait_for_time(NANO)
+    for stamp in (now, now - 10_000_000):
+        observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.0, 0.1, 10.0, stamp)
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order", heard)
+
+
+def test_a_drum_without_a_motor_refuses_to_move_and_accepts_to_hold(sim: Sim):
+    _, observer = sim
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.wait_for_time(NANO)
+    observer.send_joint(topics.WINCH_COMMAND, WINCH_DRUM, 5.0, 0.0, 100.0)
+    observer.send_joint(topics.WINCH_COMMAND, WINCH_DRUM, 4.0, 0.1, 100.0)
+    refusal = observer.wait_for_refusal(topics.WINCH_COMMAND, "not_supported", heard)
+    assert refusal.values["refused"] == "1"
+
+
+def test_after_all_refusals_a_good_command_is_obeyed(sim: Sim):
+    _, observer = sim
+    nut = observer.listen(topics.JUMP_MOTOR_STATE)
+
+    def compression() -> float:
+        return float(nut.last.joints[JUMP_SCREW].position)
+
+    drive_nut(observer, 0.3, 0.05, lambda: compression() > 0.02)
+    assert observer.listen(topics.TRUTH_PHASE).wait().text == "held"
+    drive_nut(observer, 0.0, 0.1, lambda: compression() == 0.0)
+
+
+def test_commands_in_flight_are_refused(stage: Stage):
+    _, observer = start(stage, real_time_factor=0.25)
+    drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
+    took_off = next(
+        e.stamp_ns
+        for e in observer.listen(topics.EVENTS).samples
+        if e.statuses[0].name == "take_off"
+    )
+    observer.wait_for_time(took_off + 110_000_000)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "wrong_phase")
+    assert "flight" in refusal.message
+
+
+def test_a_scenario_without_a_rover_refuses_to_jump(stage: Stage):
+    _, observer = start(stage, scenario="tether_pendulum")
+    observer.wait_for_text(topics.TRUTH_PHASE, "free")
+    observer.wait_for_time(1)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_supported")
+    assert "no rover" in refusal.message
+    assert observer.node.count_publishers(f"/{topics.IMU}") == 0
+
+
+def test_when_commands_cease_the_nut_stops_where_it_is(stage: Stage):
+    _, observer = start(stage, real_time_factor=2.0)
+    nut = observer.listen(topics.JUMP_MOTOR_STATE)
+    observer.wait_for_time(1)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.3, 0.1, 400.0)
+    stopped = observer.wait_for_event("jump_motor_silent")
+    assert stopped.level is Level.WARN
+    observer.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: "jump_motor_silent" in s.name and s.level is Level.WARN
+    )
+    position = float(stopped.values["compression"])
+    assert position == pytest.approx(0.05, abs=0.002)
+    count = len(nut)
+    later = nut.wait_for_count(count + 50)[count:]
+    assert {s.joints[JUMP_SCREW].position for s in later} == {position}
+
+
+# -------------------------------------------------------------------------- pause, step and reset
+
+
+def test_pause_stops_time_and_step_advances_it_by_one_tick(stage: Stage):
+    _, observer = start(stage)
+    clock, body = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
+    observer.wait_for_time(NANO // 2)
+    assert not observer.call(topics.SIM_STEP).success
+    stamp = pause(observer)
+    status(observer, "paused", "true")
+    count = len(clock)
+    for step in range(1, 4):
+        assert observer.call(topics.SIM_STEP).success
+        assert observer.wait_for_time(stamp + step * 10_000_000) == stamp + step * 10_000_000
+    assert len(clock) == count + 3
+    body.wait(lambda s: s.stamp_ns == stamp + 30_000_000)
+    assert observer.call(topics.SIM_PAUSE, False).success
+    observer.wait_for_time(stamp + NANO // 2)
+
+
+def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(stage: Stage):
+    _, observer = start(stage, start_paused=True)
+    status(observer, "paused", "true")
+    observer.wait_until(
+        lambda: observer.call(topics.SIM_STEP).success and observer.time_ns() > 0,
+        "stepping is not heard",
+    )
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.2, 0.1, 100.0)
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_limits")
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.message == "paused", heard
+    )
+
+
+def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(stage: Stage):
+    _, observer = start(stage, real_time_factor=2.0)
+    heights = []
+    for _ in range(2):
+        since = len(observer.listen(topics.EVENTS))
+        drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off", since))
+        heights.append(float(observer.wait_for_event("touchdown", since).values["height"]))
+        clock, phases = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_PHASE)
+        count, told = len(clock), len(phases)
+        assert observer.call(topics.SIM_RESET).success
+        clock.wait(lambda s: s.stamp_ns == 0, count)
+        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+        observer.wait_for_event("reset", since)
+    assert heights[1] == pytest.approx(heights[0], abs=1e-6)
+
+
+def test_reset_plant_puts_the_plant_back_and_time_runs_on(stage: Stage):
+    _, observer = start(stage, real_time_factor=2.0)
+    clock, bodies = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
+    start_position = bodies.wait().position
+    drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
+    told = len(observer.listen(topics.TRUTH_PHASE))
+    stamp, count = observer.time_ns(), len(bodies)
+    assert observer.call(topics.SIM_RESET_PLANT).success
+    observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+    bodies.wait(lambda s: s.position == start_position, count)
+    observer.wait_for_time(stamp + NANO // 5)
+    stamps = [sample.stamp_ns for sample in clock.samples]
+    assert stamps == sorted(stamps)
+
+
+# ------------------------------------------------------------------------------------- divergence
+
+
+def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(stage: Stage):
+    process, observer = start(stage, overrides=DIVERGING, start_paused=True)
+    bodies = observer.listen(topics.TRUTH_BODY1)
+    observer.call(topics.SIM_PAUSE, False)
+    observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
+    event = observer.wait_for_event("diverged")
+    assert event.level is Level.ERROR
+    assert "last good state" in event.message
+    observer.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.level is Level.ERROR
+    )
+    status(observer, "outcome", "diverged")
+    # Nothing moves, time runs on, commands are refused with the way out.
+    count, stamp = len(bodies), observer.time_ns()
+    observer.wait_for_time(stamp + NANO // 5)
+    assert len({sample.position for sample in bodies.samples[count:]}) == 1
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "wrong_phase")
+    assert topics.SIM_RESET in refusal.message
+    phases = observer.listen(topics.TRUTH_PHASE)
+    told = len(phases)
+    assert observer.call(topics.SIM_RESET).success
+    observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+    assert process.stop() == 0
+
+
+def test_a_run_of_given_duration_that_diverges_ends_with_code_3(processes: Processes):
+    process = processes.start(MODULE, {"overrides": DIVERGING, "duration": 5.0})
+    assert process.wait() == 3
+
+
+# ------------------------------------------------------------------------------------------- pace
+
+
+def test_a_run_of_given_duration_ends_by_itself(stage: Stage):
+    process, observer = start(stage, duration=3.0, real_time_factor=0.0)
+    assert process.wait() == 0
+    assert "simulated 3 s" in observer.wait_for_event("finished").message
+    assert observer.listen(topics.CLOCK).last.stamp_ns == 3 * NANO
+    assert process.group_is_gone()
+
+
+def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(stage: Stage):
+    _, observer = start(stage)
+    feed = observer.listen(topics.SIM_STATUS)
+
+    def measured(condition: Callable[[float], bool]) -> Callable[[Any], bool]:
+        return lambda s: condition(
+            float(s.statuses[0].values["measured_real_time_factor"] or "nan")
+        )
+
+    feed.wait(measured(lambda factor: 0.8 < factor < 1.05))
+    assert observer.set_parameter(NODE, "real_time_factor", 0.0).successful
+    feed.wait(measured(lambda factor: factor > 2.0), len(feed))
+    assert observer.set_parameter(NODE, "real_time_factor", 0.5).successful
+    feed.wait(measured(lambda factor: 0.4 < factor < 0.53), len(feed))
+
+
+def test_too_slow_for_its_factor_it_says_so(stage: Stage):
+    _, observer = start(stage, real_time_factor=1000.0)
+    told = observer.wait_for_status(topics.SIM_STATUS, lambda s: s.level is Level.WARN)
+    assert "too slow for a real-time factor of 1000" in told.message
+    assert float(told.values["wall_time_given_up"]) > 0.0
+
+
+def test_two_simulations_in_namespaces_do_not_disturb_each_other(stage: Stage):
+    remap = {topics.CLOCK: topics.CLOCK.strip("/")}
+    observers = {}
+    for name in ("one", "two"):
+        stage.processes.start(MODULE, {"scenario": "paper_table1_low"}, namespace=name, remap=remap)
+        observers[name] = stage.observer(name, remap)
+    one, two = observers["one"], observers["two"]
+    two_nut, two_phase = two.listen(topics.JUMP_MOTOR_STATE), two.listen(topics.TRUTH_PHASE)
+    for observer in (one, two):
+        observer.wait_for_time(1)
+    assert two.set_parameter(f"/two/{NODE}", "real_time_factor", 0.5).successful
+    drive_nut(one, 0.1, 0.4, has_event(one, "take_off"))
+    one.wait_for_text(topics.TRUTH_PHASE, "landed")
+    assert {s.joints[JUMP_SCREW].position for s in two_nut.samples} == {0.0}
+    assert [s.text for s in two_phase.samples] == ["held"]
+    for observer in (one, two):
+        stamps = [s.stamp_ns for s in observer.listen(topics.CLOCK).samples]
+        assert {b - a for a, b in itertools.pairwise(stamps)} == {10_000_000}
+
+
+# --------------------------------------------------------------------------------------- lifecycle
+
+
+def test_deactivated_time_stands_and_activated_it_goes_on(stage: Stage):
+    _, observer = start(stage)
+    clock = observer.listen(topics.CLOCK)
+    observer.wait_for_time(NANO // 2)
+    assert observer.change_state(NODE, "deactivate")
+    observer.wait_for_event("inactive")
+    count, stamp = len(clock), observer.time_ns()
+    assert not observer.call(topics.SIM_PAUSE, True).success
+    assert len(clock) == count
+    assert observer.change_state(NODE, "activate")
+    observer.wait_for_time(stamp + NANO // 2)
+    stamps = [s.stamp_ns for s in clock.samples]
+    assert stamps == sorted(stamps)
+
+
+def test_cleaned_up_and_configured_again_it_starts_at_zero(stage: Stage):
+    _, observer = start(stage)
+    observer.wait_for_time(NANO // 2)
+    for transition in ("deactivate", "cleanup", "configure"):
+        assert observer.change_state(NODE, transition)
+    clock = observer.listen(topics.CLOCK)
+    count = len(clock)
+    assert observer.change_state(NODE, "activate")
+    clock.wait(lambda s: 0 < s.stamp_ns < NANO // 2, count)
+
+
+# ------------------------------------------------------------------------------------ how it ends
+
+
+def interrupt(process: Process) -> None:
+    process.send(signal.SIGINT)
+
+
+def interrupt_twice(process: Process) -> None:
+    process.send_to_group(signal.SIGINT)
+    process.send(signal.SIGINT)
+
+
+def terminate(process: Process) -> None:
+    process.send(signal.SIGTERM)
+
+
+@pytest.mark.parametrize("end", [interrupt, interrupt_twice, terminate])
+@pytest.mark.parametrize("factor", [0.0, 1.0])
+def test_a_signal_ends_it_and_leaves_no_process(
+    stage: Stage, end: Callable[[Process], None], factor: float
+):
+    process, _ = start(stage, real_time_factor=factor)
+    end(process)
+    assert process.wait() == 0
+    assert process.group_is_gone()
+    assert "Traceback" not in process.output
+
+
+def test_a_signal_ends_it_while_paused(stage: Stage):
+    process, observer = start(stage, start_paused=True)
+    status(observer, "paused", "true")
+    assert process.stop(signal.SIGTERM) == 0
+    assert process.group_is_gone()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        ({"scenario": "/nowhere/mine.yaml"}, "/nowhere/mine.yaml"),
+        ({"overrides": "{start.slak: 2}"}, "did you mean 'slack'?"),
+        ({"real_time_factor": -1.0}, "real_time_factor"),
+        ({"sensor_rate": 200.0}, "at most 100 Hz"),
+        ({"realtime_factor": 1.0}, "did you mean real_time_factor?"),
+    ],
+)
+def test_bad_configuration_ends_it_with_code_2_and_one_line(
+    processes: Processes, parameters: dict[str, object], complaint: str
+):
+    process = processes.start(MODULE, parameters)
+    assert process.wait() == 2
+    assert "Traceback" not in process.output
+    lines = [line for line in process.output.splitlines() if "rcl]" not in line]
+    assert len(lines) == 1, process.output
+    assert complaint in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "complaint"),
+    [
+        ({"scenario": "paper_table9"}, "paper_table1_high"),
+        ({"scenario": ""}, "paper_table1_high"),
+        ({"overrides": "{start.slack: .nan}"}, "start.slack"),
+        ({"overrides": "[1, 2"}, "not YAML"),
+        ({"overrides": "3"}, "should be a mapping"),
+        ({"overrides": "{rover.wheels: 4}"}, "rover.wheels"),
+        ({"model": "cubic"}, "one of planar"),
+        ({"tick": 0.0}, "tick is 0.0 s"),
+        ({"seed": -1}, "seed"),
+        ({"duration": math.inf}, "finite"),
+    ],
+)
+def test_a_bad_scenario_or_parameter_is_refused_with_the_reason(
+    parameters: dict[str, object], complaint: str
+):
+    with pytest.raises(ValueError, match=re.escape(complaint)):
+        load(from_mapping(SimParameters, parameters))
+
+
+def test_rates_may_not_exceed_one_per_tick():
+    rates = from_mapping(RateParameters, {"sensor_rate": 100.0})
+    rates.check(0.01)
+    with pytest.raises(ParameterError, match="at most 50 Hz, once per tick of 0.02 s"):
+        rates.check(0.02)
