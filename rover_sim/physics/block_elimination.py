@@ -6,9 +6,10 @@ The equations of node i are
 
 and arrive as contributions of the elements, each with a side for either of its nodes: side 0 holds
 the rows of its first node (D, R, and U towards its second), side 1 those of its second node (D, R,
-and L towards its first). An array `blocks` (n + 2, 2, 2 m + 1, lanes) has element e at e + 1 and,
-in front and behind, what the chain's ends add, as elements with one node. The columns of a side are
-D (m), R (1), then the coupling (m), each a packet over the rows, whose surplus lanes are zero.
+and L towards its first). An array `blocks` (n + 2 or more, 2, 2 m + 1, lanes) has element e at
+e + 1. What the chain's ends add stands in the first and in the last place, as elements with one
+node. The columns of a side are D (m), R (1), then the coupling (m), each a packet over the rows,
+whose surplus lanes are zero.
 
 Elimination runs from both ends towards the middle: two independent chains of operations, which the
 processor overlaps, as each is bound by latency and not by throughput. Within a block there is no
@@ -20,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import allocating, kernel
 from rover_sim.physics.packets import lane, load, stack, store, with_lane
 
 
-@kernel
+@allocating
 def make_factor(nodes: int, columns: int, lanes: int) -> Array:
     """Scratch array (nodes + 2, m + 1, lanes) of `solve_blocks`; see `_eliminate`."""
     return np.zeros((nodes + 2, columns, lanes))
@@ -102,22 +103,13 @@ def _substitute(
 
 
 @kernel
-def hold(blocks: Array, element: int, side: int, row: int, own: bool) -> None:
-    """Turn a row of a side into "x = 0" (`own`), or into nothing, for the other side of the sum."""
-    for c in range(blocks.shape[2]):
-        blocks[element, side, c, row] = 0.0
-    if own:
-        blocks[element, side, row, row] = 1.0
-
-
-@kernel
 def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array) -> None:
     """Solve for all nodes.
 
     Args:
         tag: of the packets, see there.
         n: number of elements.
-        blocks: the equations, (n + 2, 2, 2 m + 1, lanes) at least; side (middle, 0) is changed.
+        blocks: the equations; one side in the middle is changed.
         factor: (n + 3, m + 1, lanes); its first and last entries must be zero. Node i is at i + 1.
         solution: x, (n + 3, lanes); node i at i + 1.
     """
@@ -126,7 +118,8 @@ def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array
         _eliminate(tag, blocks, i, 1, i + 1, 0, i, i + 1, factor)
         j = n - i
         if j > middle:
-            _eliminate(tag, blocks, j + 1, 0, j, 1, j + 2, j + 1, factor)
+            behind = j + 1 if j < n else blocks.shape[0] - 1
+            _eliminate(tag, blocks, behind, 0, j, 1, j + 2, j + 1, factor)
     _fold(tag, blocks, middle + 1, 0, middle + 2, factor)
     _eliminate(tag, blocks, middle, 1, middle + 1, 0, middle, middle + 1, factor)
     store(solution, (middle + 1, 0), load(tag, factor, (middle + 1, 2 * len(tag), 0)))

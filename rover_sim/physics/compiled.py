@@ -7,8 +7,19 @@ from numba import njit
 # Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
 FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
 
-kernel: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath=set(FAST_MATH))
-"""For arithmetic: products feed additions, sums may be reordered."""
+_njit: Any = njit  # its types leave out _nrt
 
-checked: Any = njit(cache=True, nogil=True, error_model="numpy")
+kernel: Any = _njit(
+    cache=True, nogil=True, error_model="numpy", _nrt=False, fastmath=set(FAST_MATH)
+)
+"""For arithmetic: products feed additions, sums may be reordered.
+
+Neither these functions nor the `checked` ones can allocate, and they do not count references to
+the arrays that they are given, which would cost more than a small tether's step.
+"""
+
+checked: Any = _njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 """For control flow that tests for convergence and finiteness: arithmetic as written."""
+
+allocating: Any = _njit(cache=True, nogil=True, error_model="numpy")
+"""For what makes arrays."""

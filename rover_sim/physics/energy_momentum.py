@@ -40,9 +40,20 @@ import numpy as np
 
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.block_elimination import hold, make_factor, solve_blocks
-from rover_sim.physics.compiled import checked, kernel
-from rover_sim.physics.packets import fill, load, root, stack, store, transpose
+from rover_sim.physics.block_elimination import make_factor, solve_blocks
+from rover_sim.physics.compiled import allocating, checked, kernel
+from rover_sim.physics.packets import (
+    fill,
+    lane,
+    lane_count,
+    larger,
+    load,
+    magnitude,
+    root,
+    stack,
+    store,
+    transpose,
+)
 from rover_sim.physics.section import TetherSection
 
 _WEIGHTS = ancf.GAUSS_WEIGHTS
@@ -61,25 +72,6 @@ def _pair_products(functions: Array) -> Array:
 
 _PAIRS = _pair_products(_BASIS)
 _CURVING_PAIRS = _pair_products(_CURVING)
-
-# How the tangent in the reduced basis goes to the nodes: entry [side, block, a, b] of a table is
-# for the rows a (0 position, 1 slope) of the element's node `side`, block 0 (D) for the columns of
-# the same node, block 1 (U or L) for those of the other one. First the pair kl and its sign, then
-# the entry of the linear part's six coefficients and its sign.
-_PAIR = np.array([[[[0, 1], [1, 3]], [[0, 2], [1, 4]]], [[[0, 2], [2, 5]], [[0, 1], [2, 4]]]])
-_PAIR_SIGN = np.array(
-    [
-        [[[1.0, -1.0], [-1.0, 1.0]], [[-1.0, -1.0], [1.0, 1.0]]],
-        [[[1.0, 1.0], [1.0, 1.0]], [[-1.0, 1.0], [-1.0, 1.0]]],
-    ]
-)
-_LINEAR = np.array([[[[0, 1], [1, 2]], [[3, 4], [4, 5]]], [[[0, 1], [1, 2]], [[3, 4], [4, 5]]]])
-_LINEAR_SIGN = np.array(
-    [
-        [[[1.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [-1.0, 1.0]]],
-        [[[1.0, -1.0], [-1.0, 1.0]], [[1.0, -1.0], [1.0, 1.0]]],
-    ]
-)
 
 
 class Tether(NamedTuple):
@@ -109,11 +101,10 @@ class Workspace(NamedTuple):
     curving: Array  # r'' there, (5 dim, width); with bending damping only
     constant: Array  # the elements' residual as far as it does not change with D, (2 m, width)
     end_fixed: Array  # not 0 where a coordinate of an end is held, (2, m)
-    end_matrix: Array  # what an end adds to the tangent, (2, m, m)
-    end_residual: Array  # and to the residual, (2, m)
+    end_mask: Array  # 0 where a coordinate of an end is held, else 1, (2, lanes)
     blocks: Array  # the linear equations, see `block_elimination`
     factor: Array
-    solution: Array  # Newton's increment, node i at i + 1, (n + 3, lanes)
+    solution: Array  # Newton's increment, node i at i + 1, (width + 2, lanes)
     tension: Array  # mean axial force of each element at mid-step [N], (width,)
     loss: Array  # what each element dissipated during the step [J], (width,)
 
@@ -160,14 +151,14 @@ def to_nodes(rows: Array, elements: int) -> Array:
     return np.ascontiguousarray(rows[:, : elements + 1].T).reshape(elements + 1, 2, -1)
 
 
-@checked
+@kernel
 def row_width(elements: int, dim: int) -> int:
     """Columns of a row: whole packets of elements and one packet more for the last nodes."""
     lanes = 4 if dim == 2 else 8
     return (elements + lanes - 1) // lanes * lanes + lanes
 
 
-@checked
+@allocating
 def make_workspace(elements: int, dim: int) -> Workspace:
     """Allocate the arrays for a tether of n elements."""
     m = 2 * dim
@@ -180,11 +171,10 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((_GAUSS * dim, width)),
         np.zeros((2 * m, width)),
         np.zeros((2, m)),
-        np.zeros((2, m, m)),
-        np.zeros((2, m)),
+        np.zeros((2, lanes)),
         np.zeros((width + 2, 2, 2 * m + 1, lanes)),
         make_factor(elements + 1, m + 1, lanes),
-        np.zeros((elements + 3, lanes)),
+        np.zeros((width + 2, lanes)),
         np.zeros(width),
         np.zeros(width),
     )
@@ -270,7 +260,7 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
     inverse = 1.0 / length
     rate = 2.0 / h
     basis = stack(tag, 9)
-    lanes = work.solution.shape[1]
+    lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         for d in range(dim):
             r1, s1, r2, s2 = _ends(tag, q0, d, e)
@@ -453,7 +443,7 @@ def _assemble(tether: Tether, h: float, work: Workspace) -> None:
     points_tensor = stack(tag, 45)
     force = stack(tag, 9)
     tangent = stack(tag, 54)
-    lanes = work.solution.shape[1]
+    lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         _load_basis(tag, inverse, e, work, basis)
         _axial_points(tether, average, e, work, basis, points_force, points_tensor)
@@ -484,31 +474,60 @@ def _assemble(tether: Tether, h: float, work: Workspace) -> None:
 def _store_tangent(
     tag: Any, linear: tuple[float, ...], e: int, tangent: Any, blocks: Array
 ) -> None:
-    """Spread the tangents of the elements from e on to their nodes' blocks."""
+    """Spread the tangents of the elements from e on to their nodes' blocks.
+
+    A node's rows and columns are its position and its slope. Of the pairs 00, 01, 02, 11, 12, 22 of
+    (chord, r1', r2'), the chord standing for r2 - r1, each column takes one for its position rows
+    and one for its slope rows, with a sign, and adds the part linear in D.
+    """
     dim = len(tag)
-    m = 2 * dim
-    lanes = blocks.shape[3]
+    couple = 2 * dim + 1
+    c = linear
+    # first node: D, then U towards the second
+    _store_columns(tag, e, 0, 0, 0, 1.0, c[0], 1, -1.0, c[1], tangent, blocks)
+    _store_columns(tag, e, 0, dim, 1, -1.0, c[1], 3, 1.0, c[2], tangent, blocks)
+    _store_columns(tag, e, 0, couple, 0, -1.0, c[3], 1, 1.0, -c[4], tangent, blocks)
+    _store_columns(tag, e, 0, couple + dim, 2, -1.0, c[4], 4, 1.0, c[5], tangent, blocks)
+    # second node: D, then L towards the first
+    _store_columns(tag, e, 1, 0, 0, 1.0, c[0], 2, 1.0, -c[1], tangent, blocks)
+    _store_columns(tag, e, 1, dim, 2, 1.0, -c[1], 5, 1.0, c[2], tangent, blocks)
+    _store_columns(tag, e, 1, couple, 0, -1.0, c[3], 2, -1.0, c[4], tangent, blocks)
+    _store_columns(tag, e, 1, couple + dim, 1, 1.0, -c[4], 4, 1.0, c[5], tangent, blocks)
+
+
+@kernel
+def _store_columns(
+    tag: Any,
+    e: int,
+    side: int,
+    column: int,
+    position_pair: int,
+    position_sign: float,
+    position_linear: float,
+    slope_pair: int,
+    slope_sign: float,
+    slope_linear: float,
+    tangent: Any,
+    blocks: Array,
+) -> None:
+    """Write dim columns of a side; pair, sign and linear part for position and slope rows."""
+    dim = len(tag)
+    lanes = lane_count(tag)
     rows = stack(tag, 8)
-    for side in range(2):
-        for block in range(2):
-            for b in range(2):
-                for c in range(dim):
-                    for a in range(2):
-                        pair = _PAIR[side, block, a, b]
-                        sign = _PAIR_SIGN[side, block, a, b]
-                        constant = linear[_LINEAR[side, block, a, b]]
-                        constant *= _LINEAR_SIGN[side, block, a, b]
-                        for d in range(dim):
-                            entry = sign * tangent[(pair * dim + d) * dim + c]
-                            if c == d:
-                                entry += constant
-                            rows[a * dim + d] = entry
-                    for surplus in range(m, lanes):
-                        rows[surplus] = fill(tag, 0.0)
-                    transpose(rows, 0)
-                    column = block * (m + 1) + b * dim + c
-                    for w in range(lanes):
-                        store(blocks, (e + 1 + w, side, column, 0), rows[w])
+    for c in range(dim):
+        for d in range(dim):
+            position = position_sign * tangent[(position_pair * dim + d) * dim + c]
+            slope = slope_sign * tangent[(slope_pair * dim + d) * dim + c]
+            if c == d:
+                position += position_linear
+                slope += slope_linear
+            rows[d] = position
+            rows[dim + d] = slope
+        for surplus in range(2 * dim, lanes):
+            rows[surplus] = fill(tag, 0.0)
+        transpose(rows, 0)
+        for w in range(lanes):
+            store(blocks, (e + 1 + w, side, column + c, 0), rows[w])
 
 
 @kernel
@@ -518,7 +537,7 @@ def _store_residual(
     """Spread the residuals of the elements from e on to their nodes' blocks."""
     dim = len(tag)
     m = 2 * dim
-    lanes = work.blocks.shape[3]
+    lanes = lane_count(tag)
     first = stack(tag, 8)
     second = stack(tag, 8)
     for d in range(dim):
@@ -541,46 +560,91 @@ def _store_residual(
 
 
 @kernel
-def _add_ends(tether: Tether, work: Workspace) -> None:
-    """Put the ends' own blocks into the equations and hold what is held there."""
+def begin_ends(tether: Tether, work: Workspace) -> None:
+    """Clear what sits at the ends and hold there what work.end_fixed says.
+
+    A held coordinate's equation becomes "increment = 0": the end's own block gets the 1, and
+    `_mask_ends` takes away what the element contributes.
+    """
     m = 2 * len(tether.gravity)
-    n = tether.elements
-    blocks = work.blocks
     for end in range(2):
-        # the root is node 1 of the element before the first, the tip node 0 of that after the last
-        outer, outer_side = (0, 1) if end == 0 else (n + 1, 0)
-        inner, inner_side = (1, 0) if end == 0 else (n, 1)
+        for c in range(2 * m + 1):
+            for r in range(m):
+                set_end(work, end, c, r, 0.0)
         for r in range(m):
-            blocks[outer, outer_side, m, r] = work.end_residual[end, r]
-            for c in range(m):
-                blocks[outer, outer_side, c, r] = work.end_matrix[end, r, c]
-        for r in range(m):
-            if work.end_fixed[end, r] != 0.0:
-                hold(blocks, outer, outer_side, r, own=True)
-                hold(blocks, inner, inner_side, r, own=False)
+            held = work.end_fixed[end, r] != 0.0
+            work.end_mask[end, r] = 0.0 if held else 1.0
+            if held:
+                set_end(work, end, r, r, 1.0)
 
 
 @kernel
+def set_end(work: Workspace, end: int, column: int, row: int, value: float) -> None:
+    """Say what the root (0) or tip (1) adds to its node's equations.
+
+    Columns below m are those of the tangent, column m is the residual.
+    """
+    if end == 0:
+        work.blocks[0, 1, column, row] = value
+    else:
+        work.blocks[work.blocks.shape[0] - 1, 0, column, row] = value
+
+
+@kernel
+def _mask_ends(tether: Tether, work: Workspace) -> None:
+    """Clear the rows of held coordinates in the blocks of the first and the last element."""
+    tag = tether.gravity
+    for end in range(2):
+        mask = load(tag, work.end_mask, (end, 0))
+        element = 1 if end == 0 else tether.elements
+        for c in range(4 * len(tag) + 1):
+            column = load(tag, work.blocks, (element, end, c, 0))
+            store(work.blocks, (element, end, c, 0), column * mask)
+
+
+@kernel
+def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
+    """Subtract the solution from the increment.
+
+    Returns:
+        The solution's largest entry, and the sum of all their magnitudes [m], slopes times the
+        element's length. The first may have lost a NaN, the second not.
+    """
+    tag = tether.gravity
+    dim = len(tag)
+    lanes = lane_count(tag)
+    changes = stack(tag, 8)
+    largest = fill(tag, 0.0)
+    total = fill(tag, 0.0)
+    for i in range(0, tether.elements + 1, lanes):
+        for w in range(lanes):
+            changes[w] = load(tag, work.solution, (i + 1 + w, 0))
+        transpose(changes, 0)
+        for k in range(2 * dim):
+            change = changes[k]
+            store(work.increment, (k, i), load(tag, work.increment, (k, i)) - change)
+            size = (1.0 if k < dim else tether.element_length) * magnitude(change)
+            largest = larger(largest, size)
+            total += size
+    greatest = 0.0
+    magnitudes = 0.0
+    for w in range(lanes):
+        greatest = max(greatest, lane(largest, w))
+        magnitudes += lane(total, w)
+    return greatest, magnitudes
+
+
+@checked
 def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
     """Assemble, solve and apply one Newton increment to work.increment.
 
     The increment itself stays in work.solution. Returns its largest entry [m], slopes times the
-    element's length; NaN if an entry is.
+    element's length; NaN if any entry is not finite.
     """
-    dim = len(tether.gravity)
     _assemble(tether, h, work)
-    _add_ends(tether, work)
+    _mask_ends(tether, work)
     solve_blocks(tether.gravity, tether.elements, work.blocks, work.factor, work.solution)
-    largest = 0.0
-    total = 0.0
-    for k in range(2 * dim):
-        unit = 1.0 if k < dim else tether.element_length
-        for i in range(tether.elements + 1):
-            change = work.solution[i + 1, k]
-            work.increment[k, i] -= change
-            size = unit * abs(change)
-            largest = max(largest, size)
-            total += size
+    largest, total = _apply_solution(tether, work)
     return largest if np.isfinite(total) else np.nan
 
 
@@ -600,7 +664,7 @@ def end_step(
     n = tether.elements
     length = tether.element_length
     increment = work.increment
-    lanes = work.solution.shape[1]
+    lanes = lane_count(tag)
     for k in range(2 * dim):
         for i in range(0, n + 1, lanes):
             change = load(tag, increment, (k, i))

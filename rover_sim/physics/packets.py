@@ -115,6 +115,17 @@ def _lanes_of(tag: Any) -> int:
 
 
 @_intrinsic
+def lane_count(typingctx: Any, tag: Any) -> Any:  # noqa: ARG001
+    """Lanes of the tag's packets, a constant to the compiler."""
+    lanes = _lanes_of(tag)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        return context.get_constant(types.intp, lanes)
+
+    return types.intp(tag), generate
+
+
+@_intrinsic
 def fill(typingctx: Any, tag: Any, value: Any) -> Any:  # noqa: ARG001
     """A packet with the float in every lane."""
     lanes = _lanes_of(tag)
@@ -157,6 +168,30 @@ def root(typingctx: Any, packet: Any) -> Any:  # noqa: ARG001
         return builder.call(function, args)
 
     return packet(packet), generate
+
+
+@_intrinsic
+def magnitude(typingctx: Any, packet: Any) -> Any:  # noqa: ARG001
+    """Absolute values."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        kind = args[0].type
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(kind, [kind]), f"llvm.fabs.v{packet.lanes}f64"
+        )
+        return builder.call(function, args)
+
+    return packet(packet), generate
+
+
+@_intrinsic
+def larger(typingctx: Any, packet: Any, other: Any) -> Any:  # noqa: ARG001
+    """The larger numbers of two packets; where either is NaN, that of the second."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+        return builder.select(builder.fcmp_ordered(">", *args), *args)
+
+    return packet(packet, other), generate
 
 
 def _address(context: Any, builder: Any, kind: Any, array: Any, indices: Any, lanes: int) -> Any:

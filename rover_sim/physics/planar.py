@@ -25,15 +25,17 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import checked, kernel
+from rover_sim.physics.compiled import allocating, checked, kernel
 from rover_sim.physics.energy_momentum import (
     Tether,
     Workspace,
+    begin_ends,
     begin_step,
     end_step,
     make_workspace,
     newton_increment,
     row_width,
+    set_end,
     tether_energies,
 )
 
@@ -146,7 +148,7 @@ class Solver(NamedTuple):
 NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
 
 
-@checked
+@allocating
 def make_solver(elements: int, report: Array) -> Solver:
     """Allocate the arrays for a tether of n elements, reporting to `report`."""
     for k in range(REPORT_SIZE):
@@ -301,13 +303,12 @@ def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
     z[1, 1] = inverse * (k_tt * k_sx - k_st * k_tx)
     z[0, 2] = inverse * (k_ss * k_ty - k_ts * k_sy)
     z[1, 2] = inverse * (k_tt * k_sy - k_st * k_ty)
-    residual, matrix = work.end_residual, work.end_matrix
-    residual[1, 0] = fx1 + fx2 - k_xt * z[0, 0] - k_xs * z[1, 0]
-    residual[1, 1] = fy1 + fy2 - k_yt * z[0, 0] - k_ys * z[1, 0]
-    matrix[1, 0, 0] = i1 + i2 - k_xt * z[0, 1] - k_xs * z[1, 1]
-    matrix[1, 0, 1] = -k_xt * z[0, 2] - k_xs * z[1, 2]
-    matrix[1, 1, 0] = -k_yt * z[0, 1] - k_ys * z[1, 1]
-    matrix[1, 1, 1] = i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2]
+    set_end(work, 1, 4, 0, fx1 + fx2 - k_xt * z[0, 0] - k_xs * z[1, 0])
+    set_end(work, 1, 4, 1, fy1 + fy2 - k_yt * z[0, 0] - k_ys * z[1, 0])
+    set_end(work, 1, 0, 0, i1 + i2 - k_xt * z[0, 1] - k_xs * z[1, 1])
+    set_end(work, 1, 1, 0, -k_xt * z[0, 2] - k_xs * z[1, 2])
+    set_end(work, 1, 0, 1, -k_yt * z[0, 1] - k_ys * z[1, 1])
+    set_end(work, 1, 1, 1, i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2])
 
 
 @kernel
@@ -326,20 +327,11 @@ def _rover_increment(n: int, solver: Solver) -> float:
 def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
     n = model.tether.elements
+    mass = model.tip_mass
     for d in range(2):
-        work.end_matrix[1, d, d] = 2.0 * model.tip_mass / h**2
-        work.end_residual[1, d] = model.tip_mass * (
-            2.0 / h * (work.increment[d, n] / h - v0[d, n]) - model.tether.gravity[d]
-        )
-
-
-@kernel
-def _clear_tip(work: Workspace) -> None:
-    """Take what the rover added off the tether's tip."""
-    for d in range(2):
-        work.end_residual[1, d] = 0.0
-        for c in range(2):
-            work.end_matrix[1, d, c] = 0.0
+        force = 2.0 / h * (work.increment[d, n] / h - v0[d, n]) - model.tether.gravity[d]
+        set_end(work, 1, 4, d, mass * force)
+        set_end(work, 1, d, d, 2.0 * mass / h**2)
 
 
 @kernel
@@ -462,8 +454,7 @@ def attempt_step(
         work.end_fixed[0, d] = 1.0 if model.root_pinned else 0.0
         work.end_fixed[0, 2 + d] = 1.0 if model.root_clamped else 0.0
         work.end_fixed[1, d] = 1.0 if model.has_rover and not flying else 0.0
-    if not flying:
-        _clear_tip(work)
+    begin_ends(model.tether, work)
     _predict(model.tether.elements, h, v, body, depth, flying, solver)
     begin_step(model.tether, h, q, v, work)
     previous = np.inf
@@ -691,7 +682,7 @@ def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) ->
         )
 
 
-@checked
+@allocating
 def advance(
     model: Model,
     q: Array,

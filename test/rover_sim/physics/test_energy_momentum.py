@@ -34,6 +34,7 @@ class Chain:
         )
         self.work: Workspace = energy_momentum.make_workspace(self.count - 1, self.dim)
         self.work.end_fixed[0, : self.dim] = float(root_held)
+        energy_momentum.begin_ends(self.tether, self.work)
         self.q = energy_momentum.to_rows(nodes)
         self.v = energy_momentum.to_rows(rates)
         self.dissipated = 0.0

@@ -19,6 +19,7 @@ def _arithmetic(tag: Any, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None
     packets.store(out, (1, 0), y)
     packets.store(out, (2, 0), packets.fill(tag, packets.lane(x, 3)))
     packets.store(out, (3, 0), packets.with_lane(x, 2, -7.0))
+    packets.store(out, (4, 0), packets.larger(packets.magnitude(x), y))
 
 
 @njit
@@ -36,13 +37,14 @@ def _transposed(tag: Any, square: np.ndarray) -> None:
 def test_arithmetic_acts_lane_by_lane(tag: tuple[float, ...], lanes: int) -> None:
     generator = np.random.default_rng(0)
     a, b = generator.normal(size=(3, lanes + 3)), generator.uniform(1, 2, size=lanes)
-    out = np.zeros((4, lanes))
+    out = np.zeros((5, lanes))
     _arithmetic(tag, a, b, out)
     x = a[1, 2 : 2 + lanes]
     assert out[0] == pytest.approx(2 * x + b / (x * x + 1) - np.sqrt(b))
     assert out[1] == pytest.approx(b + 1.5 - x)
     assert out[2] == pytest.approx(np.full(lanes, x[3]))
     assert out[3].tolist() == [*x[:2], -7.0, *x[3:]]
+    assert out[4] == pytest.approx(np.maximum(np.abs(x), b + 1.5 - x))
 
 
 @pytest.mark.parametrize(("tag", "lanes"), TAGS)
