@@ -6,6 +6,7 @@ Side view in the plane of x (forward) and z (up), equal scales, metres.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -178,7 +179,7 @@ def _element(bag: Bag, nodes: Floats) -> float:
 
 
 def write_gif(
-    scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 25.0
+    scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 20.0
 ) -> None:
     """Writes a GIF.
 
@@ -216,11 +217,12 @@ class _View:
         high: tuple[float, float],
         panel: tuple[int, int, int, int],
     ) -> None:
-        self.panel = panel
         left, top, right, bottom = panel
-        self.scale = min((right - left) / (high[0] - low[0]), (bottom - top) / (high[1] - low[1]))
-        self._x = 0.5 * (left + right) - 0.5 * self.scale * (low[0] + high[0])
-        self._z = 0.5 * (top + bottom) + 0.5 * self.scale * (low[1] + high[1])
+        self.corner = (left, top)
+        self.size = (right - left, bottom - top)
+        self.scale = min(self.size[0] / (high[0] - low[0]), self.size[1] / (high[1] - low[1]))
+        self._x = 0.5 * self.size[0] - 0.5 * self.scale * (low[0] + high[0])
+        self._z = 0.5 * self.size[1] + 0.5 * self.scale * (low[1] + high[1])
 
     def at(self, x: float, z: float) -> tuple[float, float]:
         return (self._x + self.scale * x, self._z - self.scale * z)
@@ -240,11 +242,12 @@ def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Imag
         _View(*scene.near, (middle + 10 * _FINE, top, right, bottom)),
     )
     for view in views:
-        panel = Image.new("RGB", image.size, "white")
+        panel = Image.new("RGB", view.size, "white")
         _draw_scene(ImageDraw.Draw(panel), view, scene, time, poses, tether)
-        image.paste(panel.crop(view.panel), view.panel[:2])
-        draw.rectangle(view.panel, outline=(206, 212, 218), width=_FINE)
-    large, small = (ImageFont.load_default(size=size * _FINE) for size in (15, 12))
+        image.paste(panel, view.corner)
+        edge = (*view.corner, view.corner[0] + view.size[0], view.corner[1] + view.size[1])
+        draw.rectangle(edge, outline=(206, 212, 218), width=_FINE)
+    large, small = (_font(size) for size in (15, 12))
     draw.text((10 * _FINE, 7 * _FINE), f"{time:+.2f} s after take-off", fill=_TEXT, font=large)
     rise = poses[0][1] - scene.body1[0, 1]
     note = (
@@ -253,6 +256,11 @@ def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Imag
     )
     draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
     return image.resize((width, height), Image.Resampling.LANCZOS)
+
+
+@cache
+def _font(size: int) -> Any:
+    return ImageFont.load_default(size=size * _FINE)
 
 
 def _draw_scene(
@@ -350,13 +358,12 @@ def tension_colour(tension: float, strongest: float) -> tuple[int, int, int]:
 
 def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:
     """A bar of a round length, so that sizes can be read off."""
-    left, _, right, bottom = view.panel
-    span = (right - left) / view.scale
+    span = view.size[0] / view.scale
     length = next((v for v in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if v <= 0.35 * span), 0.05)
-    y, x = bottom - 14 * _FINE, left + 12 * _FINE
+    y, x = view.size[1] - 14 * _FINE, 12 * _FINE
     end = x + view.scale * length
     draw.line([(x, y), (end, y)], fill=_TEXT, width=2 * _FINE)
     for place in (x, end):
         draw.line([(place, y - 4 * _FINE), (place, y + 4 * _FINE)], fill=_TEXT, width=2 * _FINE)
-    font = ImageFont.load_default(size=12 * _FINE)
+    font = _font(12)
     draw.text((end + 6 * _FINE, y - 8 * _FINE), f"{length:g} m", fill=_TEXT, font=font)

@@ -33,6 +33,7 @@ Stamps = NDArray[np.int64]
 
 _STORE: Final[Typestore] = get_typestore(Stores.ROS2_JAZZY)
 _EXAMPLES: Final = 5
+_DAY_NS: Final = 86_400_000_000_000
 
 
 class ReadError(BagError):
@@ -56,7 +57,7 @@ class Track:
         topic: Name in the contract's table.
         full_name: Name in the bag.
         time: Simulated time of each message [s], shape (N,): its own stamp, or the recorded
-            clock's time when it came; without a clock the machine's time since the bag's start.
+            clock's time when it came. Without a recorded clock stamps are taken as they are.
         log_ns: When it was received [ns since 1970], shape (N,).
         publish_ns: When it was sent [ns since 1970], shape (N,).
         columns: Numbers by the contract's field path, shape (N,) each, in the field's unit.
@@ -204,16 +205,21 @@ class _Clock:
 
     _SLACK_NS = 1_000_000_000
 
-    def __init__(self, growing: _Growing | None, start_ns: int, stamped: Iterable[int]) -> None:
+    def __init__(
+        self, growing: _Growing | None, start_ns: int, first: tuple[int, int] | None
+    ) -> None:
         self._start_ns = start_ns
         self._log = np.array(growing.log_ns if growing else [], dtype=np.int64)
         self._stamp = np.array(growing.stamp_ns if growing else [], dtype=np.int64)
-        self._first_stamp = next(iter(stamped), start_ns)
+        stamp, log = first or (start_ns, start_ns)
+        self._behind = log - stamp
+        # Stamps near the machine's time are that time; others count from their own zero.
+        self._origin = start_ns if abs(self._behind) < _DAY_NS else 0
 
     def times(self, stamp_ns: Stamps, log_ns: Stamps) -> Floats:
         if not len(self._stamp):
-            since_start = (log_ns - self._start_ns) * 1e-9
-            return np.where(stamp_ns > 0, (stamp_ns - self._first_stamp) * 1e-9, since_start)
+            told = np.where(stamp_ns > 0, stamp_ns, log_ns - self._behind)
+            return (told - self._origin) * 1e-9
         arrived = np.interp(
             (log_ns - self._start_ns).astype(np.float64),
             (self._log - self._start_ns).astype(np.float64),
@@ -268,14 +274,7 @@ def read_bag(
     if first_ns is None:
         why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
         raise ReadError(f"the bag {path} holds no message that can be read: {why}")
-    stamped = (
-        stamp
-        for name in (topics.TRUTH_BODY1, topics.IMU, topics.LOAD_CELL)
-        if name in growing
-        for stamp in growing[name].stamp_ns[:1]
-        if stamp > 0
-    )
-    clock = _Clock(growing.get(topics.CLOCK), first_ns, stamped)
+    clock = _Clock(growing.get(topics.CLOCK), first_ns, _first_stamp(growing))
     tracks = {name: item.finished(clock) for name, item in growing.items()}
     records = list(scan.metadata)
     dropped, missed = _losses(records)
@@ -298,6 +297,15 @@ def read_bag(
         rejected=dict(rejected),
         examples=tuple(examples),
     )
+
+
+def _first_stamp(growing: Mapping[str, _Growing]) -> tuple[int, int] | None:
+    """Stamp and log time of the first stamped message of a topic that only the plant sends."""
+    for name in (topics.TRUTH_BODY1, topics.IMU, topics.LOAD_CELL):
+        if name in growing:
+            pairs = zip(growing[name].stamp_ns, growing[name].log_ns, strict=True)
+            return next((pair for pair in pairs if pair[0] > 0), None)
+    return None
 
 
 def _decoded(name: str, message: Message) -> Any:

@@ -9,9 +9,10 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rover_bags.animation import Scene, scene_of, write_gif
 from rover_bags.metrics import Entry, Jump, Metrics, TopicFigures, measure
@@ -176,7 +177,32 @@ def _finite(value: Any) -> Any:
 # --- page ----------------------------------------------------------------------------------------
 
 
-def as_page(bag: Bag, metrics: Metrics) -> str:
+@dataclass(frozen=True)
+class Drawings:
+    """Everything drawn for a report: made once, used by the page and the files.
+
+    Attributes:
+        scenes: What moves, by jump; of the whole bag where it has no jump.
+        plots: Plots by jump.
+        overall: Plots of the whole bag.
+    """
+
+    scenes: tuple[Scene | None, ...]
+    plots: tuple[tuple[Plot, ...], ...]
+    overall: tuple[Plot, ...]
+
+    @classmethod
+    def of(cls, bag: Bag, metrics: Metrics) -> Self:
+        """Draws the first jumps and the whole bag."""
+        jumps = metrics.jumps[:_SHOWN_IN_FULL]
+        scenes = [scene_of(bag, jump) for jump in jumps] or [scene_of(bag, None)]
+        plots = [
+            tuple(jump_plots(bag, jump, scene)) for jump, scene in zip(jumps, scenes, strict=False)
+        ]
+        return cls(tuple(scenes), tuple(plots), tuple(bag_plots(bag, metrics)))
+
+
+def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
     """The report as one HTML page that needs nothing else."""
     title = f"Bag report: {bag.path.resolve().name}"
     parts = [
@@ -187,11 +213,11 @@ def as_page(bag: Bag, metrics: Metrics) -> str:
     if len(metrics.jumps) > 1:
         parts.append(_jump_table(metrics.jumps))
     for number, jump in enumerate(metrics.jumps[:_SHOWN_IN_FULL], 1):
-        parts.append(_jump_section(bag, jump, number, len(metrics.jumps)))
+        parts.append(_jump_section(jump, number, len(metrics.jumps), drawings))
     if not metrics.jumps:
-        parts.append(_rest_section(bag))
+        parts.append(_rest_section(drawings.scenes[0]))
     parts.append("<section><h2>Recording</h2>")
-    parts.append(_plots(bag_plots(bag, metrics)))
+    parts.append(_plots(drawings.overall))
     parts.append(_topic_table(metrics.topics.values()))
     parts.append("</section>")
     parts.append(_entries("Events", metrics.events))
@@ -240,8 +266,8 @@ def _cards(jump: Jump) -> str:
     return f'<div class="cards">{cards}</div>'
 
 
-def _jump_section(bag: Bag, jump: Jump, number: int, count: int) -> str:
-    scene = scene_of(bag, jump)
+def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> str:
+    scene = drawings.scenes[number - 1]
     heading = "Jump" if count == 1 else f"Jump {number}"
     moment = f"take-off at {jump.take_off_s:.3f} s of simulated time"
     if jump.touchdown_s is None:
@@ -250,7 +276,7 @@ def _jump_section(bag: Bag, jump: Jump, number: int, count: int) -> str:
     return (
         f'<section id="jump-{number}"><h2>{heading}</h2><p class="soft">{_safe(moment)}</p>'
         f"{_cards(jump)}{_agreement(jump)}{player}"
-        f"{_plots(jump_plots(bag, jump, scene), prefix=f'jump{number}-')}</section>"
+        f"{_plots(drawings.plots[number - 1], prefix=f'jump{number}-')}</section>"
     )
 
 
@@ -272,8 +298,7 @@ def _agreement(jump: Jump) -> str:
     )
 
 
-def _rest_section(bag: Bag) -> str:
-    scene = scene_of(bag, None)
+def _rest_section(scene: Scene | None) -> str:
     shown = _player(scene, float(scene.time[0])) if scene is not None else ""
     return f"<section><h2>Motion</h2><p>No jump in this bag.</p>{shown}</section>"
 
@@ -428,18 +453,14 @@ def write_report(bag: Bag, metrics: Metrics, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     numbers, page = folder / "metrics.json", folder / "report.html"
     numbers.write_text(json.dumps(as_mapping(bag, metrics), indent=2) + "\n", encoding="utf-8")
-    page.write_text(as_page(bag, metrics), encoding="utf-8")
+    drawings = Drawings.of(bag, metrics)
+    page.write_text(as_page(bag, metrics, drawings), encoding="utf-8")
     written = [numbers, page]
-    jump = metrics.jumps[0] if metrics.jumps else None
-    scene = scene_of(bag, jump)
-    if scene is not None:
+    if drawings.scenes[0] is not None:
         animation = folder / "animation.gif"
-        write_gif(scene, animation)
+        write_gif(drawings.scenes[0], animation)
         written.append(animation)
-    plots = bag_plots(bag, metrics)
-    if jump is not None:
-        plots = [*jump_plots(bag, jump, scene), *plots]
-    for plot in plots:
+    for plot in (*(drawings.plots[0] if drawings.plots else ()), *drawings.overall):
         file = folder / f"{plot.name}.svg"
         svg = plot.svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
         file.write_text(svg + "\n", encoding="utf-8")
@@ -480,7 +501,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         print(json.dumps(as_mapping(bag, metrics), indent=2))
     elif options.html:
-        print(as_page(bag, metrics))
+        print(as_page(bag, metrics, Drawings.of(bag, metrics)))
     else:
         print(as_text(bag, metrics))
     if options.out is None and (options.json or options.html):

@@ -1,0 +1,262 @@
+"""The report as people and machines get it."""
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from contract_bag import MadeUp, Parabola
+from PIL import Image
+
+from msg_schemas import topics
+from rover_bags import report
+from rover_bags.animation import scene_of
+from rover_bags.metrics import measure
+from rover_bags.read import read_bag
+
+VOID = {"meta", "input", "br", "link", "img", "hr"}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = MadeUp()
+    second = Parabola(take_off=2.0, up=1.0, forward=-0.2, turning=0.3, start=Parabola().landing)
+    made.jumps([Parabola(), second], until=2.8)
+    made.rows = [r for r in made.rows if not (r[1] == topics.LOAD_CELL and 0.5 < r[0] < 0.8)]
+    made.event(1.003, "take_off", "the <latch> has tripped & flown", {"speed": "2.0"})
+    made.refusal(0.5, topics.JUMP_REQUEST, "position is nan")
+    return made.write(tmp_path_factory.mktemp("bags") / "two jumps")
+
+
+@pytest.fixture(scope="module")
+def written(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "out"
+    assert report.main([str(bag), "--out", str(folder)]) == report.ExitCode.OK
+    return folder
+
+
+class Page(HTMLParser):
+    """Holds that tags close in order; collects addresses, texts and scripts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.names: list[str] = []
+        self.seen: list[str] = []
+        self.data: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        for key, value in attrs:
+            if key in {"src", "href", "xlink:href", "action", "data", "srcset"}:
+                self.addresses.append(value or "")
+            if key == "id":
+                self.names.append(value or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, tag
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.data.append(data)
+
+
+@pytest.fixture(scope="module")
+def page(written: Path) -> Page:
+    parsed = Page()
+    parsed.feed((written / "report.html").read_text())
+    return parsed
+
+
+def test_the_page_is_well_formed_and_its_names_are_unique(page: Page):
+    assert page.open == []
+    assert len(page.names) == len(set(page.names))
+    assert page.seen.count("svg") >= 12
+    assert page.seen.count("canvas") == 2
+
+
+def test_the_page_needs_nothing_from_elsewhere(written: Path, page: Page):
+    text = (written / "report.html").read_text()
+    assert all(a.startswith(("#", "data:image/png;base64,")) for a in page.addresses)
+    assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.names)
+    assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", text)
+
+
+def test_what_the_bag_says_stands_in_the_page_as_text(written: Path):
+    text = (written / "report.html").read_text()
+    assert "the &lt;latch&gt; has tripped &amp; flown" in text
+    assert "position is nan" in text
+    assert f"{Parabola().height:.4f} m" in text
+    assert "1 gaps, the longest 0.300 s at 0.500 s" in text
+
+
+def test_the_players_data_are_the_bags(page: Page, bag: Path):
+    scenes = [json.loads(text) for text in page.data if text.startswith("{")]
+    assert len(scenes) == 2
+    scene = scenes[0]
+    assert len(scene["time"]) == len(scene["body1"]) == len(scene["tether"])
+    jump = Parabola()
+    for time, (x, z, theta) in zip(scene["time"], scene["body1"], strict=True):
+        wanted, _ = jump.at(time + jump.take_off)
+        assert (x, z, theta) == pytest.approx(tuple(wanted), abs=2e-4)
+    assert scene["time"][0] < 0.0 < jump.flight_time < scene["time"][-1]
+
+
+def test_the_numbers_for_machines_have_the_agreed_names(written: Path):
+    content = json.loads((written / "metrics.json").read_text(), parse_constant=_refuse)
+    jump = Parabola()
+    assert content["jump_height_m"] == pytest.approx(jump.height)
+    assert content["attitude_variation_rad"] == pytest.approx(0.8 * jump.flight_time)
+    assert content["flight_time_s"] == pytest.approx(jump.flight_time)
+    assert content["travel_m"] == pytest.approx(0.5 * jump.flight_time)
+    assert content["slack"] == pytest.approx(0.5)
+    assert content["peak_tension_N"] == pytest.approx(7.5)
+    assert content["energy_drift_J"] == pytest.approx(4.2e-7)
+    assert len(content["jumps"]) == 2
+    assert content["topics"][topics.LOAD_CELL]["gaps"] == 1
+    assert content["seed"] == 7
+
+
+def _refuse(text: str) -> float:
+    raise AssertionError(f"{text} is no JSON")
+
+
+def test_the_animation_moves(written: Path):
+    with Image.open(written / "animation.gif") as picture:
+        frames = int(getattr(picture, "n_frames", 1))
+        assert frames > 60
+        assert picture.size[0] == 640
+        first = picture.convert("RGB").tobytes()
+        picture.seek(frames // 2)
+        assert picture.convert("RGB").tobytes() != first
+
+
+def test_the_plots_are_pictures_on_their_own(written: Path):
+    plots = sorted(path.stem for path in written.glob("*.svg"))
+    assert plots == [
+        "along", "attitude", "drift", "energy", "height", "overview", "path", "strips", "tension",
+    ]  # fmt: skip
+    for name in plots:
+        root = ET.parse(written / f"{name}.svg").getroot()
+        assert root.tag.endswith("svg")
+        words = " ".join(text for text in root.itertext() if text.strip())
+        assert "[" in words, f"{name} has axes without units"
+
+
+def test_the_terminal_gets_the_same(bag: Path, tmp_path: Path, capsys: Any):
+    assert report.main([str(bag), "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    assert f"{Parabola().height:.4f} m" in printed
+    assert "jump 2, take-off at 2.000 s" in printed
+    assert topics.TRUTH_TETHER in printed
+    assert "position is nan" in printed
+
+
+@pytest.mark.parametrize("option", ["--json", "--html"])
+def test_one_format_to_the_terminal_writes_nothing(bag: Path, capsys: Any, option: str):
+    before = sorted(bag.parent.iterdir())
+    assert report.main([str(bag), option]) == 0
+    printed = capsys.readouterr().out
+    if option == "--json":
+        assert json.loads(printed)["jump_height_m"] == pytest.approx(Parabola().height)
+    else:
+        assert printed.startswith("<!DOCTYPE html>")
+    assert sorted(bag.parent.iterdir()) == before
+
+
+def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola(take_off=99.0)], until=1.0)
+    path = made.write(tmp_path / "bag")
+    assert report.main([str(path)]) == 0
+    folder = tmp_path / "bag_report"
+    assert json.loads((folder / "metrics.json").read_text())["jump_height_m"] is None
+    assert "No jump in this bag" in (folder / "report.html").read_text()
+    assert (folder / "animation.gif").exists()
+
+
+def test_a_bag_with_hardly_anything_still_makes_a_report(tmp_path: Path):
+    made = MadeUp()
+    made.refusal(0.1, topics.JUMP_REQUEST, "position is nan")
+    assert report.main([str(made.write(tmp_path / "bag")), "--out", str(tmp_path / "out")]) == 0
+    assert not (tmp_path / "out" / "animation.gif").exists()
+
+
+def test_refused_and_unwritable_have_their_exit_codes(tmp_path: Path, bag: Path, capsys: Any):
+    assert report.main([str(tmp_path / "none")]) == report.ExitCode.REFUSED
+    assert "there is no bag" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    code = report.main([str(bag), "--out", str(tmp_path / "file" / "out")])
+    assert code == report.ExitCode.NOT_WRITTEN
+
+
+def test_numbers_that_are_not_finite_become_null():
+    assert report._finite({"a": [math.nan, 1.0], "b": math.inf}) == {"a": [None, 1.0], "b": None}
+
+
+def test_the_scene_holds_everything_that_moves(bag: Path):
+    read = read_bag(bag)
+    scene = scene_of(read, measure(read).jumps[0])
+    assert scene is not None
+    for points in (scene.body1, scene.body2, scene.tether.reshape(-1, 5)):
+        assert (points[:, 0] >= scene.low[0]).all()
+        assert (points[:, 0] <= scene.high[0]).all()
+        assert (points[:, 1] >= scene.low[1]).all()
+        assert (points[:, 1] <= scene.high[1]).all()
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
+
+DRIVE = """
+<script>
+window.onerror = (text) => { document.title = 'broken: ' + text; };
+window.addEventListener('load', () => {
+  const box = document.querySelector('.player'), pen = box.querySelector('canvas').getContext('2d');
+  const look = () => pen.getImageData(0, 0, pen.canvas.width, pen.canvas.height).data;
+  const differs = (a, b) => a.some((v, k) => v !== b[k]);
+  box.seek(-0.2); const before = look(), text = box.querySelector('output').textContent;
+  box.seek(0.2); const after = look();
+  const cursor = box.closest('section').querySelector('.cursor');
+  document.title = ['moved', differs(before, after), text, cursor.style.display,
+                    document.querySelectorAll('.cursor').length].join('|');
+});
+</script>
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_player_draws_and_follows_in_a_browser(written: Path, tmp_path: Path):
+    assert CHROMIUM is not None
+    text = (written / "report.html").read_text().replace("</body>", DRIVE + "</body>")
+    (tmp_path / "driven.html").write_text(text)
+    run = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+            "--no-first-run", "--disable-background-networking", "--disable-component-update",
+            "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=5000", "--dump-dom", f"file://{tmp_path / 'driven.html'}",
+        ],
+        capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    title = re.search(r"<title>(.*?)</title>", run.stdout)
+    assert title is not None
+    word, moved, shown, cursor, cursors = title[1].split("|")
+    assert (word, moved, cursor) == ("moved", "true", "block")
+    assert shown.startswith("\u22120.200 s")
+    assert int(cursors) == 12
