@@ -9,10 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rover_sim.physics import energy_momentum, planar
+from rover_sim.physics import planar, planar_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.starting_shapes import Catenary, arc_nodes
 from rover_sim.physics.statics import static_equilibrium
+from rover_sim.physics.tether import (
+    element_tensions,
+    make_tether,
+    nodal_tensions,
+    to_nodes,
+    to_rows,
+)
 from rover_sim.plant import Command, Energies, Event, Outcome, Phase, StepResult
 from rover_sim.scenario import Scenario
 
@@ -247,8 +254,8 @@ class PlanarPlant:
         """
         motion = _motion_of(state)
         tensions = np.empty(self._elements)
-        energy_momentum.element_tensions(self._model.tether, motion.q, motion.v, tensions)
-        return energy_momentum.nodal_tensions(tensions)
+        element_tensions(self._model.tether, motion.q, motion.v, tensions)
+        return nodal_tensions(tensions)
 
     def warm_up(self) -> None:
         """Compile everything a step needs, or load it from the cache."""
@@ -260,9 +267,7 @@ class PlanarPlant:
             self._model, *motion, phase, (0.0, 0.0), self._model.step, False, events, report
         )
         planar.energies(self._model, motion.q, motion.v, motion.body)
-        energy_momentum.element_tensions(
-            self._model.tether, motion.q, motion.v, np.empty(self._elements)
-        )
+        element_tensions(self._model.tether, motion.q, motion.v, np.empty(self._elements))
         if self.scenario.rover is not None:
             planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
 
@@ -271,9 +276,9 @@ def make_model(scenario: Scenario) -> planar.Model:
     """Constants of a scenario as the compiled functions take them."""
     tether, rover, integration = scenario.tether, scenario.rover, scenario.integration
     section = tether.section
-    bodies = planar.NO_ROVER
+    bodies = planar_rover.NO_ROVER
     if rover is not None:
-        bodies = planar.Rover(
+        bodies = planar_rover.Rover(
             m1=float(rover.m1),
             m2=float(rover.m2),
             inertia=float(rover.inertia1 + rover.inertia2),
@@ -285,7 +290,7 @@ def make_model(scenario: Scenario) -> planar.Model:
         )
     take_off = scenario.take_off
     return planar.Model(
-        tether=energy_momentum.make_tether(
+        tether=make_tether(
             section,
             tether.length,
             tether.elements,
@@ -362,11 +367,15 @@ def _drive_of(command: Command) -> tuple[float, float]:
 
 def _motion_of(state: PlanarState) -> _Motion:
     """Fresh arrays holding the state."""
-    body = np.zeros(planar.BODY_SIZE)
-    body[[planar.X1, planar.Y1]] = state.G1
-    body[planar.THETA], body[planar.SLIDE], body[planar.OMEGA] = state.theta, state.s, state.omega
-    body[[planar.VX1, planar.VY1]] = state.G1_rate
-    body[[planar.VX2, planar.VY2]] = state.G2_rate
+    body = np.zeros(planar_rover.BODY_SIZE)
+    body[[planar_rover.X1, planar_rover.Y1]] = state.G1
+    body[planar_rover.THETA], body[planar_rover.SLIDE], body[planar_rover.OMEGA] = (
+        state.theta,
+        state.s,
+        state.omega,
+    )
+    body[[planar_rover.VX1, planar_rover.VY1]] = state.G1_rate
+    body[[planar_rover.VX2, planar_rover.VY2]] = state.G2_rate
     book = np.zeros(planar.BOOK_SIZE)
     book[planar.TIME] = state.time
     book[planar.COMPRESSION] = state.compression
@@ -377,9 +386,7 @@ def _motion_of(state: PlanarState) -> _Motion:
     book[planar.INPUT] = state.ledger.input
     book[planar.DISSIPATED] = state.ledger.dissipated
     book[planar.REFERENCE] = state.ledger.initial
-    return _Motion(
-        energy_momentum.to_rows(state.nodes), energy_momentum.to_rows(state.node_rates), body, book
-    )
+    return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, book)
 
 
 def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
@@ -387,14 +394,14 @@ def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
     return PlanarState(
         time=float(book[planar.TIME]),
         phase=phase,
-        nodes=energy_momentum.to_nodes(q, elements),
-        node_rates=energy_momentum.to_nodes(v, elements),
-        G1=body[[planar.X1, planar.Y1]],
-        G1_rate=body[[planar.VX1, planar.VY1]],
-        G2_rate=body[[planar.VX2, planar.VY2]],
-        theta=float(body[planar.THETA]),
-        omega=float(body[planar.OMEGA]),
-        s=float(body[planar.SLIDE]),
+        nodes=to_nodes(q, elements),
+        node_rates=to_nodes(v, elements),
+        G1=body[[planar_rover.X1, planar_rover.Y1]],
+        G1_rate=body[[planar_rover.VX1, planar_rover.VY1]],
+        G2_rate=body[[planar_rover.VX2, planar_rover.VY2]],
+        theta=float(body[planar_rover.THETA]),
+        omega=float(body[planar_rover.OMEGA]),
+        s=float(body[planar_rover.SLIDE]),
         compression=float(book[planar.COMPRESSION]),
         take_off=TakeOffRecord(
             time=float(book[planar.TAKE_OFF_TIME]),

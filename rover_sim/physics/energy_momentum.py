@@ -28,18 +28,14 @@ for 4 (plane) or 8 (space) elements at once, side by side in packets. What sits 
 ends (a support, a mass, a rover) adds its own block there before the elimination; this module
 knows nothing more of it.
 
-The number of directions is that of the gravity vector, a tuple, and hence known to the compiler.
-Coordinates and rates are arrays (2 dim, width): row k holds coordinate k of (r, r') of all nodes,
-followed by columns without meaning, so that the last elements fill a packet. `to_rows` and
-`to_nodes` translate.
+The number of directions is that of the gravity vector; arrays are laid out as in `tether`.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_sim.physics import ancf
-from rover_sim.physics.ancf import Array
+from rover_sim.physics.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.block_elimination import make_factor, solve_blocks
 from rover_sim.physics.compiled import allocating, checked, kernel
 from rover_sim.physics.packets import (
@@ -54,15 +50,16 @@ from rover_sim.physics.packets import (
     store,
     transpose,
 )
-from rover_sim.physics.section import TetherSection
-
-_WEIGHTS = ancf.GAUSS_WEIGHTS
-_GAUSS = len(_WEIGHTS)
-
-# Slope at a quadrature point from the reduced basis: r' = sum_k BASIS[g, k] (chord, r1', r2')_k,
-# and r'' = sum_k CURVING[g, k] (chord, r1', r2')_k / l.
-_BASIS = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
-_CURVING = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
+from rover_sim.physics.tether import (
+    BASIS,
+    CURVING,
+    GAUSS,
+    Tether,
+    apply,
+    bending_coefficients,
+    mass_coefficients,
+    row_width,
+)
 
 
 def _pair_products(functions: Array) -> Array:
@@ -70,22 +67,8 @@ def _pair_products(functions: Array) -> Array:
     return np.stack([functions[:, k] * functions[:, m] for k in range(3) for m in range(k, 3)])
 
 
-_PAIRS = _pair_products(_BASIS)
-_CURVING_PAIRS = _pair_products(_CURVING)
-
-
-class Tether(NamedTuple):
-    """A uniform tether as the compiled functions see it; `gravity` gives the dimension."""
-
-    elements: int  # n
-    element_length: float  # l [m]
-    axial_stiffness: float  # EA [N]
-    bending_stiffness: float  # EI [N m^2]
-    line_density: float  # rho A [kg/m]
-    axial_damping_time: float  # tau_a [s]
-    bending_damping_time: float  # tau_b [s]
-    numerical_damping: float  # x [-]
-    gravity: tuple[float, ...]  # [m/s^2]
+_PAIRS = _pair_products(BASIS)
+_CURVING_PAIRS = _pair_products(CURVING)
 
 
 class Workspace(NamedTuple):
@@ -109,55 +92,6 @@ class Workspace(NamedTuple):
     loss: Array  # what each element dissipated during the step [J], (width,)
 
 
-def make_tether(
-    section: TetherSection,
-    length: float,
-    elements: int,
-    gravity: tuple[float, ...],
-    numerical_damping: float = 0.0,
-) -> Tether:
-    """Collect what the compiled functions need, as plain numbers.
-
-    Args:
-        section: cross-section.
-        length: undeformed length of the tether [m].
-        elements: their number.
-        gravity: gravity vector [m/s^2]; two or three components choose the dimension.
-        numerical_damping: x in [0, 1]; 0 conserves energy.
-    """
-    return Tether(
-        int(elements),
-        float(length / elements),
-        float(section.axial_stiffness),
-        float(section.bending_stiffness),
-        float(section.line_density),
-        float(section.axial_damping_time),
-        float(section.bending_damping_time),
-        float(numerical_damping),
-        tuple(float(component) for component in gravity),
-    )
-
-
-def to_rows(nodes: Array) -> Array:
-    """Coordinates or rates (n + 1, 2, dim) of nodes as rows (2 dim, width)."""
-    count, _, dim = nodes.shape
-    rows = np.zeros((2 * dim, row_width(count - 1, dim)))
-    rows[:, :count] = nodes.reshape(count, 2 * dim).T
-    return rows
-
-
-def to_nodes(rows: Array, elements: int) -> Array:
-    """Rows (2 dim, width) as coordinates or rates (n + 1, 2, dim) of nodes."""
-    return np.ascontiguousarray(rows[:, : elements + 1].T).reshape(elements + 1, 2, -1)
-
-
-@kernel
-def row_width(elements: int, dim: int) -> int:
-    """Columns of a row: whole packets of elements and one packet more for the last nodes."""
-    lanes = 4 if dim == 2 else 8
-    return (elements + lanes - 1) // lanes * lanes + lanes
-
-
 @allocating
 def make_workspace(elements: int, dim: int) -> Workspace:
     """Allocate the arrays for a tether of n elements."""
@@ -166,9 +100,9 @@ def make_workspace(elements: int, dim: int) -> Workspace:
     width = row_width(elements, dim)
     return Workspace(
         np.zeros((m, width)),
-        np.zeros((_GAUSS * dim, width)),
-        np.zeros((_GAUSS, width)),
-        np.zeros((_GAUSS * dim, width)),
+        np.zeros((GAUSS * dim, width)),
+        np.zeros((GAUSS, width)),
+        np.zeros((GAUSS * dim, width)),
         np.zeros((2 * m, width)),
         np.zeros((2, m)),
         np.zeros((2, lanes)),
@@ -177,39 +111,6 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((width + 2, lanes)),
         np.zeros(width),
         np.zeros(width),
-    )
-
-
-@kernel
-def mass_coefficients(tether: Tether) -> tuple[float, ...]:
-    """Entries (0,0), (0,1), (1,1), (0,2), (0,3), (1,3) of the element's mass matrix.
-
-    The rest follows from symmetry: (2,2) = (0,0), (3,3) = (1,1), (2,3) = -(0,1), (1,2) = -(0,3).
-    """
-    length = tether.element_length
-    unit = tether.line_density * length / 420.0
-    return (
-        156.0 * unit,
-        22.0 * unit * length,
-        4.0 * unit * length**2,
-        54.0 * unit,
-        -13.0 * unit * length,
-        -3.0 * unit * length**2,
-    )
-
-
-@kernel
-def bending_coefficients(tether: Tether) -> tuple[float, ...]:
-    """The same entries of the bending matrix K_t, which has the same symmetries."""
-    length = tether.element_length
-    unit = tether.bending_stiffness / length**3
-    return (
-        12.0 * unit,
-        6.0 * unit * length,
-        4.0 * unit * length**2,
-        -12.0 * unit,
-        6.0 * unit * length,
-        2.0 * unit * length**2,
     )
 
 
@@ -223,17 +124,6 @@ def _combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> 
         a * x[3] + b * y[3],
         a * x[4] + b * y[4],
         a * x[5] + b * y[5],
-    )
-
-
-@kernel
-def _apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
-    """Product of the element matrix with coefficients c and (r1, r1', r2, r2') of a direction."""
-    return (
-        c[0] * r1 + c[1] * s1 + c[3] * r2 + c[4] * s2,
-        c[1] * r1 + c[2] * s1 - c[4] * r2 + c[5] * s2,
-        c[3] * r1 - c[4] * s1 + c[0] * r2 - c[1] * s2,
-        c[4] * r1 + c[5] * s1 - c[1] * r2 + c[2] * s2,
     )
 
 
@@ -264,36 +154,36 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
     for e in range(0, tether.elements, lanes):
         for d in range(dim):
             r1, s1, r2, s2 = _ends(tag, q0, d, e)
-            elastic = _apply(bending, r1, s1, r2, s2)
+            elastic = apply(bending, r1, s1, r2, s2)
             basis[3 * d] = (r2 - r1) * inverse
             basis[3 * d + 1] = s1
             basis[3 * d + 2] = s2
             r1, s1, r2, s2 = _ends(tag, v0, d, e)
-            inertia = _apply(mass, r1, s1, r2, s2)
+            inertia = apply(mass, r1, s1, r2, s2)
             load_half = 0.5 * tether.line_density * length * tether.gravity[d]
             load_slope = load_half * length / 6.0
             store(work.constant, (d, e), elastic[0] - rate * inertia[0] - load_half)
             store(work.constant, (dim + d, e), elastic[1] - rate * inertia[1] - load_slope)
             store(work.constant, (2 * dim + d, e), elastic[2] - rate * inertia[2] - load_half)
             store(work.constant, (3 * dim + d, e), elastic[3] - rate * inertia[3] + load_slope)
-        for g in range(_GAUSS):
+        for g in range(GAUSS):
             square = fill(tag, -1.0)
             for d in range(dim):
                 slope = (
-                    _BASIS[g, 0] * basis[3 * d]
-                    + _BASIS[g, 1] * basis[3 * d + 1]
-                    + _BASIS[g, 2] * basis[3 * d + 2]
+                    BASIS[g, 0] * basis[3 * d]
+                    + BASIS[g, 1] * basis[3 * d + 1]
+                    + BASIS[g, 2] * basis[3 * d + 2]
                 )
                 store(work.slope, (g * dim + d, e), slope)
                 square += slope * slope
             store(work.strain, (g, e), 0.5 * square)
         if tether.bending_damping_time > 0.0:
-            for g in range(_GAUSS):
+            for g in range(GAUSS):
                 for d in range(dim):
                     curving = (
-                        _CURVING[g, 0] * basis[3 * d]
-                        + _CURVING[g, 1] * basis[3 * d + 1]
-                        + _CURVING[g, 2] * basis[3 * d + 2]
+                        CURVING[g, 0] * basis[3 * d]
+                        + CURVING[g, 1] * basis[3 * d + 1]
+                        + CURVING[g, 2] * basis[3 * d + 2]
                     )
                     store(work.curving, (g * dim + d, e), curving * inverse)
 
@@ -321,19 +211,19 @@ def _axial_points(
     dim = len(tag)
     middles = stack(tag, 3)
     ends = stack(tag, 3)
-    for g in range(_GAUSS):
+    for g in range(GAUSS):
         stretch = fill(tag, 0.0)
         for d in range(dim):
             change = (
-                _BASIS[g, 0] * basis[3 * d]
-                + _BASIS[g, 1] * basis[3 * d + 1]
-                + _BASIS[g, 2] * basis[3 * d + 2]
+                BASIS[g, 0] * basis[3 * d]
+                + BASIS[g, 1] * basis[3 * d + 1]
+                + BASIS[g, 2] * basis[3 * d + 2]
             )
             middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
             middles[d] = middle
             ends[d] = middle + 0.5 * change
             stretch += middle * change
-        rigidity = _WEIGHTS[g] * tether.element_length * tether.axial_stiffness
+        rigidity = GAUSS_WEIGHTS[g] * tether.element_length * tether.axial_stiffness
         tension = rigidity * (load(tag, work.strain, (g, e)) + average * stretch)
         geometric = 0.5 * tension
         for d in range(dim):
@@ -363,8 +253,8 @@ def _curvature_change(
     stretch = fill(tag, 0.0)
     for d in range(dim):
         first, second, third = basis[3 * d], basis[3 * d + 1], basis[3 * d + 2]
-        da = _BASIS[g, 0] * first + _BASIS[g, 1] * second + _BASIS[g, 2] * third
-        db = _CURVING[g, 0] * first + _CURVING[g, 1] * second + _CURVING[g, 2] * third
+        da = BASIS[g, 0] * first + BASIS[g, 1] * second + BASIS[g, 2] * third
+        db = CURVING[g, 0] * first + CURVING[g, 1] * second + CURVING[g, 2] * third
         db *= inverse
         a = load(tag, work.slope, (g * dim + d, e)) + 0.5 * da
         b = load(tag, work.curving, (g * dim + d, e)) + 0.5 * db
@@ -410,9 +300,11 @@ def _add_bending_damping(
     dim = len(tag)
     length = tether.element_length
     bend = stack(tag, 12)
-    for g in range(_GAUSS):
+    for g in range(GAUSS):
         shrink, along, cross, _ = _curvature_change(tether, e, g, work, basis, bend)
-        viscosity = _WEIGHTS[g] * length * tether.bending_stiffness * tether.bending_damping_time
+        viscosity = (
+            GAUSS_WEIGHTS[g] * length * tether.bending_stiffness * tether.bending_damping_time
+        )
         weight = (viscosity / h) * shrink
         for d in range(dim):
             dk = bend[2 * dim + d]
@@ -420,7 +312,7 @@ def _add_bending_damping(
             on_curving = weight * dk * (1.0 / length)
             for k in range(3):
                 force[3 * d + k] = (
-                    force[3 * d + k] + _BASIS[g, k] * on_slope + _CURVING[g, k] * on_curving
+                    force[3 * d + k] + BASIS[g, k] * on_slope + CURVING[g, k] * on_curving
                 )
             for c in range(dim):
                 entry = fill(tag, 1.0 if c == d else 0.0) - bend[d] * bend[c]
@@ -450,13 +342,13 @@ def _assemble(tether: Tether, h: float, work: Workspace) -> None:
         for d in range(dim):
             for k in range(3):
                 total = fill(tag, 0.0)
-                for g in range(_GAUSS):
-                    total += _BASIS[g, k] * points_force[g * dim + d]
+                for g in range(GAUSS):
+                    total += BASIS[g, k] * points_force[g * dim + d]
                 force[3 * d + k] = total
             for c in range(dim):
                 for pair in range(6):
                     total = fill(tag, 0.0)
-                    for g in range(_GAUSS):
+                    for g in range(GAUSS):
                         total += _PAIRS[pair, g] * points_tensor[(g * dim + d) * dim + c]
                     tangent[(pair * dim + d) * dim + c] = total
         if tether.bending_damping_time > 0.0:
@@ -542,7 +434,7 @@ def _store_residual(
     second = stack(tag, 8)
     for d in range(dim):
         r1, s1, r2, s2 = _ends(tag, work.increment, d, e)
-        parts = _apply(linear, r1, s1, r2, s2)
+        parts = apply(linear, r1, s1, r2, s2)
         chord = force[3 * d] * inverse
         constant = work.constant
         first[d] = load(tag, constant, (d, e)) + parts[0] - chord
@@ -677,27 +569,27 @@ def end_step(
         _load_basis(tag, 1.0 / length, e, work, basis)
         mean = fill(tag, 0.0)
         loss = fill(tag, 0.0)
-        for g in range(_GAUSS):
+        for g in range(GAUSS):
             stretch = fill(tag, 0.0)
             square = fill(tag, 0.0)
             for d in range(dim):
                 change = (
-                    _BASIS[g, 0] * basis[3 * d]
-                    + _BASIS[g, 1] * basis[3 * d + 1]
-                    + _BASIS[g, 2] * basis[3 * d + 2]
+                    BASIS[g, 0] * basis[3 * d]
+                    + BASIS[g, 1] * basis[3 * d + 1]
+                    + BASIS[g, 2] * basis[3 * d + 2]
                 )
                 middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
                 stretch += middle * change
                 square += middle * middle
             strain = load(tag, work.strain, (g, e)) + (0.5 + damping) * stretch
-            mean += _WEIGHTS[g] * strain * root(square)
-            loss += _WEIGHTS[g] * stretch * stretch
+            mean += GAUSS_WEIGHTS[g] * strain * root(square)
+            loss += GAUSS_WEIGHTS[g] * stretch * stretch
         loss *= damping * tether.axial_stiffness * length
         if tether.bending_damping_time > 0.0:
             viscosity = tether.bending_stiffness * tether.bending_damping_time / h * length
-            for g in range(_GAUSS):
+            for g in range(GAUSS):
                 _, _, _, change = _curvature_change(tether, e, g, work, basis, bend)
-                loss += (viscosity * _WEIGHTS[g]) * change
+                loss += (viscosity * GAUSS_WEIGHTS[g]) * change
         store(work.tension, (e,), tether.axial_stiffness * mean)
         store(work.loss, (e,), loss)
     peak = -np.inf
@@ -712,79 +604,3 @@ def end_step(
             square += increment[dim + d, i] ** 2
         turn = max(turn, square)
     return dissipated, peak, np.sqrt(turn)
-
-
-@kernel
-def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, float, float]:
-    """Kinetic, gravity (zero at the origin's level), axial and bending energy [J]."""
-    dim = len(tether.gravity)
-    length = tether.element_length
-    mass = mass_coefficients(tether)
-    bending_matrix = bending_coefficients(tether)
-    weight = tether.line_density * length
-    kinetic = 0.0
-    gravity = 0.0
-    axial = 0.0
-    bending = 0.0
-    for e in range(tether.elements):
-        for d in range(dim):
-            r1, s1, r2, s2 = v[d, e], v[dim + d, e], v[d, e + 1], v[dim + d, e + 1]
-            p = _apply(mass, r1, s1, r2, s2)
-            kinetic += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
-            r1, s1, r2, s2 = q[d, e], q[dim + d, e], q[d, e + 1], q[dim + d, e + 1]
-            p = _apply(bending_matrix, r1, s1, r2, s2)
-            bending += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
-            gravity -= weight * tether.gravity[d] * (0.5 * (r1 + r2) + length * (s1 - s2) / 12.0)
-        for g in range(_GAUSS):
-            square = 0.0
-            for d in range(dim):
-                slope = (
-                    _BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
-                    + _BASIS[g, 1] * q[dim + d, e]
-                    + _BASIS[g, 2] * q[dim + d, e + 1]
-                )
-                square += slope * slope
-            axial += _WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
-    return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
-
-
-@kernel
-def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> None:
-    """Write each element's tension [N] at a state: the mean of EA (eps + tau_a deps/dt) |r'|."""
-    dim = len(tether.gravity)
-    length = tether.element_length
-    for e in range(tether.elements):
-        mean = 0.0
-        for g in range(_GAUSS):
-            square = 0.0
-            rate = 0.0
-            for d in range(dim):
-                slope = (
-                    _BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
-                    + _BASIS[g, 1] * q[dim + d, e]
-                    + _BASIS[g, 2] * q[dim + d, e + 1]
-                )
-                slope_rate = (
-                    _BASIS[g, 0] * (v[d, e + 1] - v[d, e]) / length
-                    + _BASIS[g, 1] * v[dim + d, e]
-                    + _BASIS[g, 2] * v[dim + d, e + 1]
-                )
-                square += slope * slope
-                rate += slope * slope_rate
-            strain = 0.5 * (square - 1.0) + tether.axial_damping_time * rate
-            mean += _WEIGHTS[g] * strain * np.sqrt(square)
-        tensions[e] = tether.axial_stiffness * mean
-
-
-def nodal_tensions(tensions: Array) -> Array:
-    """Tensions of the elements (n,) as tensions at the nodes (n + 1,) [N].
-
-    An element's mean belongs to its middle: nodes between two elements get the mean of both, the
-    ends are extrapolated.
-    """
-    if tensions.size == 1:
-        return np.repeat(tensions, 2)
-    inner = 0.5 * (tensions[:-1] + tensions[1:])
-    first = 1.5 * tensions[0] - 0.5 * tensions[1]
-    last = 1.5 * tensions[-1] - 0.5 * tensions[-2]
-    return np.concatenate([[first], inner, [last]])

@@ -1,23 +1,9 @@
-"""The planar rover, two bodies on a slider, at the tip of an ANCF tether, stepped in time.
+"""The planar motion of a tether with a rover, a weight or nothing at its tip, stepped in time.
 
-The paper's axes: x horizontal, y up, theta counter-clockwise, slider axis (-sin theta, cos theta).
-Body 1 carries the tether at the body-fixed point p = (a, b); Body 2 has Body 1's orientation and
-its centre lies the distance s along the slider, at b = (0, s). With the tether's last node r_n
-
-    G1 = r_n - R p,     G2 = G1 + R b,
-
-so r_n, theta and s are the unknowns and no constraint force appears. A step turns the rover by the
-Cayley parameter th = 2 tan(dtheta/2), whose rate gives the angular velocity, th = h (w0 + w1)/2;
-with R_m = (R_0 + R_1)/2 the equations of the step are, for f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g,
-
-    last node   tether + f_1 + f_2 = 0
-    rotation    (J_1 + J_2)(w1 - w0)/h - R_m p x f_1 + (B - R_m p) x f_2 = 0
-    slider      (1 + th^2/4) R_m e_y . f_2 + k (s_m - l_0) + c ds/h = 0
-
-(index m: mean of start and end; B = (R_0 b_0 + R_1 b_1)/2). These are the levers at which the
-angular momentum is conserved; and because R_1 - R_0 turns vectors by th across R_m exactly, the
-work of the forces is the change of the energies, which is thus conserved without damping.
-Rotation and slide are condensed into the last node before the tether's elimination.
+A rover stands on the ground, which holds it where it is, flies from its take-off to its landing,
+and stands again. Each time step is one Newton iteration over tether (`energy_momentum`) and rover
+(`planar_rover`) together, and is divided into halves where that does not converge. Axes and symbols
+are those of `planar_rover`.
 """
 
 from typing import NamedTuple
@@ -27,21 +13,33 @@ import numpy as np
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import allocating, checked, kernel
 from rover_sim.physics.energy_momentum import (
-    Tether,
     Workspace,
     begin_ends,
     begin_step,
     end_step,
     make_workspace,
     newton_increment,
-    row_width,
     set_end,
-    tether_energies,
 )
-
-# Entries of the array `body`.
-X1, Y1, THETA, SLIDE, VX1, VY1, VX2, VY2, OMEGA = range(9)
-BODY_SIZE = 9
+from rover_sim.physics.locate import apex_instant, crossing_instant, hermite
+from rover_sim.physics.planar_rover import (
+    BODY_SIZE,
+    OMEGA,
+    SLIDE,
+    THETA,
+    VX1,
+    VX2,
+    VY1,
+    VY2,
+    X1,
+    Y1,
+    Rover,
+    add_rover,
+    end_rover_step,
+    rover_energies,
+    rover_increment,
+)
+from rover_sim.physics.tether import Tether, row_width, tether_energies
 
 # Entries of the array `book`: what is remembered besides the motion.
 (
@@ -98,19 +96,6 @@ _LENGTH, _LOW, _HIGH, _TRIES = range(4)
 _MOST_TRIES = 12.0
 
 
-class Rover(NamedTuple):
-    """Masses, geometry and spring of the rover."""
-
-    m1: float  # [kg]
-    m2: float  # [kg]
-    inertia: float  # J1 + J2 about the bodies' own centres [kg m^2]
-    attachment_x: float  # a [m]
-    attachment_y: float  # b [m]
-    spring_rate: float  # k [N/m]
-    spring_free_length: float  # l0 [m]
-    slider_damping: float  # c [N s/m]
-
-
 class Model(NamedTuple):
     """Everything constant during a run, as the compiled functions see it."""
 
@@ -145,9 +130,6 @@ class Solver(NamedTuple):
     report: Array  # (REPORT_SIZE,)
 
 
-NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
-
-
 @allocating
 def make_solver(elements: int, report: Array) -> Solver:
     """Allocate the arrays for a tether of n elements, reporting to `report`."""
@@ -173,21 +155,6 @@ def make_solver(elements: int, report: Array) -> Solver:
 
 
 @kernel
-def rover_energies(rover: Rover, gy: float, gx: float, body: Array) -> tuple[float, float, float]:
-    """Kinetic, gravity and spring energy of the rover [J] under gravity (gx, gy)."""
-    x2 = body[X1] - np.sin(body[THETA]) * body[SLIDE]
-    y2 = body[Y1] + np.cos(body[THETA]) * body[SLIDE]
-    kinetic = 0.5 * (
-        rover.m1 * (body[VX1] ** 2 + body[VY1] ** 2)
-        + rover.m2 * (body[VX2] ** 2 + body[VY2] ** 2)
-        + rover.inertia * body[OMEGA] ** 2
-    )
-    gravity = -rover.m1 * (gx * body[X1] + gy * body[Y1]) - rover.m2 * (gx * x2 + gy * y2)
-    spring = 0.5 * rover.spring_rate * (body[SLIDE] - rover.spring_free_length) ** 2
-    return kinetic, gravity, spring
-
-
-@kernel
 def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]:
     """Kinetic, gravity, axial, bending and spring energy of the whole system [J].
 
@@ -197,7 +164,7 @@ def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]
     spring = 0.0
     gx, gy = model.tether.gravity
     if model.has_rover:
-        more, weight, spring = rover_energies(model.rover, gy, gx, body)
+        more, weight, spring = rover_energies(model.rover, model.tether.gravity, body)
         kinetic += more
         gravity += weight
     else:
@@ -215,115 +182,6 @@ def stored_energy(model: Model, q: Array, v: Array, body: Array) -> float:
 
 
 @kernel
-def _rover_end(model: Model, h: float, body: Array, solver: Solver) -> None:
-    """Add the rover to the tether's tip: its rows condensed onto the last node's position."""
-    rover = model.rover
-    gx, gy = model.tether.gravity
-    work = solver.work
-    n = model.tether.elements
-    drx, dry = work.increment[0, n], work.increment[1, n]
-    th, ds = solver.turn[0], solver.turn[1]
-    a, b = rover.attachment_x, rover.attachment_y
-    s0 = body[SLIDE]
-    s1 = s0 + ds
-    sm = s0 + 0.5 * ds
-
-    # Cosines and sines at start, end (the Cayley map) and their means.
-    c0, z0 = np.cos(body[THETA]), np.sin(body[THETA])
-    scale = 1.0 / (1.0 + 0.25 * th * th)
-    turn_c, turn_z = (1.0 - 0.25 * th * th) * scale, th * scale
-    c1, z1 = c0 * turn_c - z0 * turn_z, z0 * turn_c + c0 * turn_z
-    cm, zm = 0.5 * (c0 + c1), 0.5 * (z0 + z1)
-
-    # Displacements of the centres; (R1 - R0) u = th J R_m u with J the quarter turn.
-    px, py = cm * a - zm * b, zm * a + cm * b
-    dx1, dy1 = drx + th * py, dry - th * px
-    dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
-    unit1, unit2 = 2.0 * rover.m1 / h, 2.0 * rover.m2 / h
-    fx1 = unit1 * (dx1 / h - body[VX1]) - rover.m1 * gx
-    fy1 = unit1 * (dy1 / h - body[VY1]) - rover.m1 * gy
-    fx2 = unit2 * (dx2 / h - body[VX2]) - rover.m2 * gx
-    fy2 = unit2 * (dy2 / h - body[VY2]) - rover.m2 * gy
-
-    # Levers about the last node and the residuals of rotation and slider.
-    spin = 0.25 * th * ds
-    lx, ly = -zm * sm - spin * cm - px, cm * sm - spin * zm - py
-    widening = 1.0 + 0.25 * th * th
-    along = -zm * fx2 + cm * fy2
-    rotation = (
-        2.0 * rover.inertia / h * (th / h - body[OMEGA])
-        - (px * fy1 - py * fx1)
-        + (lx * fy2 - ly * fx2)
-    )
-    slider = (
-        widening * along
-        + rover.spring_rate * (sm - rover.spring_free_length)
-        + rover.slider_damping * ds / h
-    )
-
-    # Derivatives by th, dR1/dth being scale J R1; G1 and G2 move by (u1), (u2).
-    dcm, dzm = -0.5 * scale * z1, 0.5 * scale * c1
-    p1x, p1y = c1 * a - z1 * b, z1 * a + c1 * b
-    u1x, u1y = scale * p1y, -scale * p1x
-    u2x, u2y = u1x - scale * c1 * s1, u1y - scale * z1 * s1
-    dpx, dpy = dcm * a - dzm * b, dzm * a + dcm * b
-    dlx = -dzm * sm - 0.25 * ds * cm - spin * dcm - dpx
-    dly = dcm * sm - 0.25 * ds * zm - spin * dzm - dpy
-    i1, i2 = unit1 / h, unit2 / h
-    k_tt = (
-        2.0 * rover.inertia / h**2
-        - (dpx * fy1 - dpy * fx1)
-        - i1 * (px * u1y - py * u1x)
-        + (dlx * fy2 - dly * fx2)
-        + i2 * (lx * u2y - ly * u2x)
-    )
-    k_st = (
-        0.5 * th * along
-        + widening * (dcm * fy2 - dzm * fx2)
-        + widening * i2 * (cm * u2y - zm * u2x)
-    )
-    k_xt, k_yt = i1 * u1x + i2 * u2x, i1 * u1y + i2 * u2y
-
-    # Derivatives by s, along which G2 moves by R1 e_y, and by the last node's position.
-    k_ts = (
-        -(0.5 * zm + 0.25 * th * cm) * fy2
-        - (0.5 * cm - 0.25 * th * zm) * fx2
-        + i2 * (lx * c1 + ly * z1)
-    )
-    k_ss = widening * i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
-    k_xs, k_ys = -i2 * z1, i2 * c1
-    k_tx, k_ty = i1 * py - i2 * ly, -i1 * px + i2 * lx
-    k_sx, k_sy = -widening * i2 * zm, widening * i2 * cm
-
-    inverse = 1.0 / (k_tt * k_ss - k_ts * k_st)
-    z = solver.condensed
-    z[0, 0] = inverse * (k_ss * rotation - k_ts * slider)
-    z[1, 0] = inverse * (k_tt * slider - k_st * rotation)
-    z[0, 1] = inverse * (k_ss * k_tx - k_ts * k_sx)
-    z[1, 1] = inverse * (k_tt * k_sx - k_st * k_tx)
-    z[0, 2] = inverse * (k_ss * k_ty - k_ts * k_sy)
-    z[1, 2] = inverse * (k_tt * k_sy - k_st * k_ty)
-    set_end(work, 1, 4, 0, fx1 + fx2 - k_xt * z[0, 0] - k_xs * z[1, 0])
-    set_end(work, 1, 4, 1, fy1 + fy2 - k_yt * z[0, 0] - k_ys * z[1, 0])
-    set_end(work, 1, 0, 0, i1 + i2 - k_xt * z[0, 1] - k_xs * z[1, 1])
-    set_end(work, 1, 1, 0, -k_xt * z[0, 2] - k_xs * z[1, 2])
-    set_end(work, 1, 0, 1, -k_yt * z[0, 1] - k_ys * z[1, 1])
-    set_end(work, 1, 1, 1, i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2])
-
-
-@kernel
-def _rover_increment(n: int, solver: Solver) -> float:
-    """Newton increment of th and ds from that of the last node; returns the larger one."""
-    work, z = solver.work, solver.condensed
-    largest = 0.0
-    for k in range(2):
-        change = z[k, 0] - z[k, 1] * work.solution[n + 1, 0] - z[k, 2] * work.solution[n + 1, 1]
-        solver.turn[k] -= change
-        largest = max(largest, abs(change))
-    return largest
-
-
-@kernel
 def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
     n = model.tether.elements
@@ -332,32 +190,6 @@ def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
         force = 2.0 / h * (work.increment[d, n] / h - v0[d, n]) - model.tether.gravity[d]
         set_end(work, 1, 4, d, mass * force)
         set_end(work, 1, d, d, 2.0 * mass / h**2)
-
-
-@kernel
-def _rover_end_step(model: Model, h: float, body: Array, solver: Solver) -> float:
-    """Write the rover's state after a converged step; returns the damper's loss [J]."""
-    rover, work, body1 = model.rover, solver.work, solver.body1
-    n = model.tether.elements
-    th, ds = solver.turn[0], solver.turn[1]
-    theta1 = body[THETA] + 2.0 * np.arctan(0.5 * th)
-    sm = body[SLIDE] + 0.5 * ds
-    cm = 0.5 * (np.cos(body[THETA]) + np.cos(theta1))
-    zm = 0.5 * (np.sin(body[THETA]) + np.sin(theta1))
-    px = cm * rover.attachment_x - zm * rover.attachment_y
-    py = zm * rover.attachment_x + cm * rover.attachment_y
-    dx1, dy1 = work.increment[0, n] + th * py, work.increment[1, n] - th * px
-    dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
-    body1[X1] = body[X1] + dx1
-    body1[Y1] = body[Y1] + dy1
-    body1[THETA] = theta1
-    body1[SLIDE] = body[SLIDE] + ds
-    body1[VX1] = 2.0 * dx1 / h - body[VX1]
-    body1[VY1] = 2.0 * dy1 / h - body[VY1]
-    body1[VX2] = 2.0 * dx2 / h - body[VX2]
-    body1[VY2] = 2.0 * dy2 / h - body[VY2]
-    body1[OMEGA] = 2.0 * th / h - body[OMEGA]
-    return rover.slider_damping * ds * ds / h
 
 
 @kernel
@@ -461,13 +293,12 @@ def attempt_step(
     converged = False
     for iteration in range(_MAX_ITERATIONS):
         if flying:
-            _rover_end(model, h, body, solver)
+            add_rover(model.tether, model.rover, h, body, solver.turn, solver.condensed, work)
         elif not model.has_rover:
             _mass_end(model, h, v, work)
         change = newton_increment(model.tether, h, work)
         if flying:
-            # Not max(), which would let a NaN pass.
-            change += _rover_increment(model.tether.elements, solver)
+            change += rover_increment(model.tether.elements, solver.condensed, work, solver.turn)
         solver.report[ITERATIONS] += 1.0
         if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
             break
@@ -489,7 +320,9 @@ def attempt_step(
         return False, 0.0, 0.0
     dissipated, tension, turn = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
     if flying:
-        dissipated += _rover_end_step(model, h, body, solver)
+        dissipated += end_rover_step(
+            model.tether.elements, model.rover, h, body, solver.turn, work, solver.body1
+        )
     else:
         for k in range(BODY_SIZE):
             solver.body1[k] = body[k]
@@ -540,56 +373,6 @@ def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> N
 
 
 @kernel
-def _hermite(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
-    """Cubic through values and rates at 0 and h, at the time t."""
-    u = t / h
-    return (
-        y0
-        + u * h * dy0
-        + u * u * (3.0 * (y1 - y0) - h * (2.0 * dy0 + dy1))
-        + u * u * u * (2.0 * (y0 - y1) + h * (dy0 + dy1))
-    )
-
-
-@kernel
-def _hermite_rate(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
-    """Derivative of `_hermite` by t."""
-    u = t / h
-    return (
-        dy0
-        + 2.0 * u * (3.0 * (y1 - y0) / h - (2.0 * dy0 + dy1))
-        + 3.0 * u * u * (2.0 * (y0 - y1) / h + dy0 + dy1)
-    )
-
-
-@kernel
-def _apex_instant(h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
-    """Time at which the cubic's rate falls through zero, for dy0 > 0 >= dy1, by bisection."""
-    low, high = 0.0, h
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _hermite_rate(middle, h, y0, dy0, y1, dy1) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-@kernel
-def _crossing_instant(
-    low: float, high: float, h: float, y0: float, dy0: float, y1: float, dy1: float, level: float
-) -> float:
-    """Time in [low, high] at which the cubic falls through the level, by bisection."""
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _hermite(middle, h, y0, dy0, y1, dy1) > level:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-@kernel
 def _record(
     kind: int,
     time: float,
@@ -637,9 +420,9 @@ def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver
     y1, dy1 = solver.body1[Y1], solver.body1[VY1]
     if search[_TRIES] == 0.0:
         y0, dy0 = body[Y1], body[VY1]
-        low = _apex_instant(h, y0, dy0, y1, dy1) if dy0 > 0.0 else 0.0
+        low = apex_instant(h, y0, dy0, y1, dy1) if dy0 > 0.0 else 0.0
         search[_LOW], search[_HIGH] = low, h
-        search[_LENGTH] = _crossing_instant(low, h, h, y0, dy0, y1, dy1, level)
+        search[_LENGTH] = crossing_instant(low, h, h, y0, dy0, y1, dy1, level)
     else:
         gap = y1 - level
         if abs(gap) <= accuracy or search[_TRIES] >= _MOST_TRIES:
@@ -772,8 +555,8 @@ def advance(
 
             if flying and body[VY1] > 0.0 >= solver.body1[VY1]:
                 y0, dy0, y1, dy1 = body[Y1], body[VY1], solver.body1[Y1], solver.body1[VY1]
-                instant = _apex_instant(h, y0, dy0, y1, dy1)
-                rise = _hermite(instant, h, y0, dy0, y1, dy1) - book[START_Y]
+                instant = apex_instant(h, y0, dy0, y1, dy1)
+                rise = hermite(instant, h, y0, dy0, y1, dy1) - book[START_Y]
                 if rise > book[HIGHEST]:
                     book[HIGHEST] = rise
                     count = _record(

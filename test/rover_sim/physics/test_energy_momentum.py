@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rover_sim.physics import ancf, energy_momentum
-from rover_sim.physics.energy_momentum import Tether, Workspace
+from rover_sim.physics import ancf, energy_momentum, tether
+from rover_sim.physics.energy_momentum import Workspace
 from rover_sim.physics.section import TetherSection
 
 TABLE_1 = TetherSection.round(0.5e9, 3.45e-4, 1e4)
@@ -29,14 +29,14 @@ class Chain:
         self.count, _, self.dim = nodes.shape
         self.section = section
         self.length = LENGTH / (self.count - 1)
-        self.tether: Tether = energy_momentum.make_tether(
+        self.tether: tether.Tether = tether.make_tether(
             section, LENGTH, self.count - 1, gravity, numerical_damping
         )
         self.work: Workspace = energy_momentum.make_workspace(self.count - 1, self.dim)
         self.work.end_fixed[0, : self.dim] = float(root_held)
         energy_momentum.begin_ends(self.tether, self.work)
-        self.q = energy_momentum.to_rows(nodes)
-        self.v = energy_momentum.to_rows(rates)
+        self.q = tether.to_rows(nodes)
+        self.v = tether.to_rows(rates)
         self.dissipated = 0.0
 
     def step(self, h: float) -> None:
@@ -54,14 +54,14 @@ class Chain:
 
     @property
     def nodes(self) -> np.ndarray:
-        return energy_momentum.to_nodes(self.q, self.count - 1)
+        return tether.to_nodes(self.q, self.count - 1)
 
     @property
     def rates(self) -> np.ndarray:
-        return energy_momentum.to_nodes(self.v, self.count - 1)
+        return tether.to_nodes(self.v, self.count - 1)
 
     def energy(self) -> float:
-        return float(sum(energy_momentum.tether_energies(self.tether, self.q, self.v)))
+        return float(sum(tether.tether_energies(self.tether, self.q, self.v)))
 
     def momentum(self) -> np.ndarray:
         load = ancf.load_vector(self.section.line_density, self.length)
@@ -188,7 +188,7 @@ def test_turning_a_bent_tether_rigidly_is_not_damped(dim: int) -> None:
     # a rigid turn about the origin by Cayley's map, which the step must reproduce
     h = 1e-2
     turn = np.linalg.solve(np.eye(dim) - 0.5 * h * spin, np.eye(dim) + 0.5 * h * spin)
-    chain.work.increment[:] = energy_momentum.to_rows(nodes @ turn.T - nodes)
+    chain.work.increment[:] = tether.to_rows(nodes @ turn.T - nodes)
     energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
     loss, _, _ = energy_momentum.end_step(
         chain.tether, h, chain.q, chain.v, chain.work, chain.q.copy(), chain.v.copy()
@@ -228,12 +228,12 @@ def test_tension_of_a_stretched_and_stretching_tether() -> None:
     rates[:, 0, 0], rates[:, 1, 0] = rate * x, rate
     chain = Chain(nodes, rates, DAMPED, (0.0, 0.0), root_held=False)
     tensions = np.empty(5)
-    energy_momentum.element_tensions(chain.tether, chain.q, chain.v, tensions)
+    tether.element_tensions(chain.tether, chain.q, chain.v, tensions)
     strain = 0.5 * (stretch**2 - 1.0) + DAMPED.axial_damping_time * stretch * rate
     assert tensions == pytest.approx(np.full(5, DAMPED.axial_stiffness * strain * stretch))
 
 
 def test_nodal_tensions_follow_a_linear_course() -> None:
     middles = np.array([0.5, 1.5, 2.5])
-    assert energy_momentum.nodal_tensions(middles) == pytest.approx([0.0, 1.0, 2.0, 3.0])
-    assert energy_momentum.nodal_tensions(np.array([2.0])) == pytest.approx([2.0, 2.0])
+    assert tether.nodal_tensions(middles) == pytest.approx([0.0, 1.0, 2.0, 3.0])
+    assert tether.nodal_tensions(np.array([2.0])) == pytest.approx([2.0, 2.0])

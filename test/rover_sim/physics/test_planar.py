@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
-from rover_sim.physics import ancf, energy_momentum, planar
+from rover_sim.physics import ancf, planar, planar_rover, tether
 from rover_sim.plant import Command, Outcome, Phase
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -198,44 +198,48 @@ def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
     """Tether and rover afloat without gravity or root, all of it moving."""
     plant = plant_of("taut_jump", gravity=9.81, rover__slider_damping=3.0)
     state = plant.initial_state()
-    tether = plant.model.tether._replace(gravity=(0.0, 0.0))
+    weightless = plant.model.tether._replace(gravity=(0.0, 0.0))
     model = plant.model._replace(
-        tether=tether, root_pinned=False, step=h, hold_after_landing=False, tolerance=1e-14
+        tether=weightless, root_pinned=False, step=h, hold_after_landing=False, tolerance=1e-14
     )
     n = state.nodes.shape[0] - 1
     rates = np.zeros((n + 1, 2, 2))
     x = np.linspace(0.0, 1.0, n + 1)
     rates[:, 0, 0], rates[:, 0, 1] = 0.5 * x**2, 1.0 - 2.0 * x
     rates[:, 1, 0], rates[:, 1, 1] = 0.5 * 2 * x / 5.0, -2.0 / 5.0
-    q, v = energy_momentum.to_rows(state.nodes), energy_momentum.to_rows(rates)
-    body = np.zeros(planar.BODY_SIZE)
-    body[[planar.X1, planar.Y1]] = state.G1
-    body[planar.SLIDE] = state.s + 0.02
+    q, v = tether.to_rows(state.nodes), tether.to_rows(rates)
+    body = np.zeros(planar_rover.BODY_SIZE)
+    body[[planar_rover.X1, planar_rover.Y1]] = state.G1
+    body[planar_rover.SLIDE] = state.s + 0.02
     rover = model.rover
     omega, a, b = 1.5, rover.attachment_x, rover.attachment_y
-    body[planar.OMEGA] = omega
-    body[[planar.VX1, planar.VY1]] = rates[n, 0] - omega * np.array([-b, a])
-    body[[planar.VX2, planar.VY2]] = body[[planar.VX1, planar.VY1]]
-    body[planar.VX2] -= omega * body[planar.SLIDE]
-    body[planar.VY2] += 0.4
+    body[planar_rover.OMEGA] = omega
+    body[[planar_rover.VX1, planar_rover.VY1]] = rates[n, 0] - omega * np.array([-b, a])
+    body[[planar_rover.VX2, planar_rover.VY2]] = body[[planar_rover.VX1, planar_rover.VY1]]
+    body[planar_rover.VX2] -= omega * body[planar_rover.SLIDE]
+    body[planar_rover.VY2] += 0.4
     return model, [q, v, body, np.zeros(planar.BOOK_SIZE)]
 
 
 def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Linear momentum and angular momentum about the origin."""
-    tether, rover = model.tether, model.rover
-    e = ancf.element_coordinates(energy_momentum.to_nodes(q, tether.elements))
-    rates = ancf.element_coordinates(energy_momentum.to_nodes(v, tether.elements))
-    mass = ancf.mass_matrix(tether.line_density, tether.element_length)
-    load = ancf.load_vector(tether.line_density, tether.element_length)
+    line, rover = model.tether, model.rover
+    e = ancf.element_coordinates(tether.to_nodes(q, line.elements))
+    rates = ancf.element_coordinates(tether.to_nodes(v, line.elements))
+    mass = ancf.mass_matrix(line.line_density, line.element_length)
+    load = ancf.load_vector(line.line_density, line.element_length)
     tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)
     linear = np.einsum("a,eai->i", load, rates)
-    angular = tensor[0, 1] - tensor[1, 0] + rover.inertia * body[planar.OMEGA]
-    axis = np.array([-np.sin(body[planar.THETA]), np.cos(body[planar.THETA])])
-    first = body[[planar.X1, planar.Y1]]
+    angular = tensor[0, 1] - tensor[1, 0] + rover.inertia * body[planar_rover.OMEGA]
+    axis = np.array([-np.sin(body[planar_rover.THETA]), np.cos(body[planar_rover.THETA])])
+    first = body[[planar_rover.X1, planar_rover.Y1]]
     for m, at, rate in (
-        (rover.m1, first, body[[planar.VX1, planar.VY1]]),
-        (rover.m2, first + body[planar.SLIDE] * axis, body[[planar.VX2, planar.VY2]]),
+        (rover.m1, first, body[[planar_rover.VX1, planar_rover.VY1]]),
+        (
+            rover.m2,
+            first + body[planar_rover.SLIDE] * axis,
+            body[[planar_rover.VX2, planar_rover.VY2]],
+        ),
     ):
         linear = linear + m * rate
         angular += m * (at[0] * rate[1] - at[1] * rate[0])
