@@ -364,7 +364,7 @@ class FileScan:
                 raise _Broken("it contradicts what was announced before")
             known[record.id] = record
             if opcode == Opcode.CHANNEL:
-                self._topics[record.id] = _topic(record, self._schemas)
+                self._topics[record.id] = self._described(record)
         for opcode, start, stop in frames:
             if opcode != Opcode.MESSAGE:
                 continue
@@ -377,6 +377,13 @@ class FileScan:
                 self.unverified[topic.name] += 1
             data = bytes(records[start + _MESSAGE.size : stop])
             yield Message(topic, log_ns, publish_ns, sequence, data)
+
+    def _described(self, channel: Any) -> Topic:
+        """A channel's topic; its type from elsewhere where that was announced in a lost chunk."""
+        topic = _topic(channel, self._schemas)
+        spare = self._spare.get(channel.id)
+        lost = channel.schema_id != 0 and channel.schema_id not in self._schemas
+        return spare if lost and spare is not None and spare.name == topic.name else topic
 
     # --- what stands around the data --------------------------------------------------------------
 

@@ -499,6 +499,27 @@ def test_the_first_chunk_may_be_lost_without_losing_the_others(tmp_path: Path):
     assert sum(result.lost.values()) == inside
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_type_announced_in_a_lost_chunk_is_still_known(tmp_path: Path, closed: bool):
+    writer = BagWriter(tmp_path / "bag", sync=False)
+    first = writer.add_topic("/first", standard_type(STRING))
+    writer.write(first, START, START, text_message("first"))
+    writer.flush()
+    second = writer.add_topic("/second", standard_type(STRING))
+    writer.write(second, START + 1, START + 1, text_message("second"))
+    if closed:
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+    data = bytearray(mcap_file(tmp_path / "bag").read_bytes())
+    data[_chunk_ends(bytes(data))[0][0] - 5] ^= 0x01
+    mcap_file(tmp_path / "bag").write_bytes(data)
+    recover(tmp_path / "bag", tmp_path / "clean")
+    found = [(m.topic.name, m.topic.type, m.data) for m in BagScan(tmp_path / "clean")]
+    assert found == [("/second", STRING, text_message("second"))]
+
+
 def test_messages_without_checksums_are_said_to_be_unverified(tmp_path: Path):
     kind = STORE.types[STRING]
     writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
