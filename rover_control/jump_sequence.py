@@ -211,7 +211,7 @@ class JumpSequence:
         """End a compression or leave a fault: lets the spring down; returns what is done.
 
         Raises:
-            Refusal: the rover flies.
+            Refusal: the rover flies; or in standby, where the nut stands is not known.
         """
         if self.phase in (JumpPhase.FLIGHT, JumpPhase.LANDED):
             raise Refusal(
@@ -221,8 +221,12 @@ class JumpSequence:
             )
         if self.phase is JumpPhase.LETTING_DOWN:
             return "already letting the spring down"
-        if self.phase is JumpPhase.STANDBY and self._is_down(sensors, now_ns):
-            return "nothing to let down"
+        if self.phase is JumpPhase.STANDBY:
+            silent = self._silence(topics.JUMP_MOTOR_STATE, sensors.compression, now_ns)
+            if silent:
+                raise Refusal(topics.JUMP_ABORT, RefusalCode.STALE, silent)
+            if self._is_down(sensors, now_ns):
+                return "nothing to let down"
         self._enter(JumpPhase.LETTING_DOWN, f"aborted in {self.phase}", now_ns, Level.WARN)
         return "letting the spring down"
 
@@ -376,11 +380,16 @@ class JumpSequence:
             (topics.JUMP_MOTOR_STATE, sensors.compression),
             (topics.IMU, sensors.specific_force),
         ):
-            if reading is None:
-                return f"{topic} was never heard"
-            if not self._is_fresh(reading, now_ns):
-                silence = _seconds(now_ns, reading.stamp_ns)
-                return f"{topic} is silent for {silence:.3g} s"
+            silent = self._silence(topic, reading, now_ns)
+            if silent:
+                return silent
+        return ""
+
+    def _silence(self, topic: str, reading: Reading | None, now_ns: int) -> str:
+        if reading is None:
+            return f"{topic} was never heard"
+        if not self._is_fresh(reading, now_ns):
+            return f"{topic} is silent for {_seconds(now_ns, reading.stamp_ns):.3g} s"
         return ""
 
     def _elapsed(self, now_ns: int) -> float:

@@ -224,6 +224,26 @@ def test_an_abort_with_nothing_to_do_does_nothing(rover: Rover):
     assert rover.phases == []
 
 
+def test_an_abort_in_standby_is_refused_while_the_nut_is_not_known(rover: Rover):
+    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.run(1.0)
+    with pytest.raises(Refusal, match="silent") as caught:
+        rover.abort()
+    assert caught.value.code is RefusalCode.STALE
+    assert rover.phases == []
+
+
+def test_an_abort_while_compressing_lets_down_even_if_the_nut_is_not_known(rover: Rover):
+    rover.request()
+    rover.run(0.5)
+    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.abort()
+    rover.run(0.1)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force)
+    rover.run(20.0)
+    assert rover.phases[-1] is FAULT
+
+
 def test_an_abort_in_flight_is_refused(rover: Rover):
     rover.flight_time = 3.0
     rover.request()

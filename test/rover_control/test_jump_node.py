@@ -1,0 +1,280 @@
+"""jump_node and sim_node as processes of their own; the operator is a third one, the test."""
+
+from __future__ import annotations
+
+import math
+import signal
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from graph import forbidden_to_controllers, subscriptions_of
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import JUMP_SCREW, JUMP_STROKE
+from rover_sim import build_plant, jump, load_scenario
+
+if TYPE_CHECKING:
+    from observer import Observer
+    from processes import Process, Processes
+    from stage import Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
+
+MODULE, NODE = "rover_control.jump_node", "jump_node"
+NANO = 1_000_000_000
+
+
+def start_both(stage: Stage, factor: float = 3.0, **parameters: object) -> tuple[Process, Observer]:
+    """Start simulator and sequencer; returns the latter once it may be asked for a jump."""
+    observer = stage.observer()
+    observer.listen(topics.EVENTS)
+    observer.listen(topics.DIAGNOSTICS)
+    observer.listen(topics.JUMP_MOTOR_COMMAND)
+    observer.listen(topics.JUMP_MOTOR_STATE)
+    process = stage.processes.start(MODULE, {"use_sim_time": True, **parameters})
+    stage.processes.start(
+        "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": factor}
+    )
+    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    observer.wait_for_time(1)
+    wait_until_it_knows(observer)
+    return process, observer
+
+
+def wait_until_it_knows(observer: Observer) -> None:
+    """Wait until the sequencer hears its sensors: an abort with nothing to do says so then."""
+    observer.wait_until(
+        lambda: observer.call(topics.JUMP_ABORT).message == "nothing to let down",
+        "the sensors are not heard",
+    )
+    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+
+
+def request(observer: Observer, stroke: float, speed: float = 0.0) -> None:
+    """Ask as an operator does: without a stamp."""
+    observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, stroke, speed, stamp_ns=0)
+
+
+def request_when_ready(observer: Observer, stroke: float, speed: float) -> None:
+    """Ask until it is not refused for a sensor that has not spoken yet."""
+    told = len(observer.listen(topics.JUMP_PHASE))
+    observer.wait_until(
+        lambda: _begins_or_is_refused(observer, stroke, speed, told), "the jump does not begin"
+    )
+
+
+def _begins_or_is_refused(observer: Observer, stroke: float, speed: float, told: int) -> bool:
+    refused = len(refusals(observer, topics.JUMP_REQUEST))
+    request(observer, stroke, speed)
+    observer.wait_until(
+        lambda: (
+            "compressing" in phases(observer, told)
+            or len(refusals(observer, topics.JUMP_REQUEST)) > refused
+        ),
+        "no answer to the request",
+    )
+    return "compressing" in phases(observer, told)
+
+
+def phases(observer: Observer, since: int = 0) -> list[str]:
+    return [sample.text for sample in observer.listen(topics.JUMP_PHASE).samples[since:]]
+
+
+def wait_for_compression(observer: Observer, low: float, high: float = math.inf) -> None:
+    feed = observer.listen(topics.JUMP_MOTOR_STATE)
+    feed.wait(lambda s: low < s.joints[JUMP_SCREW].position < high, max(0, len(feed) - 1))
+
+
+def refusals(observer: Observer, subject: str) -> list[Any]:
+    return [
+        status
+        for sample in observer.listen(topics.DIAGNOSTICS).samples
+        for status in sample.statuses
+        if status.name.endswith(f"refused {subject}")
+    ]
+
+
+def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(stage: Stage):
+    _, observer = start_both(stage)
+    since = len(observer.listen(topics.JUMP_PHASE))
+    request(observer, 0.2, 0.1)
+    touchdown = observer.wait_for_event("touchdown")
+    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    alone = jump(build_plant(load_scenario("paper_table1_high")))
+    assert float(touchdown.values["height"]) == pytest.approx(alone.height, abs=1e-5)
+    assert phases(observer, since) == ["compressing", "flight", "landed", "standby"]
+    landed = observer.wait_for_event("jump_landed")
+    assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.2)
+    assert not refusals(observer, topics.JUMP_MOTOR_COMMAND)
+
+
+def test_commands_are_streamed_while_compressing_and_only_then(stage: Stage):
+    _, observer = start_both(stage, 1.0)
+    commands = observer.listen(topics.JUMP_MOTOR_COMMAND)
+    assert not commands.samples
+    request(observer, 0.1, 0.1)
+    observer.wait_for_event("take_off")
+    observer.wait_for_event("touchdown")
+    samples = commands.samples
+    assert {s.joints[JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
+    # A second of compression at 20 Hz, by the stamps.
+    assert 17 <= len(samples) <= 23
+    assert (samples[-1].stamp_ns - samples[0].stamp_ns) / NANO == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_abort_lets_the_spring_down_and_no_jump_happens(stage: Stage):
+    _, observer = start_both(stage)
+    since = len(observer.listen(topics.JUMP_PHASE))
+    request(observer, 0.2, 0.02)
+    wait_for_compression(observer, 0.02)
+    answer = observer.call(topics.JUMP_ABORT)
+    assert (answer.success, answer.message) == (True, "letting the spring down")
+    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    assert phases(observer, since) == ["compressing", "letting_down", "standby"]
+    wait_for_compression(observer, -1.0, 1e-9)
+    assert observer.listen(topics.TRUTH_PHASE).wait().text == "held"
+
+
+@pytest.mark.parametrize(
+    ("stroke", "code"),
+    [(0.35, "out_of_limits"), (0.0, "out_of_limits"), (math.nan, "not_finite")],
+)
+def test_a_bad_request_is_refused_with_its_reason_and_nothing_moves(
+    shared_sim: Observer, stroke: float, code: str
+):
+    observer = shared_sim
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message.position[0] = stroke
+    observer.publisher(topics.JUMP_REQUEST).publish(message)
+    observer.wait_for_refusal(topics.JUMP_REQUEST, code, heard)
+    assert not observer.listen(topics.JUMP_MOTOR_COMMAND).samples
+
+
+@pytest.fixture(scope="module")
+def shared_sim(shared_stage: Stage) -> Observer:
+    """Simulator and sequencer for requests that come to nothing."""
+    return start_both(shared_stage)[1]
+
+
+def test_a_request_by_a_wrong_name_is_refused(shared_sim: Observer):
+    observer = shared_sim
+    message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message.name[0] = "stroke"
+    observer.publisher(topics.JUMP_REQUEST).publish(message)
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_name")
+    assert JUMP_STROKE in refusal.message
+
+
+def test_it_hears_no_truth_of_the_simulator(shared_sim: Observer):
+    heard = subscriptions_of(shared_sim, NODE)
+    assert topics.CONTACT in heard
+    assert not heard & forbidden_to_controllers()
+
+
+def test_without_sensors_a_request_is_refused(stage: Stage):
+    stage.processes.start(MODULE)
+    observer = stage.observer()
+    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    request(observer, 0.1)
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "stale")
+    assert "never heard" in refusal.message
+
+
+def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(stage: Stage):
+    _, observer = start_both(stage)
+    request(observer, 0.1, 0.05)
+    wait_for_compression(observer, 0.01)
+    request(observer, 0.2)
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase")
+    assert "compressing" in refusal.message
+    observer.wait_for_event("touchdown")
+
+
+def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(stage: Stage):
+    process, observer = start_both(stage)
+    request(observer, 0.2, 0.02)
+    wait_for_compression(observer, 0.02)
+    process.send(signal.SIGKILL)
+    process.wait()
+    stopped = float(observer.wait_for_event("jump_motor_silent").values["compression"])
+    assert 0.02 < stopped < 0.06
+
+    events = len(observer.listen(topics.EVENTS))
+    stage.processes.start(MODULE, {"use_sim_time": True})
+    observer.wait_for_event("active", events)
+    # It does not know at once where the nut stands, then it refuses for that.
+    observer.wait_until(
+        lambda: "compressed by" in refused_request(observer).message,
+        "the successor does not refuse",
+    )
+    assert observer.call(topics.JUMP_ABORT).success
+    wait_for_compression(observer, -1.0, 1e-9)
+    request_when_ready(observer, 0.1, 0.1)
+    observer.wait_for_event("touchdown", events)
+
+
+def refused_request(observer: Observer) -> Any:
+    """Ask for a jump that cannot be; returns the refusal."""
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    request(observer, 0.1)
+    return observer.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: s.name.endswith(f"refused {topics.JUMP_REQUEST}"), heard
+    )
+
+
+def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
+    _, observer = start_both(stage)
+    request(observer, 0.2, 0.02)
+    wait_for_compression(observer, 0.02)
+    since = len(observer.listen(topics.JUMP_PHASE))
+    assert observer.call(topics.SIM_RESET).success
+    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    request_when_ready(observer, 0.1, 0.1)
+    observer.wait_for_event("touchdown")
+
+
+def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(stage: Stage):
+    _, observer = start_both(stage)
+    request(observer, 0.2, 0.02)
+    wait_for_compression(observer, 0.02)
+    assert observer.change_state(NODE, "deactivate")
+    observer.wait_for_event("jump_motor_silent")
+    assert observer.change_state(NODE, "activate")
+    observer.wait_until(lambda: observer.call(topics.JUMP_ABORT).success, "the abort is not taken")
+    wait_for_compression(observer, -1.0, 1e-9)
+
+
+def test_parameters_are_limits_with_ranges_and_take_effect(stage: Stage):
+    _, observer = start_both(stage)
+    assert not observer.set_parameter(NODE, "largest_stroke", 0.5).successful
+    assert observer.set_parameter(NODE, "largest_stroke", 0.05).successful
+    request(observer, 0.1)
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "out_of_limits")
+    assert "at most 0.05 m" in refusal.message
+
+
+def test_health_names_the_phase(shared_sim: Observer):
+    feed = shared_sim.listen(topics.DIAGNOSTICS)
+    found = shared_sim.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: sequence", len(feed)
+    )
+    assert (found.message, found.level) == ("standby", Level.OK)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(stage: Stage, number: signal.Signals):
+    process, observer = start_both(stage)
+    request(observer, 0.2, 0.02)
+    wait_for_compression(observer, 0.02)
+    assert process.stop(number) == 0
+    assert process.group_is_gone()
+    assert "Traceback" not in process.output
+
+
+def test_a_bad_parameter_ends_it_with_code_2(processes: Processes):
+    process = processes.start(MODULE, {"nut_speed": 7.0})
+    assert process.wait() == 2
+    assert "nut_speed" in process.output

@@ -1,0 +1,24 @@
+"""What a node subscribes to, seen from outside."""
+
+from __future__ import annotations
+
+from observer import Observer
+
+from msg_schemas.table import TOPICS, Audience
+
+
+def subscriptions_of(observer: Observer, node_name: str) -> set[str]:
+    """Names of the topics that a running node subscribes to, relative to its namespace."""
+    found: list[tuple[str, list[str]]] = []
+
+    def look() -> bool:
+        found[:] = observer.node.get_subscriber_names_and_types_by_node(node_name, "/")
+        return bool(found)
+
+    observer.wait_until(look, f"{node_name} subscribes to nothing")
+    return {name.removeprefix("/") for name, _ in found}
+
+
+def forbidden_to_controllers() -> set[str]:
+    """Topics that no controller may read."""
+    return {n for n, row in TOPICS.items() if row.audience is Audience.NOT_CONTROLLERS}
