@@ -38,20 +38,12 @@ Vectors are tuples of three floats in the world frame; SI units.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numba import njit
+from rover_sim.physics.compiled import kernel
 
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]  # rows
-
-# The compiler may contract and reorder, but a NaN must stay one.
-kernel: Any = njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    fastmath={"contract", "reassoc", "nsz", "arcp", "afn"},
-)
 
 FACTOR_ROUNDING = 0.1  # half-width in 1 + 3/2 c d' over which max(0, .) is rounded [-]
 TOUCH = 1.0e-15  # depths below this count as none, so that no quotient degenerates [m]

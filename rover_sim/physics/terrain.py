@@ -30,19 +30,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rover_sim.physics.boulders import BoulderParameters, cap_radius, scatter, uniform
+from rover_sim.physics.compiled import FAST_MATH
 from rover_sim.physics.places import HoleParameters, ReliefParameters, TerrainParameters
 
 Array = NDArray[np.float64]
 
-FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
-
-kernel: Any = njit(
-    cache=True, nogil=True, error_model="numpy", fastmath=set(FAST_MATH), forceinline=True
-)
-# Inlined before compilation: the terrain's array is then counted in and out once for a query.
-part: Any = njit(
-    cache=True, nogil=True, error_model="numpy", fastmath=set(FAST_MATH), inline="always"
-)
+# A query is too short to be a call: the terrain's many numbers would be passed on the stack. The
+# whole is inlined into its caller by the compiler, its parts before compilation. Without reference
+# counts (_nrt), which the terrain's array would be put through at each query.
+_jit: Any = njit
+_SHARED = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+query: Any = _jit(**_SHARED, fastmath=set(FAST_MATH), forceinline=True)
+part: Any = _jit(**_SHARED, fastmath=set(FAST_MATH), inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]
@@ -76,8 +75,7 @@ class Terrain(NamedTuple):
     rim_radius: float  # radius of the rim's rounding [m]
     mouth_radius: float  # of the hole just below the rim [m]
     wall_rows: int  # of the wall's table
-    # One array holds what the queries read, as every array of its own would be counted in and out
-    # at every query, at a cost above that of the query itself. In this order:
+    # One array holds what the queries read. In this order:
     # wall: radius [m] and d radius/dz [-] over depth below the rim's rounding, (wall_rows, 2);
     # relief: the splines' heights above the plane [m], (relief_nodes, relief_nodes);
     # cells: where a cell's boulders begin in this array, (cells^2 + 1,);
@@ -264,7 +262,7 @@ def _relief_at(terrain: Terrain, px: float, py: float) -> tuple[float, float, fl
     return height, slope_x * terrain.relief_inverse, slope_y * terrain.relief_inverse
 
 
-@kernel
+@query
 def floor_height(terrain: Terrain, x: float, y: float) -> float:
     """Height of the floor without its boulders [m]."""
     height = terrain.floor_height + terrain.slope_x * x + terrain.slope_y * y
@@ -399,7 +397,7 @@ def wall_depth_and_normal(
     return (distance - radius) * cosine, outward * dx, outward * y, slope * cosine, 1.0
 
 
-@kernel
+@query
 def depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
@@ -434,7 +432,7 @@ def depth_and_normal(
     )
 
 
-@kernel
+@query
 def _fill_heights(terrain: Terrain, x: Array, y: Array, heights: Array) -> None:
     for j in range(y.size):
         for i in range(x.size):

@@ -39,21 +39,15 @@ so is the slip sinkage by dug-out soil.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-Array = NDArray[np.float64]
+from rover_sim.physics.compiled import kernel
 
-kernel: Any = njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    fastmath={"contract", "reassoc", "nsz", "arcp", "afn"},
-)
+Array = NDArray[np.float64]
 
 _points, _weights = np.polynomial.legendre.leggauss(16)
 _POINTS: Array = (1.0 + _points) / 2.0
@@ -346,15 +340,14 @@ def wheel_table(system: WheelOnSoil) -> WheelTable:
     middle of all cells and kept with the table.
     """
     nodes = np.empty((_ENTRY_CELLS + 1, _SLIP_CELLS + 1, 3, 4))
-    _fill_table(system, nodes)
+    _fill_table(system, nodes, np.empty((3, 3, 3)))
     return WheelTable(system, nodes.ravel(), _table_error(system, nodes.ravel()))
 
 
 @kernel
-def _fill_table(system: WheelOnSoil, nodes: Array) -> None:
+def _fill_table(system: WheelOnSoil, nodes: Array, around: Array) -> None:
     cell_entry = DEEPEST / _ENTRY_CELLS
     cell_slip = 2.0 / _SLIP_CELLS
-    around = np.empty((3, 3, 3))
     for i in range(_ENTRY_CELLS + 1):
         for j in range(_SLIP_CELLS + 1):
             entry = i * cell_entry

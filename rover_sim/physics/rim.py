@@ -1,0 +1,117 @@
+"""Where a wheel touches the ground.
+
+A wheel is a thin disc of radius r (the rim, without grousers) about an axle. It touches the floor,
+where that is regolith it rolls on, and rock (boulders, wall) apart, each at the point that lies
+deepest: a wheel that drives against a boulder has two contacts at once, and each of them is smooth,
+which their union would not be.
+"""
+
+import math
+from typing import NamedTuple
+
+from rover_sim.physics.compiled import kernel
+from rover_sim.physics.contact import NO_VECTOR, Vector
+from rover_sim.physics.terrain import (
+    Terrain,
+    cell_boulders,
+    floor_depth_and_normal,
+    wall_depth_and_normal,
+)
+
+
+class RimContact(NamedTuple):
+    """The deepest point of a wheel's rim in a surface."""
+
+    depth: float  # [m], not above -0.1 m unless a surface is that near
+    normal: Vector  # n, of the surface
+    forward: Vector  # t, the way in which the wheel rolls over the surface
+    arm: Vector  # from the wheel's centre to the point [m]
+
+
+_CLEAR = -1.0  # depth reported where nothing is near [m]
+
+
+@kernel
+def _forward(axle: Vector, normal: Vector) -> Vector:
+    """Unit vector a x n / |a x n|; zero for a wheel lying flat on the ground."""
+    x = axle[1] * normal[2] - axle[2] * normal[1]
+    y = axle[2] * normal[0] - axle[0] * normal[2]
+    z = axle[0] * normal[1] - axle[1] * normal[0]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 1.0e-9:
+        return NO_VECTOR
+    return x / length, y / length, z / length
+
+
+@kernel
+def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
+    """From the centre to the rim's point farthest in a direction; none if that is the axle's."""
+    along = axle[0] * towards[0] + axle[1] * towards[1] + axle[2] * towards[2]
+    x = towards[0] - along * axle[0]
+    y = towards[1] - along * axle[1]
+    z = towards[2] - along * axle[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    scale = radius / length if length > 1.0e-9 else 0.0
+    return scale * x, scale * y, scale * z
+
+
+@kernel
+def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
+    """The rim's deepest point in the floor, boulders and wall apart.
+
+    Args:
+        terrain: the ground.
+        centre: of the wheel [m].
+        axle: unit vector, to the wheel's left.
+        radius: r [m].
+    """
+    x, y, z = centre
+    depth, nx, ny, nz = floor_depth_and_normal(terrain, x, y, z)
+    if depth < -radius - 0.1:
+        return RimContact(depth + radius, (nx, ny, nz), NO_VECTOR, NO_VECTOR)
+    arm = _arm(axle, radius, (-nx, -ny, -nz))
+    depth, nx, ny, nz = floor_depth_and_normal(terrain, x + arm[0], y + arm[1], z + arm[2])
+    normal = (nx, ny, nz)
+    return RimContact(depth, normal, _forward(axle, normal), arm)
+
+
+@kernel
+def rim_on_rock(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
+    """The disc's deepest point in a boulder, the hole's wall or the ground around it.
+
+    Boulders are exact spheres here, without the fillet at their foot; wheels up to 0.3 m of radius
+    find them. The arguments are those of `rim_on_floor`.
+    """
+    x, y, z = centre
+    depth = _CLEAR
+    nx, ny, nz = 0.0, 0.0, 1.0
+    arm = NO_VECTOR
+    table = terrain.table
+    start, stop = cell_boulders(terrain, x, y)
+    for k in range(start, stop, 5):
+        dx, dy, dz = table[k] - x, table[k + 1] - y, table[k + 2] - z
+        reach = table[k + 3] + radius - max(depth, -0.1)
+        if dx * dx + dy * dy + dz * dz >= reach * reach:
+            continue
+        # the disc's nearest point to the sphere's centre: at the rim, or inside it
+        along = dx * axle[0] + dy * axle[1] + dz * axle[2]
+        px, py, pz = dx - along * axle[0], dy - along * axle[1], dz - along * axle[2]
+        length = math.sqrt(px * px + py * py + pz * pz)
+        scale = radius / length if length > radius else 1.0
+        px, py, pz = scale * px - dx, scale * py - dy, scale * pz - dz
+        distance = math.sqrt(px * px + py * py + pz * pz)
+        if distance > 1.0e-9 and table[k + 3] - distance > depth:
+            depth = table[k + 3] - distance
+            nx, ny, nz = px / distance, py / distance, pz / distance
+            arm = (px + dx, py + dy, pz + dz)
+    reach = math.sqrt(terrain.inner_squared) - radius
+    if terrain.has_hole and (x - terrain.axis_x) ** 2 + y * y > max(reach, 0.0) ** 2:
+        wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x, y, z)
+        if wall + radius > -0.1:
+            px, py, pz = _arm(axle, radius, (-wx, -wy, -wz))
+            wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x + px, y + py, z + pz)
+            if wall > depth:
+                depth, nx, ny, nz = wall, wx, wy, wz
+                arm = (px, py, pz)
+    normal = (nx, ny, nz)
+    return RimContact(depth, normal, _forward(axle, normal), arm)
