@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
-from msg_schemas.samples import TETHER_COLUMNS, Level, Status
+from msg_schemas.samples import TETHER_COLUMNS, Level, Status, StatusSample
 from msg_schemas.table import FLOOR_SWITCH, TOPICS, Intent
 from rover_bags.read import Bag, Floats, Stamps, Track
 
@@ -65,7 +65,10 @@ class Jump:
 
 @dataclass(frozen=True)
 class TopicFigures:
-    """How one topic was recorded; times in the topic's own clock unless they say otherwise.
+    """How one topic was recorded.
+
+    Rates and gaps are by the clock that paces the topic: simulated time, or the machine's for
+    what nodes say of their health.
 
     Attributes:
         topic: Name in the contract, or the full name of a topic outside it.
@@ -75,7 +78,7 @@ class TopicFigures:
         rate_hz: Messages per second between the first and the last.
         wall_rate_hz: The same by the machine's clock.
         max_gap_s: Longest pause between messages.
-        max_gap_at_s: When it began.
+        max_gap_at_s: When it began, in simulated time.
         gaps: Pauses of more than 1.75 promised periods.
         latency_p50_ms, latency_p99_ms, latency_max_ms: From sending to reception, machine's
             clock; without messages sent before the recorder was listening, and None for latched
@@ -515,8 +518,8 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
     gaps = None
     latency: list[float | None] = [None, None, None]
     if track is not None:
-        rate, wall = _rate(track.time), _rate(track.log_ns * 1e-9)
-        steps = np.diff(track.time)
+        rate, wall = _rate(paced(track)), _rate(track.log_ns * 1e-9)
+        steps = np.diff(paced(track))
         if len(steps):
             widest = int(np.argmax(steps))
             gap, gap_at = float(steps[widest]), float(track.time[widest])
@@ -546,6 +549,18 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
         rejected=bag.rejected.get(name, 0) if name else 0,
         unverified=bag.unverified.get(full, 0),
     )
+
+
+def paced(track: Track) -> Floats:
+    """Times [s] by the clock that paces a topic.
+
+    Nodes tell how they are by the machine's clock, so that they do also while simulated time
+    stands still; everything else goes by simulated time.
+    """
+    if TOPICS[track.topic].sample is StatusSample:
+        since: Floats = (track.log_ns - track.log_ns[0]) * 1e-9
+        return since
+    return track.time
 
 
 def _rate(times: Any) -> float | None:

@@ -22,8 +22,8 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
 from rover_bags.animation import LEAD, TRAIL, Scene, element_curve, shown
-from rover_bags.metrics import GAP, Jump, Metrics, Window, motion
-from rover_bags.read import Bag, Floats
+from rover_bags.metrics import GAP, Jump, Metrics, Window, motion, paced
+from rover_bags.read import Bag, Floats, Track
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#a50026", "#212529",
@@ -415,7 +415,7 @@ def _strips(bag: Bag) -> Plot | None:
     axes.set_xlabel("simulated time [s]")
     for row, (_, rate, track) in enumerate(rows):
         for steady, colour in ((True, SKY), (False, RED)):
-            spans = _spans(track.time, GAP / rate, steady=steady)
+            spans = _spans(track, GAP / rate, steady=steady)
             axes.broken_barh(
                 [(begin, end - begin) for begin, end in spans], (row + 0.15, 0.7),
                 facecolors=colour,
@@ -439,9 +439,9 @@ def _strips(bag: Bag) -> Plot | None:
     return Plot("strips", _svg(figure), alt, wide=True)
 
 
-def _spans(time: Floats, longest: float, *, steady: bool) -> list[tuple[float, float]]:
+def _spans(track: Track, longest: float, *, steady: bool) -> list[tuple[float, float]]:
     """Stretches in which messages follow within ``longest`` seconds, or those in between."""
-    steps = np.diff(time)
+    time, steps = track.time, np.diff(paced(track))
     kind = (steps <= longest) & (steps >= 0.0) if steady else steps > longest
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kind, [False]]).astype(np.int8)))
     return [(float(time[a]), float(time[b])) for a, b in edges.reshape(-1, 2)]

@@ -19,7 +19,7 @@ from contract_bag import (
 )
 
 from msg_schemas import topics
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags import metrics
 from rover_bags.metrics import Metrics, measure
@@ -181,6 +181,20 @@ def test_rates_and_gaps_are_told(tmp_path: Path):
     assert rows[topics.TRUTH_ENERGY].gaps == 1
     assert rows[topics.TRUTH_TETHER].gaps == 1
     assert rows[topics.TRUTH_TETHER].rate_hz == pytest.approx(50.0, rel=0.02)
+
+
+def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
+    made = MadeUp()
+    status = Status("sim_node: plant", "running")
+    for count in range(21):
+        # Simulated time runs five times faster than the machine's.
+        made.add(count * 0.1, topics.SIM_STATUS, StatusSample(ns(count * 0.5), (status,)))
+        made.add(count * 0.1, topics.CLOCK, ClockSample(ns(count * 0.5)))
+    rows = measured(made, tmp_path).topics
+    assert rows[topics.SIM_STATUS].gaps == 0
+    assert rows[topics.SIM_STATUS].rate_hz == pytest.approx(10.0)
+    assert rows[topics.CLOCK].gaps == 20
+    assert rows[topics.CLOCK].wall_rate_hz == pytest.approx(10.0)
 
 
 def test_latency_is_from_sending_to_reception(tmp_path: Path):

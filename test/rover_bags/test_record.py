@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from numbered_source import SEED, STRANGE_TOPIC
-from processes import PATIENCE, Process, Processes
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -26,6 +25,7 @@ from rover_bags.store import (
     BagWriter,
     standard_type,
 )
+from rover_verify.stage.processes import PATIENCE, Process, Processes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SECOND = 1_000_000_000
