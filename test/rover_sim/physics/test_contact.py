@@ -239,19 +239,20 @@ def test_the_tangent_is_the_derivative_of_the_force(normal: contact.Vector, anch
 
 @settings(deadline=None)
 @given(
-    size=st.floats(0.0, 3e-4),
+    share=st.floats(0.0, 1.0),
     turn=st.floats(0.0, 2 * math.pi),
-    slip=st.floats(0.0, 1e-2),
+    slip=st.floats(0.0, 2e-2),
     limit=st.floats(0.1, 20.0),
 )
 def test_friction_never_exceeds_its_limit_and_slides_at_it(
-    size: float, turn: float, slip: float, limit: float
+    share: float, turn: float, slip: float, limit: float
 ):
+    size = share * limit / 1e5
     bristle = (size * math.cos(turn), size * math.sin(turn), 0.0)
     force, _, _ = contact.friction_force(limit, 1e5, 2e-3, UP, (slip, 0.0, 0.0), 1e-3, bristle)
     assert np.linalg.norm(force) <= limit * (1 + 1e-12)
-    if slip > 2e-3:
-        assert force[0] == pytest.approx(-limit, rel=0.02)
+    if slip > 5e-3:
+        assert force[0] == pytest.approx(-limit, rel=0.01)
 
 
 def test_without_anchor_it_is_regularised_coulomb_friction():
