@@ -118,7 +118,7 @@ for (const box of document.querySelectorAll('.player')) {
     const at = moment(), middle = Math.round(0.46 * width);
     panel(at, scene.low, scene.high, [52, 34, middle - 10, height - 40]);
     panel(at, scene.near[0], scene.near[1], [middle + 52, 34, width - 12, height - 40]);
-    legend();
+    legend(width < 560);
     output.textContent = (now < 0 ? '\u2212' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
       (at.body1[1] - scene.body1[0][1]).toFixed(3) + ' m';
     slider.value = now;
@@ -201,15 +201,16 @@ for (const box of document.querySelectorAll('.player')) {
       pen.restore();
     }
   }
-  function legend() {
+  function legend(small) {
     pen.textBaseline = 'middle'; pen.textAlign = 'left';
-    let x = 52;
+    let x = small ? 10 : 52;
+    const words = small ? 'tension: 0' : 'tension of the tether: 0';
     for (const [text, fill] of [['Body 1', '#0072b2'], ['Body 2', '#d55e00']]) {
       pen.fillStyle = fill; pen.fillRect(x, 12, 16, 10);
       pen.fillStyle = '#212529'; pen.fillText(text, x + 22, 17); x += 84;
     }
-    pen.fillText('tension of the tether: 0', x, 17);
-    x += pen.measureText('tension of the tether: 0').width + 8;
+    pen.fillText(words, x, 17);
+    x += pen.measureText(words).width + 8;
     for (let k = 0; k < 90; k++) {
       pen.fillStyle = colour(scene.strongest * k / 89); pen.fillRect(x + k, 12, 1.5, 10);
     }

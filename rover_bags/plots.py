@@ -115,8 +115,9 @@ def _time_axes(
 ) -> tuple[Figure, Axes]:
     """Axes over the time of a jump; ``rows``: of the legend above them."""
     figure = Figure(figsize=(5.6, 3.4))
-    axes = figure.add_axes((0.125, 0.15, 0.85, 0.71 - 0.06 * rows))
-    axes.set_title(title, pad=8 + 15 * rows, x=-0.115)
+    axes = figure.add_axes((0.15, 0.15, 0.835, 0.71 - 0.06 * rows))
+    axes.set_title(title, pad=8 + 15 * rows, x=-0.148)
+    axes.yaxis.set_label_coords(-0.132, 0.5)
     axes.set_xlabel("time since take-off [s]")
     axes.set_ylabel(unit)
     axes.set_xlim(-LEAD, jump.flight_time_s + TRAIL)
@@ -276,8 +277,9 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
     place = np.linspace(0.0, 1.0, tension.shape[0])
     length = (bag.scenario.get("tether") or {}).get("length")
     figure = Figure(figsize=(5.6, 3.4), dpi=180)
-    axes = figure.add_axes((0.125, 0.15, 0.74, 0.68))
-    axes.set_title("Tension along the tether", pad=10, x=-0.132)
+    axes = figure.add_axes((0.15, 0.15, 0.72, 0.68))
+    axes.set_title("Tension along the tether", pad=10, x=-0.172)
+    axes.yaxis.set_label_coords(-0.11, 0.5)
     axes.set_xlabel("time since take-off [s]")
     if isinstance(length, float | int):
         place = place * float(length)

@@ -382,9 +382,10 @@ def _topic_table(figures: Iterable[TopicFigures]) -> str:
             cells.append(f"<td{mark}>{text}</td>")
         rows.append(cells)
     return (
-        "<h3>Topics</h3><p class='soft'>Rates and gaps in simulated time (health and status: by the machine's clock); delay from sending to "
-        "reception by the machine's clock. Lost: on the way to the recorder; dropped: by the "
-        f"recorder; refused: breaking the contract.</p>{_table(head, rows)}"
+        "<h3>Topics</h3><p class='soft'>Rates and gaps in simulated time (health and status: by "
+        "the machine's clock); delay from sending to reception by the machine's clock. Lost: on the "
+        "way to the recorder; dropped: by the recorder; refused: breaking the contract.</p>"
+        f"{_table(head, rows)}"
     )
 
 
