@@ -17,7 +17,8 @@ from pathlib import Path
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
-from rover_bags.scan import BagScan, Damage, ScanError, Topic, stored_metadata
+from rover_bags.folder import ScanError, stored_metadata
+from rover_bags.scan import BagScan, Damage, Topic
 from rover_bags.store import BagError, BagSummary, BagWriter, TopicType
 
 RECOVERY_RECORD = "mother_rover.recovery"

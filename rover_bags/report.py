@@ -383,8 +383,9 @@ def _topic_table(figures: Iterable[TopicFigures]) -> str:
         rows.append(cells)
     return (
         "<h3>Topics</h3><p class='soft'>Rates and gaps in simulated time (health and status: by "
-        "the machine's clock); delay from sending to reception by the machine's clock. Lost: on the "
-        "way to the recorder; dropped: by the recorder; refused: breaking the contract.</p>"
+        "the machine's clock); delay from sending to reception by the machine's clock. "
+        "Lost: on the way to the recorder; dropped: by the recorder; refused: breaking the "
+        "contract.</p>"
         f"{_table(head, rows)}"
     )
 

@@ -11,7 +11,6 @@ Format: https://mcap.dev/spec
 
 import contextlib
 import mmap
-import re
 import struct
 import zlib
 from collections import Counter
@@ -22,14 +21,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
-import yaml
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
-from rover_bags.store import CHANNEL_RECORD, CHECKSUM_KEY, BagError, unsealed
+from rover_bags.folder import ScanError, bag_files
+from rover_bags.store import CHANNEL_RECORD, CHECKSUM_KEY, unsealed
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FRAME: Final = struct.Struct("<BQ")
@@ -98,10 +97,6 @@ class Damage:
     span_ns: tuple[int, int] | None = None
 
 
-class ScanError(BagError):
-    """Something that is not a bag, or of a kind that cannot be read."""
-
-
 @dataclass(frozen=True)
 class _Chunk:
     start_ns: int
@@ -114,46 +109,6 @@ class _Chunk:
 
 class _Broken(Exception):
     """A record that is not what it should be."""
-
-
-def bag_files(path: Path) -> list[Path]:
-    """The MCAP files of a bag in their order.
-
-    Args:
-        path: The bag's folder or one MCAP file.
-
-    Raises:
-        ScanError: There is none; the text says what is there instead.
-    """
-    if not path.exists():
-        raise ScanError(f"there is no bag {path}")
-    if path.is_file():
-        return [path]
-    found = sorted(path.glob("*.mcap"), key=_file_order)
-    if found:
-        return found
-    for pattern, what in (
-        ("*.db3*", "an SQLite bag: convert it to MCAP first (`ros2 bag convert`)"),
-        ("*.mcap.zstd", "compressed file by file: decompress its files first (`zstd -d`)"),
-    ):
-        if next(iter(path.glob(pattern)), None) is not None:
-            raise ScanError(f"{path} is {what}")
-    raise ScanError(f"{path} is not a bag: the folder holds no .mcap file")
-
-
-def _file_order(path: Path) -> tuple[int, str]:
-    number = re.search(r"_(\d+)$", path.stem)
-    return (int(number[1]) if number else 0, path.name)
-
-
-def stored_metadata(path: Path) -> dict[str, Any] | None:
-    """The bag's ``metadata.yaml`` where it is there and sound, else None."""
-    try:
-        content = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
-        information = content["rosbag2_bagfile_information"]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
-        return None
-    return information if isinstance(information, dict) else None
 
 
 class FileScan:

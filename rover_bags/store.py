@@ -202,7 +202,7 @@ def _create_folder(path: Path) -> None:
     """Makes the bag's folder, which must not exist, with a reason where that fails."""
     try:
         if path.is_symlink() or path.exists():
-            if any_mcap(path) or (path / "metadata.yaml").exists():
+            if _any_mcap(path) or (path / "metadata.yaml").exists():
                 kind = "a bag"
             else:
                 kind = "a folder" if path.is_dir() else "a file"
@@ -226,7 +226,7 @@ def _create_folder(path: Path) -> None:
         ) from error
 
 
-def any_mcap(folder: Path) -> bool:
+def _any_mcap(folder: Path) -> bool:
     """Whether a folder holds MCAP files."""
     return folder.is_dir() and any(folder.glob("*.mcap"))
 

@@ -22,9 +22,9 @@ from msg_schemas import topics
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags import metrics
+from rover_bags.folder import ScanError
 from rover_bags.metrics import Metrics, measure
 from rover_bags.read import ReadError, read_bag
-from rover_bags.scan import ScanError
 from rover_bags.store import BagWriter, standard_type
 
 

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from rover_bags import recover as recovery
 from rover_bags import store
+from rover_bags.folder import ScanError, stored_metadata
 from rover_bags.recover import ExitCode, recover
-from rover_bags.scan import BagScan, ScanError, stored_metadata
+from rover_bags.scan import BagScan
 from rover_bags.store import BagError, BagWriter, DiskFullError, standard_type
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -213,7 +215,7 @@ def test_a_lone_message_reaches_the_file_within_its_period(tmp_path: Path):
     assert contents(tmp_path / "bag") == []
     while not contents(tmp_path / "bag"):
         assert time.monotonic() - began < 5.0
-        time.sleep(min(writer.due, 0.05))
+        threading.Event().wait(min(writer.due, 0.05))
         writer.flush_if_due()
     assert time.monotonic() - began > 0.15
     writer.abandon()

@@ -1,6 +1,7 @@
 """A publisher for recorders under test: ``python -m numbered_source MODE RATE``.
 
-Prints the number, the time [ns] and how many listen, for each message that it sends. Modes:
+Prints for each message its number, the time [ns] and how many so far went to someone who listens.
+Modes:
 
 * ``contract``: numbered states of the jump motor, now and then a word on the winch's tension
   topic, and a latched configuration, as the contract has them;
@@ -72,11 +73,12 @@ def main() -> None:
     modes = {"contract": _contract, "stranger": _stranger, "volatile": _volatile}
     publisher, send = modes[sys.argv[1]](node)
     rate = float(sys.argv[2])
-    count = 0
+    count = heard = 0
     while not stop.wait(1.0 / rate):
         count += 1
         send(count)
-        print(count, time.time_ns(), publisher.get_subscription_count(), flush=True)
+        heard += publisher.get_subscription_count() > 0
+        print(count, time.time_ns(), heard, flush=True)
     node.destroy_node()
     rclpy.shutdown()
 
