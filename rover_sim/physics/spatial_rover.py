@@ -1,0 +1,299 @@
+"""The spatial rover, two bodies on a slider, as what sits at the tether's tip in a step.
+
+World axes: z up. Body axes: REP-103, z along the slider. Body 1 carries the tether at the
+body-fixed point p; Body 2 has Body 1's orientation and its centre lies s along the body's z axis
+e. With the tether's last node r_n and the orientation R
+
+    G1 = r_n - R p,     G2 = G1 + s R e,
+
+so r_n, R and s are the unknowns and no constraint force appears. A step turns the rover by the
+Cayley vector th (body axes), whose mean rate is the angular velocity, th = h (W0 + W1)/2; with
+R_m = (R_0 + R_1)/2, index m for means of start and end, and f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g
+the equations of the step are
+
+    last node   tether + f_1 + f_2 - F = 0
+    rotation    [R_1 (J W1 + H_1) - R_0 (J W0 + H_0)]/h
+                - R_m p x f_1 + R_m (s_m e - p) x f_2 - M = 0
+    slider      R_m e . f_2 + k (s_m - l_0) + c ds/h = 0
+
+J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
+whose absolute axial momenta are H (body axes); F and M are the force and the moment about the
+last node from outside. Because R_1 - R_0 turns vectors by R_0 th across R_m exactly, the work of
+these forces is the change of the energies, and R J W the change of the angular momentum: both are
+conserved (Simo and Wong 1991, IJNME 31; the same scheme as `planar_rover`, which it contains).
+Rotation and slide are condensed into the last node before the tether's elimination.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.energy_momentum import Workspace, set_end
+from rover_sim.physics.vectors import (
+    Rotation,
+    Vector,
+    add,
+    axpy,
+    cayley,
+    cayley_spin,
+    cross,
+    dot,
+    rotate,
+    rotation_of,
+    scale,
+    sub,
+    turned,
+)
+
+# Entries of the array `body`: centre of Body 1, its orientation (w, x, y, z), the angular velocity
+# in body axes, the velocities of both centres, the slide and the rotors' momenta in body axes.
+POSITION, ORIENTATION, SPIN, VELOCITY1, VELOCITY2, SLIDE, ROTORS = 0, 3, 7, 10, 13, 16, 17
+BODY_SIZE = 20
+
+
+class Rover(NamedTuple):
+    """Masses, geometry and spring of the rover; inertias about the bodies' own centres."""
+
+    m1: float  # [kg]
+    m2: float  # [kg]
+    inertia: Vector  # principal moments of J1 + J2 about the body axes, without rotors [kg m^2]
+    attachment: Vector  # p [m]
+    spring_rate: float  # k [N/m]
+    spring_free_length: float  # l0 [m]
+    slider_damping: float  # c [N s/m]
+
+
+class RoverStep(NamedTuple):
+    """Arrays of the rover's part of a step."""
+
+    turn: Array  # (4,): th and ds
+    coupling: Array  # (4, 8): rows of rotation and slide, columns th, ds, last node, residual
+    return_coupling: Array  # (3, 4): last node's rows, columns th, ds
+    load: Array  # (6,): force F [N] and moment M about the last node [N m] from outside
+    rotors_after: Array  # (3,): H_1
+
+
+@allocating
+def make_rover_step() -> RoverStep:
+    """Allocate the arrays of the rover's part."""
+    return RoverStep(np.zeros(4), np.zeros((4, 8)), np.zeros((3, 4)), np.zeros(6), np.zeros(3))
+
+
+@kernel
+def vector_at(array: Array, start: int) -> Vector:
+    """Three consecutive entries."""
+    return (array[start], array[start + 1], array[start + 2])
+
+
+@kernel
+def put(array: Array, start: int, value: Vector) -> None:
+    """Write three consecutive entries."""
+    array[start], array[start + 1], array[start + 2] = value
+
+
+@kernel
+def orientation(body: Array) -> tuple[float, float, float, float]:
+    """The quaternion (w, x, y, z)."""
+    q = ORIENTATION
+    return (body[q], body[q + 1], body[q + 2], body[q + 3])
+
+
+@kernel
+def _times(inertia: Vector, u: Vector) -> Vector:
+    """J u for principal moments J."""
+    return (inertia[0] * u[0], inertia[1] * u[1], inertia[2] * u[2])
+
+
+@kernel
+def _column(matrix: Array, row: int, column: int, value: Vector) -> None:
+    """Write a vector down a column."""
+    for d in range(3):
+        matrix[row + d, column] = value[d]
+
+
+class Pose(NamedTuple):
+    """The rover at the start, the end and the middle of a step, from th and ds."""
+
+    start: Rotation
+    attachment0: Vector  # R_0 p
+    attachment1: Vector  # R_1 p
+    axis0: Vector  # R_0 e
+    axis1: Vector  # R_1 e
+    s0: float
+    s1: float
+
+
+@kernel
+def _pose(rover: Rover, body: Array, turn: Array) -> Pose:
+    start = rotation_of(orientation(body))
+    th = vector_at(turn, 0)
+    s0 = body[SLIDE]
+    return Pose(
+        start,
+        rotate(start, rover.attachment),
+        rotate(start, cayley(th, rover.attachment)),
+        start[2],
+        rotate(start, cayley(th, (0.0, 0.0, 1.0))),
+        s0,
+        s0 + turn[3],
+    )
+
+
+@kernel
+def _tip_move(n: int, work: Workspace) -> Vector:
+    """Increment of the last node's position."""
+    increment = work.increment
+    return (increment[0, n], increment[1, n], increment[2, n])
+
+
+@kernel
+def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
+    """Displacements of the centres of both bodies when the last node moves by dr."""
+    first = add(dr, sub(pose.attachment0, pose.attachment1))
+    return first, add(first, sub(scale(pose.s1, pose.axis1), scale(pose.s0, pose.axis0)))
+
+
+@kernel
+def _inertia_force(mass: float, h: float, change: Vector, rate: Vector, gravity: Vector) -> Vector:
+    """F = m (2/h)(dG/h - V0) - m g."""
+    return axpy(-mass, gravity, scale(2.0 * mass / h, axpy(-1.0, rate, scale(1.0 / h, change))))
+
+
+@kernel
+def add_rover(
+    rover: Rover, gravity: Vector, h: float, n: int, body: Array, work: Workspace, step: RoverStep
+) -> None:
+    """Add the rover to the tip of a tether of n elements, condensed onto the last node."""
+    th = vector_at(step.turn, 0)
+    pose = _pose(rover, body, step.turn)
+    d1, d2 = _displacements(pose, _tip_move(n, work))
+    f1 = _inertia_force(rover.m1, h, d1, vector_at(body, VELOCITY1), gravity)
+    f2 = _inertia_force(rover.m2, h, d2, vector_at(body, VELOCITY2), gravity)
+    i1, i2 = 2.0 * rover.m1 / h**2, 2.0 * rover.m2 / h**2
+
+    sm = 0.5 * (pose.s0 + pose.s1)
+    axis = scale(0.5, add(pose.axis0, pose.axis1))
+    lever1 = scale(-0.5, add(pose.attachment0, pose.attachment1))
+    lever2 = axpy(sm, axis, lever1)
+
+    spin0 = vector_at(body, SPIN)
+    spin1 = axpy(-1.0, spin0, scale(2.0 / h, th))
+    momentum0 = rotate(pose.start, add(_times(rover.inertia, spin0), vector_at(body, ROTORS)))
+    inside = add(_times(rover.inertia, spin1), vector_at(step.rotors_after, 0))
+    momentum1 = rotate(pose.start, cayley(th, inside))
+    rotation = scale(1.0 / h, sub(momentum1, momentum0))
+    rotation = add(rotation, add(cross(lever1, f1), cross(lever2, f2)))
+    rotation = sub(rotation, vector_at(step.load, 3))
+    slider = (
+        dot(axis, f2)
+        + rover.spring_rate * (sm - rover.spring_free_length)
+        + rover.slider_damping * step.turn[3] / h
+    )
+    force = sub(add(f1, f2), vector_at(step.load, 0))
+
+    # Derivatives. R_1 u changes by (R_0 A dth) x R_1 u, R_m u by half of it.
+    rows, back = step.coupling, step.return_coupling
+    lever_axis = axpy(-1.0, pose.attachment1, scale(sm, pose.axis1))
+    for k in range(3):
+        unit = (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
+        turn = rotate(pose.start, cayley_spin(th, unit))
+        move1 = cross(pose.attachment1, turn)
+        move_axis = cross(turn, pose.axis1)
+        move2 = axpy(pose.s1, move_axis, move1)
+        spun = rotate(pose.start, cayley(th, _times(rover.inertia, unit)))
+        change = scale(1.0 / h, axpy(2.0 / h, spun, cross(turn, momentum1)))
+        change = axpy(i1, cross(lever1, move1), change)
+        change = axpy(i2, cross(lever2, move2), change)
+        change = axpy(0.5, cross(move1, f1), change)
+        change = axpy(0.5, cross(cross(turn, lever_axis), f2), change)
+        _column(rows, 0, k, change)
+        rows[3, k] = i2 * dot(axis, move2) + 0.5 * dot(f2, move_axis)
+        _column(back, 0, k, axpy(i1, move1, scale(i2, move2)))
+        _column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
+        rows[3, 4 + k] = i2 * axis[k]
+    _column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(axis, f2))))
+    rows[3, 3] = i2 * dot(axis, pose.axis1) + 0.5 * rover.spring_rate + rover.slider_damping / h
+    _column(back, 0, 3, scale(i2, pose.axis1))
+    _column(rows, 0, 7, rotation)
+    rows[3, 7] = slider
+
+    _solve_rows(rows)
+    for r in range(3):
+        residual = force[r]
+        for k in range(4):
+            residual -= back[r, k] * rows[k, 7]
+        set_end(work, 1, 6, r, residual)
+        for c in range(3):
+            entry = i1 + i2 if r == c else 0.0
+            for k in range(4):
+                entry -= back[r, k] * rows[k, 4 + c]
+            set_end(work, 1, c, r, entry)
+
+
+@kernel
+def _solve_rows(rows: Array) -> None:
+    """Gauss-Jordan with row pivoting on the first four of eight columns, in place."""
+    for k in range(4):
+        best = k
+        for r in range(k + 1, 4):
+            if abs(rows[r, k]) > abs(rows[best, k]):
+                best = r
+        if best != k:
+            for c in range(k, 8):
+                rows[k, c], rows[best, c] = rows[best, c], rows[k, c]
+        inverse = 1.0 / rows[k, k]
+        for c in range(k, 8):
+            rows[k, c] *= inverse
+        for r in range(4):
+            if r != k:
+                multiplier = rows[r, k]
+                for c in range(k, 8):
+                    rows[r, c] -= multiplier * rows[k, c]
+
+
+@kernel
+def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
+    """Newton increment of th and ds from that of the last node; returns its entries' sum."""
+    largest = 0.0
+    for k in range(4):
+        change = step.coupling[k, 7]
+        for c in range(3):
+            change -= step.coupling[k, 4 + c] * work.solution[n + 1, c]
+        step.turn[k] -= change
+        largest += abs(change)
+    return largest
+
+
+@kernel
+def end_rover_step(
+    rover: Rover, h: float, n: int, body: Array, work: Workspace, step: RoverStep, after: Array
+) -> float:
+    """Write the rover's state after a converged step; returns the damper's loss [J]."""
+    th = vector_at(step.turn, 0)
+    pose = _pose(rover, body, step.turn)
+    d1, d2 = _displacements(pose, _tip_move(n, work))
+    put(after, POSITION, add(vector_at(body, POSITION), d1))
+    quaternion = turned(orientation(body), th)
+    for k in range(4):
+        after[ORIENTATION + k] = quaternion[k]
+    put(after, SPIN, axpy(-1.0, vector_at(body, SPIN), scale(2.0 / h, th)))
+    put(after, VELOCITY1, axpy(-1.0, vector_at(body, VELOCITY1), scale(2.0 / h, d1)))
+    put(after, VELOCITY2, axpy(-1.0, vector_at(body, VELOCITY2), scale(2.0 / h, d2)))
+    after[SLIDE] = pose.s1
+    put(after, ROTORS, vector_at(step.rotors_after, 0))
+    return rover.slider_damping * step.turn[3] ** 2 / h
+
+
+@kernel
+def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float, float]:
+    """Kinetic (rotors' own spin left out), gravity and spring energy of the rover [J]."""
+    centre1 = vector_at(body, POSITION)
+    centre2 = axpy(body[SLIDE], rotation_of(orientation(body))[2], centre1)
+    v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)
+    kinetic = 0.5 * (
+        rover.m1 * dot(v1, v1) + rover.m2 * dot(v2, v2) + dot(spin, _times(rover.inertia, spin))
+    )
+    weight = -rover.m1 * dot(gravity, centre1) - rover.m2 * dot(gravity, centre2)
+    return kinetic, weight, 0.5 * rover.spring_rate * (body[SLIDE] - rover.spring_free_length) ** 2

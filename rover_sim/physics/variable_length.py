@@ -1,0 +1,434 @@
+"""The tether's first element at the fairlead, whose length changes as the drum pays out.
+
+An arbitrary-Lagrangian-Eulerian element (Hong and Ren 2011, Multibody System Dynamics 26; Ding and
+Ouyang 2022, Machines 10:174): its first node stays at the fairlead while material flows through,
+its second node belongs to the Lagrangian chain that `energy_momentum` integrates. With s the
+undeformed arc length, s1(t) the material point at the fairlead and s2 that of the second node,
+
+    l = s2 - s1,   xi = (s - s1)/l,   sigma = ds1/dt = -v_pay,   r = S(xi, l) e.
+
+A shape function S = l^p f(xi) changes with s1 at fixed s by D = dS/ds1 and D2 = dD/ds1,
+
+    D = l^(p-1) g,    g = f' (xi - 1) - p f,
+    D2 = l^(p-2) k,   k = g' (xi - 1) - (p - 1) g,
+
+so that a material point moves with dr/dt = S e' + sigma D e and the element obeys
+
+    int rhoA S^T (S e'' + 2 sigma D e' + (sigma^2 D2 + sigma' D) e) ds + Q(l, e) = Q_g(l).
+
+The fairlead's end has its position held and its slope free; the slope is condensed into the
+second node, so that to the chain this element is one more thing that sits at its end. A step takes
+everything at mid-step (second order), with Green's strain averaged over start and end.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics import ancf
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.energy_momentum import Workspace, set_end
+from rover_sim.physics.tether import Tether
+
+_POWER = np.array([0.0, 1.0, 0.0, 1.0])  # p of the four shape functions
+
+# Cubic coefficients of f, rows in ascending powers of xi, columns the shape functions.
+_F = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]]
+)
+
+
+def _derivative(c: Array) -> Array:
+    """Coefficients of d/dxi."""
+    result = np.zeros_like(c)
+    result[:-1] = c[1:] * np.arange(1, c.shape[0])[:, None]
+    return result
+
+
+def _moving(c: Array, q: Array) -> Array:
+    """Coefficients of c' (xi - 1) - q c."""
+    slope = _derivative(c)
+    shifted = np.zeros_like(c)
+    shifted[1:] = slope[:-1]
+    return shifted - slope - q * c
+
+
+_G = _moving(_F, _POWER)
+_K = _moving(_G, _POWER - 1.0)
+
+
+def _integrals(a: Array, b: Array) -> Array:
+    """int_0^1 a_i b_j dxi for two sets of cubics."""
+    powers = np.arange(a.shape[0])
+    hilbert = 1.0 / (powers[:, None] + powers[None, :] + 1.0)
+    return np.asarray(a.T @ hilbert @ b)
+
+
+_FF = _integrals(_F, _F)
+_FG = _integrals(_F, _G)
+_FK = _integrals(_F, _K)
+_GG = _integrals(_G, _G)
+_BEND = _integrals(_derivative(_derivative(_F)), _derivative(_derivative(_F)))
+_LOAD = _integrals(_F, np.eye(4)[:, :1])[:, 0]
+_SLOPE = ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)  # f' at the quadrature points, (5, 4)
+_WEIGHTS = ancf.GAUSS_WEIGHTS
+
+
+class Exit(NamedTuple):
+    """Arrays of the first element's part of a step; m = 2 dim coordinates a node."""
+
+    increment: Array  # of the exit slope, (dim,)
+    start: Array  # e at the start, (4, dim)
+    rate: Array  # its rates, (4, dim)
+    change: Array  # D, (4, dim)
+    residual: Array  # (4, dim)
+    tangent: Array  # (4, 4, dim, dim)
+    condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
+    reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
+    tension: Array  # (1,) tension at the fairlead at mid-step [N]
+
+
+class Payout(NamedTuple):
+    """Length and payout rate at the start and the end of a step: l1 = l0 + h (v0 + v1)/2."""
+
+    length0: float  # undeformed length of the first element [m]
+    length1: float
+    rate0: float  # v_pay [m/s]
+    rate1: float
+
+
+@allocating
+def make_exit(dim: int) -> Exit:
+    """Allocate the arrays."""
+    return Exit(
+        np.zeros(dim),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, 4, dim, dim)),
+        np.zeros((dim, 3 * dim + 1)),
+        np.zeros(dim),
+        np.zeros(1),
+    )
+
+
+@kernel
+def _scale(i: int, length: float) -> float:
+    """l^p of shape function i."""
+    return length if i % 2 == 1 else 1.0
+
+
+@kernel
+def begin_exit(
+    fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_: Exit
+) -> None:
+    """Take over the state at the start of a step.
+
+    Args:
+        fairlead: position of the first node [m], (dim,).
+        slope: its slope, (dim,).
+        slope_rate: rate of that slope as seen at the fairlead [1/s], (dim,).
+        q: chain's rows (2 dim, width), its first column being the second node (r, r').
+        v: its rates.
+        exit_: filled.
+    """
+    dim = fairlead.shape[0]
+    for d in range(dim):
+        exit_.start[0, d], exit_.rate[0, d] = fairlead[d], 0.0
+        exit_.start[1, d], exit_.rate[1, d] = slope[d], slope_rate[d]
+        exit_.start[2, d], exit_.rate[2, d] = q[d, 0], v[d, 0]
+        exit_.start[3, d], exit_.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
+
+
+@kernel
+def _clear(exit_: Exit) -> None:
+    """Empty residual and tangent."""
+    dim = exit_.increment.shape[0]
+    for i in range(4):
+        for d in range(dim):
+            exit_.residual[i, d] = 0.0
+            for j in range(4):
+                for c in range(dim):
+                    exit_.tangent[i, j, d, c] = 0.0
+
+
+@kernel
+def _linear_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
+    """Inertia, weight and bending: residual and the isotropic part of the tangent."""
+    dim = len(tether.gravity)
+    length = 0.5 * (pay.length0 + pay.length1)
+    sigma = -(pay.length1 - pay.length0) / h
+    sigma_rate = -(pay.rate1 - pay.rate0) / h
+    rho = tether.line_density
+    for i in range(4):
+        for j in range(4):
+            powers = _scale(i, length) * _scale(j, length)
+            inertia = rho * length * powers * _FF[i, j]
+            flow = rho * powers * _FG[i, j]
+            place = rho * sigma * sigma * powers / length * _FK[i, j] + sigma_rate * flow
+            place += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
+            isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * place
+            for d in range(dim):
+                change = exit_.change[j, d]
+                exit_.residual[i, d] += (
+                    inertia * 2.0 / h * (change / h - exit_.rate[j, d])
+                    + 2.0 * sigma * flow * change / h
+                    + place * (exit_.start[j, d] + 0.5 * change)
+                )
+                exit_.tangent[i, j, d, d] += isotropic
+        for d in range(dim):
+            load = rho * length * _scale(i, length) * _LOAD[i]
+            exit_.residual[i, d] -= load * tether.gravity[d]
+
+
+@kernel
+def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
+    """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
+    dim = len(tether.gravity)
+    length = 0.5 * (pay.length0 + pay.length1)
+    end_share = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
+    for g in range(len(_WEIGHTS)):
+        square0 = 0.0
+        square1 = 0.0
+        for d in range(dim):
+            slope0 = 0.0
+            slope1 = 0.0
+            for i in range(4):
+                place = exit_.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
+                place += exit_.change[i, d]
+                slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+            square0 += slope0 * slope0
+            square1 += slope1 * slope1
+        strain = end_share * 0.5 * (square1 - 1.0) + (1.0 - end_share) * 0.5 * (square0 - 1.0)
+        weight = _WEIGHTS[g] * length * tether.axial_stiffness
+        for d in range(dim):
+            middle = 0.0
+            for i in range(4):
+                place = exit_.start[i, d] + 0.5 * exit_.change[i, d]
+                middle += _SLOPE[g, i] * _scale(i, length) / length * place
+            for i in range(4):
+                shape = _SLOPE[g, i] * _scale(i, length) / length
+                exit_.residual[i, d] += weight * strain * shape * middle
+                for j in range(4):
+                    other = _SLOPE[g, j] * _scale(j, length) / length
+                    exit_.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
+        for c in range(dim):
+            end = 0.0
+            for i in range(4):
+                place = exit_.start[i, c] + exit_.change[i, c]
+                end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+            for d in range(dim):
+                middle = 0.0
+                for i in range(4):
+                    place = exit_.start[i, d] + 0.5 * exit_.change[i, d]
+                    middle += _SLOPE[g, i] * _scale(i, length) / length * place
+                for i in range(4):
+                    shape = _SLOPE[g, i] * _scale(i, length) / length
+                    for j in range(4):
+                        other = _SLOPE[g, j] * _scale(j, pay.length1) / pay.length1
+                        exit_.tangent[i, j, d, c] += (
+                            weight * end_share * shape * middle * other * end
+                        )
+
+
+@kernel
+def add_exit(tether: Tether, h: float, pay: Payout, work: Workspace, exit_: Exit) -> None:
+    """Add the first element to the chain's root, its exit slope condensed into the second node."""
+    dim = len(tether.gravity)
+    m = 2 * dim
+    for d in range(dim):
+        exit_.change[0, d] = 0.0
+        exit_.change[1, d] = exit_.increment[d]
+        exit_.change[2, d] = work.increment[d, 0]
+        exit_.change[3, d] = work.increment[dim + d, 0]
+    _clear(exit_)
+    _linear_parts(tether, h, pay, exit_)
+    _axial_parts(tether, h, pay, exit_)
+
+    rows = exit_.condensed
+    for d in range(dim):
+        for c in range(dim):
+            rows[d, c] = exit_.tangent[1, 1, d, c]
+            rows[d, dim + c] = exit_.tangent[1, 2, d, c]
+            rows[d, m + c] = exit_.tangent[1, 3, d, c]
+        rows[d, m + dim] = exit_.residual[1, d]
+    for k in range(dim):
+        inverse = 1.0 / rows[k, k]
+        for c in range(k, m + dim + 1):
+            rows[k, c] *= inverse
+        for r in range(dim):
+            if r != k:
+                multiplier = rows[r, k]
+                for c in range(k, m + dim + 1):
+                    rows[r, c] -= multiplier * rows[k, c]
+    for a in range(2):
+        for d in range(dim):
+            r = a * dim + d
+            residual = exit_.residual[2 + a, d]
+            for k in range(dim):
+                residual -= exit_.tangent[2 + a, 1, d, k] * rows[k, m + dim]
+            set_end(work, 0, m, r, residual)
+            for b in range(2):
+                for c in range(dim):
+                    entry = exit_.tangent[2 + a, 2 + b, d, c]
+                    for k in range(dim):
+                        entry -= exit_.tangent[2 + a, 1, d, k] * rows[k, dim + b * dim + c]
+                    set_end(work, 0, b * dim + c, r, entry)
+
+
+@kernel
+def exit_increment(length: float, work: Workspace, exit_: Exit) -> float:
+    """Newton increment of the exit slope from that of the second node; largest entry [m]."""
+    dim = exit_.increment.shape[0]
+    m = 2 * dim
+    largest = 0.0
+    for d in range(dim):
+        change = exit_.condensed[d, m + dim]
+        for c in range(m):
+            change -= exit_.condensed[d, dim + c] * work.solution[1, c]
+        exit_.increment[d] -= change
+        largest += length * abs(change)
+    return largest
+
+
+@kernel
+def end_exit_step(
+    tether: Tether, h: float, pay: Payout, exit_: Exit, slope1: Array, slope_rate1: Array
+) -> float:
+    """Write exit slope and rate after a converged step, and the reaction; returns the loss [J].
+
+    The reaction is what the fairlead does to the tether, the residual of the held position; the
+    tension at the fairlead is its part along the tether at mid-step.
+    """
+    dim = exit_.increment.shape[0]
+    length = 0.5 * (pay.length0 + pay.length1)
+    _clear(exit_)
+    _linear_parts(tether, h, pay, exit_)
+    _axial_parts(tether, h, pay, exit_)
+    square = 0.0
+    along = 0.0
+    for d in range(dim):
+        slope1[d] = exit_.start[1, d] + exit_.increment[d]
+        slope_rate1[d] = 2.0 / h * exit_.increment[d] - exit_.rate[1, d]
+        middle = exit_.start[1, d] + 0.5 * exit_.increment[d]
+        exit_.reaction[d] = exit_.residual[0, d]
+        square += middle * middle
+        along -= middle * exit_.residual[0, d]
+    exit_.tension[0] = along / np.sqrt(square)
+    damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
+    loss = 0.0
+    for g in range(len(_WEIGHTS)):
+        change = 0.0
+        for d in range(dim):
+            slope0 = 0.0
+            slope1_ = 0.0
+            for i in range(4):
+                place = exit_.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
+                place += exit_.change[i, d]
+                slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+            change += 0.5 * (slope1_ * slope1_ - slope0 * slope0)
+        loss += _WEIGHTS[g] * change * change
+    return damping * tether.axial_stiffness * length * loss
+
+
+@kernel
+def exit_energies(
+    tether: Tether, length: float, payout_rate: float, e: Array, rate: Array
+) -> tuple[float, float, float, float]:
+    """Kinetic, gravity, axial and bending energy [J] of the first element; e, rate (4, dim)."""
+    dim = len(tether.gravity)
+    sigma = -payout_rate
+    rho = tether.line_density
+    kinetic, gravity, axial, bending = 0.0, 0.0, 0.0, 0.0
+    for d in range(dim):
+        for i in range(4):
+            load = rho * length * _scale(i, length) * _LOAD[i]
+            gravity -= load * tether.gravity[d] * e[i, d]
+            for j in range(4):
+                powers = _scale(i, length) * _scale(j, length)
+                kinetic += (
+                    0.5
+                    * rho
+                    * powers
+                    * (
+                        length * _FF[i, j] * rate[i, d] * rate[j, d]
+                        + 2.0 * sigma * _FG[i, j] * rate[i, d] * e[j, d]
+                        + sigma * sigma / length * _GG[i, j] * e[i, d] * e[j, d]
+                    )
+                )
+                bending += (
+                    0.5
+                    * tether.bending_stiffness
+                    * powers
+                    / length**3
+                    * _BEND[i, j]
+                    * e[i, d]
+                    * e[j, d]
+                )
+    for g in range(len(_WEIGHTS)):
+        square = 0.0
+        for d in range(dim):
+            slope = 0.0
+            for i in range(4):
+                slope += _SLOPE[g, i] * _scale(i, length) / length * e[i, d]
+            square += slope * slope
+        axial += _WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
+    return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
+
+
+@kernel
+def _cubic(coefficients: Array, xi: float, i: int) -> float:
+    """Value of cubic i at xi."""
+    c = coefficients
+    return c[0, i] + xi * (c[1, i] + xi * (c[2, i] + xi * c[3, i]))
+
+
+@kernel
+def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
+    """Derivative by xi of cubic i."""
+    c = coefficients
+    return c[1, i] + xi * (2.0 * c[2, i] + 3.0 * xi * c[3, i])
+
+
+@kernel
+def split(
+    length: float,
+    cut: float,
+    payout_rate: float,
+    e: Array,
+    rate: Array,
+    node: Array,
+    node_rate: Array,
+) -> None:
+    """Write the node that divides the first element, `cut` [m] from the fairlead; exact.
+
+    Place and material velocity of a cubic element are cubics in s, and so are its two parts'.
+
+    Args:
+        length: undeformed length of the element [m].
+        cut: where to divide it [m].
+        payout_rate: v_pay [m/s].
+        e: (4, dim).
+        rate: (4, dim).
+        node: (r, r') of the new Lagrangian node, filled, (2 dim,).
+        node_rate: its rates, filled.
+    """
+    dim = e.shape[1]
+    sigma = -payout_rate
+    xi = cut / length
+    for d in range(dim):
+        place, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
+        for i in range(4):
+            power = _scale(i, length)
+            place += power * _cubic(_F, xi, i) * e[i, d]
+            slope += power / length * _cubic_slope(_F, xi, i) * e[i, d]
+            speed += power * _cubic(_F, xi, i) * rate[i, d]
+            speed += sigma * power / length * _cubic(_G, xi, i) * e[i, d]
+            slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i, d]
+            slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i, d]
+        node[d], node[dim + d] = place, slope
+        node_rate[d], node_rate[dim + d] = speed, slope_speed
