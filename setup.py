@@ -55,7 +55,7 @@ setup(
         "ros-jazzy-common-interfaces",
         "lz4>=4.0",
         "matplotlib>=3.6",
-        "mcap>=1.1",
+        "mcap>=1.5",
         "mcap-ros2-support>=0.5",
         "numba>=0.59",
         "numpy>=1.26",
