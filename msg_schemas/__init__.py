@@ -3,5 +3,5 @@
 ``table`` lists every topic and service; ``samples`` are what messages say;
 ``codecs`` turn one into the other and refuse what the table forbids;
 ``parameters`` are typed values with units and ranges; ``node`` is the shell of
-every node (the only module here that needs rclpy).
+every node (which, with ``publisher``, ``ros_parameters`` and ``qos``, needs rclpy).
 """

@@ -19,6 +19,7 @@ import json
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -39,15 +40,16 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode, encode, message_class, topic_row
+from msg_schemas.codecs import decode, message_class, topic_row
 from msg_schemas.parameters import P, ParameterError, parameter
+from msg_schemas.publisher import ContractPublisher
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.ros_parameters import (
     changed_groups,
     declare_parameters,
     described_parameters,
 )
-from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
+from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ PACKAGE = "mother_rover"
 
 _DIAGNOSTICS_PERIOD = 1.0
 _SPIN_SLICE = 0.1
+_LAST_WORDS = 0.5
 _REFUSALS_SHOWN_PER_PERIOD = 20
 
 
@@ -87,36 +90,6 @@ class ShellParameters:
         "configure and activate by itself; false waits for a lifecycle manager",
         read_only=True,
     )
-
-
-class ContractPublisher:
-    """Publishes samples of one topic; a bad sample is refused, not sent."""
-
-    def __init__(self, node: ContractNode, name: str) -> None:
-        row = topic_row(name)
-        self._node = node
-        self._name = name
-        self._publisher = node.create_publisher(
-            message_class(row.message), name, qos.profile(row.intent)
-        )
-
-    def send(self, sample: Sample) -> bool:
-        """Encode and publish; returns whether it went out."""
-        try:
-            self._publisher.publish(encode(self._name, sample))
-        except Refusal as refusal:
-            self._node.refuse(refusal)
-            return False
-        return True
-
-    @property
-    def is_heard(self) -> bool:
-        """Whether anybody subscribes: what is costly to make need not be made for nobody."""
-        return bool(self._publisher.get_subscription_count())
-
-    def destroy(self) -> None:
-        """Take the publisher off the graph."""
-        self._node.destroy_publisher(self._publisher)
 
 
 class ContractNode(LifecycleNode):
@@ -150,9 +123,9 @@ class ContractNode(LifecycleNode):
         self._timers_while_active: list[Any] = []
         self._groups = declare_parameters(self, parameter_classes(type(self)))
         self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._diagnostics = ContractPublisher(self, topics.DIAGNOSTICS)
-        self._events = ContractPublisher(self, topics.EVENTS)
-        self._config = ContractPublisher(self, topics.CONFIG)
+        self._diagnostics = ContractPublisher(self, topics.DIAGNOSTICS, self.refuse)
+        self._events = ContractPublisher(self, topics.EVENTS, self.refuse)
+        self._config = ContractPublisher(self, topics.CONFIG, self.refuse)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_health, clock=self._steady)
         threshold = JumpThreshold(
@@ -213,7 +186,7 @@ class ContractNode(LifecycleNode):
 
     def publisher(self, name: str) -> ContractPublisher:
         """Open a publisher for a topic of the table."""
-        made = ContractPublisher(self, name)
+        made = ContractPublisher(self, name, self.refuse)
         self._opened.append(made)
         return made
 
@@ -471,6 +444,11 @@ class ContractNode(LifecycleNode):
 
     def shut_down(self) -> None:
         """Stop acting and give everything back; safe to call twice."""
+        self._deactivate()
+        # What is not taken when the process ends is lost: the last words matter most.
+        deadline = time.monotonic() + _LAST_WORDS
+        for made in (*self._opened, self._events, self._diagnostics):
+            made.wait_until_taken(max(0.0, deadline - time.monotonic()))
         self._clean_up()
         self._jump_handle.unregister()
 

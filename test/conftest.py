@@ -4,37 +4,48 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
-    from observer import Observer
-    from processes import Processes
-    from stage import Stage
+    from rover_verify.stage import Observer, Processes, Stage
 
 # Both are read when ROS is imported, which is why the fixtures import late: publishing a wrong type
 # is an error, and other machines on the network stay out.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# Nodes that only tests run are started by their module's name, as all others are.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(Path(__file__).parent / "support"), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
+
+
+@contextmanager
+def _shown_stage(folder: Path) -> Iterator[Stage]:
+    from rover_verify.stage import open_stage
+
+    with open_stage(folder) as opened:
+        try:
+            yield opened
+        finally:
+            # Shown by pytest where a test has failed.
+            print(opened.processes.output)
 
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     """A fresh ROS domain with processes and observers, for one test."""
-    from stage import open_stage
-
-    with open_stage(tmp_path) as opened:
+    with _shown_stage(tmp_path) as opened:
         yield opened
 
 
 @pytest.fixture(scope="module")
 def shared_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     """A ROS domain that the tests of one module share, for what leaves no trace."""
-    from stage import open_stage
-
-    with open_stage(tmp_path_factory.mktemp("stage")) as opened:
+    with _shown_stage(tmp_path_factory.mktemp("stage")) as opened:
         yield opened
 
 
@@ -59,9 +70,8 @@ def observer(stage: Stage) -> Observer:
 @pytest.fixture(scope="session")
 def compiled() -> None:
     """Fill the cache of compiled kernels once: a sim node that starts need not compile then."""
-    from ros_domain import locked
-
     from rover_sim import build_plant, load_scenario
+    from rover_verify.stage.ros_domain import locked
 
     with locked("compiling"):
         build_plant(load_scenario("paper_table1_low")).warm_up()
@@ -71,6 +81,6 @@ def compiled() -> None:
 def _shared_memory() -> Iterator[None]:
     """Remove what killed processes have left in shared memory."""
     yield
-    from processes import clean_shared_memory
+    from rover_verify.stage import clean_shared_memory
 
     clean_shared_memory()

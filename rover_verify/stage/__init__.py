@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -22,9 +22,9 @@ class Stage:
         self._closing = closing
         closing.callback(self.processes.end)
 
-    def observer(self, namespace: str = "") -> Observer:
+    def observer(self, namespace: str = "", remap: Mapping[str, str] | None = None) -> Observer:
         """Return a new observer in this domain, closed with the stage."""
-        made = Observer(self.domain, namespace)
+        made = Observer(self.domain, namespace, remap)
         self._closing.callback(made.close)
         return made
 

@@ -211,6 +211,11 @@ class Processes:
         self._started.append(process)
         return process
 
+    @property
+    def output(self) -> str:
+        """What all processes printed so far, each under its module's name."""
+        return "".join(f"--- {process.module}:\n{process.output}" for process in self._started)
+
     def end(self) -> None:
         """Stop all that runs; AssertionError if one resists or leaves children."""
         for process in self._started:

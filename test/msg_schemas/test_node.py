@@ -18,9 +18,7 @@ from msg_schemas.samples import ClockSample, JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW
 
 if TYPE_CHECKING:
-    from observer import Observer
-    from processes import Process, Processes
-    from stage import Stage
+    from rover_verify.stage import Observer, Process, Processes, Stage
 
     Shell = tuple[Process, Observer]
     MakeMessage = Callable[[], Any]

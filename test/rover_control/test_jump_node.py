@@ -16,9 +16,7 @@ from msg_schemas.table import JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_scenario
 
 if TYPE_CHECKING:
-    from observer import Observer
-    from processes import Process, Processes
-    from stage import Stage
+    from rover_verify.stage import Observer, Process, Processes, Stage
 
 pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
 

@@ -22,9 +22,7 @@ from rover_sim import build_plant, jump, load_scenario
 from rover_sim.sim_node import RateParameters, SimParameters, load
 
 if TYPE_CHECKING:
-    from observer import Observer
-    from processes import Process, Processes
-    from stage import Stage
+    from rover_verify.stage import Observer, Process, Processes, Stage
 
     Sim = tuple[Process, Observer]
 

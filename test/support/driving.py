@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from observer import Observer
-
 from msg_schemas import topics
 from msg_schemas.table import JUMP_SCREW
+from rover_verify.stage import Observer
 
 PERIOD_NS = 50_000_000
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from observer import Observer
-
 from msg_schemas.table import TOPICS, Audience
+from rover_verify.stage import Observer
 
 
 def subscriptions_of(observer: Observer, node_name: str) -> set[str]:

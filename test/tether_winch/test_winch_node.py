@@ -18,9 +18,7 @@ from msg_schemas.samples import JointSample, JointValue, Level, WrenchSample
 from msg_schemas.table import WINCH_DRUM
 
 if TYPE_CHECKING:
-    from observer import Observer
-    from processes import Process, Processes
-    from stage import Stage
+    from rover_verify.stage import Observer, Process, Processes, Stage
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 

@@ -1,0 +1,57 @@
+"""Publishing by the contract: samples in, checked messages out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rclpy.duration import Duration
+
+from msg_schemas import qos
+from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import Sample
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+class ContractPublisher:
+    """Publishes samples of one topic; a bad sample is refused, not sent.
+
+    Args:
+        node: the node that publishes.
+        name: topic of the table.
+        refuse: told of each sample that the contract does not let through.
+    """
+
+    def __init__(self, node: Node, name: str, refuse: Callable[[Refusal], None]) -> None:
+        row = topic_row(name)
+        self._node = node
+        self._name = name
+        self._refuse = refuse
+        self._publisher = node.create_publisher(
+            message_class(row.message), name, qos.profile(row.intent)
+        )
+
+    def send(self, sample: Sample) -> bool:
+        """Encode and publish; returns whether it went out."""
+        try:
+            self._publisher.publish(encode(self._name, sample))
+        except Refusal as refusal:
+            self._refuse(refusal)
+            return False
+        return True
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether anybody subscribes: what is costly to make need not be made for nobody."""
+        return bool(self._publisher.get_subscription_count())
+
+    def wait_until_taken(self, timeout: float) -> None:
+        """Wait until all who listen have what was sent, at most ``timeout`` seconds."""
+        self._publisher.wait_for_all_acked(Duration(nanoseconds=round(timeout * 1e9)))
+
+    def destroy(self) -> None:
+        """Take the publisher off the graph."""
+        self._node.destroy_publisher(self._publisher)
