@@ -242,15 +242,38 @@ def _predict(
 
 
 @kernel
-def _remember(h: float, solver: Solver) -> None:
-    """Push the finished step's mid-step rates onto the history."""
+def _remember(length: float, h: float, known: int, solver: Solver) -> int:
+    """Push the finished step's mid-step rates onto the history.
+
+    Args:
+        length: of an element [m].
+        h: length of the step [s].
+        known: how many steps the history holds.
+        solver: with the increment.
+
+    Returns:
+        The depth of `_predict` that would have been best for this step, 1 if none was possible: low
+        orders for rough motion, whose noise extrapolation amplifies.
+    """
     history, times, increment = solver.history, solver.history_time, solver.work.increment
     inverse = 1.0 / h
+    constant, linear, quadratic = 0.0, 0.0, 0.0
     for k in range(4):
+        unit = 1.0 if k < 2 else length * length
         for i in range(increment.shape[1]):
-            history[2, k, i] = history[1, k, i]
-            history[1, k, i] = history[0, k, i]
-            history[0, k, i] = inverse * increment[k, i]
+            rate = inverse * increment[k, i]
+            first, second, third = history[0, k, i], history[1, k, i], history[2, k, i]
+            constant += unit * (rate - first) ** 2
+            linear += unit * (rate - 2.0 * first + second) ** 2
+            quadratic += unit * (rate - 3.0 * (first - second) - third) ** 2
+            history[2, k, i] = second
+            history[1, k, i] = first
+            history[0, k, i] = rate
+    depth = 1
+    if known >= 2 and linear < constant:
+        depth = 2
+    if known >= 3 and quadratic < min(constant, linear):
+        depth = 3
     turns = solver.turn_history
     for k in range(2):
         turns[2, k] = turns[1, k]
@@ -259,6 +282,7 @@ def _remember(h: float, solver: Solver) -> None:
     times[2] = times[1] - h
     times[1] = times[0] - h
     times[0] = -0.5 * h
+    return depth
 
 
 @checked
@@ -399,9 +423,14 @@ def _record(
 
 
 @kernel
-def _comes_down(body: Array, body1: Array, level: float) -> bool:
-    """Whether G1 falls through the level between two states, having been above it."""
-    above = body[Y1] > level or (body[Y1] == level and body[VY1] > 0.0)
+def _comes_down(body: Array, body1: Array, level: float, accuracy: float) -> bool:
+    """Whether G1 falls through the level between two states, having been above it.
+
+    A state within ten times the accuracy of the level, where a touchdown ends a step, counts as
+    above only if it rises.
+    """
+    margin = 10.0 * accuracy
+    above = body[Y1] > level + (margin if body[VY1] <= 0.0 else -margin)
     return above and body1[Y1] <= level and body1[VY1] < 0.0
 
 
@@ -501,7 +530,7 @@ def advance(
     elements = model.tether.elements
     solver = make_solver(elements, report)
     count = 0
-    depth = 0
+    depth, known = 0, 0
     elapsed = 0.0
     start = book[TIME]
     done = phase in (DIVERGED, TETHER_BROKEN)
@@ -533,13 +562,14 @@ def advance(
             h = search[_LENGTH] if seeking else step * part / unit
             ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, depth, solver)
             touches = False
-            if ok and flying and (seeking or _comes_down(body, solver.body1, book[START_Y])):
-                touches = _seek_touchdown(h, book[START_Y], accuracy, body, solver)
+            level = book[START_Y]
+            if ok and flying and (seeking or _comes_down(body, solver.body1, level, accuracy)):
+                touches = _seek_touchdown(h, level, accuracy, body, solver)
                 if not touches:
                     continue
             search[_TRIES] = 0.0
             if not ok:
-                depth = 0
+                depth, known = 0, 0
                 solver.control[1] = _TRUSTED_STEPS
                 part >>= 1
                 if part == 0:
@@ -571,8 +601,8 @@ def advance(
                     )
             _keep(solver, q, v, body)
             book[DISSIPATED] += dissipated
-            _remember(h, solver)
-            depth = min(depth + 1, 3)
+            depth = _remember(model.tether.element_length, h, known, solver)
+            known = min(known + 1, 3)
             elapsed += h
             report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
             report[PEAK_TENSION] = max(report[PEAK_TENSION], tension)
@@ -604,7 +634,7 @@ def advance(
                 if model.hold_after_landing:
                     phase = LANDED
                     _hold_rover(model, q, v, body, book)
-                    depth = 0
+                    depth, known = 0, 0
                     book[COMPRESSION] = 0.0
                 done = stop_at_touchdown
                 break
@@ -621,7 +651,7 @@ def advance(
             velocity = (-np.sin(body[THETA]) * speed, np.cos(body[THETA]) * speed)
             take_off(model, velocity, q, v, body, book)
             book[COMPRESSION] = 0.0
-            depth = 0
+            depth, known = 0, 0
             count = _record(EVENT_TAKE_OFF, book[TIME], 0.0, 0.0, body, book, events, count)
 
     if not done:
