@@ -113,18 +113,18 @@ def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array
         factor: (n + 3, m + 1, lanes); its first and last entries must be zero. Node i is at i + 1.
         solution: x, (n + 3, lanes); node i at i + 1.
     """
-    middle = (n + 1) // 2
-    for i in range(middle):
-        _eliminate(tag, blocks, i, 1, i + 1, 0, i, i + 1, factor)
+    middle = n // 2
+    for i in range(n - middle):
+        if i < middle:
+            _eliminate(tag, blocks, i, 1, i + 1, 0, i, i + 1, factor)
         j = n - i
-        if j > middle:
-            behind = j + 1 if j < n else blocks.shape[0] - 1
-            _eliminate(tag, blocks, behind, 0, j, 1, j + 2, j + 1, factor)
+        behind = j + 1 if j < n else blocks.shape[0] - 1
+        _eliminate(tag, blocks, behind, 0, j, 1, j + 2, j + 1, factor)
     _fold(tag, blocks, middle + 1, 0, middle + 2, factor)
     _eliminate(tag, blocks, middle, 1, middle + 1, 0, middle, middle + 1, factor)
     store(solution, (middle + 1, 0), load(tag, factor, (middle + 1, 2 * len(tag), 0)))
-    for i in range(middle):
-        _substitute(tag, middle - i, middle + 1 - i, factor, solution)
+    for i in range(n - middle):
+        if i < middle:
+            _substitute(tag, middle - i, middle + 1 - i, factor, solution)
         j = middle + 1 + i
-        if j <= n:
-            _substitute(tag, j + 1, j, factor, solution)
+        _substitute(tag, j + 1, j, factor, solution)

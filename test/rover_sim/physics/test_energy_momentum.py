@@ -92,9 +92,12 @@ def bent(dim: int, count: int = 9, seed: int = 0) -> tuple[np.ndarray, np.ndarra
     return nodes, rates
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6, 9, 10, 18])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_step_satisfies_the_midpoint_equation_written_out_with_the_elements(dim: int) -> None:
-    nodes, rates = bent(dim)
+def test_a_step_satisfies_the_midpoint_equation_written_out_with_the_elements(
+    dim: int, count: int
+) -> None:
+    nodes, rates = bent(dim, count)
     gravity = (0.3, -9.81, 1.1)[:dim]
     x, h = 0.3, 1e-3
     section = TetherSection.round(0.5e9, 3.45e-4, 1e4, axial_damping_time=2e-3)

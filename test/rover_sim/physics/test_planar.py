@@ -326,6 +326,36 @@ def test_stiff_fine_and_coarse_in_time_neither_diverges_nor_gains_energy(n: int)
     assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
+    """Stiffness, mesh, slack, masses, damping, gravity and step drawn at random."""
+    draw = np.random.default_rng(seed)
+    n = int(draw.choice([1, 2, 3, 4, 5, 10, 20, 50]))
+    plant = plant_of(
+        "paper_table1_high",
+        tether__elements=n,
+        start__initial_shape="static" if n > 3 else "arc",
+        tether__youngs_modulus=float(10 ** draw.uniform(7.0, 10.85)),
+        tether__axial_damping_time=float(draw.choice([0.0, 1e-3, 1e-2])),
+        tether__bending_damping_time=float(draw.choice([0.0, 0.01, 1.0])),
+        start__geometry=str(draw.choice(["-H", "+K", "-K"])),
+        start__slack=float(draw.uniform(0.5, 3.5)),
+        start__theta0=float(draw.uniform(-15.0, 15.0)),
+        rover__m2=float(10 ** draw.uniform(-1.3, 0.7)),
+        rover__slider_damping=float(draw.choice([0.0, 10.0, 1000.0])),
+        rover__attachment=[float(draw.uniform(-0.2, 0.2)), float(draw.uniform(-0.1, 0.1))],
+        take_off__compression=float(draw.uniform(0.05, 0.35)),
+        take_off__tether_rates=str(draw.choice(["tip", "linear"])),
+        gravity=float(draw.choice([1.62, 9.81])),
+        integration__h=float(draw.choice([5e-4, 1e-3, 2e-3])),
+    )
+    start = plant.take_off(plant.initial_state())
+    _, result = plant.advance(start, IDLE, 3.0, stop_at_touchdown=True)
+    assert result.outcome in (Outcome.CONVERGED, Outcome.HALVED)
+    assert abs(result.energies.drift) < 3e-6 * plant.scenario.take_off_energy
+    assert result.constraint_drift < 1e-11
+
+
 def test_whip_of_a_stiff_fine_tether_conserves_energy() -> None:
     history = swing(2.0, tether__elements=100, tether__youngs_modulus=70e9, integration__h=2e-3)
     assert history.final.phase is Phase.FREE
