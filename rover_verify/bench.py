@@ -252,7 +252,8 @@ def _peer_setting(row: Row) -> str:
 def notes(*, peer: bool) -> str:
     """What a reader of the table must know."""
     lines = [
-        "Errors: largest distance of the tether's tip from the code's own solution at 1/32 ms,",
+        "Errors: largest distance of the tether's tip from the code's own solution at 1/32 ms",
+        "(1/16 ms beyond n = 20),",
         f"at samples up to {cases()[0].compared_until:g} s (pendulum) or the whole flight (jump).",
         "Later the undamped pendulum is chaotic (it cracks like a whip): its 2 s runs are timed,",
         "but paths can be compared only before.",

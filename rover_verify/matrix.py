@@ -10,6 +10,7 @@ import argparse
 import hashlib
 import importlib
 import json
+import math
 import os
 import shutil
 import sys
@@ -82,18 +83,20 @@ def measure(row: Requirement, batch: Batch) -> Result:
         (batch.folder / "error.txt").write_text(trace, encoding="utf-8")
         note = f"{type(error).__name__}: {str(error).strip()[:300]}"
         return Result("ERROR", None, passed=False, seconds=time.monotonic() - began, note=note)
-    passed = row.limit.holds(measured.value)
+    value = float(measured.value)
+    passed = bool(row.limit.holds(value))
     state = "PASS" if passed else "FAIL"
     if row.status == "open":
         state = "OPEN"
-    return Result(
-        state,
-        float(measured.value),
-        passed,
-        time.monotonic() - began,
-        measured.note,
-        dict(measured.details),
-    )
+    details = {
+        name: detail if isinstance(detail, str) else float(detail)
+        for name, detail in measured.details.items()
+    }
+    seconds = time.monotonic() - began
+    if not math.isfinite(value):
+        note = f"measured {value}; {measured.note}"
+        return Result("FAIL", None, passed=False, seconds=seconds, note=note, details=details)
+    return Result(state, value, passed, seconds, measured.note, details)
 
 
 class Store:

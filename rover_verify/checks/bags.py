@@ -1,0 +1,225 @@
+"""Bags: recorded live and killed, cut, damaged, read by an independent reader, refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from msg_schemas import topics
+from rover_bags.read import read_bag
+from rover_bags.recover import recover
+from rover_bags.scan import BagScan
+from rover_bags.store import BagError
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.nodes import (
+    RECORD,
+    drive_nut,
+    has_event,
+    simulation,
+    wait_until_active,
+    wait_until_time,
+)
+from rover_verify.stage import Observer, Process, Stage
+
+_LIVE_RUNS = 3
+_RECORDED_S = 1.5
+
+
+def _start_recording(stage: Stage, observer: Observer, bag: Path) -> Process:
+    known = len(observer.listen(topics.EVENTS))
+    recorder = stage.processes.start(RECORD, None, "-o", str(bag))
+    wait_until_active(observer, "bag_record", known)
+    observer.wait_until(
+        lambda: observer.node.count_subscribers(topics.TRUTH_BODY1) >= 1, "no recorder listens"
+    )
+    return recorder
+
+
+def _whole_bag(batch: Batch) -> Path:
+    """Record a jump, to its end; the bag."""
+    bag = batch.folder / "bag"
+    with simulation(batch, real_time_factor=1.0) as (stage, _, observer):
+        recorder = _start_recording(stage, observer, bag)
+        drive_nut(observer, 0.1, 0.2, has_event(observer, "take_off"))
+        observer.wait_for_event("touchdown")
+        if recorder.stop() != 0:
+            raise RuntimeError(f"the recorder ended badly:\n{recorder.output}")
+    return bag
+
+
+def killed(batch: Batch) -> Measured:
+    """Longest time before a SIGKILL of the recorder that the recovered bag lacks [s]."""
+    worst, details = 0.0, {}
+    with simulation(batch, real_time_factor=1.0) as (stage, _, observer):
+        for index, generator in enumerate(batch.generators(_LIVE_RUNS)):
+            bag = batch.folder / f"killed_{index}"
+            recorder = _start_recording(stage, observer, bag)
+            longer = _RECORDED_S + float(generator.uniform(0.0, 1.5))
+            wait_until_time(observer, observer.time_ns() + round(longer * 1e9))
+            at = observer.time_ns()
+            recorder.kill_group()
+            recovery = recover(bag, batch.folder / f"recovered_{index}")
+            rescued = read_bag(batch.folder / f"recovered_{index}")
+            track = rescued.track(topics.CLOCK)
+            last = 0.0 if track is None else float(track.time[-1])
+            details[f"kill {index}: recovered messages"] = float(recovery.summary.messages)
+            details[f"kill {index}: lost [s]"] = at * 1e-9 - last
+            worst = max(worst, at * 1e-9 - last)
+    return Measured(
+        worst, f"{_LIVE_RUNS} kills at random moments at a real-time factor of 1", details
+    )
+
+
+def independent_reader(batch: Batch) -> Measured:
+    """How many recorded messages `mcap` with its ROS 2 decoder does not read alike."""
+    bag = _whole_bag(batch)
+    ours = Counter(message.topic.name for message in BagScan(bag))
+    theirs: Counter[str] = Counter()
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, _, _ in reader.iter_decoded_messages():
+            theirs[channel.topic] += 1
+    different = sum(((ours - theirs) + (theirs - ours)).values())
+    identity = read_bag(bag).identity
+    details: dict[str, float | str] = {name: float(count) for name, count in sorted(theirs.items())}
+    details["identity"] = json.dumps(dict(identity))[:200]
+    return Measured(different, f"{sum(theirs.values())} messages on {len(theirs)} topics", details)
+
+
+def identity(batch: Batch) -> Measured:
+    """How many of contract version, package version, seed and scenario a bag lacks."""
+    bag = read_bag(_whole_bag(batch))
+    present = {
+        "contract version": bool(bag.identity.get("contract_version")),
+        "package version": bool(bag.identity.get("package_version")),
+        "seed": bag.seed is not None,
+        "scenario": bag.scenario.get("name") == "paper_table1_high",
+    }
+    details = {name: "there" if there else "MISSING" for name, there in present.items()}
+    return Measured(sum(not there for there in present.values()), "of four", details)
+
+
+def _contents(path: Path) -> list[tuple[str, int, bytes]]:
+    return [(m.topic.name, m.log_ns, m.data) for m in BagScan(path)]
+
+
+def cut(batch: Batch) -> Measured:
+    """How many randomly cut bags are not recovered as far as they are whole."""
+    bag = _whole_bag(batch)
+    file = next(bag.glob("*.mcap"))
+    data, whole = file.read_bytes(), _contents(bag)
+    bad = 0
+    lost: list[float] = []
+    details: dict[str, float | str] = {}
+    for index, generator in enumerate(batch.generators()):
+        length = int(generator.integers(len(data) // 10, len(data)))
+        broken = batch.folder / "cut.mcap"
+        broken.write_bytes(data[:length])
+        target = batch.folder / "recovered"
+        shutil.rmtree(target, ignore_errors=True)
+        try:
+            recover(broken, target)
+            found = _contents(target)
+        except BagError as error:
+            bad += 1
+            details[f"run {index}, {length} bytes"] = str(error)
+            continue
+        if found != whole[: len(found)] and sorted(found) != sorted(whole[: len(found)]):
+            bad += 1
+            details[f"run {index}, {length} bytes"] = "other messages than were recorded"
+        lost.append(1.0 - len(found) / max(1, round(len(whole) * length / len(data))))
+    note = f"of {batch.runs} cuts of a bag of {len(whole)} messages"
+    if lost:
+        details["largest share of messages lost before the cut"] = max(0.0, *lost)
+    return Measured(bad, note, details)
+
+
+def damaged(batch: Batch) -> Measured:
+    """How many randomly damaged bags yield a message that was never recorded, or break a reader."""
+    bag = _whole_bag(batch)
+    file = next(bag.glob("*.mcap"))
+    data, whole = file.read_bytes(), set(_contents(bag))
+    wrong, refused, details = 0, 0, {}
+    runs = batch.runs * 10
+    for index, generator in enumerate(batch.generators(runs)):
+        spoilt = bytearray(data)
+        for _ in range(int(generator.integers(1, 4))):
+            spoilt[int(generator.integers(len(data)))] ^= 1 << int(generator.integers(8))
+        broken = batch.folder / "damaged.mcap"
+        broken.write_bytes(bytes(spoilt))
+        try:
+            found = set(_contents(broken))
+        except BagError:
+            refused += 1
+            continue
+        except Exception as error:  # noqa: BLE001 - that is what is looked for
+            wrong += 1
+            details[f"run {index}"] = f"{type(error).__name__}: {error}"[:160]
+            continue
+        strange = found - whole
+        if strange:
+            wrong += 1
+            details[f"run {index}"] = f"{len(strange)} messages that were never recorded"
+    return Measured(wrong, f"of {runs} damaged bags; {refused} refused as a whole", details)
+
+
+def refused_folders(batch: Batch) -> Measured:
+    """How many of the impossible places for a bag the recorder does not refuse with its path."""
+    plain = batch.folder / "a_file"
+    plain.write_text("not a folder", encoding="utf-8")
+    taken = batch.folder / "taken"
+    taken.mkdir()
+    (taken / "taken_0.mcap").write_bytes(b"another bag")
+    bad, details = 0, {}
+    with simulation(batch) as (stage, _, _):
+        cases = {
+            "below a plain file": (str(plain / "bag"), "2"),
+            "in place of another bag": (str(taken), "2"),
+            "in a system folder": ("/proc/bag", "2"),
+        }
+        for name, (path, _) in cases.items():
+            process = stage.processes.start(RECORD, None, "-o", path)
+            code = process.wait()
+            details[name] = f"code {code}: {process.output.strip().splitlines()[-1]}"
+            bad += code != 2 or path not in process.output
+        full = stage.processes.start(
+            RECORD, None, "-o", str(batch.folder / "full"), "--min-free-mib", "1000000"
+        )
+        code = full.wait()
+        details["a full disk"] = f"code {code}: {full.output.strip().splitlines()[-1]}"
+        bad += code not in {2, 4}
+    if (taken / "taken_0.mcap").read_bytes() != b"another bag":
+        bad += 1
+        details["in place of another bag, too"] = "the other bag was touched"
+    return Measured(bad, f"of {len(cases) + 1} places", details)
+
+
+def report_agrees(batch: Batch) -> Measured:
+    """Difference of the height found in the bag from what the plant itself reported [m]."""
+    from rover_bags.metrics import measure  # noqa: PLC0415 - the report's part, big to load
+
+    bag = read_bag(_whole_bag(batch))
+    metrics = measure(bag)
+    (found,) = metrics.jumps
+    details: dict[str, float | str] = {
+        "height in the bag [m]": found.jump_height_m,
+        "attitude variation in the bag [rad]": found.attitude_variation_rad,
+        **{f"plant's {name}": value for name, value in found.reported.items()},
+    }
+    return Measured(abs(found.jump_height_m - found.reported["height"]), "one jump", details)
+
+
+def recorded_completely(batch: Batch) -> Measured:
+    """How many samples of Body 1's 100 Hz motion a recording of a jump lacks."""
+    track = read_bag(_whole_bag(batch)).track(topics.TRUTH_BODY1)
+    if track is None:
+        return Measured(float("nan"), "nothing was recorded")
+    gaps = np.diff(track.time)
+    missing = sum(round(gap / 0.01) - 1 for gap in gaps)
+    return Measured(missing, f"{len(track)} samples recorded")

@@ -1,0 +1,144 @@
+"""What must not change: energy, momentum; and what must never happen: silent divergence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rover_sim import Outcome, Phase, PlanarPlant, PlanarState, Scenario, load_scenario, run
+from rover_sim.physics import ancf
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.jumps import random_jump
+
+
+def energy(batch: Batch) -> Measured:
+    """Largest change of the stored energy over random undamped flights, of the jump's energy."""
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        scenario = random_jump(
+            generator, **{"rover.slider_damping": 0.0, "after_landing": "fly_on"}
+        )
+        plant = PlanarPlant(scenario)
+        start = plant.take_off(plant.initial_state())
+        flight = run(plant, start, 0.5, tick=0.05)
+        stored = np.array([plant.energies(state).stored for state in flight.states])
+        change = float(np.max(np.abs(stored - stored[0]))) / scenario.take_off_energy
+        details[f"run {index}, n = {scenario.tether.elements}"] = change
+        worst = max(worst, change)
+    return Measured(worst, f"{batch.runs} random jumps up to 0.5 GPa, 0.5 s at 1 ms", details)
+
+
+def balance(batch: Batch) -> Measured:
+    """Largest miss of the energy balance over random damped jumps, of the jump's energy."""
+    worst = 0.0
+    for generator in batch.generators():
+        scenario = random_jump(
+            generator,
+            **{
+                "tether.axial_damping_time": float(10.0 ** generator.uniform(-4.0, -2.0)),
+                "tether.bending_damping_time": float(10.0 ** generator.uniform(-2.0, 0.0)),
+            },
+        )
+        plant = PlanarPlant(scenario)
+        flight = run(plant, plant.take_off(plant.initial_state()), 0.8, tick=0.02)
+        worst = max(worst, abs(flight.energy_drift) / scenario.take_off_energy)
+    return Measured(worst, f"{batch.runs} random damped jumps and landings, 0.8 s at 1 ms")
+
+
+class _Afloat(PlanarPlant):
+    """Tether and rover without gravity and without the root's support."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario)
+        tether = self._model.tether._replace(gravity=(0.0, 0.0))
+        self._model = self._model._replace(tether=tether, root_pinned=False)
+
+
+def momentum(batch: Batch) -> Measured:
+    """Largest change of linear and angular momentum of tether and rover afloat, relative."""
+    worst = 0.0
+    for generator in batch.generators():
+        velocity = [float(value) for value in generator.uniform(-2.0, 2.0, 2)]
+        scenario = random_jump(
+            generator,
+            **{
+                "take_off.compression": None,
+                "take_off.velocity": velocity,
+                "take_off.tether_rates": "linear",
+                "after_landing": "fly_on",
+                "integration.tolerance": 1e-12,
+            },
+        )
+        start = PlanarPlant(scenario).initial_state()
+        plant = _Afloat(scenario)
+        state = plant.take_off(start)
+        flight = run(plant, state, 0.3, tick=0.1)
+        before = _momenta(scenario, state)
+        assert scenario.rover is not None
+        size = scenario.rover.mass * math.hypot(*velocity)
+        for later in flight.states[1:]:
+            change = float(np.max(np.abs(_momenta(scenario, later) - before)))
+            worst = max(worst, change / size)
+    return Measured(worst, f"{batch.runs} random flights without gravity and root, 0.3 s")
+
+
+def _momenta(scenario: Scenario, state: PlanarState) -> ancf.Array:
+    """Linear momentum and angular momentum about the origin."""
+    rover, density = scenario.rover, scenario.tether.section.line_density
+    assert rover is not None
+    length = scenario.tether.length / scenario.tether.elements
+    e, rates = ancf.element_coordinates(state.nodes), ancf.element_coordinates(state.node_rates)
+    tensor = np.einsum("eai,ab,ebj->ij", e, ancf.mass_matrix(density, length), rates)
+    linear = np.einsum("a,eai->i", ancf.load_vector(density, length), rates)
+    spin = (rover.inertia1 + rover.inertia2) * state.omega
+    angular = float(tensor[0, 1] - tensor[1, 0]) + spin
+    for weight, at, rate in (
+        (rover.m1, state.G1, state.G1_rate),
+        (rover.m2, state.G2, state.G2_rate),
+    ):
+        linear = linear + weight * rate
+        angular += float(weight * (at[0] * rate[1] - at[1] * rate[0]))
+    return np.array([*linear, angular])
+
+
+def robustness(batch: Batch) -> Measured:
+    """How many random hard jumps diverged, gained energy or gave numbers that are not finite."""
+    bad, details = 0, {}
+    for index, generator in enumerate(batch.generators()):
+        scenario = random_jump(
+            generator,
+            **{
+                "tether.youngs_modulus": float(10.0 ** generator.uniform(7.0, math.log10(70e9))),
+                "tether.elements": int(generator.integers(2, 101)),
+                "integration.h": float(generator.uniform(5e-4, 2e-3)),
+            },
+        )
+        plant = PlanarPlant(scenario)
+        flight = run(plant, plant.take_off(plant.initial_state()), 0.7, tick=0.05)
+        final, drift = flight.final, flight.energy_drift
+        finite = np.all(np.isfinite(final.nodes)) and math.isfinite(final.theta)
+        diverged = any(result.outcome is Outcome.DIVERGED for result in flight.results)
+        if diverged or not finite or abs(drift) > 1e-5 * scenario.take_off_energy:
+            bad += 1
+            what = "diverged" if diverged else f"drift {drift:.2e} J"
+            details[f"run {index}"] = f"{what}, {scenario.tether.elements} elements"
+    return Measured(bad, f"of {batch.runs} jumps, n to 100, E to 70 GPa, h to 2 ms", details)
+
+
+def divergence_is_told(_batch: Batch) -> Measured:
+    """Of four promises of a diverged plant, how many are kept."""
+    overrides = {"integration.tolerance": 1e-300, "integration.max_halvings": 0}
+    plant = PlanarPlant(load_scenario("paper_table1_high", overrides))
+    start = plant.take_off(plant.initial_state())
+    flight = run(plant, start, 0.1)
+    again = run(plant, flight.final, 0.1)
+    promises = {
+        "phase says so": flight.final.phase is Phase.DIVERGED,
+        "an event says so": flight.event("diverged") is not None,
+        "the last good state is kept": bool(np.all(np.isfinite(flight.final.nodes))),
+        "further steps leave it unchanged": again.final is flight.final
+        or bool(np.array_equal(again.final.nodes, flight.final.nodes)),
+    }
+    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
+    return Measured(sum(promises.values()), "a plant made to diverge", details)

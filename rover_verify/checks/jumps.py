@@ -1,0 +1,228 @@
+"""Jumps against independent codes, and the assembled integrator against the redundant DAE."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim import Command, JumpMetrics, PlanarPlant, PlanarState, Scenario, jump, load_scenario
+from rover_sim.physics.planar_dae import PlanarDae
+from rover_sim.run import run
+from rover_verify.checks import Batch, Measured
+
+
+class _Known(NamedTuple):
+    """A jump with H [m] and dtheta [rad] of an independent code (Exudyn with Green's strain)."""
+
+    scenario: str
+    geometry: str
+    slack: float
+    theta0: float
+    compression: float
+    by_elements: dict[int, tuple[float, float]]
+
+
+_HIGH, _STIFF = "paper_table1_high", "paper_table2_case1"
+_KNOWN = (
+    _Known("paper_table1_low", "-H", 1.0, 0.0, 0.2, {5: (0.3355, 0.0070), 20: (0.3353, 0.0109)}),
+    _Known(_HIGH, "-H", 0.5, 0.0, 0.2, {5: (0.3359, -0.0186), 20: (0.3359, -0.0195)}),
+    _Known(_HIGH, "+K", 2.0, 0.0, 0.2, {5: (0.3085, 0.6600), 20: (0.3084, 0.6615)}),
+    _Known(_STIFF, "-H", 1.0, -10.0, 0.29, {5: (0.3262, 0.0022), 20: (0.3262, 0.0026)}),
+    _Known(_STIFF, "+K", 2.0, 0.0, 0.2, {5: (0.1093, 1.6635), 20: (0.1090, 1.6660)}),
+)
+
+# Taut jump, converged in mesh and step by another code: H, dtheta, dx, flight time; and Body 1
+# (x, y, theta) at 0.3 s.
+_TAUT = {"height": 0.20415, "attitude": -0.17281, "travel": 0.38128, "time": 0.41168}
+_TAUT_AT_300_MS = (4.82477, -1.98151, -0.04219)
+
+_DAE_DURATION = 0.2
+
+
+def _known_jumps() -> list[tuple[str, JumpMetrics, tuple[float, float]]]:
+    found = []
+    for known in _KNOWN:
+        for elements, expected in known.by_elements.items():
+            overrides = {
+                "start.geometry": known.geometry,
+                "start.slack": known.slack,
+                "start.theta0": known.theta0,
+                "take_off.compression": known.compression,
+                "tether.elements": elements,
+            }
+            metrics = jump(PlanarPlant(load_scenario(known.scenario, overrides)))
+            name = f"{known.scenario} {known.geometry} s = {known.slack:g}, n = {elements}"
+            found.append((name, metrics, expected))
+    return found
+
+
+def heights(_batch: Batch) -> Measured:
+    """Largest deviation of the jump height from the independent code."""
+    details = {name: m.height - expected[0] for name, m, expected in _known_jumps()}
+    return Measured(max(map(abs, details.values())), f"{len(details)} jumps [m]", details)
+
+
+def attitudes(_batch: Batch) -> Measured:
+    """Largest deviation of the attitude variation from the independent code."""
+    details = {name: m.attitude_variation - expected[1] for name, m, expected in _known_jumps()}
+    return Measured(max(map(abs, details.values())), f"{len(details)} jumps [rad]", details)
+
+
+def taut(_batch: Batch) -> Measured:
+    """Largest deviation of the taut jump's figures from the other code's, on three meshes."""
+    details = {}
+    for elements in (10, 20, 40):
+        metrics = jump(PlanarPlant(load_scenario("taut_jump", {"tether.elements": elements})))
+        values = (metrics.height, metrics.attitude_variation, metrics.travel, metrics.flight_time)
+        for (name, expected), value in zip(_TAUT.items(), values, strict=True):
+            details[f"{name}, n = {elements}"] = value - expected
+    return Measured(max(map(abs, details.values())), "H, dx [m], dtheta [rad], time [s]", details)
+
+
+def taut_path(_batch: Batch) -> Measured:
+    """Deviation of Body 1 at 0.3 s of the taut jump from the other code."""
+    plant = PlanarPlant(load_scenario("taut_jump", {"integration.h": 5e-4}))
+    state = run(plant, plant.take_off(plant.initial_state()), 0.3).final
+    difference = np.array([*state.G1, state.theta]) - np.array(_TAUT_AT_300_MS)
+    names = ("x [m]", "y [m]", "theta [rad]")
+    details = {name: float(value) for name, value in zip(names, difference, strict=True)}
+    return Measured(float(np.max(np.abs(difference))), "n = 20", details)
+
+
+def random_jump(generator: np.random.Generator, **fixed: object) -> Scenario:
+    """A jump of the Table 1 rover at random: geometry, slack, mesh, stiffness, tilt, stroke."""
+    geometry = str(generator.choice(["-H", "-K", "+K"]))
+    # -H needs at least dh/df = 0.4899 for its tip to be in reach.
+    low = 0.52 if geometry == "-H" else 0.1
+    overrides = {
+        "start.geometry": geometry,
+        "start.slack": float(generator.uniform(low, 3.5)),
+        "start.theta0": float(generator.uniform(-15.0, 15.0)),
+        "tether.elements": int(generator.integers(3, 31)),
+        "tether.youngs_modulus": float(10.0 ** generator.uniform(7.0, math.log10(5e8))),
+        "take_off.compression": float(generator.uniform(0.05, 0.25)),
+        "rover.m2": float(generator.uniform(0.2, 3.0)),
+        **fixed,
+    }
+    return load_scenario(_HIGH, overrides)
+
+
+def dae_of(scenario: Scenario) -> PlanarDae:
+    """The redundant DAE of a scenario with a rover."""
+    assert scenario.rover is not None
+    return PlanarDae(
+        scenario.tether.section,
+        scenario.tether.length,
+        scenario.tether.elements,
+        scenario.rover,
+        scenario.gravity,
+    )
+
+
+def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[float]:
+    """Largest difference [m, rad] of the assembled model at several steps from the DAE."""
+    plant = PlanarPlant(scenario)
+    start = plant.take_off(plant.initial_state())
+    element = scenario.tether.length / scenario.tether.elements
+    section = scenario.tether.section
+    wave = math.sqrt(section.line_density / section.axial_stiffness)
+    # Far below the bound that the axial wave sets for the explicit method: it must be exact here.
+    h = _DAE_DURATION / math.ceil(_DAE_DURATION / min(2.5e-4, 0.03 * element * wave))
+    count = round(_DAE_DURATION / h)
+    reference = dae_of(scenario).integrate(start, _DAE_DURATION, h, count)
+    bodies = reference.bodies[-1]
+    found = []
+    for step in steps:
+        fine = PlanarPlant(
+            scenario.with_overrides({"integration.h": step, "integration.tolerance": 1e-12})
+        )
+        state: PlanarState
+        state, _ = fine.step(start, Command(), _DAE_DURATION)
+        ours = np.array([[*state.G1, state.theta], [*state.G2, state.theta]])
+        found.append(
+            max(
+                float(np.max(np.abs(state.nodes[:, 0] - reference.nodes[-1, :, 0]))),
+                float(np.max(np.abs(ours - bodies))),
+            )
+        )
+    return found
+
+
+def dae_difference(batch: Batch) -> Measured:
+    """Largest difference between assembled model and DAE over random jumps, h = 1/64 ms."""
+    runs = min(batch.runs, 8)
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators(runs)):
+        scenario = random_jump(
+            generator,
+            **{
+                "tether.elements": int(generator.integers(3, 7)),
+                "tether.axial_damping_time": float(generator.uniform(0.0, 2e-3)),
+                "after_landing": "fly_on",
+            },
+        )
+        (difference,) = _difference_from_dae(scenario, (1e-3 / 64,))
+        details[f"run {index}"] = difference
+        worst = max(worst, difference)
+    return Measured(worst, f"{runs} random slack jumps over 0.2 s, n = 3..6", details)
+
+
+def dae_order(_batch: Batch) -> Measured:
+    """Smallest order at which the difference from the DAE falls with the step."""
+    cases: dict[str, tuple[str, dict[str, object]]] = {
+        "soft and slack": ("paper_table1_low", {"start.geometry": "+K", "start.slack": 2.0}),
+        "taut": ("taut_jump", {"tether.elements": 8}),
+    }
+    orders = {}
+    for name, (scenario, overrides) in cases.items():
+        steps = (5e-4, 2.5e-4, 1.25e-4)
+        differences = _difference_from_dae(load_scenario(scenario, overrides), steps)
+        for coarse, fine in itertools.pairwise(differences):
+            orders[f"{name}, from {coarse:.1e} m"] = math.log2(coarse / fine)
+    return Measured(min(orders.values()), "two jumps over 0.2 s, h = 0.5 to 0.125 ms", orders)
+
+
+def order_in_time(_batch: Batch) -> Measured:
+    """Order of convergence of the taut jump in the time step."""
+    ends = []
+    for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
+        overrides = {"integration.h": h, "integration.tolerance": 1e-11}
+        plant = PlanarPlant(load_scenario("taut_jump", overrides))
+        state, _ = plant.step(plant.take_off(plant.initial_state()), Command(), 0.3)
+        ends.append(np.array([*state.G1, state.theta]))
+    gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(ends)]
+    order = math.log2(gaps[1] / gaps[2])
+    details = {f"change {i + 1} [m, rad]": gap for i, gap in enumerate(gaps)}
+    return Measured(order, "taut jump, 0.3 s, h = 1 to 0.125 ms", details)
+
+
+def order_in_elements(_batch: Batch) -> Measured:
+    """Order of convergence of the free tether's fall in the number of elements."""
+    tips = []
+    for elements in (5, 10, 20, 40):
+        plant = PlanarPlant(load_scenario("tether_pendulum", {"tether.elements": elements}))
+        state, _ = plant.step(plant.initial_state(), Command(), 0.8)
+        tips.append(state.nodes[-1, 0])
+    gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(tips)]
+    order = math.log2(gaps[0] / gaps[2]) / 2.0
+    details = {f"change {i + 1} [m]": gap for i, gap in enumerate(gaps)}
+    return Measured(order, "undamped tether pendulum at 0.8 s, n = 5 to 40", details)
+
+
+def unrelaxed_scatter(_batch: Batch) -> Measured:
+    """Spurious axial energy of an unrelaxed catenary at n = 5 over that of the static tether."""
+    stored = {}
+    for shape in ("catenary", "static"):
+        overrides = {
+            "start.geometry": "-H",
+            "start.slack": 3.5,
+            "start.initial_shape": shape,
+            "tether.elements": 5,
+        }
+        plant = PlanarPlant(load_scenario(_STIFF, overrides))
+        stored[shape] = plant.energies(plant.initial_state()).axial
+    details = {f"axial energy, {shape} [J]": energy for shape, energy in stored.items()}
+    return Measured(stored["catenary"], "-H, s = 3.5, 70 GPa, n = 5; the jump has 16.5 J", details)

@@ -1,0 +1,312 @@
+"""Nodes as separate processes over DDS: bad commands, services, pace, and how they end."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample, JointValue, Status
+from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
+from rover_sim import PlanarPlant, jump, load_scenario
+from rover_verify.checks import Batch, Measured
+from rover_verify.stage import Observer, Process, Stage, open_stage
+
+SIM, JUMP, WINCH, RECORD = (
+    "rover_sim.sim_node",
+    "rover_control.jump_node",
+    "tether_winch.winch_node",
+    "rover_bags.record",
+)
+SCENARIO = "paper_table1_high"
+_NANO = 1_000_000_000
+_PERIOD_NS = 50_000_000
+_DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}'
+
+
+@contextmanager
+def simulation(batch: Batch, **parameters: object) -> Iterator[tuple[Stage, Process, Observer]]:
+    """A running sim_node with an observer that has heard its clock."""
+    # Compiled here once, so that the node finds it in the cache.
+    PlanarPlant(load_scenario(SCENARIO)).warm_up()
+    with open_stage(batch.folder) as stage:
+        process = stage.processes.start(SIM, {"scenario": SCENARIO, **parameters})
+        observer = stage.observer()
+        for name in (topics.EVENTS, topics.DIAGNOSTICS, topics.CLOCK):
+            observer.listen(name)
+        observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns >= 0)
+        yield stage, process, observer
+
+
+def drive_nut(
+    observer: Observer, compression: float, speed: float, until: Callable[[], bool]
+) -> None:
+    """Stream nut commands at 20 Hz of simulated time until a condition holds."""
+    while not until():
+        observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, compression, speed, 400.0)
+        wait_until_time(observer, observer.time_ns() + _PERIOD_NS)
+
+
+def wait_until_time(observer: Observer, stamp_ns: int) -> None:
+    """Wait until simulated time has come so far."""
+    clock = observer.listen(topics.CLOCK)
+    clock.wait(lambda sample: sample.stamp_ns >= stamp_ns, max(0, len(clock) - 1))
+
+
+def wait_until_active(observer: Observer, node: str, since: int = 0) -> None:
+    """Wait until a node says that it is active."""
+    observer.wait_for_status(
+        topics.EVENTS, lambda s: s.name == "active" and s.hardware_id == node, since
+    )
+
+
+def has_event(observer: Observer, name: str) -> Callable[[], bool]:
+    """Whether an event has come."""
+    feed = observer.listen(topics.EVENTS)
+    return lambda: any(s.name == name for sample in feed.samples for s in sample.statuses)
+
+
+def _spoilt(change: Callable[[Any], None]) -> Callable[[int], Any]:
+    def make(stamp_ns: int) -> Any:
+        sample = JointSample(stamp_ns, {JUMP_SCREW: JointValue(0.1, 0.1, 400.0)})
+        message = encode(topics.JUMP_MOTOR_COMMAND, sample)
+        change(message)
+        return message
+
+    return make
+
+
+def _set(part: str, value: float) -> Callable[[int], Any]:
+    return _spoilt(lambda message: getattr(message, part).__setitem__(0, value))
+
+
+def _aged(seconds: float) -> Callable[[int], Any]:
+    def age(message: Any) -> None:
+        stamp = message.header.stamp
+        total = stamp.sec * _NANO + stamp.nanosec - round(seconds * 1e9)
+        stamp.sec, stamp.nanosec = divmod(max(total, 1), _NANO)
+
+    return _spoilt(age)
+
+
+def _unstamp(message: Any) -> None:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+_BAD = {
+    "not_finite": (_set("position", math.nan), _set("velocity", math.inf)),
+    "out_of_limits": (_set("position", 5.0), _set("velocity", 0.0), _set("effort", -1.0)),
+    "wrong_name": (_spoilt(lambda message: setattr(message, "name", ["winch_drum"])),),
+    "wrong_length": (_spoilt(lambda message: message.position.append(0.0)),),
+    "unstamped": (_spoilt(_unstamp),),
+    "stale": (_aged(0.8),),
+    "from_the_future": (_aged(-5.0),),
+}
+
+
+def bad_commands(batch: Batch) -> Measured:
+    """How many bad commands over DDS are not refused with their reason, or have an effect."""
+    missed, total, details = 0, 0, {}
+    with simulation(batch, real_time_factor=2.0) as (_, process, observer):
+        nut = observer.listen(topics.JUMP_MOTOR_STATE)
+        observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns > 3 * _NANO)
+        publisher = observer.publisher(topics.JUMP_MOTOR_COMMAND)
+        for code, makers in _BAD.items():
+            for make in makers:
+                total += 1
+                heard = len(observer.listen(topics.DIAGNOSTICS))
+                publisher.publish(make(observer.time_ns()))
+                try:
+                    status = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+                    details[f"{total}: {code}"] = status.message
+                except AssertionError as error:
+                    missed += 1
+                    details[f"{total}: {code}"] = f"NOT REFUSED: {str(error)[:100]}"
+        moved = max(abs(sample.joints[JUMP_SCREW].position) for sample in nut.samples)
+        if moved > 0.0:
+            missed += 1
+            details["nut"] = f"moved {moved} m"
+        # And it lives on: a good command is obeyed.
+        drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
+        if process.stop() != 0:
+            missed += 1
+            details["exit"] = "not 0"
+    return Measured(missed, f"of {total} bad commands; then a good one was obeyed", details)
+
+
+def jump_difference(batch: Batch) -> Measured:
+    """Difference in height of a jump commanded over DDS from the same jump in Python."""
+    overrides = {"start.geometry": "+K", "start.slack": 2.0}
+    with simulation(batch, overrides=json.dumps(overrides), real_time_factor=2.0) as (_, _, seen):
+        drive_nut(seen, 0.2, 0.4, has_event(seen, "take_off"))
+        values = seen.wait_for_event("touchdown").values
+    own = jump(PlanarPlant(load_scenario(SCENARIO, overrides)))
+    details = {
+        "height [m]": float(values["height"]),
+        "height in Python [m]": own.height,
+        "attitude variation [rad]": float(values["attitude_variation"]),
+        "attitude variation in Python [rad]": own.attitude_variation,
+    }
+    return Measured(abs(float(values["height"]) - own.height), "n = 5, +K, s = 2", details)
+
+
+def pause_step_reset(batch: Batch) -> Measured:
+    """Of five promises of the services, how many are kept."""
+    promises = {}
+    with simulation(batch, real_time_factor=2.0) as (_, _, observer):
+        clock = observer.listen(topics.CLOCK)
+        clock.wait(lambda sample: sample.stamp_ns > _NANO // 2)
+        answer = observer.call(topics.SIM_PAUSE, True)
+        stood = round(float(answer.message.split()[-2]) * _NANO)
+        count = len(clock)
+        stepped = observer.call(topics.SIM_STEP)
+        after = clock.wait(lambda sample: sample.stamp_ns > stood, count).stamp_ns
+        promises["pause answers"] = answer.success
+        promises["paused, only a step moves time, by one tick"] = (
+            stepped.success and after == stood + _NANO // 100
+        )
+        observer.call(topics.SIM_PAUSE, False)
+        drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
+        bodies, count = observer.listen(topics.TRUTH_BODY1), len(clock)
+        stamp = observer.time_ns()
+        phases = observer.listen(topics.TRUTH_PHASE)
+        told = len(phases)
+        observer.call(topics.SIM_RESET_PLANT)
+        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+        later = clock.wait(lambda sample: sample.stamp_ns > stamp, count).stamp_ns
+        promises["reset_plant puts the plant back, time runs on"] = later > stamp
+        count, told = len(clock), len(bodies)
+        promises["reset answers"] = observer.call(topics.SIM_RESET).success
+        zero = clock.wait(lambda sample: sample.stamp_ns < _NANO // 10, count).stamp_ns
+        promises["reset starts time anew"] = zero < _NANO // 10
+    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
+    return Measured(sum(promises.values()), "", details)
+
+
+def divergence_stops(batch: Batch) -> Measured:
+    """Of three promises of a diverged simulation, how many are kept."""
+    with simulation(batch, overrides=_DIVERGING) as (_, process, observer):
+        bodies = observer.listen(topics.TRUTH_BODY1)
+        observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
+        event = observer.wait_for_event("diverged")
+        count = len(bodies)
+        samples = bodies.wait_for_count(count + 20)[count:]
+        promises = {
+            "the event says what is kept": "last good state" in event.message,
+            "nothing moves": len({sample.position for sample in samples}) == 1,
+            "it lives on and ends well": process.stop() == 0,
+        }
+    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
+    return Measured(sum(promises.values()), event.message, details)
+
+
+def real_time_factor(batch: Batch) -> Measured:
+    """Largest deviation of the measured real-time factor from the wanted one, relative."""
+    details, worst = {}, 0.0
+    with simulation(batch) as (_, _, observer):
+        feed = observer.listen(topics.SIM_STATUS)
+        for factor in (0.5, 1.0, 2.0):
+            observer.set_parameter("sim_node", "real_time_factor", factor)
+            # The measured one is an average; what is read is what it settles to.
+            best = math.inf
+            values = feed.wait_for_count(len(feed) + 40)[-20:]
+            for sample in values:
+                text = sample.statuses[0].values["measured_real_time_factor"]
+                if text:
+                    best = min(best, abs(float(text) / factor - 1.0))
+            details[f"factor {factor:g}"] = best
+            worst = max(worst, best)
+    return Measured(worst, "closest of 20 readings 2 s after each change", details)
+
+
+def ends_cleanly(batch: Batch) -> Measured:
+    """How many of the nodes do not end with code 0, or leave a process, on SIGINT and SIGTERM."""
+    modules = (SIM, JUMP, WINCH, RECORD)
+    bad, total, details = 0, 0, {}
+    PlanarPlant(load_scenario(SCENARIO)).warm_up()
+    for number, twice in ((signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)):
+        name = f"{number.name}{' twice' if twice else ''}"
+        with open_stage(batch.folder) as stage:
+            processes = {}
+            for module in modules:
+                arguments = ("-o", f"bag_{name.replace(' ', '_')}") if module == RECORD else ()
+                processes[module] = stage.processes.start(module, None, *arguments)
+            observer = stage.observer()
+            for module in modules:
+                node = module.rpartition(".")[2].replace("record", "bag_record")
+                wait_until_active(observer, node)
+            for module, process in processes.items():
+                total += 1
+                process.send_to_group(number)
+                if twice:
+                    process.send_to_group(number)
+                code = process.wait()
+                if code != 0 or not process.group_is_gone():
+                    bad += 1
+                    details[f"{module}, {name}"] = f"code {code}"
+    return Measured(bad, f"of {total} ends: four nodes, SIGINT, SIGINT twice, SIGTERM", details)
+
+
+def state_rates(batch: Batch) -> Measured:
+    """Largest deviation of a topic's period in simulated time from the contract, relative."""
+    with simulation(batch, real_time_factor=1.0) as (_, _, observer):
+        rows = [
+            row
+            for row in TOPICS.values()
+            if "sim_node" in row.publisher and row.rate and row.name != topics.SIM_STATUS
+        ]
+        feeds = {row.name: observer.listen(row.name) for row in rows}
+        details = {}
+        for row in rows:
+            stamps = [sample.stamp_ns for sample in feeds[row.name].wait_for_count(42)][1:]
+            period = (stamps[-1] - stamps[0]) / (len(stamps) - 1) * 1e-9
+            assert row.rate is not None
+            details[row.name] = abs(period * row.rate - 1.0)
+    return Measured(max(details.values()), f"{len(details)} topics", details)
+
+
+def silence_stops_the_nut(batch: Batch) -> Measured:
+    """How long the nut moves on after the commands fell silent [s of simulated time]."""
+    with simulation(batch, real_time_factor=1.0) as (_, _, observer):
+        nut = observer.listen(topics.JUMP_MOTOR_STATE)
+
+        def moved() -> bool:
+            return bool(nut.samples and nut.samples[-1].joints[JUMP_SCREW].position > 0.02)
+
+        drive_nut(observer, 0.3, 0.05, moved)
+        silent = observer.time_ns()
+        observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns > silent + 2 * _NANO)
+        moving = [s.stamp_ns for s in nut.samples if s.joints[JUMP_SCREW].velocity != 0.0]
+    return Measured(max(0.0, (max(moving) - silent) * 1e-9), "contract: 0.5 s")
+
+
+def bad_requests(batch: Batch) -> Measured:
+    """How many of an operator's bad requests the jump controller does not refuse with reason."""
+    bad, total, details = 0, 0, {}
+    with open_stage(batch.folder) as stage:
+        process = stage.processes.start(JUMP)
+        observer = stage.observer()
+        observer.listen(topics.DIAGNOSTICS)
+        observer.wait_for_event("active")
+        for position, code in ((math.nan, "not_finite"), (9.0, "out_of_limits"), (0.1, "")):
+            total += 1
+            sample = JointSample(0, {JUMP_STROKE: JointValue(0.1, 0.1, 0.0)})
+            message = encode(topics.JUMP_REQUEST, sample)
+            message.position[0] = position
+            heard = len(observer.listen(topics.DIAGNOSTICS))
+            observer.publisher(topics.JUMP_REQUEST).publish(message)
+            # The last one is good in itself, but no sensor tells the rover's state.
+            status = observer.wait_for_status(topics.DIAGNOSTICS, _refusal_with(code), heard)
+            details[f"position {position:g}"] = status.message
+            bad += not status.message
+        bad += process.stop() != 0
+    return Measured(bad, f"of {total} requests", details)
+
+
+def _refusal_with(code: str) -> Callable[[Status], bool]:
+    return lambda status: "code" in status.values and status.values["code"].startswith(code)

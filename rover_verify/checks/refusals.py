@@ -1,0 +1,188 @@
+"""Bad input at the boundary, no ROS running: messages by the codecs, scenarios by the loader."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msg_schemas import document
+from msg_schemas.codecs import decode, encode
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS, Intent, Topic
+from rover_sim import ScenarioError, list_scenarios, load_scenario
+from rover_verify.checks import Batch, Measured, NotPossible
+
+_MESSAGES_A_RUN = 500
+_NOW_NS = 1_000_000_000_000
+_PARTS = ("position", "velocity", "effort")
+
+
+def contract_document(_batch: Batch) -> Measured:
+    """How many lines of docs/contract.md differ from what the table says."""
+    path = Path(document.__file__).parents[1] / "docs" / "contract.md"
+    if not path.exists():
+        raise NotPossible("docs/contract.md comes with the source tree only")
+    written = path.read_text(encoding="utf-8").splitlines()
+    wanted = document.render().splitlines()
+    different = sum(a != b for a, b in zip(written, wanted, strict=False))
+    return Measured(different + abs(len(written) - len(wanted)), f"{len(wanted)} lines")
+
+
+def _commands() -> list[Topic]:
+    return [row for row in TOPICS.values() if row.intent is Intent.COMMAND and row.joints]
+
+
+def _good(row: Topic, generator: np.random.Generator) -> JointSample:
+    values = {}
+    for joint in row.joints:
+        numbers = []
+        for part in _PARTS:
+            field = row.by_path[f"{joint}.{part}"]
+            low, high = max(field.minimum, -1e3), min(field.maximum, 1e3)
+            numbers.append(float(generator.uniform(low, high)) if high > low else low)
+        values[joint] = JointValue(*numbers)
+    return JointSample(_NOW_NS, values)
+
+
+def good_commands(batch: Batch) -> Measured:
+    """How many random good commands do not come through their codec unchanged."""
+    bad = total = 0
+    for generator in batch.generators():
+        for _ in range(_MESSAGES_A_RUN // 5):
+            for row in _commands():
+                sample = _good(row, generator)
+                total += 1
+                bad += decode(row.name, encode(row.name, sample), _NOW_NS) != sample
+    return Measured(bad, f"of {total} commands")
+
+
+def bad_commands(batch: Batch) -> Measured:
+    """How many random bad commands are not refused with the right code and the reason."""
+    missed, total, details = 0, 0, {}
+    for generator in batch.generators():
+        for _ in range(_MESSAGES_A_RUN):
+            rows = _commands()
+            row = rows[int(generator.integers(len(rows)))]
+            message = encode(row.name, _good(row, generator))
+            code, words = _spoil(row, message, generator)
+            total += 1
+            try:
+                decode(row.name, message, _NOW_NS)
+                got = "accepted"
+            except Refusal as refusal:
+                if refusal.code is code and words in refusal.reason:
+                    continue
+                got = f"{refusal.code}: {refusal.reason}"
+            missed += 1
+            details[f"{row.name}, {code.value} ({words})"] = got
+    return Measured(missed, f"of {total} bad commands", details)
+
+
+def _spoil(row: Topic, message: Any, generator: np.random.Generator) -> tuple[RefusalCode, str]:
+    """Make a good message bad; returns the code and a word that the refusal must hold."""
+    part = _PARTS[int(generator.integers(3))]
+    joint = row.joints[0]
+    field = row.by_path[f"{joint}.{part}"]
+    kind = int(generator.integers(6))
+    if kind == 0:
+        value = [math.nan, math.inf, -math.inf][int(generator.integers(3))]
+        getattr(message, part)[0] = value
+        return RefusalCode.NOT_FINITE, f"{joint}.{part}"
+    if kind == 1:
+        beyond = float(10.0 ** generator.uniform(-3.0, 6.0))
+        value = field.maximum + beyond if math.isfinite(field.maximum) else math.nan
+        if generator.random() < 0.5 and math.isfinite(field.minimum):
+            value = field.minimum - beyond
+        getattr(message, part)[0] = value
+        bad = RefusalCode.NOT_FINITE if math.isnan(value) else RefusalCode.OUT_OF_LIMITS
+        return bad, f"{joint}.{part}"
+    if kind == 2:
+        letters = "".join(generator.choice(list("abcdefgh"), 6))
+        message.name = [letters]
+        return RefusalCode.WRONG_NAME, letters
+    if kind == 3:
+        getattr(message, part).append(0.0)
+        return RefusalCode.WRONG_LENGTH, part
+    stamp = message.header.stamp
+    if kind == 4:
+        age = row.stale.max_age + float(generator.uniform(0.01, 100.0))
+        nanoseconds = _NOW_NS - round(age * 1e9)
+        code, words = RefusalCode.STALE, "ago"
+    else:
+        lead = row.stale.max_lead + float(generator.uniform(0.01, 100.0))
+        nanoseconds = _NOW_NS + round(lead * 1e9)
+        code, words = RefusalCode.FROM_THE_FUTURE, "ahead"
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
+    return code, words
+
+
+_BAD_VALUES: tuple[object, ...] = (
+    math.nan, math.inf, -math.inf, -1.0, "three", True, None, [], {}, 1e30,
+)  # fmt: skip
+# Where one of the bad values is a good one.
+_ALLOWED: dict[str, tuple[object, ...]] = {
+    "tether.breaking_load": (math.inf, 1e30),
+    "start.theta0": (-1.0,),
+}
+_PATHS = (
+    "gravity", "tether.length", "tether.elements", "tether.youngs_modulus", "tether.radius",
+    "tether.density", "tether.axial_damping_time", "rover.m1", "rover.m2", "rover.spring_rate",
+    "rover.spring_free_length", "rover.body1_size", "start.slack", "start.drop",
+    "take_off.compression", "integration.h", "integration.tolerance", "start.geometry",
+    "start.initial_shape", "tether.breaking_load", "start.theta0", "tether.elemnts", "rovr.m1",
+)  # fmt: skip
+
+
+def bad_scenarios(_batch: Batch) -> Measured:
+    """How many bad scenario values are not refused with their path and value."""
+    missed, total, details = 0, 0, {}
+    for path in _PATHS:
+        for value in _BAD_VALUES:
+            if any(value is good or value == good for good in _ALLOWED.get(path, ())):
+                continue
+            # Stiffness and density have no upper bound; null leaves out one way of a cross-section.
+            if value == 1e30 and path in {
+                "tether.youngs_modulus", "tether.density", "rover.spring_rate",
+            }:  # fmt: skip
+                continue
+            total += 1
+            try:
+                load_scenario("paper_table1_high", {path: value})
+            except ScenarioError as error:
+                if path.rpartition(".")[2] in str(error) or path.partition(".")[0] in str(error):
+                    continue
+                details[f"{path} = {value}"] = str(error)
+            else:
+                details[f"{path} = {value}"] = "accepted"
+            missed += 1
+    return Measured(missed, f"of {total} bad values", details)
+
+
+def broken_scenario_files(batch: Batch) -> Measured:
+    """How many randomly damaged scenario files end in anything but a scenario or a refusal."""
+    bad, refused, details = 0, 0, {}
+    texts = {
+        name: (Path(load_scenario.__code__.co_filename).parent / "scenarios" / f"{name}.yaml")
+        for name in list_scenarios()
+    }
+    path = batch.folder / "damaged.yaml"
+    total = 0
+    for generator in batch.generators():
+        for name, source in texts.items():
+            data = bytearray(source.read_bytes())
+            for _ in range(int(generator.integers(1, 6))):
+                data[int(generator.integers(len(data)))] = int(generator.integers(256))
+            path.write_bytes(bytes(data[: int(generator.integers(1, len(data) + 1))]))
+            total += 1
+            try:
+                load_scenario(path)
+            except ScenarioError:
+                refused += 1
+            except Exception as error:  # noqa: BLE001 - that is what is looked for
+                bad += 1
+                details[f"{name}: {type(error).__name__}"] = str(error)[:120]
+    return Measured(bad, f"of {total} damaged files; {refused} refused", details)

@@ -1,0 +1,105 @@
+"""The commands that people run: the demonstration, and every executable's help."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from rover_verify import demo
+from rover_verify.checks import Batch, Measured
+from rover_verify.stage import Process
+from rover_verify.stage.processes import environment
+
+_MODULES = (
+    "rover_sim.sim_node", "rover_control.jump_node", "tether_winch.winch_node",
+    "rover_bags.record", "rover_bags.recover", "rover_bags.report", "rover_sim.paper_study",
+    "rover_verify.demo", "rover_verify.matrix", "rover_verify.bench",
+)  # fmt: skip
+
+
+def _shown(batch: Batch) -> dict[str, object]:
+    folder = batch.folder / "demo"
+    folder.mkdir()
+    return demo.run_show(folder, 1.0, quiet=True)
+
+
+def demo_height(batch: Batch) -> Measured:
+    """Deviation of the demonstration's jump height from the independent code [m]."""
+    metrics, reference = _shown(batch), demo.REFERENCES[0]
+    value = metrics[reference.key]
+    assert isinstance(value, float)
+    return Measured(abs(value - reference.value), f"{value:.5f} m, other code {reference.value} m")
+
+
+def demo_attitude(batch: Batch) -> Measured:
+    """Deviation of the demonstration's attitude variation from the independent code [rad]."""
+    metrics, reference = _shown(batch), demo.REFERENCES[1]
+    value = metrics[reference.key]
+    assert isinstance(value, float)
+    note = f"{value:.5f} rad, other code {reference.value} rad"
+    return Measured(abs(value - reference.value), note)
+
+
+def demo_time(batch: Batch) -> Measured:
+    """Wall time of the demonstration, the environment being there [s]."""
+    began = time.monotonic()
+    metrics = _shown(batch)
+    return Measured(
+        time.monotonic() - began, "compiled functions may come from the cache",
+        {"ready after [s]": str(metrics["ready_after_s"])},
+    )  # fmt: skip
+
+
+def demo_interrupted(batch: Batch) -> Measured:
+    """How many processes are left when the demonstration is interrupted at random moments."""
+    left, details = 0, {}
+    runs = min(batch.runs, 3)
+    for index, generator in enumerate(batch.generators(runs)):
+        target = batch.folder / f"demo_{index}"
+        process = Process("rover_verify.demo", ["--out", str(target)], environment(0), batch.folder)
+        try:
+            process.wait(float(generator.uniform(1.0, 12.0)))
+        except AssertionError:
+            process.send(signal.SIGINT)
+        code = process.wait()
+        mark = str(batch.folder)
+        remaining = _processes_in(mark)
+        left += len(remaining)
+        details[f"run {index}"] = f"code {code}, left: {remaining or 'none'}"
+    return Measured(left, f"{runs} interruptions after 1 to 12 s", details)
+
+
+def _processes_in(folder: str) -> list[str]:
+    """Command lines of processes that work in a folder or below it."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            if str((entry / "cwd").readlink()).startswith(folder):
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+                found.append(" ".join(word.decode(errors="replace") for word in words)[:80])
+        except OSError:
+            continue
+    return found
+
+
+def help_texts(_batch: Batch) -> Measured:
+    """How many executables do not answer ``--help`` with code 0 and a text."""
+    bad, details = 0, {}
+    for module in _MODULES:
+        done = subprocess.run(
+            [sys.executable, "-m", module, "--help"],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            env=environment(0),
+        )
+        fine = done.returncode == 0 and len(done.stdout) > 80
+        bad += not fine
+        details[module] = "fine" if fine else f"code {done.returncode}: {done.stderr[-200:]}"
+    return Measured(bad, f"of {len(_MODULES)} executables", details)
