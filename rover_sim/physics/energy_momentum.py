@@ -57,6 +57,7 @@ from rover_sim.physics.tether import (
     Tether,
     apply,
     bending_coefficients,
+    combine,
     mass_coefficients,
     row_width,
 )
@@ -111,19 +112,6 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((width + 2, lanes)),
         np.zeros(width),
         np.zeros(width),
-    )
-
-
-@kernel
-def _combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> tuple[float, ...]:
-    """A x + b y for two sets of six coefficients."""
-    return (
-        a * x[0] + b * y[0],
-        a * x[1] + b * y[1],
-        a * x[2] + b * y[2],
-        a * x[3] + b * y[3],
-        a * x[4] + b * y[4],
-        a * x[5] + b * y[5],
     )
 
 
@@ -329,7 +317,7 @@ def _assemble(tether: Tether, h: float, work: Workspace) -> None:
     dim = len(tag)
     inverse = 1.0 / tether.element_length
     average = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
-    linear = _combine(2.0 / h**2, mass_coefficients(tether), 0.5, bending_coefficients(tether))
+    linear = combine(2.0 / h**2, mass_coefficients(tether), 0.5, bending_coefficients(tether))
     basis = stack(tag, 9)
     points_force = stack(tag, 15)
     points_tensor = stack(tag, 45)

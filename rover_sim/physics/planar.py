@@ -39,6 +39,7 @@ from rover_sim.physics.planar_rover import (
     rover_energies,
     rover_increment,
 )
+from rover_sim.physics.predictor import History, extrapolate, make_history, remember
 from rover_sim.physics.tether import Tether, row_width, tether_energies
 
 # Entries of the array `book`: what is remembered besides the motion.
@@ -122,9 +123,7 @@ class Solver(NamedTuple):
     body1: Array  # (BODY_SIZE,)
     turn: Array  # (2,): increments th and ds
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
-    history: Array  # (3, 4, width): mid-step rates of the last three steps
-    turn_history: Array  # (3, 2): the same of th and ds
-    history_time: Array  # (3,) [s], their instants relative to the start of the coming step
+    history: History
     control: Array  # (2,): the Newton constant C, steps since it was measured; see _TRUSTED_STEPS
     search: Array  # (4,): of the touchdown's instant, see `_seek_touchdown`
     report: Array  # (REPORT_SIZE,)
@@ -145,9 +144,7 @@ def make_solver(elements: int, report: Array) -> Solver:
         np.zeros(BODY_SIZE),
         np.zeros(2),
         np.zeros((2, 3)),
-        np.zeros((3, 4, width)),
-        np.zeros((3, 2)),
-        np.zeros(3),
+        make_history(4, width, 2),
         np.array([0.0, float(_TRUSTED_STEPS)]),
         np.zeros(4),
         report,
@@ -196,13 +193,12 @@ def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
 def _predict(
     n: int, h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver
 ) -> None:
-    """Start the Newton iteration from rates at mid-step, extrapolated from the last steps.
+    """Start the Newton iteration from `depth` of the past steps, or from the rates if it is 0.
 
-    `depth` of the past steps are used (Lagrange's polynomial in time); with none, the rates at
-    the step's start. Coordinates that are held do not move.
+    Coordinates that are held do not move.
     """
     work = solver.work
-    increment, history, times = work.increment, solver.history, solver.history_time
+    increment = work.increment
     if depth == 0:
         for k in range(4):
             for i in range(increment.shape[1]):
@@ -211,26 +207,7 @@ def _predict(
         solver.turn[0] = h * body[OMEGA]
         solver.turn[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
     else:
-        at = 0.5 * h
-        first, second, third = 1.0, 0.0, 0.0
-        if depth == 2:
-            first = (at - times[1]) / (times[0] - times[1])
-            second = 1.0 - first
-        elif depth == 3:
-            first = (at - times[1]) * (at - times[2])
-            first /= (times[0] - times[1]) * (times[0] - times[2])
-            second = (at - times[0]) * (at - times[2])
-            second /= (times[1] - times[0]) * (times[1] - times[2])
-            third = 1.0 - first - second
-        first, second, third = h * first, h * second, h * third
-        for k in range(4):
-            for i in range(increment.shape[1]):
-                increment[k, i] = (
-                    first * history[0, k, i] + second * history[1, k, i] + third * history[2, k, i]
-                )
-        turns = solver.turn_history
-        for k in range(2):
-            solver.turn[k] = first * turns[0, k] + second * turns[1, k] + third * turns[2, k]
+        extrapolate(solver.history, h, depth, increment, solver.turn)
     for k in range(4):
         if work.end_fixed[0, k] != 0.0:
             increment[k, 0] = 0.0
@@ -239,50 +216,6 @@ def _predict(
     if not flying:
         solver.turn[0] = 0.0
         solver.turn[1] = 0.0
-
-
-@kernel
-def _remember(length: float, h: float, known: int, solver: Solver) -> int:
-    """Push the finished step's mid-step rates onto the history.
-
-    Args:
-        length: of an element [m].
-        h: length of the step [s].
-        known: how many steps the history holds.
-        solver: with the increment.
-
-    Returns:
-        The depth of `_predict` that would have been best for this step, 1 if none was possible: low
-        orders for rough motion, whose noise extrapolation amplifies.
-    """
-    history, times, increment = solver.history, solver.history_time, solver.work.increment
-    inverse = 1.0 / h
-    constant, linear, quadratic = 0.0, 0.0, 0.0
-    for k in range(4):
-        unit = 1.0 if k < 2 else length * length
-        for i in range(increment.shape[1]):
-            rate = inverse * increment[k, i]
-            first, second, third = history[0, k, i], history[1, k, i], history[2, k, i]
-            constant += unit * (rate - first) ** 2
-            linear += unit * (rate - 2.0 * first + second) ** 2
-            quadratic += unit * (rate - 3.0 * (first - second) - third) ** 2
-            history[2, k, i] = second
-            history[1, k, i] = first
-            history[0, k, i] = rate
-    depth = 1
-    if known >= 2 and linear < constant:
-        depth = 2
-    if known >= 3 and quadratic < min(constant, linear):
-        depth = 3
-    turns = solver.turn_history
-    for k in range(2):
-        turns[2, k] = turns[1, k]
-        turns[1, k] = turns[0, k]
-        turns[0, k] = inverse * solver.turn[k]
-    times[2] = times[1] - h
-    times[1] = times[0] - h
-    times[0] = -0.5 * h
-    return depth
 
 
 @checked
@@ -589,19 +522,20 @@ def advance(
                 rise = hermite(instant, h, y0, dy0, y1, dy1) - book[START_Y]
                 if rise > book[HIGHEST]:
                     book[HIGHEST] = rise
+                    at = start + elapsed + instant
                     count = _record(
-                        EVENT_APEX,
-                        start + elapsed + instant,
-                        rise,
-                        tension,
-                        solver.body1,
-                        book,
-                        events,
-                        count,
+                        EVENT_APEX, at, rise, tension, solver.body1, book, events, count
                     )
             _keep(solver, q, v, body)
             book[DISSIPATED] += dissipated
-            depth = _remember(model.tether.element_length, h, known, solver)
+            depth = remember(
+                solver.history,
+                h,
+                known,
+                model.tether.element_length,
+                solver.work.increment,
+                solver.turn,
+            )
             known = min(known + 1, 3)
             elapsed += h
             report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
@@ -609,27 +543,15 @@ def advance(
             if tension > model.breaking_load:
                 phase = TETHER_BROKEN
                 done = True
+                rise = body[Y1] - book[START_Y]
                 count = _record(
-                    EVENT_BROKEN,
-                    start + elapsed,
-                    body[Y1] - book[START_Y],
-                    tension,
-                    body,
-                    book,
-                    events,
-                    count,
+                    EVENT_BROKEN, start + elapsed, rise, tension, body, book, events, count
                 )
                 break
             if touches:
+                rise = book[HIGHEST]
                 count = _record(
-                    EVENT_TOUCHDOWN,
-                    start + elapsed,
-                    book[HIGHEST],
-                    tension,
-                    body,
-                    book,
-                    events,
-                    count,
+                    EVENT_TOUCHDOWN, start + elapsed, rise, tension, body, book, events, count
                 )
                 if model.hold_after_landing:
                     phase = LANDED

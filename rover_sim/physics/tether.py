@@ -120,6 +120,19 @@ def bending_coefficients(tether: Tether) -> tuple[float, ...]:
 
 
 @kernel
+def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> tuple[float, ...]:
+    """A x + b y for two sets of six coefficients."""
+    return (
+        a * x[0] + b * y[0],
+        a * x[1] + b * y[1],
+        a * x[2] + b * y[2],
+        a * x[3] + b * y[3],
+        a * x[4] + b * y[4],
+        a * x[5] + b * y[5],
+    )
+
+
+@kernel
 def apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
     """Product of the element matrix with coefficients c and (r1, r1', r2, r2') of a direction."""
     return (
