@@ -13,15 +13,16 @@ the equations of the step are
 
     last node   tether + f_1 + f_2 - F = 0
     rotation    [R_1 (J W1 + H_1) - R_0 (J W0 + H_0)]/h
-                - R_m p x f_1 + R_m (s_m e - p) x f_2 - M = 0
-    slider      R_m e . f_2 + k (s_m - l_0) + c ds/h = 0
+                - R_m p x f_1 + ((R_0 e s_0 + R_1 e s_1)/2 - R_m p) x f_2 - M = 0
+    slider      R_0 (e + th x e/2) . f_2 + k (s_m - l_0) + c ds/h = 0
 
 J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
 whose absolute axial momenta are H (body axes); F and M are the force and the moment about the
-last node from outside. Because R_1 - R_0 turns vectors by R_0 th across R_m exactly, the work of
-these forces is the change of the energies, and R J W the change of the angular momentum: both are
-conserved (Simo and Wong 1991, IJNME 31; the same scheme as `planar_rover`, which it contains).
-Rotation and slide are condensed into the last node before the tether's elimination.
+last node from outside. The levers are means of start and end, so the angular momentum is conserved;
+because R_1 - R_0 turns vectors by R_0 th across R_m exactly, and because of the slider's direction,
+the work of these forces is the change of the energies (Simo and Wong 1991, IJNME 31; the same
+scheme as `planar_rover`, which it contains). Rotation and slide are condensed into the last node
+before the tether's elimination.
 """
 
 from typing import NamedTuple
@@ -174,9 +175,11 @@ def add_rover(
     i1, i2 = 2.0 * rover.m1 / h**2, 2.0 * rover.m2 / h**2
 
     sm = 0.5 * (pose.s0 + pose.s1)
-    axis = scale(0.5, add(pose.axis0, pose.axis1))
+    e = (0.0, 0.0, 1.0)
+    axis = axpy(0.5, rotate(pose.start, cross(th, e)), pose.axis0)
     lever1 = scale(-0.5, add(pose.attachment0, pose.attachment1))
-    lever2 = axpy(sm, axis, lever1)
+    reach = add(scale(0.5 * pose.s0, pose.axis0), scale(0.5 * pose.s1, pose.axis1))
+    lever2 = add(reach, lever1)
 
     spin0 = vector_at(body, SPIN)
     spin1 = axpy(-1.0, spin0, scale(2.0 / h, th))
@@ -195,7 +198,6 @@ def add_rover(
 
     # Derivatives. R_1 u changes by (R_0 A dth) x R_1 u, R_m u by half of it.
     rows, back = step.coupling, step.return_coupling
-    lever_axis = axpy(-1.0, pose.attachment1, scale(sm, pose.axis1))
     for k in range(3):
         unit = (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
         turn = rotate(pose.start, cayley_spin(th, unit))
@@ -207,13 +209,13 @@ def add_rover(
         change = axpy(i1, cross(lever1, move1), change)
         change = axpy(i2, cross(lever2, move2), change)
         change = axpy(0.5, cross(move1, f1), change)
-        change = axpy(0.5, cross(cross(turn, lever_axis), f2), change)
+        change = axpy(0.5, cross(move2, f2), change)
         _column(rows, 0, k, change)
-        rows[3, k] = i2 * dot(axis, move2) + 0.5 * dot(f2, move_axis)
+        rows[3, k] = i2 * dot(axis, move2) + 0.5 * dot(f2, rotate(pose.start, cross(unit, e)))
         _column(back, 0, k, axpy(i1, move1, scale(i2, move2)))
         _column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
         rows[3, 4 + k] = i2 * axis[k]
-    _column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(axis, f2))))
+    _column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(pose.axis1, f2))))
     rows[3, 3] = i2 * dot(axis, pose.axis1) + 0.5 * rover.spring_rate + rover.slider_damping / h
     _column(back, 0, 3, scale(i2, pose.axis1))
     _column(rows, 0, 7, rotation)
