@@ -34,7 +34,7 @@ from rover_verify.bench_cases import (
     survey,
     timed,
 )
-from rover_verify.trial import Setting
+from rover_verify.trial import SAMPLE, Setting
 
 Row = dict[str, object]
 Tell = Callable[[str], None]
@@ -177,7 +177,7 @@ def _warm_up(chosen: Sequence[Case]) -> None:
 def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
     heading = (
-        f"{'case':14}{'n':>5} | {'ours rtf':>9}{'error m':>9}  {'setting':15}"
+        f"{'case':16}{'n':>5} | {'ours rtf':>9}{'error m':>9}  {'setting':15}"
         f"| {'peer rtf':>9}{'error m':>9}  {'setting':32}| {'ratio':>6}  {'at any error':>12}"
     )
     lines = [
@@ -189,7 +189,7 @@ def table(rows: Sequence[Row]) -> str:
         if row["error_m"] is None:
             continue
         lines.append(
-            f"{row['case']!s:14}{row['n']!s:>5} | {_shown(row['rtf'], '9.1f')}"
+            f"{row['case']!s:16}{row['n']!s:>5} | {_shown(row['rtf'], '9.1f')}"
             f"{_shown(row['error_m'], '9.1e')}  {row['setting']!s:15}"
             f"| {_shown(row['peer_rtf'], '9.2f')}{_shown(row['peer_error_m'], '9.1e')}"
             f"  {_peer_setting(row):32}| {_shown(row['ratio'], '6.1f')}  "
@@ -198,12 +198,12 @@ def table(rows: Sequence[Row]) -> str:
         )
     lines += ["", f"both at 1 ms and their tight tolerance, {FLOWN.tolerance:g}"]
     lines.append(
-        f"{'case':14}{'n':>5} | {'ours rtf':>9}{'error m':>9}{'iterations/step':>17} "
+        f"{'case':16}{'n':>5} | {'ours rtf':>9}{'error m':>9}{'iterations/step':>17} "
         f"| {'peer rtf':>9}{'error m':>9} | {'ratio':>6}"
     )
     lines.append("-" * len(lines[-1]))
     lines += [
-        f"{row['case']!s:14}{row['n']!s:>5} | {_shown(row['rtf_flown'], '9.1f')}"
+        f"{row['case']!s:16}{row['n']!s:>5} | {_shown(row['rtf_flown'], '9.1f')}"
         f"{_shown(row['error_flown_m'], '9.1e')}"
         f"{_shown(row['iterations_per_step_flown'], '17.2f')} "
         f"| {_shown(row.get('peer_rtf_usual'), '9.2f')}"
@@ -251,10 +251,10 @@ def _peer_setting(row: Row) -> str:
 
 def notes(*, peer: bool) -> str:
     """What a reader of the table must know."""
+    first, last = cases()[0].compared_until, cases()[-1].compared_until
     lines = [
         "Errors: largest distance of the tether's tip from the code's own solution at 1/32 ms",
-        "(1/16 ms beyond n = 20),",
-        f"at samples up to {cases()[0].compared_until:g} s (pendulum) or the whole flight (jump).",
+        f"(1/16 ms beyond n = 20), each {SAMPLE:g} s to {first:g} s (pendulum), {last:g} s (jump).",
         "Later the undamped pendulum is chaotic (it cracks like a whip): its 2 s runs are timed,",
         "but paths can be compared only before.",
         "At any error: the same comparison along the peer's whole frontier of cost and error.",
@@ -293,8 +293,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         names = sorted({case.name for case in cases()})
         parser.error(f"no such case; there are {', '.join(names)}")
     peer = exudyn_peer.load() is not None
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
     rows = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
-    options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(table(rows))

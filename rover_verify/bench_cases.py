@@ -22,7 +22,7 @@ FLOWN = Setting(1e-3, 1e-8, OURS)
 PEER_USUAL = Setting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
-_STEPS = (4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
+_STEPS = (1e-2, 5e-3, 4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,23 @@ class Case:
         return state if plant.scenario.rover is None else plant.take_off(state)
 
 
-_JUMP = (("start.geometry", "+K"), ("start.slack", 2.0), ("after_landing", "fly_on"))
+def _jump(geometry: str, slack: float) -> tuple[tuple[str, object], ...]:
+    return (
+        ("start.geometry", geometry),
+        ("start.slack", slack),
+        ("after_landing", "fly_on"),
+    )
 
 
 def cases() -> list[Case]:
     """Every case, in the table's order."""
-    pendulum = "tether_pendulum"
+    pendulum, rover = "tether_pendulum", "paper_table1_high"
+    below, above = _jump("-H", 0.5), _jump("+K", 2.0)
     return [
         *(Case("pendulum, 1 s", pendulum, (), n, 1.0, 0.8, 1e-3) for n in (5, 20, 50, 100)),
         *(Case("pendulum, 2 s", pendulum, (), n, 2.0, 0.8, 1e-3) for n in (20, 100)),
-        *(Case("jump", "paper_table1_high", _JUMP, n, 0.4, 0.4, 1e-4) for n in (5, 20, 50, 100)),
+        *(Case("jump", rover, below, n, 0.4, 0.4, 1e-4) for n in (5, 20, 50, 100)),
+        *(Case("jump, stretched", rover, above, n, 0.4, 0.4, 1e-4) for n in (20, 100)),
     ]
 
 

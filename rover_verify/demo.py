@@ -31,6 +31,7 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
 from rover_verify.stage import Observer, Process, Stage, clean_shared_memory, open_stage
 from rover_verify.stage.processes import environment
+from rover_verify.stage.recording import is_recording
 
 SCENARIO = "paper_table1_high"
 OVERRIDES = {"start.geometry": "+K", "start.slack": 2.0, "tether.elements": 20}
@@ -203,18 +204,18 @@ class Show:
         waiting = [name for name in wanted if name not in active]
         if "bag_record" not in active:
             waiting.append("bag_record")
-        graph = self._observer.node
-        # The jump controller and the recorder hear the operator; the recorder hears the truth.
-        heard = graph.count_subscribers(topics.JUMP_REQUEST) >= 2
-        recorded = graph.count_subscribers(topics.TRUTH_BODY1) >= 2
+        if not waiting and not self._is_recording():
+            waiting.append("the recording to flow")
         contact = self._last(topics.CONTACT)
         stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
         phase = self._last(topics.JUMP_PHASE)
-        if not waiting and not (heard and recorded):
-            waiting.append("the connections")
         if not waiting and not (stands and phase is not None and phase.text == "standby"):
             waiting.append("the rover to stand")
         return f"waiting for {', '.join(waiting)}" if waiting else ""
+
+    def _is_recording(self) -> bool:
+        diagnostics = self._observer.listen(topics.DIAGNOSTICS).samples
+        return any(is_recording(status) for sample in diagnostics for status in sample.statuses)
 
     def _event(self, name: str) -> bool:
         return any(

@@ -241,6 +241,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for row in rows:
             print(f"{row.id:22}{row.status:10}{row.limit!s:20}{row.statement}")
         return 0
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
     # Nothing reaches out of this machine, and wrong types are errors.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
@@ -257,7 +261,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
     content = report(rows, results)
-    options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "verification.json"
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     html = options.out / "verification.html"

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from itertools import groupby
 
 STATES = ("PASS", "FAIL", "ERROR", "NOT RUN", "OPEN")
+TROUBLE = ("FAIL", "ERROR", "NOT RUN")
 
 _STYLE = """
 :root { --ink:#1d2430; --dim:#667085; --line:#e3e6ec; --paper:#fff; --ground:#f5f6f8; }
@@ -35,6 +36,7 @@ td.num { font-variant-numeric:tabular-nums; overflow-wrap:anywhere }
   font-weight:700; color:#fff; background:var(--colour); white-space:nowrap }
 .PASS { --colour:#18794e } .FAIL { --colour:#c62a2f } .ERROR { --colour:#9b1c5a }
 .NOT-RUN { --colour:#8a6d00 } .OPEN { --colour:#5f6b7c }
+.trouble { margin-top:14px; padding:10px 14px; background:#fdecec; border-radius:8px }
 summary { cursor:pointer; color:var(--dim); font-size:13px }
 details table { margin-top:6px; border-radius:6px } details td { padding:3px 8px; font-size:13px }
 code { font:12.5px ui-monospace,"DejaVu Sans Mono",monospace; color:var(--dim) }
@@ -68,7 +70,7 @@ def render(rows: Sequence[Mapping[str, object]], runs: int, seed: int) -> str:
         f'<div class="sub">{passed} of {len(required)} required rows pass &middot; {runs} runs, '
         f"seed {seed} &middot; {when} &middot; Python {platform.python_version()} on "
         f"{html.escape(platform.machine())}</div>"
-        f'<div class="tiles">{tiles}</div><div class="bar">{bar}</div>{sections}'
+        f'<div class="tiles">{tiles}</div><div class="bar">{bar}</div>{_trouble(rows)}{sections}'
         "</main></body></html>\n"
     )
 
@@ -76,8 +78,8 @@ def render(rows: Sequence[Mapping[str, object]], runs: int, seed: int) -> str:
 def _section(area: str, rows: Sequence[Mapping[str, object]]) -> str:
     body = "".join(_row(row) for row in rows)
     return (
-        f"<h2>{html.escape(area)}</h2><table><colgroup><col style='width:13%'>"
-        "<col style='width:8%'><col style='width:45%'><col style='width:14%'>"
+        f"<h2>{html.escape(area)}</h2><table><colgroup><col style='width:16%'>"
+        "<col style='width:8%'><col style='width:44%'><col style='width:12%'>"
         "<col style='width:20%'></colgroup><tr><th>id</th><th>state</th><th>requirement</th>"
         f"<th>required</th><th>measured</th></tr>{body}</table>"
     )
@@ -86,19 +88,31 @@ def _section(area: str, rows: Sequence[Mapping[str, object]]) -> str:
 def _row(row: Mapping[str, object]) -> str:
     state, measured = str(row["state"]), row["measured"]
     unit = "" if row["unit"] == "-" else f" {row['unit']}"
-    value = "&ndash;" if measured is None else html.escape(f"{measured:.6g}{unit}")
+    value = "&ndash;" if measured is None else html.escape(f"{measured:.4g}{unit}")
     if state == "OPEN" and measured is not None:
         value += " (reached)" if row["pass"] else " (not reached)"
     note = f'<div class="note">{html.escape(str(row["note"]))}</div>' if row["note"] else ""
     alone = f'<div class="note">{row["method"]}: <code>{html.escape(str(row["command"]))}</code>'
     alone = f"{alone}</div>" if measured is not None or state in {"ERROR", "NOT RUN"} else ""
     return (
-        f'<tr><td class="id">{row["id"]}</td>'
+        f'<tr id="{row["id"]}"><td class="id">{row["id"]}</td>'
         f'<td><span class="state {_kind(state)}">{state}</span></td>'
         f"<td>{html.escape(str(row['statement']))}{alone}</td>"
-        f'<td class="num">{html.escape(str(row["required"]))}</td>'
+        f'<td class="num">{_signs(str(row["required"]))}</td>'
         f'<td class="num">{value}{note}{_details(row["details"])}</td></tr>'
     )
+
+
+def _signs(required: str) -> str:
+    return html.escape(required.replace("<=", "≤").replace(">=", "≥").replace("==", "="))
+
+
+def _trouble(rows: Sequence[Mapping[str, object]]) -> str:
+    """Links to what did not pass, so that nobody must look for it."""
+    links = ", ".join(
+        f'<a href="#{row["id"]}">{row["id"]}</a>' for row in rows if row["state"] in TROUBLE
+    )
+    return f'<div class="trouble">Not as required: {links}</div>' if links else ""
 
 
 def _details(details: object) -> str:

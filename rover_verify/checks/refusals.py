@@ -176,7 +176,11 @@ def broken_scenario_files(batch: Batch) -> Measured:
             data = bytearray(source.read_bytes())
             for _ in range(int(generator.integers(1, 6))):
                 data[int(generator.integers(len(data)))] = int(generator.integers(256))
-            path.write_bytes(bytes(data[: int(generator.integers(1, len(data) + 1))]))
+            if generator.random() < 0.3:
+                data = data[: int(generator.integers(1, len(data)))]
+            elif generator.random() < 0.5:
+                data = bytearray(byte if byte < 128 else byte - 96 for byte in data)
+            path.write_bytes(bytes(data))
             total += 1
             try:
                 load_scenario(path)

@@ -111,7 +111,8 @@ def sag_shape(_batch: Batch) -> Measured:
         return np.stack([x, y], axis=-1)
 
     def miss(unknown: ancf.Array) -> ancf.Array:
-        return position(np.array(length), *unknown) - np.array([span, rise])
+        end = position(np.array(length), float(unknown[0]), float(unknown[1]))
+        return np.asarray(end - np.array([span, rise]))
 
     across, up = fsolve(miss, [_SAG_HORIZONTAL, -weight * length / 3.0], xtol=1e-13)
     chain = position(np.linspace(0.0, length, elements + 1), float(across), float(up))
@@ -120,7 +121,10 @@ def sag_shape(_batch: Batch) -> Measured:
     return Measured(
         float(np.max(distance)),
         f"{elements} elements",
-        {"lowest node of the chain, y [m]": float(lowest[1]), "horizontal force [N]": float(across)},
+        {
+            "lowest node of the chain, y [m]": float(lowest[1]),
+            "horizontal force [N]": float(across),
+        },
     )
 
 

@@ -128,6 +128,8 @@ class Observer:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="observer", daemon=True)
         self._thread.start()
+        for name in (topics.EVENTS, topics.DIAGNOSTICS):
+            self.listen(name)
 
     def _spin(self) -> None:
         while not self._stopping.is_set():
@@ -212,6 +214,8 @@ class Observer:
             )
         made = self._publishers[name]
         self.wait_until(lambda: made.get_subscription_count() > 0, f"nobody listens to {name}")
+        # Who can be commanded must also be heard refusing.
+        self.listen(topics.DIAGNOSTICS).wait()
         return made
 
     def send(self, name: str, sample: Sample) -> None:

@@ -1,0 +1,132 @@
+"""The demonstration: judged by its figures, run as a process, stopped in the middle."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from rover_verify import demo
+from rover_verify.demo import judge
+from rover_verify.stage import Process
+from rover_verify.stage.processes import environment
+
+GOOD = {
+    "jump_height_m": 0.3084,
+    "attitude_variation_rad": 0.6615,
+    "energy_drift_J": 1e-9,
+    "jumps": [{}],
+    "complaints": [],
+}
+
+
+def test_the_reference_itself_is_as_it_should_be():
+    assert all(holds for _, holds in judge(GOOD))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"jump_height_m": 0.3090},
+        {"jump_height_m": None},
+        {"attitude_variation_rad": -0.6615},
+        {"attitude_variation_rad": 0.664},
+        {"energy_drift_J": 1e-3},
+        {"energy_drift_J": None},
+        {"jumps": []},
+        {"jumps": [{}, {}]},
+        {"complaints": ["something is missing"]},
+    ],
+)
+def test_anything_off_is_told(change: dict[str, object]):
+    assert sum(not holds for _, holds in judge({**GOOD, **change})) == 1
+
+
+def run_demo(folder: Path, *arguments: str) -> Process:
+    return Process("rover_verify.demo", arguments, environment(0), folder)
+
+
+@pytest.mark.ros
+@pytest.mark.process
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
+def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
+    old = tmp_path / "out" / "demo"
+    old.mkdir(parents=True)
+    (old / "metrics.json").write_text("{}")
+    (old / "of_before").write_text("")
+    process = run_demo(tmp_path, "--real-time-factor", "3")
+    assert process.wait(240.0) == 0, process.output
+    assert "As it should be." in process.output
+    metrics = json.loads((old / "metrics.json").read_text())
+    assert metrics["pass"] is True
+    assert metrics["jump_height_m"] == pytest.approx(0.3084, abs=5e-4)
+    names = {path.name for path in old.iterdir()}
+    assert {"bag", "metrics.json", "report.html", "animation.gif"} <= names
+    assert "of_before" not in names
+    assert [path.name for path in old.parent.iterdir()] == ["demo"]
+    assert process.group_is_gone()
+
+
+@pytest.mark.ros
+@pytest.mark.process
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_it_leaves_nothing_running_and_nothing_half_done(
+    tmp_path: Path, number: signal.Signals
+):
+    process = run_demo(tmp_path, "--out", "shown")
+    folder = tmp_path / "shown"
+
+    def bag_begun() -> bool:
+        return any(tmp_path.glob(".shown.*/bag/*.mcap"))
+
+    for _ in range(600):
+        if bag_begun():
+            break
+        assert process.is_running, process.output
+        try:
+            process.wait(0.1)
+        except AssertionError:
+            continue
+    process.send(number)
+    process.send(number)
+    assert process.wait() == 130
+    assert "nothing is left running" in process.output
+    assert not folder.exists()
+    assert list(tmp_path.iterdir()) == []
+    assert processes_in(tmp_path) == []
+
+
+def processes_in(folder: Path) -> list[str]:
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if (entry / "cwd").readlink().is_relative_to(folder):
+                found.append((entry / "cmdline").read_text())
+        except OSError:
+            continue
+    return found
+
+
+def test_a_folder_that_holds_something_else_is_not_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "letters").write_text("dear")
+    assert demo.main(["--out", str(tmp_path)]) == 2
+    assert "not touched" in capsys.readouterr().err
+    assert (tmp_path / "letters").read_text() == "dear"
+
+
+def test_a_place_that_cannot_be_written_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").write_text("")
+    assert demo.main(["--out", str(tmp_path / "file" / "demo")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_real_time_factor_out_of_range_is_refused():
+    with pytest.raises(SystemExit) as ended:
+        demo.main(["--real-time-factor", "0"])
+    assert ended.value.code == 2

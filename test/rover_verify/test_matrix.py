@@ -1,0 +1,297 @@
+"""The runner: what passes, fails, breaks; what is kept; and that a stopped run goes on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_sim import Scenario, TetherSection, load_scenario, static_equilibrium
+from rover_verify import checks, matrix, page
+from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.matrix import Result, Store, measure, verify
+from rover_verify.requirements import Limit, Requirement, load_requirements
+
+
+def row_of(check: str | None, status: str = "required", identifier: str = "TEST-ROW-01"):
+    return Requirement(
+        id=identifier,
+        area="Area",
+        statement="It is so.",
+        method="test",
+        limit=Limit("<=", 1.0, "m"),
+        check=check,
+        status=status,
+        milestone="",
+        command="verify",
+        note="",
+    )
+
+
+UseCheck = Callable[[Callable[[Batch], Measured]], None]
+
+
+@pytest.fixture
+def with_check(monkeypatch: pytest.MonkeyPatch) -> UseCheck:
+    """Let a row's check be a function of the test."""
+
+    def use(check: Callable[[Batch], Measured]) -> None:
+        monkeypatch.setattr(matrix, "find_check", lambda _name: check)
+
+    return use
+
+
+def batch_in(folder: Path) -> Batch:
+    return Batch(runs=3, seed=1, folder=folder)
+
+
+@pytest.mark.parametrize(("value", "state"), [(0.5, "PASS"), (1.0, "PASS"), (1.01, "FAIL")])
+def test_a_value_beyond_the_limit_fails(
+    with_check: UseCheck, tmp_path: Path, value: float, state: str
+):
+    with_check(lambda _batch: Measured(value, "as it is"))
+    result = measure(row_of("some.check"), batch_in(tmp_path))
+    assert (result.state, result.measured, result.passed) == (state, value, state == "PASS")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_value_that_is_not_finite_fails(with_check: UseCheck, tmp_path: Path, value: float):
+    with_check(lambda _batch: Measured(value))
+    result = measure(row_of("some.check"), batch_in(tmp_path))
+    assert (result.state, result.measured, result.passed) == ("FAIL", None, False)
+
+
+def test_a_check_that_breaks_is_told_with_its_trace_and_hides_nothing(
+    with_check: UseCheck, tmp_path: Path
+):
+    def broken(_batch: Batch) -> Measured:
+        raise ZeroDivisionError("of the check")
+
+    with_check(broken)
+    result = measure(row_of("some.check"), batch_in(tmp_path))
+    assert result.state == "ERROR"
+    assert "ZeroDivisionError: of the check" in result.note
+    assert "in broken" in (tmp_path / "error.txt").read_text()
+
+
+def test_a_check_that_does_not_exist_is_an_error(tmp_path: Path):
+    assert measure(row_of("tether.nothing"), batch_in(tmp_path)).state == "ERROR"
+
+
+def test_what_is_not_possible_here_is_said(with_check: UseCheck, tmp_path: Path):
+    def absent(_batch: Batch) -> Measured:
+        raise NotPossible("no tool")
+
+    with_check(absent)
+    assert measure(row_of("some.check"), batch_in(tmp_path)).state == "NOT RUN"
+
+
+def test_open_rows_are_told_and_never_decide(with_check: UseCheck, tmp_path: Path):
+    result = measure(row_of(None, "open"), batch_in(tmp_path))
+    assert (result.state, result.measured, result.passed) == ("OPEN", None, False)
+    with_check(lambda _batch: Measured(5.0))
+    result = measure(row_of("some.check", "open"), batch_in(tmp_path))
+    assert (result.state, result.measured, result.passed) == ("OPEN", 5.0, False)
+
+
+def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
+    few = [g.random() for g in Batch(3, 7, tmp_path).generators()]
+    many = [g.random() for g in Batch(5, 7, tmp_path).generators()]
+    other = [g.random() for g in Batch(3, 8, tmp_path).generators()]
+    assert few == many[:3]
+    assert few != other
+
+
+# ------------------------------------------------------------------------------- keeping results
+
+
+def test_a_result_is_kept_for_the_same_runs_seed_and_source_only(tmp_path: Path):
+    row, result = row_of("some.check"), Result("PASS", 0.5, True, 1.0, "note", {"a": 1.0})
+    Store(tmp_path, 3, 1, "source").put(row, result)
+    assert Store(tmp_path, 3, 1, "source").get(row) == result
+    for other in ((4, 1, "source"), (3, 2, "source"), (3, 1, "changed")):
+        assert Store(tmp_path, *other).get(row) is None
+    assert Store(tmp_path, 3, 1, "source").get(row_of("other.check")) is None
+
+
+@pytest.mark.parametrize("state", ["FAIL", "ERROR", "NOT RUN"])
+def test_what_did_not_pass_is_measured_again(tmp_path: Path, state: str):
+    value = 2.0 if state == "FAIL" else None
+    store = Store(tmp_path, 3, 1, "source")
+    store.put(row_of("some.check"), Result(state, value, False))
+    assert store.get(row_of("some.check")) is None
+
+
+def test_a_half_written_result_counts_as_none(tmp_path: Path):
+    store = Store(tmp_path, 3, 1, "source")
+    (tmp_path / "TEST-ROW-01.json").write_text('{"key": {"runs"')
+    assert store.get(row_of("some.check")) is None
+
+
+def test_a_stopped_run_goes_on_where_it_was(with_check: UseCheck, tmp_path: Path):
+    ran: list[Path] = []
+
+    def stops_in_the_second(batch: Batch) -> Measured:
+        ran.append(batch.folder)
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        return Measured(0.5)
+
+    with_check(stops_in_the_second)
+    rows = [row_of("some.check", identifier=f"TEST-ROW-0{i}") for i in (1, 2, 3)]
+    with pytest.raises(KeyboardInterrupt):
+        verify(rows, tmp_path, 3, 1, quiet=True)
+    results = verify(rows, tmp_path, 3, 1, quiet=True)
+    assert [result.state for result in results] == ["PASS"] * 3
+    assert [folder.name for folder in ran] == [
+        "TEST-ROW-01", "TEST-ROW-02", "TEST-ROW-02", "TEST-ROW-03",
+    ]  # fmt: skip
+    verify(rows, tmp_path, 3, 1, quiet=True, fresh=True)
+    assert len(ran) == 7
+
+
+def test_killed_it_keeps_what_was_done(tmp_path: Path):
+    code = (
+        "import sys, threading\n"
+        "from rover_verify import matrix\n"
+        "from rover_verify.checks import Measured\n"
+        "from rover_verify.requirements import load_requirements\n"
+        "done = []\n"
+        "def check(batch):\n"
+        "    if done:\n"
+        "        print('second', flush=True)\n"
+        "        threading.Event().wait(60)\n"
+        "    done.append(1)\n"
+        "    return Measured(0.0)\n"
+        "matrix.find_check = lambda name: check\n"
+        "rows = [r for r in load_requirements() if r.id.startswith('TETHER-RIGID')]\n"
+        "rows += [r for r in load_requirements() if r.id.startswith('TETHER-CIRCLE')]\n"
+        "matrix.verify(rows, __import__('pathlib').Path(sys.argv[1]), 2, 1, quiet=True)\n"
+    )
+    root = str(Path(matrix.__file__).parents[1])
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": root},
+    ) as process:
+        guard = threading.Timer(120.0, process.kill)
+        guard.start()
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("second"):
+                break
+        process.send_signal(signal.SIGKILL)
+        guard.cancel()
+    kept = list((tmp_path / "verification" / "results").glob("*.json"))
+    assert [path.stem for path in kept] == ["TETHER-RIGID-01"]
+
+
+# ----------------------------------------------------------------------------------- what is told
+
+
+def run_main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, value: float, *more: str) -> int:
+    monkeypatch.setattr(matrix, "find_check", lambda _name: lambda _batch: Measured(value, "so"))
+    return matrix.main(
+        ["--only", "TETHER-RIGID", "WINCH-KILL", "--runs", "2", "--out", str(tmp_path), *more]
+    )
+
+
+def test_the_report_and_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    assert run_main(monkeypatch, tmp_path, 0.0) == 0
+    rows = json.loads((tmp_path / "verification.json").read_text())
+    assert rows[0]["id"] == "TETHER-RIGID-01"
+    for row in rows:
+        assert {"id", "statement", "required", "measured", "pass", "method", "command"} <= set(row)
+    assert rows[0]["pass"] is True
+    assert all(row["measured"] is None and row["pass"] is False for row in rows[1:])
+    assert run_main(monkeypatch, tmp_path, 1.0, "--fresh") == 1
+    text = (tmp_path / "verification.html").read_text()
+    assert "Not as required" in text
+    assert "TETHER-RIGID-01" in text
+
+
+def test_the_page_needs_nothing_else_and_shows_every_row(tmp_path: Path):
+    rows: list[Mapping[str, object]] = [
+        {
+            "id": f"TEST-ROW-0{i}", "area": "Area", "statement": "a < b & c", "required": "<= 1 m",
+            "measured": 0.5, "unit": "m", "pass": True, "state": state, "status": "required",
+            "method": "test", "command": "verify", "note": "", "details": {"x": 1.0, "y": "z"},
+        }
+        for i, state in enumerate(page.STATES)
+    ]  # fmt: skip
+    text = page.render(rows, 3, 1)
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "a &lt; b &amp; c" in text
+    for row in rows:
+        assert str(row["id"]) in text
+
+
+@pytest.mark.parametrize("arguments", [["--runs", "0"], ["--seed", "-1"], ["--only", "NO-SUCH"]])
+def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as ended:
+        matrix.main(arguments)
+    assert ended.value.code == 2
+    assert arguments[0].strip("-") in capsys.readouterr().err or "requirement" in arguments[0]
+
+
+def test_the_list_shows_every_requirement(capsys: pytest.CaptureFixture[str]):
+    assert matrix.main(["--list"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert len(listed) == len(load_requirements())
+
+
+# --------------------------------------------------------------------- checks are able to fail
+
+
+def row_named(identifier: str) -> Requirement:
+    return next(row for row in load_requirements() if row.id == identifier)
+
+
+def test_a_wrong_model_fails_its_check(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """Gravity off by one part in a thousand shows in the heights."""
+    row = row_named("PLANAR-JUMP-01")
+    assert measure(row, batch_in(tmp_path)).state == "PASS"
+
+    def heavier(name: str, changes: dict[str, object]) -> Scenario:
+        return load_scenario(name, {**changes, "gravity": 9.82})
+
+    monkeypatch.setattr("rover_verify.checks.jumps.load_scenario", heavier)
+    assert measure(row, batch_in(tmp_path)).state == "FAIL"
+
+
+def test_a_wrong_stiffness_fails_its_check(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    row = row_named("TETHER-SAG-02")
+    assert measure(row, batch_in(tmp_path)).state == "PASS"
+    right = static_equilibrium
+
+    def softer(section: TetherSection, *more: Any) -> Any:
+        return right(replace(section, axial_stiffness=0.9 * section.axial_stiffness), *more)
+
+    monkeypatch.setattr("rover_verify.checks.tether.static_equilibrium", softer)
+    assert measure(row, batch_in(tmp_path)).state == "FAIL"
+
+
+def test_a_codec_that_lets_a_bad_value_through_fails_its_check(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    row = row_named("CONTRACT-REFUSE-01")
+    assert measure(row, batch_in(tmp_path)).state == "PASS"
+    monkeypatch.setattr("rover_verify.checks.refusals.decode", lambda *_: None)
+    assert measure(row, batch_in(tmp_path)).state == "FAIL"
+
+
+def test_generators_are_told_to_the_progress(tmp_path: Path):
+    told: list[tuple[int, int]] = []
+    batch = checks.Batch(2, 1, tmp_path, lambda done, total: told.append((done, total)))
+    assert all(isinstance(g, np.random.Generator) for g in batch.generators())
+    assert told == [(1, 2), (2, 2)]

@@ -1,0 +1,124 @@
+"""The table of requirements is well-formed, its checks exist, and a bad table is refused."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from rover_verify.matrix import find_check
+from rover_verify.requirements import (
+    Limit,
+    Requirement,
+    RequirementError,
+    document,
+    load_requirements,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS = load_requirements()
+
+
+def test_identifiers_are_unique_and_every_area_has_rows():
+    identifiers = [row.id for row in ROWS]
+    assert len(set(identifiers)) == len(identifiers) > 100
+    assert {"Tether", "Planar jump", "Contract", "Nodes", "Bags", "Winch"} <= {
+        row.area for row in ROWS
+    }
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.check], ids=lambda row: row.id)
+def test_the_check_that_a_row_names_exists_and_says_what_it_measures(row: Requirement):
+    assert row.check is not None
+    check = find_check(row.check)
+    assert check.__doc__
+
+
+def test_every_check_is_named_by_a_row():
+    named = {row.check for row in ROWS}
+    helpers = {"random_jump", "dae_of", "drive_nut", "simulation", "has_event"}
+    folder = ROOT / "rover_verify" / "checks"
+    for path in folder.glob("[a-z]*.py"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line.startswith("def ") and "batch: Batch) -> Measured" in line:
+                name = line.removeprefix("def ").partition("(")[0]
+                if not name.startswith("_") and name not in helpers:
+                    assert f"{path.stem}.{name}" in named, f"{path.stem}.{name} is never run"
+
+
+def test_what_is_required_has_a_check_and_what_is_open_says_what_will_bring_it():
+    assert all(row.check for row in ROWS if row.status == "required")
+    assert all(row.milestone for row in ROWS if row.status == "open")
+
+
+def test_the_document_says_what_the_table_says():
+    path = ROOT / "docs" / "requirements.md"
+    assert path.read_text(encoding="utf-8") == document(ROWS), (
+        "run: python -m rover_verify.requirements"
+    )
+
+
+@pytest.mark.parametrize(
+    ("operator", "value", "inside", "outside"),
+    [("<=", 1e-6, 1e-6, 1.1e-6), (">=", 4.0, 4.0, 3.9), ("==", 0.0, 0.0, 1.0)],
+)
+def test_a_limit_lets_through_what_is_inside_and_nothing_else(
+    operator: str, value: float, inside: float, outside: float
+):
+    limit = Limit(operator, value, "m")
+    assert limit.holds(inside)
+    assert not limit.holds(outside)
+    assert not limit.holds(float("nan"))
+
+
+GOOD: dict[str, object] = {
+    "id": "AREA-TOPIC-01",
+    "statement": "It is so.",
+    "method": "test",
+    "limit": ["<=", 1.0, "m"],
+    "check": "tether.sag",
+}
+
+
+def table(*rows: dict[str, object]) -> str:
+    return yaml.safe_dump([{"area": "Area", "rows": list(rows)}])
+
+
+def test_a_good_row_is_read():
+    (row,) = load_requirements(table(GOOD))
+    assert (row.id, row.area, str(row.limit)) == ("AREA-TOPIC-01", "Area", "<= 1 m")
+    assert row.command == "verify --only AREA-TOPIC-01"
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"id": "area 1"}, "should look like"),
+        ({"method": "hope"}, "method 'hope'"),
+        ({"status": "done"}, "status 'done'"),
+        ({"check": "no_module"}, "should read module.function"),
+        ({"check": None}, "required, and has no check"),
+        ({"limit": ["<", 1.0, "m"]}, "operator '<'"),
+        ({"limit": ["<=", "1", "m"]}, "should be a finite number"),
+        ({"limit": ["<=", float("nan"), "m"]}, "should be a finite number"),
+        ({"limit": [1.0]}, "should be"),
+        ({"colour": "red"}, "unknown \\['colour'\\]"),
+    ],
+)
+def test_a_malformed_row_is_refused_by_name(change: dict[str, object], complaint: str):
+    with pytest.raises(RequirementError, match=complaint):
+        load_requirements(table({**GOOD, **change}))
+
+
+def test_a_missing_key_and_a_repeated_identifier_are_refused():
+    with pytest.raises(RequirementError, match="missing \\['limit'\\]"):
+        load_requirements(table({key: value for key, value in GOOD.items() if key != "limit"}))
+    with pytest.raises(RequirementError, match="stands twice"):
+        load_requirements(table(GOOD, GOOD))
+    with pytest.raises(RequirementError, match="list of areas"):
+        load_requirements("rows: 3")
+
+
+def test_a_check_that_does_not_exist_is_named():
+    for name in ("nothing.at_all", "tether.no_such_check"):
+        with pytest.raises(LookupError, match=name):
+            find_check(name)
