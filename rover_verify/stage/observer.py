@@ -232,6 +232,7 @@ class Observer:
         stamp_ns: int | None = None,
     ) -> None:
         """Publish one joint's command, stamped with simulated time unless told otherwise."""
+        self.publisher(name)  # may wait, and the stamp must be that of the sending
         stamp = self.time_ns() if stamp_ns is None else stamp_ns
         value = JointValue(position, velocity, effort)
         self.send(name, JointSample(stamp, {joint: value}))

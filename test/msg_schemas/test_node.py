@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 NODE = "shell_node"
+COMMAND = topics.JUMP_MOTOR_COMMAND
 SECOND = 1_000_000_000
 
 
@@ -60,7 +61,9 @@ def shell(shared_stage: Stage):
 def says_back(observer: Observer, position: float):
     """Whether a good command still goes through."""
     feed = observer.listen(topics.JUMP_MOTOR_STATE)
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(position))
+    feed.wait(since=len(feed))  # it speaks by itself: now it is heard
+    observer.publisher(COMMAND)  # and hears us; only then the stamp is taken
+    observer.send(COMMAND, command(position))
     return feed.wait(lambda s: s.joints[JUMP_SCREW].position == position)
 
 
@@ -72,7 +75,7 @@ def test_a_good_command_is_handed_over(shell: Shell):
 def bad_messages() -> list[Any]:
     def with_(change: Callable[[Any], object]) -> MakeMessage:
         def make() -> Any:
-            message = encode(topics.JUMP_MOTOR_COMMAND, command())
+            message = encode(COMMAND, command())
             change(message)
             return message
 
@@ -116,8 +119,8 @@ def test_a_bad_command_is_refused_with_its_reason_and_the_node_lives_on(
 ):
     process, observer = shell
     heard = len(observer.listen(topics.DIAGNOSTICS))
-    observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message())
-    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+    observer.publisher(COMMAND).publish(message())
+    refusal = observer.wait_for_refusal(COMMAND, code, heard)
     assert words in refusal.message
     assert refusal.level is Level.WARN
     assert says_back(observer, 0.2)
@@ -128,10 +131,10 @@ def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
     _, observer = shell
     feed = observer.listen(topics.JUMP_MOTOR_STATE)
     now = time.time_ns()
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.11, stamp_ns=now))
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.12, stamp_ns=now))
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.13, stamp_ns=now - 1000))
-    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order")
+    observer.send(COMMAND, command(0.11, stamp_ns=now))
+    observer.send(COMMAND, command(0.12, stamp_ns=now))
+    observer.send(COMMAND, command(0.13, stamp_ns=now - 1000))
+    refusal = observer.wait_for_refusal(COMMAND, "out_of_order")
     assert "stamps must not go back" in refusal.message
     feed.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
     assert not [s for s in feed.samples if s.joints[JUMP_SCREW].position == 0.13]
@@ -139,7 +142,7 @@ def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
 
 def test_a_malformed_wire_message_does_no_harm(shell: Shell):
     process, observer = shell
-    publisher = observer.publisher(topics.JUMP_MOTOR_COMMAND)
+    publisher = observer.publisher(COMMAND)
     for payload in (b"\x00\x01\x00\x00", bytes(range(256)), b"\xff" * 64):
         publisher.publish(payload)
     assert says_back(observer, 0.21)
@@ -149,16 +152,24 @@ def test_a_malformed_wire_message_does_no_harm(shell: Shell):
 def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
     _, observer = shell
     heard = len(observer.listen(topics.DIAGNOSTICS))
-    for _ in range(150):
-        observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(
-            encode(topics.JUMP_MOTOR_COMMAND, command(stamp_ns=1))
-        )
+    feed, publisher = observer.listen(topics.DIAGNOSTICS), observer.publisher(COMMAND)
+
+    def flooded() -> bool:
+        for _ in range(10):
+            publisher.publish(encode(COMMAND, command(stamp_ns=1)))
+        statuses = [s for sample in feed.samples[heard:] for s in sample.statuses]
+        return any(int(s.values.get("refusals_not_shown", "0")) > 0 for s in statuses)
+
+    observer.wait_until(flooded, "no refusal was left out")
     health = observer.wait_for_status(
         topics.DIAGNOSTICS,
         lambda s: int(s.values.get("refusals_not_shown", "0")) > 0,
         heard,
     )
     assert health.level is Level.WARN
+    statuses = [s for sample in feed.samples[heard:] for s in sample.statuses]
+    told = [s for s in statuses if s.values.get("code") == "stale"]
+    assert len(told) < int(health.values["refused"])
     assert says_back(observer, 0.22)
 
 
@@ -241,8 +252,8 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
 
     assert observer.change_state(NODE, "configure")
     assert observer.state_of(NODE) == "inactive"
-    observer.send(topics.JUMP_MOTOR_COMMAND, command())
-    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_active")
+    observer.send(COMMAND, command())
+    observer.wait_for_refusal(COMMAND, "not_active")
     assert "[not_active]" in observer.call(topics.SIM_PAUSE, True).message
     assert not states.samples
 
@@ -254,8 +265,8 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
     observer.wait_for_event("inactive", max(0, heard - 1))
     silent_since = len(states)
     heard = len(observer.listen(topics.DIAGNOSTICS))
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.19))
-    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_active", heard)
+    observer.send(COMMAND, command(0.19))
+    observer.wait_for_refusal(COMMAND, "not_active", heard)
     assert len(states) == silent_since
 
     assert observer.change_state(NODE, "cleanup")
@@ -271,7 +282,7 @@ def test_a_failed_configuration_can_be_mended_without_a_restart(
     processes.start("shell_node", {"autostart": False, "trouble": "value"})
     assert not observer.change_state(NODE, "configure")
     assert observer.state_of(NODE) == "unconfigured"
-    assert observer.node.count_subscribers(f"/{topics.JUMP_MOTOR_COMMAND}") == 0
+    assert observer.node.count_subscribers(f"/{COMMAND}") == 0
     assert observer.set_parameter(NODE, "trouble", "none").successful
     assert observer.change_state(NODE, "configure")
     assert observer.change_state(NODE, "activate")
@@ -375,13 +386,13 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
 
     # A running clock; its timer speaks at the stamps of the clock alone.
     set_clock(100 * SECOND)
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.11, stamp_ns=100 * SECOND))
+    observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
     heard = len(observer.listen(topics.EVENTS))
     observer.send(topics.CLOCK, ClockSample(5 * SECOND))
     observer.wait_for_event("clock_jumped", heard)
     # Stamps of the new past are accepted, those of the old time are not.
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.12, stamp_ns=5 * SECOND))
+    observer.send(COMMAND, command(0.12, stamp_ns=5 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
-    observer.send(topics.JUMP_MOTOR_COMMAND, command(0.13, stamp_ns=100 * SECOND))
-    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "from_the_future")
+    observer.send(COMMAND, command(0.13, stamp_ns=100 * SECOND))
+    observer.wait_for_refusal(COMMAND, "from_the_future")
