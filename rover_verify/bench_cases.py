@@ -22,7 +22,8 @@ FLOWN = Setting(1e-3, 1e-8, OURS)
 PEER_USUAL = Setting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
-_STEPS = (1e-2, 5e-3, 4e-3, 2.5e-3, 2e-3, 1.25e-3, 1e-3, 5e-4, 2.5e-4)
+# A fine ladder, so that errors can be matched closely; each divides the sampling period.
+_STEPS = tuple(SAMPLE / k for k in (10, 14, 20, 28, 40, 50, 60, 80, 100, 140, 200, 400))
 
 
 @dataclass(frozen=True)

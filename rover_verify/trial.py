@@ -27,7 +27,7 @@ class Setting:
 
     def __str__(self) -> str:
         """As the table shows it."""
-        return f"{self.h * 1e3:g} ms, {self.tolerance:g}"
+        return f"{self.h * 1e3:.3g} ms, {self.tolerance:g}"
 
 
 @dataclass(frozen=True)
