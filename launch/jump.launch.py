@@ -1,49 +1,61 @@
-"""A jump to command by topic: plant, jump sequencer, winch, and a recorder if wanted.
+"""The simulated rover with its jump and winch controllers; all arguments of sim.launch.py hold.
 
-ros2 launch mother_rover jump.launch.py scenario:=paper_table1_high record:=true
+ros2 launch mother_rover jump.launch.py
+ros2 topic pub --once /jump/request sensor_msgs/msg/JointState \
+    "{name: [jump_stroke], position: [0.2], velocity: [0.1], effort: [0.0]}"
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.substitutions import (
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node, PushROSNamespace, SetRemap
+from launch_ros.substitutions import FindPackageShare
 
-SHARE = Path(get_package_share_directory("mother_rover"))
+from msg_schemas import topics
+
+PACKAGE = "mother_rover"
+SHARE = FindPackageShare(PACKAGE)
+CONTROLLERS = ("jump_node", "winch_node")
 
 
 def generate_launch_description() -> LaunchDescription:
-    # The plant's own arguments (scenario, overrides, real_time_factor, seed, namespace, parameters,
-    # log_level) are declared by the file that it includes.
-    plant = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(SHARE / "launch" / "sim.launch.py"))
+    sim = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(PathJoinSubstitution([SHARE, "launch", "sim.launch.py"]))
     )
-    recorded = [
-        DeclareLaunchArgument("record", default_value="false", description="record a bag"),
-        DeclareLaunchArgument("bag", default_value="jump_bag", description="folder of the bag"),
-    ]
-    log_level = ["--ros-args", "--log-level", LaunchConfiguration("log_level")]
+    own_clock = SetRemap(
+        topics.CLOCK,
+        topics.CLOCK.strip("/"),
+        condition=IfCondition(NotEqualsSubstitution(LaunchConfiguration("namespace"), "")),
+    )
     controllers = [
         Node(
-            package="mother_rover",
+            package=PACKAGE,
             executable=name,
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[LaunchConfiguration("parameters"), {"use_sim_time": True}],
-            arguments=log_level,
+            parameters=[LaunchConfiguration(f"{name}_params_file"), {"use_sim_time": True}],
+            arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
             output="screen",
         )
-        for name in ("jump_node", "winch_node")
+        for name in CONTROLLERS
     ]
-    recorder = Node(
-        package="mother_rover",
-        executable="bag_record",
-        namespace=LaunchConfiguration("namespace"),
-        arguments=["--output", LaunchConfiguration("bag"), *log_level],
-        condition=IfCondition(LaunchConfiguration("record")),
-        output="screen",
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(
+                    f"{name}_params_file",
+                    default_value=PathJoinSubstitution([SHARE, "config", f"{name}.yaml"]),
+                    description=f"parameters of {name}",
+                )
+                for name in CONTROLLERS
+            ),
+            sim,
+            GroupAction(
+                [PushROSNamespace(LaunchConfiguration("namespace")), own_clock, *controllers]
+            ),
+        ]
     )
-    return LaunchDescription([plant, *recorded, *controllers, recorder])

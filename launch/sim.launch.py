@@ -1,49 +1,79 @@
-"""The plant alone: sim_node with a scenario.
+"""The simulated rover: sim_node, and on request a recorder.
 
-ros2 launch mother_rover sim.launch.py scenario:=tether_pendulum real_time_factor:=0.5
+ros2 launch mother_rover sim.launch.py scenario:=lunar_jump real_time_factor:=2.0 record:=bag1
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node, PushROSNamespace, SetRemap
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
 
-PARAMETERS = Path(get_package_share_directory("mother_rover")) / "config" / "jump.yaml"
+from msg_schemas import topics
 
-ARGUMENTS = {
-    "scenario": ("paper_table1_high", "name of a scenario of the package, or path of a .yaml file"),
-    "overrides": ("", 'changes by dotted path, as YAML: "{start.slack: 2.0}"'),
-    "real_time_factor": ("1.0", "simulated seconds per second; 0 = as fast as possible"),
-    "seed": ("1", "seed of everything random"),
-    "namespace": ("", "namespace of the rover"),
-    "parameters": (str(PARAMETERS), "parameter file"),
-    "log_level": ("info", "debug, info, warn, error"),
+PACKAGE = "mother_rover"
+PARAMS_FILE = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "sim_node.yaml"])
+
+# Parameters of sim_node that go before those of its file where they are given: type, meaning.
+PARAMETERS = {
+    "scenario": (str, "name of a scenario of the package, or path of a .yaml file"),
+    "overrides": (str, 'changes to the scenario by dotted path: {"start.slack": 2.0}'),
+    "real_time_factor": (float, "simulated seconds per second; 0 = as fast as possible"),
+    "start_paused": (bool, "true: simulated time stands still until stepped or resumed"),
+    "duration": (float, "end after this much simulated time [s]; 0 = never"),
+    "seed": (int, "seed of everything random"),
 }
+ARGUMENTS = {
+    "sim_params_file": (PARAMS_FILE, "parameters of sim_node"),
+    "namespace": ("", "of all nodes; each namespace has a clock of its own"),
+    "record": ("", "folder to create for a bag; empty = no recorder"),
+    "log_level": ("info", "debug, info, warn, error or fatal"),
+}
+
+
+def nodes(context: LaunchContext) -> list[GroupAction]:
+    def argument(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    log_level = ["--ros-args", "--log-level", argument("log_level")]
+    given = {
+        name: ParameterValue(argument(name), value_type=kind)
+        for name, (kind, _) in PARAMETERS.items()
+        if argument(name)
+    }
+    actions = [PushROSNamespace(argument("namespace"))]
+    if argument("namespace"):
+        actions.append(SetRemap(topics.CLOCK, topics.CLOCK.strip("/")))
+    actions.append(
+        Node(
+            package=PACKAGE,
+            executable="sim_node",
+            parameters=[argument("sim_params_file"), given],
+            arguments=log_level,
+            output="screen",
+            on_exit=Shutdown(reason="the simulator has ended"),
+        )
+    )
+    if argument("record"):
+        actions.append(
+            Node(
+                package=PACKAGE,
+                executable="bag_record",
+                arguments=["--output", argument("record"), *log_level],
+                output="screen",
+            )
+        )
+    return [GroupAction(actions)]
 
 
 def generate_launch_description() -> LaunchDescription:
     declared = [
+        DeclareLaunchArgument(name, default_value="", description=f"{about}; empty = as the file")
+        for name, (_, about) in PARAMETERS.items()
+    ]
+    declared += [
         DeclareLaunchArgument(name, default_value=default, description=about)
         for name, (default, about) in ARGUMENTS.items()
     ]
-    given = {
-        "scenario": ParameterValue(LaunchConfiguration("scenario"), value_type=str),
-        "overrides": ParameterValue(LaunchConfiguration("overrides"), value_type=str),
-        "real_time_factor": ParameterValue(
-            LaunchConfiguration("real_time_factor"), value_type=float
-        ),
-        "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-    }
-    plant = Node(
-        package="mother_rover",
-        executable="sim_node",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[LaunchConfiguration("parameters"), given],
-        arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
-        output="screen",
-    )
-    return LaunchDescription([*declared, plant])
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])

@@ -1,0 +1,58 @@
+"""The files in config/ are what the nodes have: every parameter, its default, its unit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from msg_schemas.node import ContractNode
+from msg_schemas.parameters import from_mapping, info_of
+from rover_control.jump_node import JumpNode
+from rover_sim.sim_node import SimNode
+from tether_winch.winch_node import WinchNode
+
+CONFIG = Path(__file__).parents[1] / "config"
+NODES: list[type[ContractNode]] = [SimNode, JumpNode, WinchNode]
+
+
+def fields_of(node: type[ContractNode]) -> Iterator[tuple[type[Any], Any]]:
+    for cls in node.PARAMETERS:
+        for field in dataclasses.fields(cls):
+            yield cls, field
+
+
+def values_of(node: type[ContractNode]) -> dict[str, Any]:
+    content = yaml.safe_load((CONFIG / f"{node.NAME}.yaml").read_text(encoding="utf-8"))
+    assert list(content) == [f"/**/{node.NAME}"]
+    values = content[f"/**/{node.NAME}"]["ros__parameters"]
+    assert isinstance(values, dict)
+    return values
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_parameter_stands_in_the_file_with_its_default(node: type[ContractNode]):
+    defaults = {field.name: field.default for _, field in fields_of(node)}
+    assert values_of(node) == defaults
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_values_are_accepted(node: type[ContractNode]):
+    values = values_of(node)
+    for cls in node.PARAMETERS:
+        names = {field.name for field in dataclasses.fields(cls)}
+        from_mapping(cls, {name: value for name, value in values.items() if name in names})
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_unit_of_every_quantity_stands_beside_it(node: type[ContractNode]):
+    lines = (CONFIG / f"{node.NAME}.yaml").read_text(encoding="utf-8").splitlines()
+    for _, field in fields_of(node):
+        if isinstance(field.default, str):
+            continue
+        (line,) = [each for each in lines if each.strip().startswith(f"{field.name}:")]
+        assert f"[{info_of(field).unit}]" in line
