@@ -1,21 +1,39 @@
-"""When a recorder can be relied on: it writes, and not only what was latched."""
+"""When a recorder can be relied on: every stream of the simulator has reached its file."""
 
 from __future__ import annotations
 
-from msg_schemas import topics
-from msg_schemas.samples import Status
-from rover_verify.stage.observer import Observer
+import threading
+import time
+from pathlib import Path
 
-# By then every topic of 100 Hz has found its way: discovery is over.
-_MESSAGES = 400
+from msg_schemas.table import TOPICS
+from rover_bags.scan import BagScan
+from rover_bags.store import BagError
+from rover_verify.stage.processes import PATIENCE
+
+STREAMS = frozenset(
+    row.name.strip("/") for row in TOPICS.values() if "sim_node" in row.publisher and row.rate
+)
+_LOOK = 0.2
 
 
-def is_recording(status: Status) -> bool:
-    """Whether a status of the diagnostics is that of a recorder in full flow."""
-    messages = status.values.get("messages", "0")
-    return status.name == "bag_record: bag" and messages.isdigit() and int(messages) >= _MESSAGES
+def recorded_topics(bag: Path) -> set[str]:
+    """Names of the topics of which a bag, finished or not, holds messages on disk."""
+    try:
+        return {message.topic.name.strip("/") for message in BagScan(bag)}
+    except BagError:
+        return set()
 
 
-def wait_until_recording(observer: Observer, since: int = 0) -> None:
-    """Wait until the recorder says that it has written enough."""
-    observer.wait_for_status(topics.DIAGNOSTICS, is_recording, since)
+def missing_streams(bag: Path) -> list[str]:
+    """Streams of the simulator of which the bag holds nothing yet."""
+    return sorted(STREAMS - recorded_topics(bag))
+
+
+def wait_until_recording(bag: Path, timeout: float = PATIENCE) -> None:
+    """Wait until every stream of the simulator is in the bag; AssertionError if it is not."""
+    give_up = time.monotonic() + timeout
+    pause = threading.Event()
+    while missing := missing_streams(bag):
+        assert time.monotonic() < give_up, f"{bag} holds nothing of {missing} after {timeout:g} s"
+        pause.wait(_LOOK)

@@ -16,7 +16,8 @@ GOOD = {
     "attitude_variation_rad": 0.6615,
     "energy_drift_J": 1e-9,
     "jumps": [{}],
-    "complaints": [],
+    "closed": True,
+    "topics": {"truth/body1": {"count": 100, "missed": 0, "dropped": 0, "rejected": 0}},
 }
 
 
@@ -35,7 +36,10 @@ def test_the_reference_itself_is_as_it_should_be():
         {"energy_drift_J": None},
         {"jumps": []},
         {"jumps": [{}, {}]},
-        {"complaints": ["something is missing"]},
+        {"closed": False},
+        {"topics": {"clock": {"count": 100, "missed": 0, "dropped": 0, "rejected": 1}}},
+        {"topics": {"clock": {"count": 100, "missed": 0, "dropped": 1, "rejected": 0}}},
+        {"topics": {"clock": {"count": 100, "missed": 20, "dropped": 0, "rejected": 0}}},
     ],
 )
 def test_anything_off_is_told(change: dict[str, object]):
@@ -55,7 +59,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
     old.mkdir(parents=True)
     (old / "metrics.json").write_text("{}")
     (old / "of_before").write_text("")
-    process = run_demo(tmp_path, "--real-time-factor", "3")
+    process = run_demo(tmp_path, "--real-time-factor", "2")
     assert process.wait(240.0) == 0, process.output
     assert "As it should be." in process.output
     metrics = json.loads((old / "metrics.json").read_text())
