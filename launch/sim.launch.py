@@ -38,7 +38,7 @@ def nodes(context: LaunchContext) -> list[GroupAction]:
 
     log_level = ["--ros-args", "--log-level", argument("log_level")]
     given = {
-        name: ParameterValue(argument(name), value_type=kind)
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
         for name, (kind, _) in PARAMETERS.items()
         if argument(name)
     }

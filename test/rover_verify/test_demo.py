@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from msg_schemas import topics
 from rover_verify import demo
 from rover_verify.demo import judge
 from rover_verify.stage import Process
@@ -17,7 +18,7 @@ GOOD = {
     "energy_drift_J": 1e-9,
     "jumps": [{}],
     "closed": True,
-    "topics": {"truth/body1": {"count": 100, "missed": 0, "dropped": 0, "rejected": 0}},
+    "topics": {topics.TRUTH_BODY1: {"count": 100, "missed": 0, "dropped": 0, "rejected": 0}},
 }
 
 
