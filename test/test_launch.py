@@ -1,4 +1,4 @@
-"""Launch files: what they start exists, what they set are parameters; run where ROS 2 is sourced."""
+"""Launch files: what they start exists, what they set are parameters."""
 
 from __future__ import annotations
 
