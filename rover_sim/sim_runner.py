@@ -10,7 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -24,6 +24,7 @@ T = TypeVar("T")
 
 # Nothing is computed any more once the plant has stopped for good: time then runs with the wall's.
 _FACTOR_WHEN_STOPPED = 1.0
+_LOOK_AGAIN = 0.5
 
 
 class Listener(Protocol):
@@ -51,6 +52,8 @@ class _Request(Generic[T]):
     answer: Future[T]
 
     def serve(self) -> None:
+        if not self.answer.set_running_or_notify_cancel():
+            return
         try:
             self.answer.set_result(self.act())
         except Refusal as refusal:
@@ -100,6 +103,7 @@ class SimRunner:
     def start(self) -> None:
         """Let the thread run."""
         self.pacer.restart()
+        self._requests = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="plant")
         self._thread.start()
 
@@ -116,12 +120,17 @@ class SimRunner:
         Raises:
             Refusal: what ``act`` refuses; or nothing runs.
         """
-        thread = self._thread
-        if thread is None or not thread.is_alive():
-            raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
         request = _Request(act, Future[T]())
         self._requests.put(request)
-        return request.answer.result()
+        while True:
+            alive = self._thread is not None and self._thread.is_alive()
+            # A thread that has ended answers nothing any more, but may have just before.
+            wait([request.answer], timeout=_LOOK_AGAIN if alive else 0.0)
+            if request.answer.done():
+                return request.answer.result()
+            if not alive:
+                request.answer.cancel()
+                raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
 
     def command_jump(self, sample: JointSample) -> None:
         """Hand a command to the jump motor; raises Refusal."""
@@ -157,25 +166,25 @@ class SimRunner:
     def _run(self) -> None:
         try:
             self._listener.restarted()
-            wait = 0.0
+            due_in = 0.0
             while True:
-                request = self._next_request(wait)
+                request = self._next_request(due_in)
                 if request is _TICK:
                     self._advance()
                 elif request is None:
                     return
                 else:
                     request.serve()
-                wait = self.pacer.wait(time.monotonic(), self.stamp_ns)
+                due_in = self.pacer.wait(time.monotonic(), self.stamp_ns)
         except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
             self._listener.crashed(error)
 
-    def _next_request(self, wait: float) -> _Request[Any] | None:
+    def _next_request(self, due_in: float) -> _Request[Any] | None:
         """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
         if self.paused:
             return self._requests.get()
         try:
-            return self._requests.get(block=wait > 0.0, timeout=wait)
+            return self._requests.get(block=due_in > 0.0, timeout=due_in)
         except queue.Empty:
             return _TICK
 

@@ -193,4 +193,19 @@ def test_a_bug_in_the_plant_is_told(listening: Listening):
         running.plant.error = RuntimeError("a bug")
         listening.wait(lambda: listening.error is not None)
         assert "a bug" in str(listening.error)
-        runner.stop()
+        # Nobody waits for an answer that cannot come.
+        with pytest.raises(Refusal):
+            runner.pause(True)
+
+
+def test_what_was_asked_of_a_stopped_simulation_is_not_done_when_it_runs_again(
+    listening: Listening,
+):
+    running = Running(listening, 0.0, paused=True)
+    with running as runner:
+        listening.wait(lambda: listening.restarts == 1)
+    with pytest.raises(Refusal):
+        runner.step()
+    with running:
+        listening.wait(lambda: listening.restarts == 2)
+        assert runner.ask(lambda: runner.stamp_ns) == 0
