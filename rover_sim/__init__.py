@@ -27,13 +27,15 @@ from rover_sim.plant import (
     Command,
     Energies,
     Event,
+    FlywheelCommand,
     JumpMotorCommand,
     Outcome,
     Phase,
     Plant,
     State,
     StepResult,
-    WheelMotorCommand,
+    WheelRateCommand,
+    WheelTorqueCommand,
     WinchCommand,
 )
 from rover_sim.plants import build_plant
@@ -44,12 +46,15 @@ from rover_sim.scenario import (
     dump_scenario,
     list_scenarios,
     load_scenario,
+    parse_override,
 )
+from rover_sim.yaml_reader import read_yaml
 
 __all__ = [
     "Command",
     "Energies",
     "Event",
+    "FlywheelCommand",
     "JumpMetrics",
     "JumpMotorCommand",
     "Outcome",
@@ -65,7 +70,8 @@ __all__ = [
     "StaticsError",
     "StepResult",
     "TetherSection",
-    "WheelMotorCommand",
+    "WheelRateCommand",
+    "WheelTorqueCommand",
     "WinchCommand",
     "build_plant",
     "dump_scenario",
@@ -73,6 +79,8 @@ __all__ = [
     "jump_many",
     "list_scenarios",
     "load_scenario",
+    "parse_override",
+    "read_yaml",
     "run",
     "static_equilibrium",
 ]
