@@ -20,7 +20,7 @@ from rover_sim.physics.tether import (
     to_nodes,
     to_rows,
 )
-from rover_sim.plant import Command, Energies, Event, Outcome, Phase, StepResult
+from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, Phase, StepResult
 from rover_sim.scenario import Scenario
 
 _PHASES = {
@@ -211,7 +211,7 @@ class PlanarPlant:
         """
         if not (math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt = {dt}: must be finite and above 0 s")
-        drive = _drive_of(command)
+        drive = _drive_of(command, self._model.rover.spring_rate)
         motion = _motion_of(state)
         if state.phase.final:
             outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
@@ -350,7 +350,7 @@ def _straight(scenario: Scenario) -> Array:
     return nodes
 
 
-def _drive_of(command: Command) -> tuple[float, float]:
+def _drive_of(command: Command, spring_rate: float) -> tuple[float, float]:
     """Setpoint [m] and rate [m/s] of the jump drive, (0, 0) if off; refuses bad numbers."""
     for name in ("winch", "wheel"):
         if getattr(command, name) is not None:
@@ -358,10 +358,18 @@ def _drive_of(command: Command) -> tuple[float, float]:
     jump = command.jump
     if jump is None:
         return 0.0, 0.0
+    if not isinstance(jump, JumpMotorCommand):
+        raise ValueError("jump: the planar plant has no flywheel; must be a JumpMotorCommand")
     if not (math.isfinite(jump.compression) and jump.compression >= 0.0):
         raise ValueError(f"compression = {jump.compression}: must be finite and not below 0 m")
     if not (math.isfinite(jump.rate) and jump.rate > 0.0):
         raise ValueError(f"rate = {jump.rate}: must be finite and above 0 m/s")
+    holding = spring_rate * jump.compression
+    if not jump.largest_force >= holding:
+        raise ValueError(
+            f"largest_force = {jump.largest_force}: must be at least the {holding:.4g} N that"
+            f" holding the spring at {jump.compression:.4g} m takes"
+        )
     return float(jump.compression), float(jump.rate)
 
 

@@ -7,6 +7,7 @@ step never changes the one it is given, and the same state, command and tick giv
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
@@ -24,12 +25,19 @@ class Outcome(enum.Enum):
 
 
 class Phase(enum.Enum):
-    """What the rover is doing, or why nothing moves any more."""
+    """What the rover is doing, or why nothing moves any more.
+
+    The planar model's ground holds the rover (HELD, LANDED) until it takes off. The spatial one
+    has contact: its rover is GROUNDED while a wheel or a body touches the ground, HANGING while
+    nothing does and the tether carries it, and in FLIGHT while neither holds.
+    """
 
     HELD = "held"  # standing, held by the ground
     FLIGHT = "flight"
     LANDED = "landed"  # held again where it came down
     FREE = "free"  # no rover, or one that was never held
+    HANGING = "hanging"
+    GROUNDED = "grounded"
     DIVERGED = "diverged"
     TETHER_BROKEN = "tether_broken"
 
@@ -41,59 +49,94 @@ class Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class JumpMotorCommand:
-    """Nut of the jump motor: compress the spring to `compression`, where the latch trips."""
+    """Nut of the jump motor: go to `compression` of the spring, where the latch trips.
 
-    compression: float  # setpoint [m], >= 0; reaching one above 0 releases the spring
-    rate: float  # speed of the nut [m/s], > 0
+    Below 0 the nut stands clear of the latch, for plants whose nut has a free travel.
+    """
+
+    compression: float  # setpoint [m]; reaching one above 0 releases the spring
+    rate: float  # largest speed of the nut [m/s], > 0
+    largest_force: float = math.inf  # that the nut may use [N], > 0; inf: the motor's own limit
 
 
 @dataclass(frozen=True)
-class WheelMotorCommand:
-    """Wheel motor, for plants that have one."""
+class FlywheelCommand:
+    """Jump motor as a reaction wheel, for plants that have one: while the nut is free."""
 
-    position: float  # [rad]
-    velocity: float  # [rad/s]
-    effort: float  # [N m]
+    torque: float  # at the shaft [N m], > 0 drives the nut down
+
+
+@dataclass(frozen=True)
+class WheelRateCommand:
+    """Wheel motor holds a rate."""
+
+    rate: float  # of the left wheel [rad/s], > 0 forward
+    largest_torque: float = math.inf  # at the wheel [N m], > 0; inf: the motor's own limit
+
+
+@dataclass(frozen=True)
+class WheelTorqueCommand:
+    """Wheel motor gives a torque."""
+
+    torque: float  # at the wheel [N m], > 0 forward
 
 
 @dataclass(frozen=True)
 class WinchCommand:
-    """Winch, for plants that have a drum."""
+    """Winch, for plants that have a drum: its drive holds the payout rate."""
 
-    length: float  # [m]
-    velocity: float  # [m/s]
-    tension: float  # [N]
+    length: float  # setpoint of what watches over the drive, not used by it [m], >= 0
+    rate: float  # payout rate [m/s], > 0 lengthens the tether
+    feed_forward: float = 0.0  # tension that the motor is told to carry [N], >= 0
+    brake_released: bool = True  # power the brake open
+    largest_tension: float = math.inf  # that the motor may use [N], > 0; inf: its own limit
 
 
 @dataclass(frozen=True)
 class Command:
-    """What the actuators are asked to do during one tick; None leaves a motor off."""
+    """What the actuators are asked to do during one tick.
 
-    jump: JumpMotorCommand | None = None
+    None leaves a motor without current, and the winch's brake closed.
+    """
+
+    jump: JumpMotorCommand | FlywheelCommand | None = None
     winch: WinchCommand | None = None
-    wheel: WheelMotorCommand | None = None
+    wheel: WheelRateCommand | WheelTorqueCommand | None = None
 
 
 @dataclass(frozen=True)
 class Energies:
     """Where the energy is [J], and what came and went since the start of the run.
 
-    Gravity's potential is zero at the level of the tether's root.
+    Gravity's potential is zero at the level of the tether's root. The parts that have a default
+    belong to the spatial plant.
     """
 
     kinetic: float
     gravity: float
     axial: float
     bending: float
-    spring: float
-    input: float = 0.0  # by the jump drive and take-offs
-    dissipated: float = 0.0  # by damping, and in holding the rover after a landing
+    spring: float  # of the jump mechanism, with its end stops
+    input: float = 0.0  # by motors, take-offs, and tether that came through the fairlead
+    dissipated: float = 0.0  # by damping and friction, and in holding the rover after a landing
     initial: float = 0.0  # stored at the start of the run
+    rotors: float = 0.0  # kinetic energy of flywheel, wheels, motors and drum
+    contact: float = 0.0  # elastic, in what touches the ground
+    twist: float = 0.0  # of the tether
 
     @property
     def stored(self) -> float:
         """Kinetic and potential energy together [J]."""
-        return self.kinetic + self.gravity + self.axial + self.bending + self.spring
+        return (
+            self.kinetic
+            + self.rotors
+            + self.gravity
+            + self.axial
+            + self.bending
+            + self.twist
+            + self.spring
+            + self.contact
+        )
 
     @property
     def drift(self) -> float:

@@ -12,10 +12,12 @@ import rover_sim
 from rover_sim import (
     Command,
     Event,
+    FlywheelCommand,
     JumpMotorCommand,
     Outcome,
     Phase,
     PlanarPlant,
+    WheelRateCommand,
     WinchCommand,
     jump,
     jump_many,
@@ -89,7 +91,10 @@ def test_bad_ticks_are_refused(dt: float) -> None:
         (Command(jump=JumpMotorCommand(-0.1, 0.1)), "compression"),
         (Command(jump=JumpMotorCommand(0.1, 0.0)), "rate"),
         (Command(jump=JumpMotorCommand(0.1, math.inf)), "rate"),
-        (Command(winch=WinchCommand(1.0, 0.1, 1.0)), "winch"),
+        (Command(jump=JumpMotorCommand(0.1, 0.1, largest_force=80.0)), "largest_force"),
+        (Command(jump=FlywheelCommand(0.1)), "flywheel"),
+        (Command(winch=WinchCommand(1.0, 0.1)), "winch"),
+        (Command(wheel=WheelRateCommand(1.0)), "wheel"),
     ],
 )
 def test_bad_commands_are_refused_and_nothing_moves(command: Command, name: str) -> None:
