@@ -18,7 +18,6 @@ import dataclasses
 import json
 import signal
 import sys
-import threading
 import time
 import traceback
 from collections import Counter
@@ -44,6 +43,7 @@ from msg_schemas.codecs import decode, message_class, topic_row
 from msg_schemas.parameters import P, ParameterError, parameter
 from msg_schemas.publisher import ContractPublisher
 from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.ros_parameters import (
     changed_groups,
     declare_parameters,
@@ -57,10 +57,13 @@ if TYPE_CHECKING:
 
 PACKAGE = "mother_rover"
 
+READY = "ready"
+"""What a node's health says when it is active and hears all that it must hear."""
+
 _DIAGNOSTICS_PERIOD = 1.0
+_READINESS_PERIOD = 0.1
 _SPIN_SLICE = 0.1
 _LAST_WORDS = 0.5
-_REFUSALS_SHOWN_PER_PERIOD = 20
 
 
 class ExitCode(IntEnum):
@@ -96,7 +99,8 @@ class ContractNode(LifecycleNode):
     """A node that speaks by the contract.
 
     Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
-    ``stop``, ``release``, ``health`` and ``configuration`` as they need.
+    ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as they
+    need.
     """
 
     NAME: ClassVar[str] = ""
@@ -113,9 +117,8 @@ class ContractNode(LifecycleNode):
         self.active = False
         self._failure: Exception | None = None
         self._accepted: Counter[str] = Counter()
-        self._refused: Counter[str] = Counter()
-        self._shown = 0
-        self._lock = threading.Lock()
+        self._refusals = RefusalLog(self.NAME)
+        self._told_condition = ""
         self._last_stamp: dict[str, int] = {}
         self._opened: list[ContractPublisher] = []
         self._taken: list[Any] = []
@@ -148,6 +151,10 @@ class ContractNode(LifecycleNode):
 
     def release(self) -> None:
         """Clean up what ``setup`` made beyond publishers, subscriptions and services."""
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """Return the topics that must be heard before the node can do its work."""
+        return ()
 
     def health(self) -> tuple[Status, ...]:
         """Return further statuses for the periodic diagnostics."""
@@ -265,22 +272,10 @@ class ContractNode(LifecycleNode):
 
     def refuse(self, refusal: Refusal) -> None:
         """Put a refusal on diagnostics, with its reason; a flood is counted, not repeated."""
-        with self._lock:
-            self._refused[refusal.subject] += 1
-            count = self._refused[refusal.subject]
-            self._shown += 1
-            shown = self._shown
-        if shown > _REFUSALS_SHOWN_PER_PERIOD:
-            return
-        status = Status(
-            f"{self.NAME}: refused {refusal.subject}",
-            refusal.reason,
-            Level.WARN,
-            self.NAME,
-            {"code": refusal.code.value, "refused": str(count)},
-        )
-        self.report(status)
-        self.get_logger().warning(f"refused {refusal}")
+        status = self._refusals.take(refusal)
+        if status is not None:
+            self.report(status)
+            self.get_logger().warning(f"refused {refusal}")
 
     def report(self, status: Status) -> None:
         """Put one status on diagnostics now, besides the periodic ones."""
@@ -323,21 +318,30 @@ class ContractNode(LifecycleNode):
 
     _last_configuration: str | None = None
 
+    def _condition(self) -> str:
+        """Whether the node can do its work, and if not, what it waits for."""
+        if not self.active:
+            return "inactive"
+        missing = self.waiting_for()
+        return f"waiting for {', '.join(missing)}" if missing else READY
+
     def _publish_health(self) -> None:
-        with self._lock:
-            hidden = max(0, self._shown - _REFUSALS_SHOWN_PER_PERIOD)
-            self._shown = 0
-            refused = sum(self._refused.values())
+        self._told_condition = condition = self._condition()
+        held_back = self._refusals.end_period()
+        for status in held_back:
+            self.get_logger().warning(f"{status.name}: {status.message}")
         values = {
             "accepted": str(sum(self._accepted.values())),
-            "refused": str(refused),
-            "refusals_not_shown": str(hidden),
+            "refused": str(self._refusals.refused),
         }
-        level = Level.WARN if hidden else Level.OK
-        own = Status(
-            f"{self.NAME}: node", "active" if self.active else "inactive", level, self.NAME, values
-        )
-        self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health())))
+        level = Level.WARN if self.active and condition != READY else Level.OK
+        own = Status(f"{self.NAME}: node", condition, level, self.NAME, values)
+        self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
+
+    def _tell_new_condition(self) -> None:
+        """Tell at once what who waits for this node waits for."""
+        if self._condition() != self._told_condition:
+            self._publish_health()
 
     def _publish_configuration(self) -> None:
         parameters = {
@@ -403,6 +407,7 @@ class ContractNode(LifecycleNode):
     def _activate(self) -> None:
         self.active = True
         self.start()
+        self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
         self.event("active", f"{self.NAME} is active")
 
     def _deactivate(self) -> None:
@@ -445,6 +450,7 @@ class ContractNode(LifecycleNode):
     def shut_down(self) -> None:
         """Stop acting and give everything back; safe to call twice."""
         self._deactivate()
+        self._publish_health()
         # What is not taken when the process ends is lost: the last words matter most.
         deadline = time.monotonic() + _LAST_WORDS
         for made in (*self._opened, self._events, self._diagnostics):

@@ -460,7 +460,9 @@ _TOPIC_ROWS = (
     ),
     Topic(
         topics.DIAGNOSTICS,
-        "health of every node at 1 Hz, and each refusal with its reason as it happens",
+        "health of every node at 1 Hz and when it changes (`ready`, or what it waits for), and "
+        "each refusal with its reason as it happens; of a flood on one topic the first ones, then "
+        "the last one of each second and how many there were",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,

@@ -67,6 +67,10 @@ class JumpNode(ContractNode):
             self._sequence.clock_jumped(self.now_ns())
             self._tell_transitions()
 
+    def waiting_for(self) -> tuple[str, ...]:
+        """The sensors that are silent: a jump is refused until they are heard."""
+        return self._sequence.waiting_for(self._sensors, self.now_ns())
+
     def health(self) -> tuple[Status, ...]:
         """The phase; a fault is an error."""
         if not self.active:

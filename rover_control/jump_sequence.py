@@ -95,6 +95,14 @@ class Sensors:
     compression: Reading | None = None  # [m]
     specific_force: Reading | None = None  # magnitude [m/s^2]
 
+    def readings(self) -> tuple[tuple[str, Reading | None], ...]:
+        """Return each sensor's topic and last reading."""
+        return (
+            (topics.CONTACT, self.contact),
+            (topics.JUMP_MOTOR_STATE, self.compression),
+            (topics.IMU, self.specific_force),
+        )
+
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
         """Take a sample of the contact switch."""
         value = sample.joints[FLOOR_SWITCH].position
@@ -155,6 +163,10 @@ class JumpSequence:
         return taken
 
     # --- asked from outside ----------------------------------------------------------------------
+
+    def waiting_for(self, sensors: Sensors, now_ns: int) -> tuple[str, ...]:
+        """Return the topics of the sensors that are silent: no jump is begun without them."""
+        return tuple(t for t, r in sensors.readings() if self._silence(t, r, now_ns))
 
     def request(self, stroke: float, speed: float, sensors: Sensors, now_ns: int) -> None:
         """Begin a jump.
@@ -375,15 +387,8 @@ class JumpSequence:
 
     def _lost(self, sensors: Sensors, now_ns: int) -> str:
         """Say which sensor is silent; empty if none is."""
-        for topic, reading in (
-            (topics.CONTACT, sensors.contact),
-            (topics.JUMP_MOTOR_STATE, sensors.compression),
-            (topics.IMU, sensors.specific_force),
-        ):
-            silent = self._silence(topic, reading, now_ns)
-            if silent:
-                return silent
-        return ""
+        silences = (self._silence(topic, r, now_ns) for topic, r in sensors.readings())
+        return next(filter(None, silences), "")
 
     def _silence(self, topic: str, reading: Reading | None, now_ns: int) -> str:
         if reading is None:

@@ -27,6 +27,7 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas import topics
+from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
 from rover_verify.stage import Observer, Process, Stage, clean_shared_memory, open_stage
@@ -125,7 +126,7 @@ class Show:
         self._follow("landing", lambda: seen("jump_standby"), self._height, _JUMP_TIMEOUT)
 
     def _ask(self) -> None:
-        """Ask until it is accepted: a controller refuses while it has not heard its sensors."""
+        """Ask until it is accepted: on a busy machine a sensor may just then be silent."""
         request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
         give_up = time.monotonic() + _ASK_TIMEOUT
         answered = threading.Event()
@@ -202,10 +203,15 @@ class Show:
             for status in sample.statuses
             if status.name == "active"
         }
-        wanted = [module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)]
+        wanted = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
         waiting = [name for name in wanted if name not in active]
-        if "bag_record" not in active:
-            waiting.append("bag_record")
+        if not waiting:
+            conditions = self._conditions()
+            waiting = [
+                f"{name} ({conditions.get(name, 'silent')})"
+                for name in wanted
+                if conditions.get(name) != READY
+            ]
         if not waiting:
             missing = missing_streams(self.bag)
             waiting += [f"{missing[0]} in the bag"] if missing else []
@@ -223,12 +229,22 @@ class Show:
             for status in sample.statuses
         )
 
+    def _conditions(self) -> dict[str, str]:
+        """What each node's health last said of itself."""
+        return {
+            status.hardware_id: status.message
+            for sample in self._observer.listen(topics.DIAGNOSTICS).samples
+            for status in sample.statuses
+            if status.name == f"{status.hardware_id}: node"
+        }
+
     def _refusals(self) -> list[str]:
+        """Refusals of the operator's requests."""
         return [
             f"{status.name}: {status.message}"
             for sample in self._observer.listen(topics.DIAGNOSTICS).samples
             for status in sample.statuses
-            if "code" in status.values
+            if status.name.endswith(f"refused {topics.JUMP_REQUEST}")
         ]
 
     def _nut(self) -> str:

@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import decode, encode, message_class, topic_row
+from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
 from msg_schemas.table import SERVICES
 from rover_verify.stage.processes import PATIENCE, ros_arguments
@@ -190,6 +191,14 @@ class Observer:
         return self.wait_for_status(
             topics.DIAGNOSTICS,
             lambda s: s.name.endswith(f"refused {subject}") and s.values.get("code") == code,
+            since,
+        )
+
+    def wait_until_ready(self, node_name: str, since: int = 0) -> None:
+        """Wait until a node's health says that it hears what it must and can do its work."""
+        self.wait_for_status(
+            topics.DIAGNOSTICS,
+            lambda s: s.name == f"{node_name}: node" and s.message == READY,
             since,
         )
 

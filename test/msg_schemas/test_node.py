@@ -14,7 +14,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.samples import ClockSample, JointSample, JointValue, Level
+from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status
 from msg_schemas.table import JUMP_SCREW
 
 if TYPE_CHECKING:
@@ -151,26 +151,27 @@ def test_a_malformed_wire_message_does_no_harm(shell: Shell):
 
 def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
     _, observer = shell
-    heard = len(observer.listen(topics.DIAGNOSTICS))
     feed, publisher = observer.listen(topics.DIAGNOSTICS), observer.publisher(COMMAND)
+    heard = len(feed)
+
+    def statuses() -> list[Status]:
+        return [s for sample in feed.samples[heard:] for s in sample.statuses]
 
     def flooded() -> bool:
         for _ in range(10):
             publisher.publish(encode(COMMAND, command(stamp_ns=1)))
-        statuses = [s for sample in feed.samples[heard:] for s in sample.statuses]
-        return any(int(s.values.get("refusals_not_shown", "0")) > 0 for s in statuses)
+        return any(int(s.values.get("not_shown", "0")) > 0 for s in statuses())
 
     observer.wait_until(flooded, "no refusal was left out")
-    health = observer.wait_for_status(
-        topics.DIAGNOSTICS,
-        lambda s: int(s.values.get("refusals_not_shown", "0")) > 0,
-        heard,
-    )
-    assert health.level is Level.WARN
-    statuses = [s for sample in feed.samples[heard:] for s in sample.statuses]
-    told = [s for s in statuses if s.values.get("code") == "stale"]
-    assert len(told) < int(health.values["refused"])
+    # After the last one all are counted, and the reason is told.
+    publisher.publish(encode(COMMAND, command(stamp_ns=2)))
     assert says_back(observer, 0.22)
+    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: node", len(feed))
+    told = [s for s in statuses() if s.values.get("code") == "stale"]
+    assert all("at most 0.5 s" in s.message for s in told)
+    first, last = (int(told[index].values["refused"]) for index in (0, -1))
+    not_shown = sum(int(s.values["not_shown"]) for s in told)
+    assert len(told) + not_shown == last - first + 1
 
 
 def test_services_answer_and_refuse_with_the_reason(shell: Shell):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,8 +12,8 @@ from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.samples import JointSample, JointValue, Level
-from msg_schemas.table import JUMP_SCREW, JUMP_STROKE
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, Sample, Status
+from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_scenario
 
 if TYPE_CHECKING:
@@ -36,44 +37,13 @@ def start_both(stage: Stage, factor: float = 3.0, **parameters: object) -> tuple
         "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": factor}
     )
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
-    observer.wait_for_time(1)
-    wait_until_it_knows(observer)
+    observer.wait_until_ready(NODE)
     return process, observer
-
-
-def wait_until_it_knows(observer: Observer) -> None:
-    """Wait until the sequencer hears its sensors: an abort with nothing to do says so then."""
-    observer.wait_until(
-        lambda: observer.call(topics.JUMP_ABORT).message == "nothing to let down",
-        "the sensors are not heard",
-    )
-    observer.wait_for_text(topics.JUMP_PHASE, "standby")
 
 
 def request(observer: Observer, stroke: float, speed: float = 0.0) -> None:
     """Ask as an operator does: without a stamp."""
     observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, stroke, speed, stamp_ns=0)
-
-
-def request_when_ready(observer: Observer, stroke: float, speed: float) -> None:
-    """Ask until it is not refused for a sensor that has not spoken yet."""
-    told = len(observer.listen(topics.JUMP_PHASE))
-    observer.wait_until(
-        lambda: _begins_or_is_refused(observer, stroke, speed, told), "the jump does not begin"
-    )
-
-
-def _begins_or_is_refused(observer: Observer, stroke: float, speed: float, told: int) -> bool:
-    refused = len(refusals(observer, topics.JUMP_REQUEST))
-    request(observer, stroke, speed)
-    observer.wait_until(
-        lambda: (
-            "compressing" in phases(observer, told)
-            or len(refusals(observer, topics.JUMP_REQUEST)) > refused
-        ),
-        "no answer to the request",
-    )
-    return "compressing" in phases(observer, told)
 
 
 def phases(observer: Observer, since: int = 0) -> list[str]:
@@ -200,27 +170,18 @@ def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(s
     stopped = float(observer.wait_for_event("jump_motor_silent").values["compression"])
     assert 0.02 < stopped < 0.06
 
-    events = len(observer.listen(topics.EVENTS))
+    events, told = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
     stage.processes.start(MODULE, {"use_sim_time": True})
-    observer.wait_for_event("active", events)
-    # It does not know at once where the nut stands, then it refuses for that.
-    observer.wait_until(
-        lambda: "compressed by" in refused_request(observer).message,
-        "the successor does not refuse",
-    )
-    assert observer.call(topics.JUMP_ABORT).success
-    wait_for_compression(observer, -1.0, 1e-9)
-    request_when_ready(observer, 0.1, 0.1)
-    observer.wait_for_event("touchdown", events)
-
-
-def refused_request(observer: Observer) -> Any:
-    """Ask for a jump that cannot be; returns the refusal."""
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.wait_until_ready(NODE, told)
     request(observer, 0.1)
-    return observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: s.name.endswith(f"refused {topics.JUMP_REQUEST}"), heard
-    )
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase", told)
+    assert "compressed by" in refusal.message
+    since = len(observer.listen(topics.JUMP_PHASE))
+    assert observer.call(topics.JUMP_ABORT).success
+    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    wait_for_compression(observer, -1.0, 1e-9)
+    request(observer, 0.1, 0.1)
+    observer.wait_for_event("touchdown", events)
 
 
 def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
@@ -230,7 +191,8 @@ def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
     since = len(observer.listen(topics.JUMP_PHASE))
     assert observer.call(topics.SIM_RESET).success
     observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
-    request_when_ready(observer, 0.1, 0.1)
+    observer.wait_until_ready(NODE, len(observer.listen(topics.DIAGNOSTICS)))
+    request(observer, 0.1, 0.1)
     observer.wait_for_event("touchdown")
 
 
@@ -240,8 +202,10 @@ def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(stage: 
     wait_for_compression(observer, 0.02)
     assert observer.change_state(NODE, "deactivate")
     observer.wait_for_event("jump_motor_silent")
+    told = len(observer.listen(topics.DIAGNOSTICS))
     assert observer.change_state(NODE, "activate")
-    observer.wait_until(lambda: observer.call(topics.JUMP_ABORT).success, "the abort is not taken")
+    observer.wait_until_ready(NODE, told)
+    assert observer.call(topics.JUMP_ABORT).success
     wait_for_compression(observer, -1.0, 1e-9)
 
 
@@ -252,6 +216,29 @@ def test_parameters_are_limits_with_ranges_and_take_effect(stage: Stage):
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "out_of_limits")
     assert "at most 0.05 m" in refusal.message
+
+
+def test_health_says_what_it_waits_for_until_its_sensors_are_heard(stage: Stage):
+    # Without a clock no time goes by, so that what was heard stays fresh.
+    stage.processes.start(MODULE, {"use_sim_time": True})
+    observer = stage.observer()
+    sensors: dict[str, Sample] = {
+        topics.CONTACT: JointSample(0, {FLOOR_SWITCH: JointValue(1.0)}),
+        topics.JUMP_MOTOR_STATE: JointSample(0, {JUMP_SCREW: JointValue(0.0)}),
+        topics.IMU: ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)),
+    }
+    missing = list(sensors)
+    for topic, sample in sensors.items():
+        words = f"waiting for {', '.join(missing)}"
+        status = observer.wait_for_status(topics.DIAGNOSTICS, partial(says, words))
+        assert (status.name, status.level) == (f"{NODE}: node", Level.WARN)
+        observer.send(topic, sample)
+        missing.remove(topic)
+    observer.wait_until_ready(NODE)
+
+
+def says(words: str, status: Status) -> bool:
+    return status.message == words
 
 
 def test_health_names_the_phase(shared_sim: Observer):

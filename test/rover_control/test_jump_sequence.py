@@ -206,6 +206,16 @@ def _refused_without_sensors() -> str:
     return caught.value.reason
 
 
+def test_it_says_which_sensors_it_waits_for():
+    everything = (topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU)
+    assert JumpSequence(PARAMETERS).waiting_for(Sensors(), NANO) == everything
+    rover = Rover()
+    assert rover.sequence.waiting_for(rover.sensors, rover.now_ns) == ()
+    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.run(2.0 * PARAMETERS.sensor_timeout)
+    assert rover.sequence.waiting_for(rover.sensors, rover.now_ns) == (topics.JUMP_MOTOR_STATE,)
+
+
 def test_an_abort_lets_the_spring_down_softly(rover: Rover):
     rover.request()
     rover.run(1.0)
