@@ -311,8 +311,8 @@ def _add_bending_damping(
 
 
 @kernel
-def _assemble(tether: Tether, h: float, work: Workspace) -> None:
-    """Write tangent and residual of all elements to work.blocks."""
+def assemble(tether: Tether, h: float, work: Workspace) -> None:
+    """Write tangent and residual of all elements to work.blocks, to which others may then add."""
     tag = tether.gravity
     dim = len(tag)
     inverse = 1.0 / tether.element_length
@@ -444,9 +444,13 @@ def begin_ends(tether: Tether, work: Workspace) -> None:
     """Clear what sits at the ends and hold there what work.end_fixed says.
 
     A held coordinate's equation becomes "increment = 0": the end's own block gets the 1, and
-    `_mask_ends` takes away what the element contributes.
+    `_mask_ends` takes away what the element contributes. What a longer tether left in the work
+    arrays behind the tip is cleared as well.
     """
     m = 2 * len(tether.gravity)
+    after = tether.elements + 2
+    work.factor[after] = 0.0
+    work.solution[after : min(after + work.solution.shape[1], work.solution.shape[0])] = 0.0
     for end in range(2):
         for c in range(2 * m + 1):
             for r in range(m):
@@ -515,17 +519,23 @@ def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
 
 
 @checked
-def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
-    """Assemble, solve and apply one Newton increment to work.increment.
+def solve_increment(tether: Tether, work: Workspace) -> float:
+    """Solve what stands in work.blocks and apply the Newton increment to work.increment.
 
     The increment itself stays in work.solution. Returns its largest entry [m], slopes times the
     element's length; NaN if any entry is not finite.
     """
-    _assemble(tether, h, work)
     _mask_ends(tether, work)
     solve_blocks(tether.gravity, tether.elements, work.blocks, work.factor, work.solution)
     largest, total = _apply_solution(tether, work)
     return largest if np.isfinite(total) else np.nan
+
+
+@checked
+def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
+    """Assemble, solve and apply one Newton increment; see `solve_increment`."""
+    assemble(tether, h, work)
+    return float(solve_increment(tether, work))
 
 
 @kernel
