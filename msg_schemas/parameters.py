@@ -19,34 +19,20 @@ import dataclasses
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import yaml
+from msg_schemas.fields import FieldError, Rule, not_known, read_value, rule_of, shown
+from msg_schemas.yaml_reader import read_yaml
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 P = TypeVar("P", bound="DataclassInstance")
 
-_KEY = "parameter"
-
 
 class ParameterError(ValueError):
     """A parameter is missing, unknown, of the wrong type or out of range."""
-
-
-@dataclass(frozen=True)
-class ParameterInfo:
-    """What a parameter field carries besides its value."""
-
-    unit: str
-    about: str
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[str, ...] = ()
-    read_only: bool = False
 
 
 def parameter(
@@ -70,17 +56,19 @@ def parameter(
         choices: allowed words of a text.
         read_only: cannot be changed while a node runs.
     """
-    info = ParameterInfo(unit, about, minimum, maximum, choices, read_only)
-    return dataclasses.field(default=default, metadata={_KEY: info})
+    rule = Rule(type(default), unit, about, minimum, maximum, words=choices, read_only=read_only)
+    return dataclasses.field(default=default, metadata=rule.metadata())
 
 
-def info_of(field: dataclasses.Field[Any]) -> ParameterInfo:
-    """Return the information that ``parameter`` attached to a field."""
-    info = field.metadata.get(_KEY)
-    if not isinstance(info, ParameterInfo):
-        msg = f"field {field.name!r} was not made with parameter(...)"
-        raise TypeError(msg)
-    return info
+def rules_of(cls: type[DataclassInstance]) -> dict[str, Rule]:
+    """Return the rule of each parameter of a class, by name."""
+    types = typing.get_type_hints(cls)
+    rules = {field.name: rule_of(field) for field in dataclasses.fields(cls)}
+    for name, rule in rules.items():
+        if types[name] is not rule.kind:
+            msg = f"the default of {cls.__name__}.{name} is no {types[name].__name__}"
+            raise TypeError(msg)
+    return rules
 
 
 def from_mapping(cls: type[P], mapping: Mapping[str, Any], where: str = "") -> P:
@@ -90,16 +78,17 @@ def from_mapping(cls: type[P], mapping: Mapping[str, Any], where: str = "") -> P
         ParameterError: unknown name, wrong type, not finite, out of range; the
             message says which, the value and what would be right.
     """
-    types = typing.get_type_hints(cls)
-    fields = {f.name: f for f in dataclasses.fields(cls)}
-    unknown = sorted(str(name) for name in set(mapping) - set(fields))
-    if unknown:
-        msg = f"{where}unknown parameter {', '.join(unknown)}; known are {', '.join(fields)}"
-        raise ParameterError(msg)
-    values = {
-        name: _coerce(f"{where}{name}", types[name], info_of(fields[name]), value)
-        for name, value in mapping.items()
-    }
+    rules = rules_of(cls)
+    values = {}
+    for name, value in mapping.items():
+        if name not in rules:
+            msg = f"{where}unknown parameter {name}{not_known(str(name), rules)}"
+            raise ParameterError(msg)
+        try:
+            values[name] = read_value(rules[name], value, name)
+        except FieldError as error:
+            msg = f"{where}{error}"
+            raise ParameterError(msg) from None
     return cls(**values)
 
 
@@ -110,37 +99,10 @@ def load_yaml(cls: type[P], path: Path) -> P:
         ParameterError: the file cannot be read, is not YAML, or holds bad values.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror}"
-        raise ParameterError(msg) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        msg = f"{path} is not YAML: {error}"
-        raise ParameterError(msg) from error
-    if content is None:
-        content = {}
-    if not isinstance(content, Mapping):
-        msg = f"{path} holds a {type(content).__name__}, it must hold names and values"
+        content = read_yaml(path)
+    except FieldError as error:
+        raise ParameterError(str(error)) from None
+    if not isinstance(content, Mapping | None):
+        msg = f"{path} holds {shown(content)}, it should hold names and values"
         raise ParameterError(msg)
-    return from_mapping(cls, content, f"{path}: ")
-
-
-def _coerce(name: str, wanted: Any, info: ParameterInfo, value: Any) -> Any:
-    if wanted is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
-    if type(value) is not wanted:
-        msg = f"{name} is {value!r} ({type(value).__name__}), it must be of type {wanted.__name__}"
-        raise ParameterError(msg)
-    if isinstance(value, float) and not math.isfinite(value):
-        msg = f"{name} is {value!r}, it must be a finite number"
-        raise ParameterError(msg)
-    if isinstance(value, (int, float)) and not info.minimum <= value <= info.maximum:
-        msg = (
-            f"{name} is {value!r} {info.unit}, it must lie in "
-            f"{info.minimum:g} .. {info.maximum:g} {info.unit}"
-        )
-        raise ParameterError(msg)
-    if info.choices and value not in info.choices:
-        msg = f"{name} is {value!r}, it must be one of {', '.join(info.choices)}"
-        raise ParameterError(msg)
-    return value
+    return from_mapping(cls, content or {}, f"{path}: ")

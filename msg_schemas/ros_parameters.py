@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
-from msg_schemas.parameters import ParameterError, ParameterInfo, from_mapping, info_of
+from msg_schemas.fields import Rule, not_known, rule_of
+from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -35,7 +35,7 @@ def declare_parameters(node: Node, classes: Iterable[type[DataclassInstance]]) -
         for field in dataclasses.fields(cls):
             try:
                 declared = node.declare_parameter(
-                    field.name, field.default, _descriptor(field.default, info_of(field))
+                    field.name, field.default, _descriptor(rule_of(field))
                 )
             except (InvalidParameterTypeException, InvalidParameterValueException) as error:
                 msg = f"{field.name}: {error}"
@@ -67,15 +67,10 @@ def described_parameters(classes: Iterable[type[DataclassInstance]]) -> list[str
     lines = []
     for cls in classes:
         for field in dataclasses.fields(cls):
-            info = info_of(field)
-            limits = ""
-            if math.isfinite(info.minimum) and math.isfinite(info.maximum):
-                limits = f", {info.minimum:g} .. {info.maximum:g}"
-            if info.choices:
-                limits = f", one of {', '.join(info.choices)}"
-            unit = "" if info.unit == "-" else f" {info.unit}"
-            lines.append(f"  {field.name} (default {field.default!r}{unit}{limits})")
-            lines.append(f"      {info.about}")
+            rule = rule_of(field)
+            unit = "" if rule.unit == "-" else f" {rule.unit}"
+            lines.append(f"  {field.name} (default {field.default!r}{unit}): {rule.accepted()}")
+            lines.append(f"      {rule.about}")
     return lines
 
 
@@ -85,29 +80,27 @@ def _refuse_undeclared(node: Node, groups: Groups) -> None:
     for name in node._parameter_overrides:
         if node.has_parameter(name) or name.startswith(_QOS_OVERRIDES):
             continue
-        known = [field.name for cls in groups for field in dataclasses.fields(cls)]
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        msg = f"unknown parameter {name}{hint}; known are {', '.join(known)}"
+        known = [each for cls in groups for each in rules_of(cls)]
+        msg = f"unknown parameter {name}{not_known(name, known)}"
         raise ParameterError(msg)
 
 
-def _descriptor(default: Any, info: ParameterInfo) -> ParameterDescriptor:
-    unit = "" if info.unit == "-" else f" [{info.unit}]"
+def _descriptor(rule: Rule) -> ParameterDescriptor:
+    unit = "" if rule.unit == "-" else f" [{rule.unit}]"
     described = ParameterDescriptor(
-        description=info.about + unit,
-        read_only=info.read_only,
-        additional_constraints=f"one of {', '.join(info.choices)}" if info.choices else "",
+        description=rule.about + unit,
+        read_only=rule.read_only,
+        additional_constraints=rule.accepted() if rule.words else "",
         # A float parameter must accept "rate:=100": rclpy would refuse the integer.
-        dynamic_typing=isinstance(default, float),
+        dynamic_typing=rule.kind is float,
     )
-    if math.isfinite(info.minimum) and math.isfinite(info.maximum):
-        if isinstance(default, float):
+    if math.isfinite(rule.minimum) and math.isfinite(rule.maximum):
+        if rule.kind is float:
             described.floating_point_range = [
-                FloatingPointRange(from_value=float(info.minimum), to_value=float(info.maximum))
+                FloatingPointRange(from_value=float(rule.minimum), to_value=float(rule.maximum))
             ]
-        elif isinstance(default, int) and not isinstance(default, bool):
+        elif rule.kind is int:
             described.integer_range = [
-                IntegerRange(from_value=int(info.minimum), to_value=int(info.maximum), step=1)
+                IntegerRange(from_value=int(rule.minimum), to_value=int(rule.maximum), step=1)
             ]
     return described

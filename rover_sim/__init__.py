@@ -20,6 +20,7 @@ The same by hand, tick by tick; a state is a value, so keeping or reusing one is
 ('flight', ['take_off'], 'converged')
 """
 
+from msg_schemas.yaml_reader import read_yaml
 from rover_sim.physics.section import TetherSection
 from rover_sim.physics.statics import StaticsError, static_equilibrium
 from rover_sim.planar_plant import PlanarPlant, PlanarState
@@ -48,7 +49,6 @@ from rover_sim.scenario import (
     load_scenario,
     parse_override,
 )
-from rover_sim.yaml_reader import read_yaml
 
 __all__ = [
     "Command",

@@ -22,10 +22,10 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import yaml
 
+from msg_schemas.yaml_reader import read_yaml
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity, text
 from rover_sim.physics.section import TetherSection
-from rover_sim.yaml_reader import read_yaml
 
 ScenarioError = ConfigurationError
 

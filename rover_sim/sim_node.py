@@ -15,6 +15,7 @@ from msg_schemas.node import ContractNode, ExitCode, run
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
+from msg_schemas.yaml_reader import read_yaml
 from rover_sim.actuators import stopped
 from rover_sim.planar_plant import PlanarState
 from rover_sim.plant import Phase
@@ -23,7 +24,6 @@ from rover_sim.scenario import Scenario, ScenarioError, load_scenario
 from rover_sim.sim_loop import NANO, Happening, Schedule, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 from rover_sim.telemetry import Telemetry
-from rover_sim.yaml_reader import read_yaml
 
 
 def _table_rate(name: str) -> float:

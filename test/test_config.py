@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 import yaml
 
+from msg_schemas.fields import rule_of
 from msg_schemas.node import ContractNode
-from msg_schemas.parameters import from_mapping, info_of
+from msg_schemas.parameters import from_mapping
 from rover_control.jump_node import JumpNode
 from rover_sim.sim_node import SimNode
 from tether_winch.winch_node import WinchNode
@@ -55,4 +56,4 @@ def test_the_unit_of_every_quantity_stands_beside_it(node: type[ContractNode]):
         if isinstance(field.default, str):
             continue
         (line,) = [each for each in lines if each.strip().startswith(f"{field.name}:")]
-        assert f"[{info_of(field).unit}]" in line
+        assert f"[{rule_of(field).unit}]" in line

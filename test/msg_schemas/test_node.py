@@ -342,7 +342,7 @@ def test_a_signal_ends_it_in_the_middle_of_a_long_setup(processes: Processes):
         ({"rate": "fast"}, (), "rate"),
         ({"count": 3.5}, (), "count"),
         ({"trouble": "much"}, (), "one of none, value"),
-        ({"rats": 3.0}, (), "did you mean rate?"),
+        ({"rats": 3.0}, (), "did you mean 'rate'?"),
         ({"trouble": "value"}, (), "the setup found a wrong value"),
         ({}, ("--rate", "3"), "unknown argument '--rate'"),
         ({}, ("--ros-args", "--nonsense"), "ROS arguments not understood"),
@@ -369,7 +369,7 @@ def test_a_bug_ends_it_with_code_1(processes: Processes, trouble: str):
 def test_help_names_every_parameter_with_unit_and_range(processes: Processes):
     process = processes.start("shell_node", None, "--help")
     assert process.wait() == 0
-    assert "rate (default 10.0 Hz, 1 .. 100)" in process.output
+    assert "rate (default 10.0 Hz): a number at least 1 and at most 100 Hz" in process.output
     assert "autostart" in process.output
 
 

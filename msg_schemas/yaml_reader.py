@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from rover_sim.configuration import ConfigurationError
+from msg_schemas.fields import FieldError
 
 
 class _Loader(yaml.SafeLoader):
@@ -56,7 +56,7 @@ def read_yaml(source: Path | Traversable | str, name: str = "") -> Any:
     """Read one YAML document from a file, or from text if `source` is a string.
 
     Raises:
-        ConfigurationError: If the file cannot be read or is no YAML; names the file (or
+        FieldError: If the file cannot be read or is no YAML; names the file (or
             `name`) and the line.
     """
     label = name or ("text" if isinstance(source, str) else str(source))
@@ -64,11 +64,11 @@ def read_yaml(source: Path | Traversable | str, name: str = "") -> Any:
         content = source if isinstance(source, str) else source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise ConfigurationError(label, None, f"cannot be read: {reason}") from None
+        raise FieldError(label, None, f"cannot be read: {reason}") from None
     try:
         return yaml.load(content, Loader=_Loader)
     except yaml.YAMLError as error:
-        raise ConfigurationError(label, None, f"is not YAML: {_one_line(error)}") from None
+        raise FieldError(label, None, f"is not YAML: {_one_line(error)}") from None
 
 
 def _one_line(error: yaml.YAMLError) -> str:

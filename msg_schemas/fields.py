@@ -1,0 +1,171 @@
+"""One value that people give: what is right, and what is said of what is not.
+
+A `Rule` stands in the metadata of a dataclass field. Node parameters
+(`msg_schemas.parameters`) and nested configurations (`rover_sim.configuration`)
+are made of such fields; here is all that both know of a single value.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import Field, dataclass
+from numbers import Integral, Real
+from typing import Any
+
+INFINITY_WORD = ".inf"
+RULE = "rule"
+"""The key of the field's metadata under which its rule stands."""
+
+
+class FieldError(ValueError):
+    """A value that a field cannot take.
+
+    Attributes:
+        path: Name or dotted path of the value, e.g. ``start.slack``.
+        value: The value that was refused.
+        expected: What would be right.
+    """
+
+    def __init__(self, path: str, value: object, expected: str) -> None:
+        super().__init__(f"{path} = {shown(value)}: {expected}")
+        self.path = path
+        self.value = value
+        self.expected = expected
+
+
+def shown(value: object) -> str:
+    """Print a value for a message, shortened where it is long."""
+    printed = "null" if value is None else repr(value)
+    return printed if len(printed) <= 60 else printed[:57] + "..."
+
+
+def not_known(name: str, known: Iterable[str]) -> str:
+    """Say which name was probably meant, and which ones there are."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"{hint}; known here: {', '.join(names)}"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What one field accepts.
+
+    Attributes:
+        kind: ``float``, ``int``, ``bool``, ``str`` or, for a section, its dataclass.
+        unit, about: Unit of the number and meaning of the field.
+        minimum, maximum: Range of every number, ends included unless `open_minimum`.
+        open_minimum: Whether the minimum itself is refused.
+        length: 0 for a single value, otherwise the number of values in a list.
+        optional: Whether null is accepted.
+        infinite: Whether positive infinity is accepted.
+        words: The words of a choice, empty for free text.
+        read_only: Whether it stays as it is once its user runs.
+    """
+
+    kind: type
+    unit: str = ""
+    about: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    open_minimum: bool = False
+    length: int = 0
+    optional: bool = False
+    infinite: bool = False
+    words: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def range_text(self) -> str:
+        """Words for the range and unit, e.g. ``a number above 0 and at most 10 m``."""
+        noun = "a whole number" if self.kind is int else "a number"
+        bounds = []
+        if self.minimum > -math.inf:
+            bounds.append(f"{'above' if self.open_minimum else 'at least'} {self.minimum:g}")
+        if self.maximum < math.inf:
+            bounds.append(f"at most {self.maximum:g}")
+        unit = f" {self.unit}" if self.unit not in {"", "-"} else ""
+        if not bounds:
+            return f"{noun}{' in' + unit if unit else ''}"
+        return f"{noun} {' and '.join(bounds)}{unit}"
+
+    def accepted(self) -> str:
+        """Words for everything but a section that the field accepts."""
+        if self.words:
+            accepted = "one of " + ", ".join(self.words)
+        elif self.kind is str:
+            accepted = "text"
+        elif self.kind is bool:
+            accepted = "true or false"
+        elif self.length:
+            accepted = f"a list of {self.length}, each {self.range_text()}"
+        else:
+            accepted = self.range_text()
+        return accepted + (", or null" if self.optional else "")
+
+    def metadata(self) -> dict[str, Any]:
+        """The metadata of a field with this rule."""
+        return {
+            RULE: self,
+            "unit": self.unit,
+            "about": self.about,
+            "minimum": self.minimum,
+            "maximum": self.maximum,
+        }
+
+
+def rule_of(field: Field[Any]) -> Rule:
+    """Return a field's rule; TypeError if it was made without one."""
+    rule = field.metadata.get(RULE)
+    if not isinstance(rule, Rule):
+        msg = f"field {field.name!r} was made without a rule"
+        raise TypeError(msg)
+    return rule
+
+
+def read_value(rule: Rule, value: object, path: str) -> Any:
+    """Return the value as the field holds it: a number of its kind, a tuple of them, a word.
+
+    Raises:
+        FieldError: It is not what the rule accepts.
+    """
+    if value is None and rule.optional:
+        return None
+    if rule.kind is bool:
+        _require(isinstance(value, bool), rule, value, path)
+        return value
+    if rule.kind is str:
+        right = isinstance(value, str) and (not rule.words or value in rule.words)
+        _require(right, rule, value, path)
+        return value
+    if not rule.length:
+        return _read_number(rule, value, path)
+    if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
+        raise FieldError(path, value, f"should be {rule.accepted()}")
+    _require(len(value) == rule.length, rule, value, path)
+    return tuple(_read_number(rule, entry, f"{path}[{index}]") for index, entry in enumerate(value))
+
+
+def _require(right: bool, rule: Rule, value: object, path: str) -> None:
+    if not right:
+        raise FieldError(path, value, f"should be {rule.accepted()}")
+
+
+def _read_number(rule: Rule, value: object, path: str) -> float | int:
+    wanted = Integral if rule.kind is int else Real
+    if value == INFINITY_WORD:
+        value = math.inf
+    if isinstance(value, bool) or not isinstance(value, wanted):
+        raise FieldError(path, value, f"should be {rule.range_text()}")
+    try:
+        number: float | int = rule.kind(value)
+        finite = rule.kind is int or math.isfinite(number)
+    except OverflowError:  # a whole number beyond every float
+        number, finite = math.inf, False
+    if not finite and not (rule.infinite and number > 0 and isinstance(value, float)):
+        raise FieldError(path, value, f"should be {rule.range_text()}, and finite")
+    too_small = number <= rule.minimum if rule.open_minimum else number < rule.minimum
+    if (too_small and rule.minimum > -math.inf) or number > rule.maximum:
+        raise FieldError(path, value, f"should be {rule.range_text()}")
+    return number
