@@ -22,6 +22,14 @@ from rover_sim.physics.energy_momentum import (
     set_end,
 )
 from rover_sim.physics.locate import apex_instant, crossing_instant, hermite
+from rover_sim.physics.newton import (
+    CONTROL_SIZE,
+    FAILED,
+    GO_ON,
+    MAX_TURN,
+    distrust,
+    verdict,
+)
 from rover_sim.physics.planar_rover import (
     BODY_SIZE,
     OMEGA,
@@ -85,13 +93,6 @@ MAX_EVENTS = 32
 ) = range(11)
 REPORT_SIZE = 11
 
-_MAX_ITERATIONS = 12
-# Nodes of a converged step turn less than this [rad]; more is a wrong root or too coarse a step.
-_MAX_TURN = 1.0
-# A Newton increment is followed by one of about C times its square. C is measured, and measured
-# again after so many steps that ended on its word.
-_TRUSTED_STEPS = 8
-_TRUST_MARGIN = 0.1
 # Entries of the array `search`.
 _LENGTH, _LOW, _HIGH, _TRIES = range(4)
 _MOST_TRIES = 12.0
@@ -124,7 +125,7 @@ class Solver(NamedTuple):
     turn: Array  # (2,): increments th and ds
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
     history: History
-    control: Array  # (2,): the Newton constant C, steps since it was measured; see _TRUSTED_STEPS
+    control: Array  # (CONTROL_SIZE,), see `newton`
     search: Array  # (4,): of the touchdown's instant, see `_seek_touchdown`
     report: Array  # (REPORT_SIZE,)
 
@@ -137,6 +138,8 @@ def make_solver(elements: int, report: Array) -> Solver:
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
     width = row_width(elements, 2)
+    control = np.zeros(CONTROL_SIZE)
+    distrust(control)
     return Solver(
         make_workspace(elements, 2),
         np.zeros((4, width)),
@@ -145,7 +148,7 @@ def make_solver(elements: int, report: Array) -> Solver:
         np.zeros(2),
         np.zeros((2, 3)),
         make_history(4, width, 2),
-        np.array([0.0, float(_TRUSTED_STEPS)]),
+        control,
         np.zeros(4),
         report,
     )
@@ -247,8 +250,9 @@ def attempt_step(
     _predict(model.tether.elements, h, v, body, depth, flying, solver)
     begin_step(model.tether, h, q, v, work)
     previous = np.inf
-    converged = False
-    for iteration in range(_MAX_ITERATIONS):
+    judged = GO_ON
+    iteration = 0
+    while judged == GO_ON:
         if flying:
             add_rover(model.tether, model.rover, h, body, solver.turn, solver.condensed, work)
         elif not model.has_rover:
@@ -257,23 +261,10 @@ def attempt_step(
         if flying:
             change += rover_increment(model.tether.elements, solver.condensed, work, solver.turn)
         solver.report[ITERATIONS] += 1.0
-        if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
-            break
-        if iteration > 0:
-            measured = change / previous**2
-            solver.control[0] = max(measured, 0.5 * solver.control[0])
-            if iteration == 1:
-                solver.control[1] = 0.0
-        if change < model.tolerance:
-            converged = True
-            break
-        trusted = solver.control[1] < _TRUSTED_STEPS
-        if trusted and solver.control[0] * change**2 < _TRUST_MARGIN * model.tolerance:
-            solver.control[1] += 1.0
-            converged = True
-            break
+        judged = verdict(iteration, change, previous, model.tolerance, solver.control)
         previous = change
-    if not converged:
+        iteration += 1
+    if judged == FAILED:
         return False, 0.0, 0.0
     dissipated, tension, turn = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
     if flying:
@@ -283,7 +274,7 @@ def attempt_step(
     else:
         for k in range(BODY_SIZE):
             solver.body1[k] = body[k]
-    if not turn < _MAX_TURN:
+    if not turn < MAX_TURN:
         return False, 0.0, 0.0
     return True, dissipated, tension
 
@@ -503,7 +494,7 @@ def advance(
             search[_TRIES] = 0.0
             if not ok:
                 depth, known = 0, 0
-                solver.control[1] = _TRUSTED_STEPS
+                distrust(solver.control)
                 part >>= 1
                 if part == 0:
                     phase = DIVERGED

@@ -14,15 +14,17 @@ the equations of the step are
     last node   tether + f_1 + f_2 - F = 0
     rotation    [R_1 (J W1 + H_1) - R_0 (J W0 + H_0)]/h
                 - R_m p x f_1 + ((R_0 e s_0 + R_1 e s_1)/2 - R_m p) x f_2 - M = 0
-    slider      R_0 (e + th x e/2) . f_2 + k (s_m - l_0) + c ds/h = 0
+    slider      R_0 (e + th x e/2) . f_2 - F_s(s_m, ds/h) - S = 0
 
 J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
-whose absolute axial momenta are H (body axes); F and M are the force and the moment about the
-last node from outside. The levers are means of start and end, so the angular momentum is conserved;
-because R_1 - R_0 turns vectors by R_0 th across R_m exactly, and because of the slider's direction,
-the work of these forces is the change of the energies (Simo and Wong 1991, IJNME 31; the same
-scheme as `planar_rover`, which it contains). Rotation and slide are condensed into the last node
-before the tether's elimination.
+whose absolute axial momenta are H (body axes); F_s pushes the bodies apart (module `slider`); F, M
+and S are what acts from outside: the force, the moment about the last node and the force along the
+slider. The levers are means of start and end, so the angular momentum is conserved; because
+R_1 - R_0 turns vectors by R_0 th across R_m exactly, and because of the slider's direction, the
+work of these forces is the change of the energies (Simo and Wong 1991, IJNME 31; the same scheme as
+`planar_rover`, which it contains). A force that acts from outside at a point of a body works
+exactly through the point's travel for the same reasons (`add_point_load`). Rotation and slide are
+condensed into the last node before the tether's elimination.
 """
 
 from typing import NamedTuple
@@ -55,15 +57,12 @@ BODY_SIZE = 20
 
 
 class Rover(NamedTuple):
-    """Masses, geometry and spring of the rover; inertias about the bodies' own centres."""
+    """Masses and geometry of the rover; inertias about the bodies' own centres."""
 
     m1: float  # [kg]
     m2: float  # [kg]
     inertia: Vector  # principal moments of J1 + J2 about the body axes, without rotors [kg m^2]
     attachment: Vector  # p [m]
-    spring_rate: float  # k [N/m]
-    spring_free_length: float  # l0 [m]
-    slider_damping: float  # c [N s/m]
 
 
 class RoverStep(NamedTuple):
@@ -72,14 +71,24 @@ class RoverStep(NamedTuple):
     turn: Array  # (4,): th and ds
     coupling: Array  # (4, 8): rows of rotation and slide, columns th, ds, last node, residual
     return_coupling: Array  # (3, 4): last node's rows, columns th, ds
-    load: Array  # (6,): force F [N] and moment M about the last node [N m] from outside
+    slide: Array  # (3,): F_s [N] at mid-step and its derivatives by s [N/m] and s' [N s/m]
+    load: Array  # (7,): F [N], M about the last node [N m] and S [N] from outside
+    load_tangent: Array  # (7, 7): their derivatives by th, ds and the last node's place
     rotors_after: Array  # (3,): H_1
 
 
 @allocating
 def make_rover_step() -> RoverStep:
     """Allocate the arrays of the rover's part."""
-    return RoverStep(np.zeros(4), np.zeros((4, 8)), np.zeros((3, 4)), np.zeros(6), np.zeros(3))
+    return RoverStep(
+        np.zeros(4),
+        np.zeros((4, 8)),
+        np.zeros((3, 4)),
+        np.zeros(3),
+        np.zeros(7),
+        np.zeros((7, 7)),
+        np.zeros(3),
+    )
 
 
 @kernel
@@ -115,9 +124,10 @@ def _column(matrix: Array, row: int, column: int, value: Vector) -> None:
 
 
 class Pose(NamedTuple):
-    """The rover at the start, the end and the middle of a step, from th and ds."""
+    """The rover at the start and the end of a step, from th and ds."""
 
-    start: Rotation
+    start: Rotation  # R_0
+    th: Vector
     attachment0: Vector  # R_0 p
     attachment1: Vector  # R_1 p
     axis0: Vector  # R_0 e
@@ -127,12 +137,14 @@ class Pose(NamedTuple):
 
 
 @kernel
-def _pose(rover: Rover, body: Array, turn: Array) -> Pose:
+def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
+    """The pose that belongs to the increments th and ds."""
     start = rotation_of(orientation(body))
     th = vector_at(turn, 0)
     s0 = body[SLIDE]
     return Pose(
         start,
+        th,
         rotate(start, rover.attachment),
         rotate(start, cayley(th, rover.attachment)),
         start[2],
@@ -157,6 +169,118 @@ def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
 
 
 @kernel
+def _slider_direction(pose: Pose, th: Vector) -> Vector:
+    """R_0 (e + th x e/2), along which the slider's forces work exactly."""
+    return axpy(0.5, rotate(pose.start, cross(th, (0.0, 0.0, 1.0))), pose.axis0)
+
+
+@kernel
+def clear_loads(step: RoverStep) -> None:
+    """Take away everything that acts from outside."""
+    for r in range(7):
+        step.load[r] = 0.0
+        for c in range(7):
+            step.load_tangent[r, c] = 0.0
+
+
+@kernel
+def point_travel(
+    pose: Pose, dr: Vector, point: Vector, attachment: Vector, sliding: bool
+) -> tuple[Vector, Vector]:
+    """Lever at the step's end [m] and travel in the step [m] of a point of one of the bodies.
+
+    Args:
+        pose: of the step.
+        dr: travel of the last node [m].
+        point: in base_link [m]; of Body 2 (`sliding`) from its own centre.
+        attachment: p [m].
+        sliding: whether the point is Body 2's.
+
+    Returns:
+        The lever from the last node to the point at the end, and the point's travel.
+    """
+    lever0, lever1 = _levers(pose, point, attachment, sliding)
+    return lever1, add(dr, sub(lever1, lever0))
+
+
+@kernel
+def _levers(pose: Pose, point: Vector, attachment: Vector, sliding: bool) -> tuple[Vector, Vector]:
+    """Levers from the last node to a point at the step's start and end."""
+    rigid = sub(point, attachment)
+    lever0 = rotate(pose.start, rigid)
+    lever1 = rotate(pose.start, cayley(pose.th, rigid))
+    if sliding:
+        lever0 = axpy(pose.s0, pose.axis0, lever0)
+        lever1 = axpy(pose.s1, pose.axis1, lever1)
+    return lever0, lever1
+
+
+@kernel
+def add_point_load(
+    step: RoverStep,
+    pose: Pose,
+    attachment: Vector,
+    point: Vector,
+    sliding: bool,
+    arm: Vector,
+    force: Vector,
+    tangent: tuple[float, ...],
+) -> None:
+    """Add a force from outside on one of the bodies, averaged over the step.
+
+    Args:
+        step: added to.
+        pose: of the step.
+        attachment: p [m].
+        point: as for `point_travel`.
+        sliding: whether the point is Body 2's.
+        arm: from the point to where the force acts [m], world axes; it does not turn.
+        force: on the body [N], world axes.
+        tangent: its derivative [N/m] by the travel of the body there, rows, (9,).
+    """
+    lever0, lever1 = _levers(pose, point, attachment, sliding)
+    lever = add(scale(0.5, add(lever0, lever1)), arm)
+    moment = cross(lever, force)
+    axis = _slider_direction(pose, pose.th)
+    for d in range(3):
+        step.load[d] += force[d]
+        step.load[3 + d] += moment[d]
+    if sliding:
+        step.load[6] += dot(axis, force)
+    for c in range(7):
+        unit = (
+            1.0 if c in (0, 4) else 0.0,
+            1.0 if c in (1, 5) else 0.0,
+            1.0 if c in (2, 6) else 0.0,
+        )
+        swept = (0.0, 0.0, 0.0)
+        move = unit
+        if c < 3:
+            turn = rotate(pose.start, cayley_spin(pose.th, unit))
+            swept = cross(turn, lever1)
+            move = add(swept, cross(turn, arm))
+        elif c == 3:
+            if not sliding:
+                continue
+            swept = pose.axis1
+            move = swept
+        change = (
+            tangent[0] * move[0] + tangent[1] * move[1] + tangent[2] * move[2],
+            tangent[3] * move[0] + tangent[4] * move[1] + tangent[5] * move[2],
+            tangent[6] * move[0] + tangent[7] * move[1] + tangent[8] * move[2],
+        )
+        turned_moment = add(cross(lever, change), scale(0.5, cross(swept, force)))
+        for d in range(3):
+            step.load_tangent[d, c] += change[d]
+            step.load_tangent[3 + d, c] += turned_moment[d]
+        if sliding:
+            along = dot(axis, change)
+            if c < 3:
+                along += 0.5 * dot(force, rotate(pose.start, cross(unit, (0.0, 0.0, 1.0))))
+            step.load_tangent[6, c] += along
+
+
+@kernel
 def _inertia_force(mass: float, h: float, change: Vector, rate: Vector, gravity: Vector) -> Vector:
     """F = m (2/h)(dG/h - V0) - m g."""
     return axpy(-mass, gravity, scale(2.0 * mass / h, axpy(-1.0, rate, scale(1.0 / h, change))))
@@ -168,15 +292,14 @@ def add_rover(
 ) -> None:
     """Add the rover to the tip of a tether of n elements, condensed onto the last node."""
     th = vector_at(step.turn, 0)
-    pose = _pose(rover, body, step.turn)
+    pose = pose_of(rover, body, step.turn)
     d1, d2 = _displacements(pose, _tip_move(n, work))
     f1 = _inertia_force(rover.m1, h, d1, vector_at(body, VELOCITY1), gravity)
     f2 = _inertia_force(rover.m2, h, d2, vector_at(body, VELOCITY2), gravity)
     i1, i2 = 2.0 * rover.m1 / h**2, 2.0 * rover.m2 / h**2
 
-    sm = 0.5 * (pose.s0 + pose.s1)
     e = (0.0, 0.0, 1.0)
-    axis = axpy(0.5, rotate(pose.start, cross(th, e)), pose.axis0)
+    axis = _slider_direction(pose, th)
     lever1 = scale(-0.5, add(pose.attachment0, pose.attachment1))
     reach = add(scale(0.5 * pose.s0, pose.axis0), scale(0.5 * pose.s1, pose.axis1))
     lever2 = add(reach, lever1)
@@ -189,11 +312,7 @@ def add_rover(
     rotation = scale(1.0 / h, sub(momentum1, momentum0))
     rotation = add(rotation, add(cross(lever1, f1), cross(lever2, f2)))
     rotation = sub(rotation, vector_at(step.load, 3))
-    slider = (
-        dot(axis, f2)
-        + rover.spring_rate * (sm - rover.spring_free_length)
-        + rover.slider_damping * step.turn[3] / h
-    )
+    slider = dot(axis, f2) - step.slide[0] - step.load[6]
     force = sub(add(f1, f2), vector_at(step.load, 0))
 
     # Derivatives. R_1 u changes by (R_0 A dth) x R_1 u, R_m u by half of it.
@@ -216,10 +335,17 @@ def add_rover(
         _column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
         rows[3, 4 + k] = i2 * axis[k]
     _column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(pose.axis1, f2))))
-    rows[3, 3] = i2 * dot(axis, pose.axis1) + 0.5 * rover.spring_rate + rover.slider_damping / h
+    rows[3, 3] = i2 * dot(axis, pose.axis1) - 0.5 * step.slide[1] - step.slide[2] / h
     _column(back, 0, 3, scale(i2, pose.axis1))
     _column(rows, 0, 7, rotation)
     rows[3, 7] = slider
+    outside = step.load_tangent
+    for c in range(7):
+        for r in range(4):
+            rows[r, c] -= outside[3 + r, c]
+    for c in range(4):
+        for r in range(3):
+            back[r, c] -= outside[r, c]
 
     _solve_rows(rows)
     for r in range(3):
@@ -228,7 +354,7 @@ def add_rover(
             residual -= back[r, k] * rows[k, 7]
         set_end(work, 1, 6, r, residual)
         for c in range(3):
-            entry = i1 + i2 if r == c else 0.0
+            entry = (i1 + i2 if r == c else 0.0) - outside[r, 4 + c]
             for k in range(4):
                 entry -= back[r, k] * rows[k, 4 + c]
             set_end(work, 1, c, r, entry)
@@ -271,10 +397,10 @@ def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
 @kernel
 def end_rover_step(
     rover: Rover, h: float, n: int, body: Array, work: Workspace, step: RoverStep, after: Array
-) -> float:
-    """Write the rover's state after a converged step; returns the damper's loss [J]."""
+) -> None:
+    """Write the rover's state after a converged step."""
     th = vector_at(step.turn, 0)
-    pose = _pose(rover, body, step.turn)
+    pose = pose_of(rover, body, step.turn)
     d1, d2 = _displacements(pose, _tip_move(n, work))
     put(after, POSITION, add(vector_at(body, POSITION), d1))
     quaternion = turned(orientation(body), th)
@@ -285,12 +411,11 @@ def end_rover_step(
     put(after, VELOCITY2, axpy(-1.0, vector_at(body, VELOCITY2), scale(2.0 / h, d2)))
     after[SLIDE] = pose.s1
     put(after, ROTORS, vector_at(step.rotors_after, 0))
-    return rover.slider_damping * step.turn[3] ** 2 / h
 
 
 @kernel
-def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float, float]:
-    """Kinetic (rotors' own spin left out), gravity and spring energy of the rover [J]."""
+def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float]:
+    """Kinetic (rotors' own spin left out) and gravity energy of the rover [J]."""
     centre1 = vector_at(body, POSITION)
     centre2 = axpy(body[SLIDE], rotation_of(orientation(body))[2], centre1)
     v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)
@@ -298,4 +423,4 @@ def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, f
         rover.m1 * dot(v1, v1) + rover.m2 * dot(v2, v2) + dot(spin, _times(rover.inertia, spin))
     )
     weight = -rover.m1 * dot(gravity, centre1) - rover.m2 * dot(gravity, centre2)
-    return kinetic, weight, 0.5 * rover.spring_rate * (body[SLIDE] - rover.spring_free_length) ** 2
+    return kinetic, weight

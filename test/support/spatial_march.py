@@ -17,7 +17,7 @@ TOLERANCE = 1e-11
 
 @_compiled  # type: ignore[untyped-decorator]
 def _attempt(
-    cable: Any, rover: Any, mass: float, root: int, h: float, pay: Any,
+    cable: Any, rover: Any, spring: Any, mass: float, root: int, h: float, pay: Any,
     q: Array, v: Array, mouth: Array, body: Array, work: Any, step: Any, exit_: Any,
     q1: Array, v1: Array, body1: Array,
 ) -> float:  # fmt: skip
@@ -47,6 +47,9 @@ def _attempt(
                 energy_momentum.set_end(work, 1, 6, d, mass * pull)
                 energy_momentum.set_end(work, 1, d, d, 2.0 * mass / h**2)
         else:
+            middle = body[16] + 0.5 * step.turn[3]
+            step.slide[0] = spring[0] * (spring[1] - middle) - spring[2] * step.turn[3] / h
+            step.slide[1], step.slide[2] = -spring[0], -spring[2]
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
             variable_length.add_exit(cable, h, pay, work, exit_)
@@ -61,7 +64,8 @@ def _attempt(
         return np.nan
     loss = energy_momentum.end_step(cable, h, q, v, work, q1, v1)[0]
     if mass == 0.0:
-        loss += spatial_rover.end_rover_step(rover, h, n, body, work, step, body1)
+        spatial_rover.end_rover_step(rover, h, n, body, work, step, body1)
+        loss += spring[2] * step.turn[3] ** 2 / h
     if root == PAYING_OUT:
         loss += variable_length.end_exit_step(cable, h, pay, exit_, mouth[2], mouth[3])
     return float(loss)
@@ -82,6 +86,7 @@ class March:
     slope: Array = field(default_factory=lambda: np.zeros(3))  # at the fairlead
     slope_rate: Array = field(default_factory=lambda: np.zeros(3))
     payout_rate: float = 0.0
+    spring: tuple[float, float, float] = (1.0, 0.0, 0.0)  # rate [N/m], length [m], damper [N s/m]
     dissipated: float = 0.0
     flowed_in: float = 0.0  # energy brought in at the fairlead [J]
     fairlead_tension: float = 0.0
@@ -94,7 +99,7 @@ class March:
         self._exit = variable_length.make_exit(3)
         self._after = (np.zeros_like(self.q), np.zeros_like(self.v), np.zeros_like(self.body))
         self._rover = self.rover or spatial_rover.Rover(
-            0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
+            0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         )
 
     def run(self, duration: float, h: float, payout_acceleration: float = 0.0) -> None:
@@ -108,7 +113,7 @@ class March:
             )
             mouth = np.array([self.slope, self.slope_rate, self.slope, self.slope_rate])
             loss = _attempt(
-                self.cable, self._rover, self.mass, self.root, h, pay, self.q, self.v, mouth,
+                self.cable, self._rover, self.spring, self.mass, self.root, h, pay, self.q, self.v, mouth,
                 self.body, self._work, self._step, self._exit, *self._after,
             )  # fmt: skip
             assert np.isfinite(loss), "the step did not converge"
@@ -153,6 +158,7 @@ class March:
             total += 0.5 * self.mass * float(rate @ rate) - self.mass * float(gravity @ self.tip)
         else:
             total += sum(spatial_rover.rover_energies(self._rover, self.cable.gravity, self.body))
+            total += 0.5 * self.spring[0] * (self.body[16] - self.spring[1]) ** 2
         if self.root == PAYING_OUT:
             e = np.array([np.zeros(3), self.slope, self.q[:3, 0], self.q[3:, 0]])
             rate = np.array([np.zeros(3), self.slope_rate, self.v[:3, 0], self.v[3:, 0]])

@@ -25,10 +25,10 @@ def swung_body(elements: int) -> March:
     rates = np.stack(
         [s / 5.0 * sideways, np.broadcast_to(sideways / 5.0, (elements + 1, 3))], axis=1
     )
-    rover = Rover(5.0, 0.0, (0.05, 0.06, 0.04), (0.0, 0.0, 0.1), 1000.0, 0.2, 0.0)
+    rover = Rover(5.0, 0.0, (0.05, 0.06, 0.04), (0.0, 0.0, 0.1))
     spin = np.cross(d, sideways) / 5.0
     body = rover_at(rover, 5.0 * d, sideways, np.array([0.0, -tilt, 0.0]), spin, 0.2)
-    return March(cable, nodes, rates, rover, body)
+    return March(cable, nodes, rates, rover, body, spring=(1000.0, 0.2, 0.0))
 
 
 # An independent code's converged figures: time, attachment point, rotation vector.
@@ -73,12 +73,12 @@ def free_gyrostat() -> March:
     direction = np.array([0.6, 0.0, 0.8])
     s = np.linspace(0.0, 0.5, 3)[:, None]
     nodes = np.stack([s * direction, np.broadcast_to(direction, (3, 3))], axis=1)
-    rover = Rover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2), 800.0, 0.2, 0.0)
+    rover = Rover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2))
     spin = np.array([0.5, -0.8, 1.2])
     body = rover_at(rover, nodes[-1, 0], np.zeros(3), np.array([0.3, 0.2, -0.4]), spin, 0.21)
     body[ROTORS:] = (0.05, -0.2, 0.0)
     rates = np.zeros_like(nodes)
-    return March(cable, nodes, rates, rover, body, root=FREE)
+    return March(cable, nodes, rates, rover, body, spring=(800.0, 0.2, 0.0), root=FREE)
 
 
 def momenta(march: March) -> tuple[np.ndarray, np.ndarray]:
@@ -139,15 +139,13 @@ def spatial_jump(azimuth: float, h: float, duration: float) -> tuple[March, np.n
     # Body x along `east`: the planar angle turns about -y of the body, which is `side`.
     planar_inertia = made.inertia1 + made.inertia2
     a, b = made.attachment
-    rover = Rover(
-        made.m1, made.m2, (0.03, planar_inertia, 0.05), (a, 0.0, b),
-        made.spring_rate, made.spring_free_length, made.slider_damping,
-    )  # fmt: skip
+    rover = Rover(made.m1, made.m2, (0.03, planar_inertia, 0.05), (a, 0.0, b))
+    spring = (made.spring_rate, made.spring_free_length, made.slider_damping)
     cable = make_tether(scenario.tether.section, 5.0, 5, (0.0, 0.0, -scenario.gravity))
     attitude = np.array([0.0, 0.0, azimuth])
     tip_rate = lift(state.node_rates[-1, 0])
     body = rover_at(rover, lift(state.nodes[-1, 0]), tip_rate, attitude, np.zeros(3), state.s)
-    march = March(cable, lift(state.nodes), lift(state.node_rates), rover, body)
+    march = March(cable, lift(state.nodes), lift(state.node_rates), rover, body, spring=spring)
     march.run(duration, h)
     end, _ = plant.step(state, Command(), duration)
     turn = -(rotation(march.attitude) @ np.array([0.0, 0.0, 1.0]))

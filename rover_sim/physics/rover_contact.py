@@ -1,0 +1,352 @@
+"""The rover on the ground: corners of both bodies and two wheels, inside an implicit step.
+
+A corner is a point of contact (module `contact`). A wheel meets the floor and rock apart (modules
+`rim` and `wheel_contact`). Its force acts on the body at the wheel's centre plus the arm to the
+touching point; about the axle the ground's torque is -M, which the wheel's own spin takes through
+the wheel drive and which the rotors' momentum carries to the body. Forces are averages over the
+step; the places where they act, normals and axles are those at its end.
+
+A wheel's tangent takes the touching point as fixed to the body, which is exact for a wheel that is
+held and a good guess for one that rolls.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.contact import (
+    NO_VECTOR,
+    ContactLaw,
+    Vector,
+    advance_bristle,
+    blend_laws,
+    contact_energy,
+    contact_force,
+)
+from rover_sim.physics.rim import RimContact, rim_on_floor, rim_on_rock
+from rover_sim.physics.spatial_rover import (
+    POSITION,
+    Pose,
+    RoverStep,
+    add_point_load,
+    point_travel,
+    put,
+    vector_at,
+)
+from rover_sim.physics.terrain import Terrain, depth_and_normal
+from rover_sim.physics.vectors import add, axpy, cross, dot, rotate, sub
+from rover_sim.physics.wheel_contact import (
+    WheelForce,
+    WheelLaw,
+    advance_rock_bristle,
+    advance_soil_bristle,
+    rock_force,
+    soil_force,
+    wheel_moment,
+)
+
+# A corner or rim farther from the ground than this at a step's start cannot reach it in the step.
+_NEAR = 0.05
+_FLOOR, _ROCK = 0, 1
+
+
+class Feet(NamedTuple):
+    """Where and how the rover touches the ground."""
+
+    corners: Array  # points in base_link, Body 2's from its own centre [m], (c, 3)
+    first_of_body2: int  # corners from here on are Body 2's
+    left_wheel: Vector  # centre in base_link [m]
+    right_wheel: Vector
+    radius: float  # of the rims [m]
+    tip_radius: float  # with grousers, on which a wheel stands on rock [m]
+    regolith: ContactLaw  # of the corners
+    rock: ContactLaw  # of the corners and of the wheels
+    wheel: WheelLaw  # on regolith
+
+
+class FeetStep(NamedTuple):
+    """Arrays of one step's contacts."""
+
+    near: Array  # 1 where a contact is looked at: corners, then [wheel, floor or rock], (c + 4,)
+    depth0: Array  # at the step's start [m], (c + 4,)
+    depth1: Array  # at its end
+    rock: Array  # 0 regolith .. 1 rock, (c + 4,)
+    normal: Array  # (c + 4, 3)
+    forward: Array  # of the wheels' contacts, (4, 3)
+    arm: Array  # of the wheels' contacts [m], (4, 3)
+    travel: Array  # of corners and wheels' centres [m], (c + 4, 3)
+    force: Array  # on the rover [N], (c + 4, 3)
+    torque: Array  # M against the spin [N m] and dM/dw [N m s], (4, 2)
+    spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
+
+
+@allocating
+def make_feet_step(corners: int) -> FeetStep:
+    """Allocate the arrays."""
+    c = corners + 4
+    return FeetStep(
+        np.zeros(c),
+        np.zeros(c),
+        np.zeros(c),
+        np.zeros(c),
+        np.zeros((c, 3)),
+        np.zeros((4, 3)),
+        np.zeros((4, 3)),
+        np.zeros((c, 3)),
+        np.zeros((c, 3)),
+        np.zeros((4, 2)),
+        np.zeros(2),
+    )
+
+
+@kernel
+def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float, float, float]:
+    """Depth, normal and rock at a place."""
+    return depth_and_normal(terrain, place[0], place[1], place[2])  # type: ignore[no-any-return]
+
+
+@kernel
+def _rim(feet: Feet, terrain: Terrain, kind: int, centre: Vector, axle: Vector) -> RimContact:
+    """Deepest point of a rim in the floor or in rock."""
+    if kind == _ROCK:
+        return rim_on_rock(terrain, centre, axle, feet.tip_radius)
+    radius = feet.tip_radius if terrain.floor_rock > 0.5 else feet.radius
+    return rim_on_floor(terrain, centre, axle, radius)
+
+
+@kernel
+def _wheel_centre(feet: Feet, wheel: int) -> Vector:
+    return feet.left_wheel if wheel == 0 else feet.right_wheel
+
+
+@kernel
+def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: FeetStep) -> bool:
+    """Find the depths at the step's start; returns whether anything is near the ground.
+
+    Args:
+        feet: of the rover.
+        terrain: the ground.
+        pose: of the step, of which the start is used.
+        body: the rover's state.
+        step: filled.
+    """
+    centre = vector_at(body, POSITION)
+    corners = feet.corners.shape[0]
+    found = False
+    for k in range(corners + 4):
+        put(step.force[k], 0, NO_VECTOR)
+    for w in range(4):
+        step.torque[w, 0], step.torque[w, 1] = 0.0, 0.0
+    for k in range(corners):
+        lever = rotate(pose.start, vector_at(feet.corners[k], 0))
+        if k >= feet.first_of_body2:
+            lever = axpy(pose.s0, pose.axis0, lever)
+        depth = _corner_ground(terrain, add(centre, lever))[0]
+        step.depth0[k] = depth
+        step.near[k] = 1.0 if depth > -_NEAR else 0.0
+        found = found or depth > -_NEAR
+    for wheel in range(2):
+        hub = add(centre, rotate(pose.start, _wheel_centre(feet, wheel)))
+        for kind in range(2):
+            k = corners + 2 * wheel + kind
+            depth = _rim(feet, terrain, kind, hub, pose.start[1]).depth
+            step.depth0[k] = depth
+            step.near[k] = 1.0 if depth > -_NEAR else 0.0
+            found = found or depth > -_NEAR
+    return found
+
+
+@kernel
+def _wheel_force(
+    feet: Feet,
+    on_soil: bool,
+    k: int,
+    w: int,
+    spin: float,
+    h: float,
+    anchor: Vector,
+    step: FeetStep,
+) -> WheelForce:
+    """Force on wheel contact w (entry k of the common arrays)."""
+    normal = vector_at(step.normal[k], 0)
+    forward = vector_at(step.forward[w], 0)
+    travel = vector_at(step.travel[k], 0)
+    depth0, depth1 = step.depth0[k], step.depth1[k]
+    if on_soil:
+        return soil_force(feet.wheel, depth0, depth1, normal, forward, travel, spin, h, anchor)
+    return rock_force(
+        feet.rock, feet.tip_radius, depth0, depth1, normal, forward, travel, spin, h, anchor
+    )
+
+
+@kernel
+def add_feet(
+    feet: Feet,
+    terrain: Terrain,
+    attachment: Vector,
+    h: float,
+    pose: Pose,
+    body: Array,
+    dr: Vector,
+    anchors: Array,
+    rover_step: RoverStep,
+    step: FeetStep,
+) -> None:
+    """Add the contacts' forces to the rover's loads.
+
+    Args:
+        feet: of the rover.
+        terrain: the ground.
+        attachment: p [m].
+        h: length of the step [s].
+        pose: of the step.
+        body: the rover's state at the step's start.
+        dr: travel of the last node [m].
+        anchors: deflections at the step's start [m], (c + 4, 3).
+        rover_step: added to.
+        step: from `begin_feet`, filled.
+    """
+    centre0 = vector_at(body, POSITION)
+    corners = feet.corners.shape[0]
+    for k in range(corners):
+        if step.near[k] == 0.0:
+            continue
+        point = vector_at(feet.corners[k], 0)
+        sliding = k >= feet.first_of_body2
+        lever, travel = point_travel(pose, dr, point, attachment, sliding)
+        node1 = add(add(centre0, pose.attachment0), dr)
+        depth, nx, ny, nz, rock = _corner_ground(terrain, add(node1, lever))
+        normal = (nx, ny, nz)
+        force, tangent = contact_force(
+            blend_laws(feet.regolith, feet.rock, rock),
+            step.depth0[k],
+            depth,
+            normal,
+            travel,
+            h,
+            vector_at(anchors[k], 0),
+        )
+        step.depth1[k], step.rock[k] = depth, rock
+        put(step.normal[k], 0, normal)
+        put(step.travel[k], 0, travel)
+        put(step.force[k], 0, force)
+        if step.depth0[k] > 0.0 or depth > 0.0:
+            add_point_load(rover_step, pose, attachment, point, sliding, NO_VECTOR, force, tangent)
+    axle = rotate(pose.start, _turned_axle(pose))
+    for wheel in range(2):
+        point = _wheel_centre(feet, wheel)
+        lever, travel = point_travel(pose, dr, point, attachment, False)
+        hub = add(add(add(centre0, pose.attachment0), dr), lever)
+        spin = step.spin[wheel] + pose.th[1] / h
+        for kind in range(2):
+            w = 2 * wheel + kind
+            k = corners + w
+            if step.near[k] == 0.0:
+                continue
+            touch = _rim(feet, terrain, kind, hub, axle)
+            step.depth1[k] = touch.depth
+            put(step.normal[k], 0, touch.normal)
+            put(step.forward[w], 0, touch.forward)
+            put(step.arm[w], 0, touch.arm)
+            put(step.travel[k], 0, travel)
+            on_soil = kind == _FLOOR and terrain.floor_rock <= 0.5
+            result = _wheel_force(feet, on_soil, k, w, spin, h, vector_at(anchors[k], 0), step)
+            put(step.force[k], 0, result.force)
+            step.torque[w, 0], step.torque[w, 1] = result.torque, result.torque_slope
+            if step.depth0[k] > 0.0 or touch.depth > 0.0:
+                add_point_load(
+                    rover_step,
+                    pose,
+                    attachment,
+                    point,
+                    False,
+                    touch.arm,
+                    result.force,
+                    result.tangent,
+                )
+                moment = wheel_moment(touch.arm, axle, result.force, result.torque)
+                surplus = sub(moment, cross(touch.arm, result.force))
+                for d in range(3):
+                    rover_step.load[3 + d] += surplus[d]
+
+
+@kernel
+def _turned_axle(pose: Pose) -> Vector:
+    """C e_y: the axle at the step's end in the axes of its start."""
+    th = pose.th
+    first = cross(th, (0.0, 1.0, 0.0))
+    shrink = 1.0 / (1.0 + 0.25 * dot(th, th))
+    return axpy(shrink, axpy(0.5, cross(th, first), first), (0.0, 1.0, 0.0))
+
+
+@kernel
+def end_feet(
+    feet: Feet,
+    terrain: Terrain,
+    h: float,
+    pose: Pose,
+    anchors: Array,
+    step: FeetStep,
+    after: Array,
+) -> tuple[float, float]:
+    """Carry the anchors on after an accepted step.
+
+    Args:
+        feet: of the rover.
+        terrain: the ground.
+        h: length of the step [s].
+        pose: of the step.
+        anchors: at the step's start [m], (c + 4, 3).
+        step: of the last iteration.
+        after: anchors at the step's end, filled.
+
+    Returns:
+        Work of the ground on bodies and wheels together [J], and change of the energy that the
+        contacts store [J]; what the ground dissipates is minus their sum.
+    """
+    corners = feet.corners.shape[0]
+    work, stored = 0.0, 0.0
+    turn = rotate(pose.start, pose.th)
+    axle = rotate(pose.start, _turned_axle(pose))
+    for k in range(corners + 4):
+        before = vector_at(anchors[k], 0)
+        anchor = NO_VECTOR
+        touched = step.near[k] != 0.0 and (step.depth0[k] > 0.0 or step.depth1[k] > 0.0)
+        if touched:
+            normal = vector_at(step.normal[k], 0)
+            travel = vector_at(step.travel[k], 0)
+            force = vector_at(step.force[k], 0)
+            depth0, depth1 = step.depth0[k], step.depth1[k]
+            work += dot(force, travel)
+            if k < corners:
+                law = blend_laws(feet.regolith, feet.rock, step.rock[k])
+                anchor = advance_bristle(law, depth0, depth1, normal, travel, h, before)
+                stored += contact_energy(law, depth1, anchor) - contact_energy(law, depth0, before)
+            else:
+                w = k - corners
+                wheel = w // 2
+                spin = step.spin[wheel] + pose.th[1] / h
+                forward = vector_at(step.forward[w], 0)
+                moment = wheel_moment(vector_at(step.arm[w], 0), axle, force, step.torque[w, 0])
+                work += dot(moment, turn) - step.torque[w, 0] * step.spin[wheel] * h
+                if w % 2 == _FLOOR and terrain.floor_rock <= 0.5:
+                    anchor = advance_soil_bristle(
+                        feet.wheel, depth0, depth1, normal, forward, travel, spin, h, before
+                    )
+                    stored += (
+                        0.5
+                        * feet.wheel.anchor_stiffness
+                        * (dot(anchor, anchor) - dot(before, before))
+                    )
+                else:
+                    anchor = advance_rock_bristle(
+                        feet.rock, feet.tip_radius, depth0, depth1, normal, forward, travel,
+                        spin, h, before,
+                    )  # fmt: skip
+                    stored += contact_energy(feet.rock, depth1, anchor) - contact_energy(
+                        feet.rock, depth0, before
+                    )
+        put(after[k], 0, anchor)
+    return work, stored
