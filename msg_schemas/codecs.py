@@ -139,12 +139,24 @@ def _check_number(topic: Topic, row: Field | None, path: str, value: float) -> N
 
 
 def _check_joints(topic: Topic, sample: JointSample) -> None:
-    if set(sample.joints) != set(topic.joints):
-        raise Refusal(
-            topic.name,
-            RefusalCode.WRONG_NAME,
-            f"joints are {sorted(sample.joints)}, they must be {sorted(topic.joints)}",
-        )
+    _check_joint_names(topic, list(sample.joints))
+
+
+def _check_joint_names(topic: Topic, names: list[str]) -> None:
+    """Refuse names of joints that the topic does not have, that are missing, or stand twice."""
+    given = set(names)
+    if topic.one_joint:
+        if len(names) == 1 and given <= set(topic.joints):
+            return
+        wanted = f"exactly one of {sorted(topic.joints)}"
+    else:
+        allowed = {*topic.joints, *topic.optional_joints}
+        if len(given) == len(names) and set(topic.joints) <= given <= allowed:
+            return
+        wanted = f"{sorted(topic.joints)}, each once"
+        if topic.optional_joints:
+            wanted += f", and may further be {sorted(topic.optional_joints)}"
+    raise Refusal(topic.name, RefusalCode.WRONG_NAME, f"joints are {names}, they must be {wanted}")
 
 
 def _check_text(topic: Topic, sample: TextSample) -> None:
@@ -275,12 +287,7 @@ def _joint_column(topic: Topic, message: Message, part: str) -> list[float]:
 
 def _decode_joints(topic: Topic, message: Message) -> JointSample:
     names = [str(name) for name in message.name]
-    if len(set(names)) != len(names) or set(names) != set(topic.joints):
-        raise Refusal(
-            topic.name,
-            RefusalCode.WRONG_NAME,
-            f"joints are {names}, they must be {sorted(topic.joints)}, each once",
-        )
+    _check_joint_names(topic, names)
     columns = [_joint_column(topic, message, p) for p in ("position", "velocity", "effort")]
     joints = {n: JointValue(*v) for n, *v in zip(names, *columns, strict=True)}
     return JointSample(from_time(message.header.stamp), joints)

@@ -36,13 +36,14 @@ _CODE_MEANINGS = {
     RefusalCode.OUT_OF_ORDER: "stamped before the last accepted command",
     RefusalCode.WRONG_PHASE: "cannot be done in the present phase",
     RefusalCode.NOT_ACTIVE: "the node is not active",
+    RefusalCode.NOT_ARMED: "the drive must be armed first",
     RefusalCode.NOT_SUPPORTED: "this plant or drive cannot do it",
 }
 
 _HEAD = """\
 # The contract
 
-*Version {version}. This file is generated from the table in `msg_schemas/table.py` by
+*Version {version}. This file is generated from the table in `msg_schemas` by
 `python -m msg_schemas.document`; edit the table, not this file.*
 
 Every topic and service of the suite stands here. Names are relative: namespaces and
@@ -95,6 +96,13 @@ def _section(topic: Topic) -> list[str]:
         lines += [f"- frame `{topic.frame}`{child}"]
     if topic.audience is not Audience.ALL:
         lines += [f"- for {topic.audience.value}"]
+    if topic.spatial_only:
+        lines += ["- of parts that the planar plant does not have"]
+    if topic.one_joint:
+        lines += ["- a message names exactly one of the joints"]
+    if topic.optional_joints:
+        optional = ", ".join(f"`{name}`" for name in topic.optional_joints)
+        lines += [f"- a machine may lack the joints {optional}"]
     if topic.words:
         lines += [f"- words: {', '.join(f'`{word}`' for word in topic.words)}"]
     lines += [f"- {rule}" for rule in _stale(topic.stale)]
@@ -114,6 +122,11 @@ def _stale(policy: StalePolicy) -> list[str]:
         )
     if math.isfinite(policy.silence):
         rules.append(f"after {policy.silence:g} s of silence {policy.on_silence}")
+    if math.isfinite(policy.moving_silence):
+        rules.append(
+            f"after {policy.moving_silence:g} s of silence while it moves "
+            f"{policy.on_moving_silence}"
+        )
     return rules
 
 

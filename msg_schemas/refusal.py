@@ -25,6 +25,7 @@ class RefusalCode(StrEnum):
     OUT_OF_ORDER = "out_of_order"
     WRONG_PHASE = "wrong_phase"
     NOT_ACTIVE = "not_active"
+    NOT_ARMED = "not_armed"
     NOT_SUPPORTED = "not_supported"
 
 

@@ -28,9 +28,12 @@ from rover_bags.read import Bag, Floats, Track
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#a50026", "#212529",
 )  # fmt: skip
-_ENERGY_COLOURS: Final = dict(
-    zip(ENERGY_NAMES, (BLUE, ORANGE, GREEN, PINK, YELLOW, BLACK, SKY, RED), strict=True)
-)
+TEAL, PURPLE, BROWN = "#117a8b", "#6a3d9a", "#7f4f24"
+_ENERGY_COLOURS: Final = {
+    "kinetic": BLUE, "rotors": TEAL, "gravity": ORANGE, "axial": GREEN, "bending": PINK,
+    "twist": PURPLE, "spring": YELLOW, "contact": BROWN, "input": BLACK, "dissipated": SKY,
+    "drift": RED,
+}  # fmt: skip
 _FONT: Final = "DejaVu Sans"
 _PAGE_FONTS: Final = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 _STYLE: Final[Any] = {

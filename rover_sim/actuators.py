@@ -9,7 +9,7 @@ from __future__ import annotations
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_DRUM
+from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_BRAKE, WINCH_DRUM
 from rover_sim.plant import Command, JumpMotorCommand, Phase
 from rover_sim.scenario import Scenario
 
@@ -83,6 +83,13 @@ class Actuators:
                 f"the nut cannot be driven in phase {phase.value}, the rover must stand",
             )
         setpoint, rate, effort = sample.joints[JUMP_SCREW]
+        if setpoint < 0.0:
+            raise Refusal(
+                topic,
+                RefusalCode.NOT_SUPPORTED,
+                f"{JUMP_SCREW}.position is {setpoint!r} m, this plant's nut has no free travel: "
+                "it must be at least 0",
+            )
         if 0.0 < setpoint < compression:
             raise Refusal(
                 topic,
@@ -112,12 +119,14 @@ class Actuators:
             raise Refusal(topic, RefusalCode.WRONG_PHASE, stopped(phase))
         length, rate, _ = sample.joints[WINCH_DRUM]
         held = self._scenario.tether.length
-        if rate != 0.0 or abs(length - held) > _SAME_LENGTH:
+        released = sample.joints[WINCH_BRAKE].position != 0.0
+        if rate != 0.0 or released or abs(length - held) > _SAME_LENGTH:
             raise Refusal(
                 topic,
                 RefusalCode.NOT_SUPPORTED,
-                f"{WINCH_DRUM} is told {length!r} m at {rate!r} m/s; this plant's drum has no "
-                f"motor and only holds: {held:g} m at 0 m/s",
+                f"{WINCH_DRUM} is told {length!r} m at {rate!r} m/s, brake "
+                f"{'released' if released else 'closed'}; this plant's drum has no motor and only "
+                f"holds: {held:g} m at 0 m/s, brake closed",
             )
 
     def silenced(self, now_ns: int, compression: float) -> float | None:

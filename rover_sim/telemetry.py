@@ -31,7 +31,7 @@ from msg_schemas.table import (
     FLOOR_SWITCH,
     JUMP_SCREW,
     MAX_NUT_SPEED,
-    MAX_TENSION,
+    WINCH_BRAKE,
     WINCH_DRUM,
     WORLD_FRAME,
 )
@@ -54,6 +54,7 @@ _OF_ROVER = (
     topics.TRUTH_BODY2,
     topics.IMU,
     topics.CONTACT,
+    topics.ROVER_LOAD_CELL,
     topics.JUMP_MOTOR_STATE,
 )
 
@@ -83,6 +84,7 @@ class Telemetry:
             topics.IMU: self._imu,
             topics.CONTACT: self._contact,
             topics.LOAD_CELL: self._load_cell,
+            topics.ROVER_LOAD_CELL: self._rover_load_cell,
             topics.JUMP_MOTOR_STATE: self._jump_motor,
             topics.WINCH_STATE: self._winch,
             topics.MARKERS: self._markers,
@@ -159,6 +161,12 @@ class Telemetry:
     def _load_cell(self, moment: _Moment) -> Sample:
         return WrenchSample(moment.stamp_ns, moment.pull)
 
+    def _rover_load_cell(self, moment: _Moment) -> Sample:
+        slope = -moment.after.nodes[-1, 1]
+        force = float(moment.tension[-1]) / float(np.hypot(*slope)) * slope
+        in_body = rep103.vector(_in_body(moment.after.theta, force))
+        return WrenchSample(moment.stamp_ns, _vector(in_body))
+
     def _jump_motor(self, moment: _Moment) -> Sample:
         rover = self._scenario.rover
         if rover is None:
@@ -176,9 +184,9 @@ class Telemetry:
 
     def _winch(self, moment: _Moment) -> Sample:
         length = self._scenario.tether.length
-        # As a real one, the drum's sensor saturates.
-        tension = min(max(float(moment.tension[0]), -MAX_TENSION), MAX_TENSION)
-        return JointSample(moment.stamp_ns, {WINCH_DRUM: JointValue(length, 0.0, tension)})
+        return JointSample(
+            moment.stamp_ns, {WINCH_DRUM: JointValue(length), WINCH_BRAKE: JointValue(0.0)}
+        )
 
     def _markers(self, moment: _Moment) -> Sample:
         state = moment.after

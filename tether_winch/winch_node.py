@@ -18,7 +18,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import MAX_TENSION, WINCH_DRUM
+from msg_schemas.table import MAX_TENSION, SMALLEST_LIMIT, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from tether_winch.tension_watch import TensionChange, TensionParameters, TensionWatch
 from tether_winch.winch_hold import WinchHold
 
@@ -33,7 +33,7 @@ class WinchNodeParameters:
         20.0, "Hz", "how often the drum is told", 5.0, 200.0, read_only=True
     )
     tension_limit: float = parameter(
-        1000.0, "N", "largest tension that the drive may use", 0.0, MAX_TENSION
+        1000.0, "N", "largest tension that the drive may use", SMALLEST_LIMIT, MAX_TENSION
     )
 
 
@@ -108,8 +108,12 @@ class WinchNode(ContractNode):
     def _command(self) -> None:
         command = self._hold.command()
         if command is not None:
-            sample = JointSample(self.now_ns(), {WINCH_DRUM: JointValue(*command)})
-            self._command_outlet.send(sample)
+            joints = {
+                WINCH_DRUM: JointValue(command.length, command.rate),
+                WINCH_BRAKE: JointValue(0.0),
+                WINCH_LIMIT: JointValue(effort=command.tension),
+            }
+            self._command_outlet.send(JointSample(self.now_ns(), joints))
 
     def _tell(self, change: TensionChange | None) -> None:
         if change is None:

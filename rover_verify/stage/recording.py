@@ -12,7 +12,9 @@ from rover_bags.store import BagError
 from rover_verify.stage.processes import PATIENCE
 
 STREAMS = frozenset(
-    row.name.strip("/") for row in TOPICS.values() if "sim_node" in row.publisher and row.rate
+    row.name.strip("/")
+    for row in TOPICS.values()
+    if "sim_node" in row.publisher and row.rate and not row.spatial_only
 )
 _LOOK = 0.2
 

@@ -53,7 +53,9 @@ def test_fields_have_units_meanings_and_an_open_range(row: Topic):
 
 @pytest.mark.parametrize("row", [r for r in ROWS if r.sample is JointSample], ids=lambda r: r.name)
 def test_joint_topics_describe_all_three_numbers_of_each_joint(row: Topic):
-    expected = {f"{j}.{part}" for j in row.joints for part in ("position", "velocity", "effort")}
+    joints = (*row.joints, *row.optional_joints)
+    expected = {f"{j}.{part}" for j in joints for part in ("position", "velocity", "effort")}
+    assert len(set(joints)) == len(joints) > 0
     assert set(row.by_path) == expected
 
 
@@ -67,7 +69,14 @@ def test_every_command_goes_stale_and_every_actuator_falls_silent(row: Topic):
         assert row.stale.unstamped is Unstamped.REFUSE
         assert math.isfinite(row.stale.silence)
         assert row.rate is not None
-        assert row.stale.silence * row.rate >= 3, "one lost message must not stop a drive"
+        first = min(row.stale.silence, row.stale.moving_silence)
+        assert first * row.rate >= 3, "one lost message must not stop a drive"
+
+
+def test_a_winch_that_moves_without_commands_brakes_within_a_tenth_of_a_second():
+    stale = TOPICS[topics.WINCH_COMMAND].stale
+    assert stale.moving_silence <= 0.1 < stale.silence <= 0.5
+    assert "brake" in stale.on_moving_silence
 
 
 def test_truth_is_not_for_controllers():

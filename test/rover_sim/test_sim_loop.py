@@ -9,7 +9,7 @@ from fake_plant import fake_plant
 
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
-from msg_schemas.table import JUMP_SCREW, WINCH_DRUM
+from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_sim.plant import Phase
 from rover_sim.scenario import load_scenario
 from rover_sim.sim_loop import NANO, Happening, Pacer, Schedule, Simulation
@@ -21,8 +21,13 @@ def nut(position: float, velocity: float = 0.1, effort: float = 400.0, at: float
     return JointSample(round(at * NANO), {JUMP_SCREW: JointValue(position, velocity, effort)})
 
 
-def drum(length: float, rate: float = 0.0):
-    return JointSample(0, {WINCH_DRUM: JointValue(length, rate, 10.0)})
+def drum(length: float, rate: float = 0.0, brake: float = 0.0):
+    joints = {
+        WINCH_DRUM: JointValue(length, rate),
+        WINCH_BRAKE: JointValue(brake),
+        WINCH_LIMIT: JointValue(effort=10.0),
+    }
+    return JointSample(0, joints)
 
 
 @pytest.fixture
@@ -213,7 +218,7 @@ def test_a_scenario_without_a_rover_has_no_jump_motor():
 
 def test_a_drum_without_a_motor_only_holds(simulation: Simulation):
     simulation.command_winch(drum(5.0))
-    for bad in (drum(5.0, 0.1), drum(4.9), drum(5.1, -0.1)):
+    for bad in (drum(5.0, 0.1), drum(4.9), drum(5.1, -0.1), drum(5.0, brake=1.0)):
         refusal = refusal_of(simulation.command_winch, bad)
         assert refusal.code is RefusalCode.NOT_SUPPORTED
         assert "5 m at 0 m/s" in refusal.reason

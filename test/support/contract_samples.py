@@ -50,18 +50,30 @@ def stamps() -> st.SearchStrategy[int]:
     return st.integers(1, 2**31 * 1_000_000_000 - 1)
 
 
+def joint_names(topic: Topic) -> list[tuple[str, ...]]:
+    """Each set of joints that a message of the topic may name."""
+    if topic.one_joint:
+        return [(name,) for name in topic.joints]
+    return list(dict.fromkeys([topic.joints, (*topic.joints, *topic.optional_joints)]))
+
+
+def joint_samples(topic: Topic, names: tuple[str, ...]) -> st.SearchStrategy[Any]:
+    """Good samples of these joints."""
+    joints = {
+        name: st.builds(
+            JointValue,
+            *(number(topic.by_path[f"{name}.{p}"]) for p in ("position", "velocity", "effort")),
+        )
+        for name in names
+    }
+    return st.builds(JointSample, stamps(), st.fixed_dictionaries(joints))
+
+
 def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
     """Good samples of any topic."""
     kind = topic.sample
     if kind is JointSample:
-        joints = {
-            name: st.builds(
-                JointValue,
-                *(number(topic.by_path[f"{name}.{p}"]) for p in ("position", "velocity", "effort")),
-            )
-            for name in topic.joints
-        }
-        return st.builds(JointSample, stamps(), st.fixed_dictionaries(joints))
+        return st.one_of(*(joint_samples(topic, names) for names in joint_names(topic)))
     if kind is OdometrySample:
         return st.builds(
             OdometrySample,

@@ -15,7 +15,7 @@ from graph import forbidden_to_controllers, subscriptions_of
 from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample, JointValue, Level, WrenchSample
-from msg_schemas.table import WINCH_DRUM
+from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 
 if TYPE_CHECKING:
     from rover_verify.stage import Observer, Process, Processes, Stage
@@ -116,10 +116,12 @@ def test_the_drum_is_held_at_the_length_at_which_it_first_stood(
     )
     assert not commands.samples
     for length in (12.5, 13.0):
-        value = {WINCH_DRUM: JointValue(length, 0.0, 10.0)}
+        value = {WINCH_DRUM: JointValue(length, 0.0, 10.0), WINCH_BRAKE: JointValue()}
         observer.send(topics.WINCH_STATE, JointSample(time.time_ns(), value))
     held = commands.wait_for_count(20)
-    assert {s.joints[WINCH_DRUM] for s in held} == {JointValue(12.5, 0.0, 1000.0)}
+    assert {s.joints[WINCH_DRUM] for s in held} == {JointValue(12.5)}
+    assert {s.joints[WINCH_BRAKE].position for s in held} == {0.0}
+    assert {s.joints[WINCH_LIMIT].effort for s in held} == {1000.0}
     stamps = [s.stamp_ns for s in held]
     assert (stamps[-1] - stamps[0]) / 19e9 == pytest.approx(0.05, rel=0.5)
 

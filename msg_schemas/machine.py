@@ -1,0 +1,77 @@
+"""What the machines' parts are called on the wire, and how far the contract lets them go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+WORLD_FRAME = "map"
+BODY1_FRAME = "base_link"
+BODY2_FRAME = "body2"
+
+FRAMES: Mapping[str, str] = MappingProxyType(
+    {
+        WORLD_FRAME: "fixed to the mother machine: origin at the fairlead, x forward along the "
+        "jumping plane, z up against gravity",
+        BODY1_FRAME: "Body 1 (wheels, motors, tether attachment): origin at its centre of mass, "
+        "x forward, y left along the wheels' axle, z up along the slider",
+        BODY2_FRAME: "Body 2 (the mass that jumps): origin at its centre of mass, axes of Body 1",
+    }
+)
+
+# Joints of the drives.
+JUMP_SCREW = "jump_screw"
+FLYWHEEL = "flywheel"
+WHEEL_DRIVE = "wheel_drive"
+WHEEL_LEFT = "wheel_left"
+WHEEL_RIGHT = "wheel_right"
+WINCH_DRUM = "winch_drum"
+WINCH_BRAKE = "winch_brake"
+WINCH_LIMIT = "winch_limit"
+
+# Motors, as their currents are told.
+JUMP_MOTOR = "jump_motor"
+WHEEL_MOTOR = "wheel_motor"
+WINCH_MOTOR = "winch_motor"
+
+# Contact switches; those of the wheels bear the wheels' names.
+FLOOR_SWITCH = "floor"
+BODY_SWITCH = "body"
+
+# What the wall camera tells.
+WALL_DISTANCE = "wall_distance"
+SMEAR = "smear"
+
+# What an operator asks for.
+JUMP_STROKE = "jump_stroke"
+WINCH_TO_LENGTH = "winch_length"
+WINCH_AT_RATE = "winch_rate"
+WINCH_AT_TENSION = "winch_tension"
+WINCH_SLACK = "winch_slack"
+
+# What the winch makes of its sensors.
+PAYOUT = "payout"
+STRETCHED = "stretched"
+TENSION = "tension"
+TETHER_OUT = "tether_out"
+REFERENCE = "reference"
+ALARM_NAMES = ("touchdown", "slack", "snag", "over_tension")
+
+ENERGY_NAMES = (
+    "kinetic", "rotors", "gravity", "axial", "bending", "twist", "spring", "contact",
+    "input", "dissipated", "drift",
+)  # fmt: skip
+
+MAX_STROKE = 0.40  # [m]
+MAX_FREE_TRAVEL = 0.10  # of the nut above the latch [m]
+MAX_NUT_SPEED = 0.5  # [m/s]
+MAX_NUT_FORCE = 1000.0  # [N]
+MAX_FLYWHEEL_TORQUE = 1.0  # [N m]
+MAX_WHEEL_RATE = 20.0  # [rad/s]
+MAX_WHEEL_TORQUE = 20.0  # [N m]
+MAX_TENSION = 5000.0  # [N]
+MAX_LENGTH = 1000.0  # [m]
+MAX_PAYOUT_RATE = 0.5  # [m/s]
+MAX_RATE_TRIM = 0.2  # [m/s]
+MAX_SLACK = 20.0  # [m]
+SMALLEST_LIMIT = 0.01  # of a force that a motor may use [N]
