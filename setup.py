@@ -14,6 +14,7 @@ EXECUTABLES = {
     "bag_recover": "rover_bags.recover:main",
     "bag_report": "rover_bags.report:main",
     "paper_study": "rover_sim.paper_study:main",
+    "sweep": "rover_studies.sweep:main",
     "demo": "rover_verify.demo:main",
     "verify": "rover_verify.matrix:main",
     "bench": "rover_verify.bench:main",
@@ -25,6 +26,7 @@ TOP_LEVEL = [
     "rover_control",
     "tether_winch",
     "rover_bags",
+    "rover_studies",
     "rover_verify",
 ]
 
@@ -60,6 +62,7 @@ setup(
         "numba>=0.59",
         "numpy>=1.26",
         "pillow>=9.4",
+        "pyarrow>=14.0",
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",
@@ -67,7 +70,13 @@ setup(
         "zstandard>=0.20",
     ],
     extras_require={
-        "test": ["hypothesis>=6.98", "pytest>=7.4", "pytest-timeout>=2.2"],
+        "test": [
+            "dask[distributed]>=2024.5",
+            "hypothesis>=6.98",
+            "pytest>=7.4",
+            "pytest-timeout>=2.2",
+        ],
+        "cluster": ["dask[distributed]>=2024.5"],
         "bench": ["exudyn>=1.8"],
         "dev": ["mypy~=2.4", "ruff~=0.17.5", "scipy-stubs", "types-PyYAML"],
     },

@@ -18,7 +18,15 @@ ARROWS: dict[str, set[str]] = {
     "rover_control": {"msg_schemas"},
     "tether_winch": {"msg_schemas"},
     "rover_bags": {"msg_schemas", "rover_sim"},
-    "rover_verify": {"msg_schemas", "rover_sim", "rover_control", "tether_winch", "rover_bags"},
+    "rover_studies": {"msg_schemas", "rover_sim"},
+    "rover_verify": {
+        "msg_schemas",
+        "rover_sim",
+        "rover_control",
+        "tether_winch",
+        "rover_bags",
+        "rover_studies",
+    },
 }
 # Single modules that may follow one arrow more.
 EXCEPTIONS: dict[str, set[str]] = {"rover_control.jump_predictor": {"rover_sim"}}
@@ -34,6 +42,7 @@ NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
 REQUIREMENTS: dict[str, tuple[str, str]] = {
     "PIL": ("pillow", "python3-pil"),
     "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
+    "distributed": ("dask", ""),
     "exudyn": ("exudyn", ""),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
     "llvmlite": ("numba", "python3-numba"),  # numba's own code generator
@@ -43,6 +52,7 @@ REQUIREMENTS: dict[str, tuple[str, str]] = {
     "mcap_ros2": ("mcap-ros2-support", "mcap-ros2-support"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
+    "pyarrow": ("pyarrow", ""),
     "pytest": ("pytest", "python3-pytest"),
     "rclpy": ("ros-jazzy-rclpy", "rclpy"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
@@ -338,7 +348,7 @@ def undeclared_requirements(root: Path, standard_library: frozenset[str]) -> lis
     extras = arguments["extras_require"]
     assert isinstance(wheels, list)
     assert isinstance(extras, dict)
-    declared = {_distribution(each) for each in [*wheels, *extras.get("bench", [])]}
+    declared = {_distribution(each) for each in [*wheels, *extras.get("bench", []), *extras.get("cluster", [])]}
     manifest = ET.parse(root / "package.xml").getroot()
     keys = {element.text for element in manifest if element.tag.endswith("depend")}
     found = []

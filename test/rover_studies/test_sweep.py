@@ -1,0 +1,382 @@
+"""Sweeps: the same results however they are made, and nothing lost or done twice."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pyarrow.csv
+import pytest
+
+from rover_sim import jump, load_scenario
+from rover_sim.plants import build_plant
+from rover_studies.sweep import (
+    DONE,
+    FAILED,
+    REFUSED,
+    Stopped,
+    main,
+    run_one,
+    run_sweep,
+    summary,
+    sweep,
+)
+from rover_studies.sweep_plan import Plan, make_plan
+from rover_studies.sweep_store import StoreError, SweepStore, read_results
+from rover_studies.workers import (
+    Workers,
+    WorkersError,
+    dask_cluster,
+    local_processes,
+    package_version,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+DEADLINE = 300.0
+
+CONTENT: dict[str, Any] = {
+    "name": "small",
+    "scenario": "paper_table1_high",
+    "runs": 30,
+    "set": {"tether.elements": 3},
+    "grid": {"start.geometry": ["-K", "+K"]},
+    "random": {"start.slack": {"uniform": [0.6, 3.4]}, "start.theta0": {"normal": [0.0, 5.0]}},
+}
+
+
+def nothing(_rows: object) -> None:
+    """Nobody is told."""
+
+
+def in_threads(count: int) -> Workers:
+    return Workers(ThreadPoolExecutor(count), count, "threads")
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = read_results(folder).to_pylist()
+    return found
+
+
+def write(plan: Path, content: Mapping[str, Any]) -> Path:
+    plan.write_text(json.dumps(content), encoding="utf-8")
+    return plan
+
+
+@pytest.fixture(scope="module")
+def expected() -> list[dict[str, Any]]:
+    """The rows of `CONTENT`, made one by one."""
+    plan = make_plan(CONTENT)
+    return [dict(run_one(plan, number)) for number in range(plan.count)]
+
+
+def test_a_row_is_the_jump_that_its_parameters_say(expected: list[dict[str, Any]]):
+    row = expected[40]
+    metrics = jump(
+        build_plant(
+            load_scenario(
+                "paper_table1_high",
+                {
+                    "tether.elements": 3,
+                    **{path: row[path] for path in ("start.geometry", "start.slack")},
+                    "start.theta0": row["start.theta0"],
+                },
+            )
+        )
+    )
+    assert row["start.geometry"] == "+K"
+    assert row["status"] == DONE
+    assert row["jump_height_m"] == metrics.height
+    assert row["attitude_variation_rad"] == metrics.attitude_variation
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("workers", [1, 3])
+def test_results_do_not_depend_on_the_number_of_workers(
+    tmp_path: Path, expected: list[dict[str, Any]], workers: int
+):
+    sweep(make_plan(CONTENT), tmp_path / "out", workers=workers, show_progress=False).close()
+    assert rows(tmp_path / "out") == expected
+
+
+@pytest.mark.process
+def test_a_dask_cluster_gives_the_same_results(tmp_path: Path, expected: list[dict[str, Any]]):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        sweep(
+            make_plan(CONTENT),
+            tmp_path / "out",
+            scheduler=cluster.scheduler_address,
+            show_progress=False,
+        ).close()
+    assert rows(tmp_path / "out") == expected
+
+
+def test_a_cluster_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("rover_studies.workers._CONNECT_TIMEOUT", 0.5)
+    refused = pytest.raises(
+        WorkersError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9"
+    )
+    with refused, dask_cluster("tcp://127.0.0.1:9"):
+        pass
+
+
+@pytest.mark.process
+def test_killed_at_any_moment_it_goes_on_and_does_nothing_twice(
+    tmp_path: Path, expected: list[dict[str, Any]]
+):
+    content = {**CONTENT, "runs": 150}
+    plan, out = write(tmp_path / "plan.yaml", content), tmp_path / "out"
+    whole = make_plan(content)
+    command = [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)]
+    kept: set[int] = set()
+    for kill in range(3):
+        process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
+        try:
+            wait_for_parts(process, out, len(list(out.glob("parts/*.parquet"))) + 1)
+        finally:
+            process.kill()
+            process.wait()
+        done = SweepStoreLook(out, whole).done()
+        assert kept < done, f"kill {kill}: nothing was kept"
+        kept = done
+    assert 0 < len(kept) < whole.count
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    # It began with what was there.
+    assert f"{len(kept)}/{whole.count}" in done.stderr
+    assert rows(out) == [dict(run_one(whole, number)) for number in range(whole.count)]
+    assert not (out / "parts").exists()
+
+
+class SweepStoreLook:
+    """Which runs a killed sweep has kept; waits until its last worker has gone."""
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        self._store = SweepStore(folder, plan, package_version())
+
+    def done(self) -> set[int]:
+        missing = set(self._store.missing())
+        count = self._store.done
+        self._store.close()
+        found = set(range(300)) - missing
+        assert len(found) == count
+        return found
+
+
+def wait_for_parts(process: subprocess.Popen[bytes], out: Path, count: int) -> None:
+    look_again = threading.Event()
+    for _ in range(int(DEADLINE / 0.02)):
+        if len(list(out.glob("parts/*.parquet"))) >= count:
+            return
+        assert process.poll() is None, "it ended by itself"
+        look_again.wait(0.02)
+    pytest.fail("nothing was kept in time")
+
+
+@pytest.mark.process
+def test_workers_do_not_outlive_a_killed_sweep(tmp_path: Path):
+    plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)],
+        cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        wait_for_parts(process, out, 1)
+        process.kill()
+        process.wait()
+        look_again = threading.Event()
+        for _ in range(1000):
+            try:
+                os.killpg(process.pid, 0)
+            except ProcessLookupError:
+                return
+            look_again.wait(0.02)
+        pytest.fail("workers are left")
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@pytest.mark.process
+def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path: Path):
+    plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    wait_for_parts(process, out, 1)  # type: ignore[arg-type]
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 130
+    assert "the same command goes on" in told
+    assert "Traceback" not in told
+
+
+class Flaky:
+    """A task that kills its worker process."""
+
+    def __reduce__(self) -> Any:
+        return (os._exit, (9,))
+
+
+@pytest.mark.process
+def test_a_lost_worker_stops_the_sweep_and_loses_nothing(tmp_path: Path):
+    plan = make_plan({**CONTENT, "runs": 5000})
+    store = SweepStore(tmp_path / "out", plan, "1")
+    with local_processes(1) as workers:
+
+        def tell(_rows: object) -> None:
+            if store.done > 3:
+                workers.executor.submit(Flaky())  # type: ignore[arg-type]
+
+        with pytest.raises(Stopped, match="a worker process died"):
+            run_sweep(plan, store, workers, tell)
+    assert 3 < store.done < plan.count
+    store.close()
+
+
+def test_what_fails_is_a_row_with_its_reason(tmp_path: Path):
+    plan = make_plan(
+        {
+            "scenario": "paper_table1_high",
+            "grid": {"start.geometry": ["-H", "+K"], "start.slack": [0.3, 1.0]},
+            "set": {"tether.elements": 3, "tether.breaking_load": 8.0},
+        }
+    )
+    with in_threads(1).executor as pool:
+        store = SweepStore(tmp_path / "out", plan, "1")
+        run_sweep(plan, store, Workers(pool, 1, ""), nothing)
+    store.finish()
+    found = rows(tmp_path / "out")
+    assert [row["status"] for row in found] == [REFUSED, DONE, DONE, FAILED]
+    assert "out of reach" in found[0]["reason"]
+    assert "tether_broken" in found[3]["reason"]
+    assert found[0]["jump_height_m"] is None
+    numbers = summary(plan, store.table())
+    assert numbers["statuses"] == {REFUSED: 1, DONE: 2, FAILED: 1}
+    assert numbers["results"]["jump_height_m"]["count"] == 2
+
+
+def test_a_folder_of_another_plan_or_another_thing_is_refused(tmp_path: Path):
+    out = tmp_path / "out"
+    plan = make_plan(CONTENT)
+    SweepStore(out, plan, "1").close()
+    SweepStore(out, plan, "1").close()
+    with pytest.raises(StoreError, match="another plan: seed differ"):
+        SweepStore(out, make_plan({**CONTENT, "seed": 9}), "1")
+    with pytest.raises(StoreError, match="begun by version 1"):
+        SweepStore(out, plan, "2")
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "thesis.tex").write_text("precious", encoding="utf-8")
+    with pytest.raises(StoreError, match="holds no sweep"):
+        SweepStore(tmp_path / "else", plan, "1")
+    with pytest.raises(StoreError, match="is a file"):
+        SweepStore(tmp_path / "else" / "thesis.tex" / "out", plan, "1")
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path):
+    plan = make_plan(CONTENT)
+    store = SweepStore(tmp_path / "out", plan, "1")
+    with pytest.raises(StoreError, match="another process is running"):
+        SweepStore(tmp_path / "out", plan, "1")
+    store.close()
+
+
+def test_a_damaged_part_is_made_again(tmp_path: Path, expected: list[dict[str, Any]]):
+    plan, out = make_plan(CONTENT), tmp_path / "out"
+    store = SweepStore(out, plan, "1")
+    for first in range(0, 30, 10):
+        store.add(expected[first : first + 10])
+    store.close()
+    part = sorted((out / "parts").glob("*.parquet"))[1]
+    data = bytearray(part.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    part.write_bytes(bytes(data))
+    (out / "parts" / "000000059_1.parquet.unfinished").write_bytes(b"half")
+    store = SweepStore(out, plan, "1")
+    with in_threads(1).executor as pool:
+        run_sweep(plan, store, Workers(pool, 1, ""), nothing)
+    store.finish()
+    assert rows(out) == expected
+
+
+def test_batches_never_hold_a_run_twice(tmp_path: Path):
+    plan = make_plan(CONTENT)
+    store = SweepStore(tmp_path / "out", plan, "1")
+    seen: list[int] = []
+
+    def tell(batch: Sequence[Mapping[str, Any]]) -> None:
+        seen.extend(int(row["run"]) for row in batch)
+
+    with in_threads(2).executor as pool:
+        run_sweep(plan, store, Workers(pool, 2, ""), tell)
+    assert sorted(seen) == list(range(plan.count))
+    store.close()
+
+
+@pytest.mark.process
+def test_the_command_runs_a_plan_and_tells_what_came_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], expected: list[dict[str, Any]]
+):
+    plan, out = write(tmp_path / "plan.yaml", CONTENT), tmp_path / "out"
+    assert main([str(plan), "--dry-run"]) == 0
+    assert "60 runs = 2 points of the grid x 30" in capsys.readouterr().out
+    assert main([str(plan), "--out", str(out), "--workers=1", "--json", "--csv"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    heights = [row["jump_height_m"] for row in expected]
+    assert told["runs"] == 60
+    assert told["results"]["jump_height_m"]["mean"] == pytest.approx(sum(heights) / 60, rel=1e-12)
+    assert json.loads((out / "summary.json").read_text()) == told
+    table = pyarrow.csv.read_csv(out / "results.csv")
+    assert table.column("jump_height_m").to_pylist() == heights
+    # Done: asked again it only tells.
+    assert main([str(plan), "--out", str(out)]) == 0
+    assert "jump_height_m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [(["--set", "tether.elements=none"], "tether.elements"), (["--seed", "-4"], "seed: -4"),
+     (["--set", "nonsense"], "dotted.path=value")],
+)  # fmt: skip
+def test_bad_arguments_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+):
+    assert main([str(write(tmp_path / "plan.yaml", CONTENT)), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert complaint in told
+    assert len(told.splitlines()) == 1
+
+
+def test_a_tether_alone_is_run_for_a_while(tmp_path: Path):
+    plan = make_plan(
+        {
+            "scenario": "tether_pendulum",
+            "experiment": "run",
+            "settings": {"duration": 0.1, "tick": 0.05},
+            "grid": {"tether.elements": [4, 8]},
+        }
+    )
+    row = run_one(plan, 1)
+    assert row["status"] == DONE
+    assert row["time_s"] == pytest.approx(0.1)
+    # Released level, it falls freely at first but for its fixed end.
+    assert row["tip_y_m"] == pytest.approx(-0.5 * 9.81 * 0.1**2, rel=0.05)
+    assert abs(float(str(row["energy_drift_J"]))) < 1e-9

@@ -1,0 +1,143 @@
+"""Plans: what they number, what they draw, and what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_sim import ScenarioError
+from rover_studies.sweep_plan import Plan, PlanError, load_plan, make_plan
+
+JUMP: dict[str, Any] = {"scenario": "paper_table1_high"}
+
+
+def plan(**content: Any) -> Plan:
+    return make_plan({**JUMP, **content})
+
+
+def test_every_combination_of_the_grid_comes_once_and_the_last_axis_fastest():
+    found = plan(grid={"start.geometry": ["-K", "+K"], "start.slack": [1.0, 2.0, 3.0]})
+    rows = [found.row(found.run(number)) for number in range(found.count)]
+    assert [(row["start.geometry"], row["start.slack"]) for row in rows] == [
+        (geometry, slack) for geometry in ("-K", "+K") for slack in (1.0, 2.0, 3.0)
+    ]
+    assert [row["run"] for row in rows] == list(range(6))
+
+
+def test_a_range_has_both_its_ends():
+    found = plan(grid={"start.slack": {"from": 1.0, "to": 3.0, "count": 5}})
+    assert found.values_of("start.slack") == (1.0, 1.5, 2.0, 2.5, 3.0)
+    found = plan(grid={"tether.youngs_modulus": {"from": 1e7, "to": 1e9, "count": 3, "log": True}})
+    assert found.values_of("tether.youngs_modulus") == pytest.approx((1e7, 1e8, 1e9))
+
+
+def test_values_that_change_together_are_one_axis():
+    found = plan(
+        grid={"bodies": [{"rover.m1": 3.0, "rover.m2": 2.0}, {"rover.m1": 4.0, "rover.m2": 1.0}]}
+    )
+    masses = [found.scenario_of(found.run(number)).rover for number in range(found.count)]
+    assert [(rover.m1, rover.m2) for rover in masses if rover] == [(3.0, 2.0), (4.0, 1.0)]
+
+
+def test_scenarios_may_be_an_axis():
+    found = make_plan({"grid": {"scenario": ["paper_table1_low", "paper_table1_high"]}})
+    moduli = [found.scenario_of(found.run(number)).tether.youngs_modulus for number in (0, 1)]
+    assert moduli == [0.01e9, 0.5e9]
+
+
+def test_draws_depend_on_seed_and_number_alone():
+    random = {"start.theta0": {"normal": [0.0, 5.0]}, "start.slack": {"uniform": [1.0, 2.0]}}
+    few, many = plan(runs=10, random=random), plan(runs=1000, random=random)
+    assert [few.run(number) for number in range(10)] == [many.run(number) for number in range(10)]
+    other = plan(runs=10, seed=2, random=random)
+    assert few.run(0).overrides != other.run(0).overrides
+    assert few.run(0).seed != few.run(1).seed
+
+
+def test_draws_have_their_distributions():
+    found = plan(
+        runs=4000,
+        random={
+            "start.theta0": {"normal": [1.0, 2.0]},
+            "start.slack": {"uniform": [1.0, 3.0]},
+            "tether.youngs_modulus": {"log_uniform": [1e7, 1e9]},
+            "tether.elements": {"integers": [3, 5]},
+            "start.geometry": {"choice": ["-K", "+K"]},
+            "rover.spring_rate": {"times": {"normal": [1.0, 0.1], "within": [0.9, 1.1]}},
+        },
+    )
+    rows = [found.run(number).overrides for number in range(found.count)]
+    theta = np.array([row["start.theta0"] for row in rows])
+    assert theta.mean() == pytest.approx(1.0, abs=0.12)
+    assert theta.std() == pytest.approx(2.0, rel=0.06)
+    slack = np.array([row["start.slack"] for row in rows])
+    assert slack.min() > 1.0
+    assert slack.max() < 3.0
+    assert slack.mean() == pytest.approx(2.0, abs=0.04)
+    moduli = np.log10([row["tether.youngs_modulus"] for row in rows])
+    assert moduli.mean() == pytest.approx(8.0, abs=0.05)
+    assert {row["tether.elements"] for row in rows} == {3, 4, 5}
+    assert {row["start.geometry"] for row in rows} == {"-K", "+K"}
+    rates = np.array([row["rover.spring_rate"] for row in rows]) / 824.0
+    assert rates.min() >= 0.9
+    assert rates.max() <= 1.1
+
+
+def test_a_value_out_of_reach_in_some_combinations_stays_a_run():
+    found = plan(grid={"start.geometry": ["-H", "+K"], "start.slack": [0.3, 1.0]})
+    assert found.count == 4
+    with pytest.raises(ScenarioError, match="out of reach"):
+        found.scenario_of(found.run(0))
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ({"grids": {}}, "grids: no such key"),
+        ({"grid": {"start.slak": [1.0]}}, "did you mean 'slack'"),
+        ({"grid": {"start.geometry": ["-H", "+Q"]}}, "no run with start.geometry = '+Q'"),
+        ({"grid": {"start.slack": []}}, "should be a list of values"),
+        ({"grid": {"start.slack": {"from": 1, "to": 2}}}, "should have from, to and count"),
+        ({"grid": {"start.slack": {"from": 0, "to": 2, "count": 3, "log": True}}}, "above 0"),
+        ({"grid": {"a": [{"rover.m1": 1.0}, {"rover.m2": 1.0}]}}, "should set the same values"),
+        ({"random": {"start.theta0": {"gaussian": [0, 1]}}}, "exactly one of uniform"),
+        ({"random": {"start.theta0": {"normal": [0, -1]}}}, "standard deviation above 0"),
+        ({"random": {"start.theta0": {"uniform": [1, 0]}}}, "[low, high]"),
+        ({"random": {"start.theta0": {"uniform": [0, float("nan")]}}}, "two finite numbers"),
+        ({"random": {"start.theta0": {"uniform": [0, 1], "within": [2, 3]}}}, "fell outside"),
+        ({"random": {"start.geometry": {"times": {"uniform": [1, 2]}}}}, "needs a number"),
+        ({"runs": 0}, "runs: 0 should be a whole number"),
+        ({"runs": 10}, "would be the same run"),
+        ({"seed": -1}, "seed: -1"),
+        ({"scenario": "paper_table9"}, "paper_table9"),
+        ({"experiment": "leap"}, "should be one of jump, run"),
+        ({"settings": {"limit": "soon"}}, "settings.limit: 'soon'"),
+        ({"settings": {"limits": 1.0}}, "no such setting"),
+        ({"set": {"tether.elements": 0}}, "tether.elements = 0"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_by_name(content: dict[str, Any], complaint: str):
+    with pytest.raises(PlanError) as caught:
+        make_plan({**JUMP, **content})
+    assert complaint in str(caught.value)
+
+
+def test_a_plan_is_read_from_a_file_with_its_scenario_beside_it(tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text(
+        "name: mine\ngravity: 1.62\n"
+        "tether: {length: 2.0, elements: 4, youngs_modulus: 1e8, radius: 1e-3, density: 1e3}\n"
+        "start: {geometry: straight, direction: 0.0, initial_shape: straight}\n",
+        encoding="utf-8",
+    )
+    file = tmp_path / "plan.yaml"
+    file.write_text(
+        "scenario: mine.yaml\nexperiment: run\ngrid: {start.direction: [-80.0, 0.0]}\n",
+        encoding="utf-8",
+    )
+    found = load_plan(file, {"set": {"tether.length": 3.0}})
+    assert found.name == "plan"
+    assert found.scenario_of(found.run(1)).tether.length == 3.0
+    file.write_text("scenario: [", encoding="utf-8")
+    with pytest.raises(PlanError, match="is not YAML"):
+        load_plan(file)
