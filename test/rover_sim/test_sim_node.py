@@ -506,7 +506,7 @@ def test_a_signal_ends_it_while_paused(stage: Stage):
         ({"overrides": "{start.slak: 2}"}, "did you mean 'slack'?"),
         ({"real_time_factor": -1.0}, "real_time_factor"),
         ({"sensor_rate": 200.0}, "at most 100 Hz"),
-        ({"realtime_factor": 1.0}, "did you mean real_time_factor?"),
+        ({"realtime_factor": 1.0}, "did you mean 'real_time_factor'?"),
     ],
 )
 def test_bad_configuration_ends_it_with_code_2_and_one_line(
@@ -530,7 +530,7 @@ def test_bad_configuration_ends_it_with_code_2_and_one_line(
         ({"overrides": "3"}, "should be a mapping"),
         ({"overrides": "{rover.wheels: 4}"}, "rover.wheels"),
         ({"model": "cubic"}, "one of planar"),
-        ({"tick": 0.0}, "tick is 0.0 s"),
+        ({"tick": 0.0}, "tick = 0.0: should be a number"),
         ({"seed": -1}, "seed"),
         ({"duration": math.inf}, "finite"),
     ],
