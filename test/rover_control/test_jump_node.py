@@ -31,12 +31,13 @@ def start_both(stage: Stage, factor: float = 3.0, **parameters: object) -> tuple
     observer.listen(topics.EVENTS)
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.JUMP_MOTOR_COMMAND)
-    observer.listen(topics.JUMP_MOTOR_STATE)
     process = stage.processes.start(MODULE, {"use_sim_time": True, **parameters})
     stage.processes.start(
         "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": factor}
     )
+    # The last one of each node's topics that is listened to: where it is heard, so are the others.
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    observer.listen(topics.JUMP_MOTOR_STATE).wait()
     observer.wait_until_ready(NODE)
     return process, observer
 
