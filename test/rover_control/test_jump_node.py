@@ -138,7 +138,7 @@ def test_a_request_by_a_wrong_name_is_refused(shared_sim: Observer):
 
 
 def test_it_hears_no_truth_of_the_simulator(shared_sim: Observer):
-    heard = subscriptions_of(shared_sim, NODE)
+    heard = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
     assert topics.CONTACT in heard
     assert not heard & forbidden_to_controllers()
 

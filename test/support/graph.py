@@ -6,15 +6,18 @@ from msg_schemas.table import TOPICS, Audience
 from rover_verify.stage import Observer
 
 
-def subscriptions_of(observer: Observer, node_name: str) -> set[str]:
-    """Names of the topics that a running node subscribes to, relative to its namespace."""
+def subscriptions_of(observer: Observer, node_name: str, last: str | None = None) -> set[str]:
+    """Names of the topics that a running node subscribes to, relative to its namespace.
+
+    They become known one after the other: ``last`` is the topic that the node subscribes to last.
+    """
     found: list[tuple[str, list[str]]] = []
 
     def look() -> bool:
         found[:] = observer.node.get_subscriber_names_and_types_by_node(node_name, "/")
-        return bool(found)
+        return any(last is None or name == f"/{last}" for name, _ in found)
 
-    observer.wait_until(look, f"{node_name} subscribes to nothing")
+    observer.wait_until(look, f"{node_name} does not subscribe to {last or 'anything'}")
     return {name.removeprefix("/") for name, _ in found}
 
 
