@@ -395,6 +395,34 @@ def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
 
 
 @kernel
+def field_at(
+    length: float, place: float, payout_rate: float, e: Array, rate: Array, d: int
+) -> tuple[float, float, float, float]:
+    """Place, slope, material velocity and its slope in direction d inside an exit element.
+
+    Args:
+        length: undeformed length of the element [m].
+        place: undeformed distance from its first node [m].
+        payout_rate: v_pay [m/s]; 0 for a Lagrangian element.
+        e: its coordinates, (4, dim).
+        rate: their rates, (4, dim).
+        d: which direction.
+    """
+    sigma = -payout_rate
+    xi = place / length
+    here, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
+    for i in range(4):
+        power = _scale(i, length)
+        here += power * _cubic(_F, xi, i) * e[i, d]
+        slope += power / length * _cubic_slope(_F, xi, i) * e[i, d]
+        speed += power * _cubic(_F, xi, i) * rate[i, d]
+        speed += sigma * power / length * _cubic(_G, xi, i) * e[i, d]
+        slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i, d]
+        slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i, d]
+    return here, slope, speed, slope_speed
+
+
+@kernel
 def split(
     length: float,
     cut: float,
@@ -418,17 +446,7 @@ def split(
         node_rate: its rates, filled.
     """
     dim = e.shape[1]
-    sigma = -payout_rate
-    xi = cut / length
     for d in range(dim):
-        place, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
-        for i in range(4):
-            power = _scale(i, length)
-            place += power * _cubic(_F, xi, i) * e[i, d]
-            slope += power / length * _cubic_slope(_F, xi, i) * e[i, d]
-            speed += power * _cubic(_F, xi, i) * rate[i, d]
-            speed += sigma * power / length * _cubic(_G, xi, i) * e[i, d]
-            slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i, d]
-            slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i, d]
-        node[d], node[dim + d] = place, slope
-        node_rate[d], node_rate[dim + d] = speed, slope_speed
+        node[d], node[dim + d], node_rate[d], node_rate[dim + d] = field_at(
+            length, cut, payout_rate, e, rate, d
+        )
