@@ -41,7 +41,7 @@ setup(
     packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
     package_data={
         "": ["py.typed"],
-        "rover_sim": ["scenarios/*.yaml"],
+        "rover_sim": ["scenarios/*.yaml", "scenarios/bases/*.yaml"],
         "rover_verify": ["*.yaml"],
     },
     data_files=[

@@ -42,15 +42,21 @@ from rover_sim.plant import (
 from rover_sim.plants import build_plant
 from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, run
 from rover_sim.scenario import (
+    AnyScenario,
     Scenario,
     ScenarioError,
+    SpatialScenario,
     dump_scenario,
     list_scenarios,
+    load_planar,
     load_scenario,
+    load_spatial,
     parse_override,
+    scenario_from_mapping,
 )
 
 __all__ = [
+    "AnyScenario",
     "Command",
     "Energies",
     "Event",
@@ -66,6 +72,7 @@ __all__ = [
     "RunError",
     "Scenario",
     "ScenarioError",
+    "SpatialScenario",
     "State",
     "StaticsError",
     "StepResult",
@@ -78,9 +85,12 @@ __all__ = [
     "jump",
     "jump_many",
     "list_scenarios",
+    "load_planar",
     "load_scenario",
+    "load_spatial",
     "parse_override",
     "read_yaml",
     "run",
+    "scenario_from_mapping",
     "static_equilibrium",
 ]

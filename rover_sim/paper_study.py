@@ -18,17 +18,10 @@ from typing import Any, NoReturn, get_args
 
 from rover_sim.physics.statics import StaticsError
 from rover_sim.planar_plant import PlanarPlant
+from rover_sim.planar_scenario import Geometry, InitialShape, Scenario
 from rover_sim.plant import Outcome
 from rover_sim.run import RunError, jump
-from rover_sim.scenario import (
-    Geometry,
-    InitialShape,
-    Scenario,
-    ScenarioError,
-    list_scenarios,
-    load_scenario,
-    parse_override,
-)
+from rover_sim.scenario import ScenarioError, list_scenarios, load_planar, parse_override
 
 LANDED, NO_LANDING, BAD_INPUT = 0, 1, 2
 
@@ -70,8 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _joined_geometry(sys.argv[1:] if arguments is None else arguments)
     )
     if options.list:
-        for name in list_scenarios():
-            scenario = load_scenario(name)
+        for name in list_scenarios("planar"):
+            scenario = load_planar(name)
             if scenario.rover is not None:
                 sys.stdout.write(f"{name:22s} {scenario.about}\n")
         return LANDED
@@ -116,7 +109,7 @@ def _settings(scenario: Scenario) -> dict[str, Any]:
 
 
 def _scenario_of(options: argparse.Namespace) -> Scenario:
-    base = load_scenario(options.scenario)
+    base = load_planar(options.scenario)
     overrides: dict[str, object] = {}
     if options.geometry is not None:
         overrides["start.geometry"] = options.geometry
@@ -221,7 +214,7 @@ def _table(point: dict[str, Any]) -> str:
 
 
 def _list() -> str:
-    scenarios = (load_scenario(name) for name in list_scenarios())
+    scenarios = (load_planar(name) for name in list_scenarios("planar"))
     return "".join(
         f"{scenario.name}\n    {scenario.about}\n"
         for scenario in scenarios

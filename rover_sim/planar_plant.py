@@ -21,7 +21,7 @@ from rover_sim.physics.tether import (
     to_rows,
 )
 from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, Phase, StepResult
-from rover_sim.scenario import Scenario
+from rover_sim.scenario import AnyScenario, Scenario, ScenarioError
 
 _PHASES = {
     Phase.HELD: planar.HELD,
@@ -123,9 +123,16 @@ class PlanarPlant:
 
     Args:
         scenario: a scenario with `model: planar`.
+
+    Raises:
+        ScenarioError: the scenario is of another model.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    scenario: Scenario
+
+    def __init__(self, scenario: AnyScenario) -> None:
+        if not isinstance(scenario, Scenario):
+            raise ScenarioError("model", scenario.model, "should be planar for the planar plant")
         self.scenario = scenario
         tether = scenario.tether
         self.section = tether.section

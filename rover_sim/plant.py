@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from rover_sim.scenario import Scenario
+from rover_sim.scenario import AnyScenario
 
 
 class Outcome(enum.Enum):
@@ -185,7 +185,7 @@ class Plant(Protocol[S]):
     """A simulated plant whose states are of type S."""
 
     @property
-    def scenario(self) -> Scenario:
+    def scenario(self) -> AnyScenario:
         """What is simulated."""
 
     def initial_state(self) -> S:

@@ -1,438 +1,66 @@
-# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
-"""Scenarios: what is simulated, as typed, frozen and checked data with units.
+"""Scenarios as files: those that come with the package, and one's own.
 
-A scenario names the tether, the rover (or what else hangs at the tip), how both
-stand at the start, how the rover takes off and how the motion is integrated. The
-axes are those of the planar model: x horizontal, y up, angles counter-clockwise,
-the tether's root (the fairlead) at the origin and the rover on the side of
-positive x. Scenarios are written as YAML files whose keys are the field names
-below; those that come with the package are listed by `list_scenarios`.
+A scenario says everything that a simulation starts from. Scenarios are written as YAML files whose
+keys are the field names of `planar_scenario.Scenario` or `spatial_scenario.SpatialScenario`; the
+key `model` says of which (planar, if it is missing). The key `base` names another file, without
+.yaml of the package or with it relative to the file itself, whose values hold where the scenario
+gives none: sections are joined, anything else replaced.
 """
 
 from __future__ import annotations
 
 import importlib.resources
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, TypeAlias
 
 import yaml
 
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim import configuration
-from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity, text
-from rover_sim.physics.section import TetherSection
+from rover_sim.planar_scenario import Scenario
+from rover_sim.scenario_parts import ScenarioError
+from rover_sim.spatial_scenario import SpatialScenario
 
-ScenarioError = ConfigurationError
+__all__ = [
+    "AnyScenario",
+    "Scenario",
+    "ScenarioError",
+    "SpatialScenario",
+    "dump_scenario",
+    "list_scenarios",
+    "load_planar",
+    "load_scenario",
+    "load_spatial",
+    "parse_override",
+    "scenario_from_mapping",
+]
 
-Model: TypeAlias = Literal["planar"]
-Root: TypeAlias = Literal["pinned", "clamped"]
-Geometry: TypeAlias = Literal["-H", "-K", "+K", "chord", "straight"]
-Side: TypeAlias = Literal["below", "above"]
-InitialShape: TypeAlias = Literal["static", "catenary", "arc", "straight"]
-TetherRates: TypeAlias = Literal["tip", "linear"]
-AfterLanding: TypeAlias = Literal["hold", "fly_on"]
+AnyScenario: TypeAlias = Scenario | SpatialScenario
 
-Point: TypeAlias = tuple[float, float]
-
-MATERIALS = (
-    ("youngs_modulus", "radius", "density"),
-    ("youngs_modulus", "area", "second_moment", "density"),
-    ("axial_stiffness", "bending_stiffness", "line_density"),
-)
-_MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
+_KINDS: dict[str, type[Scenario] | type[SpatialScenario]] = {
+    "planar": Scenario,
+    "spatial": SpatialScenario,
+}
+_BASES = "bases"
 
 
-@dataclass(frozen=True)
-class Tether(Configuration):
-    """An ANCF cable of uniform cross-section, divided into equal elements.
-
-    The cross-section is given in exactly one of three ways (`MATERIALS`); `section`
-    is what follows from it.
-    """
-
-    length: float = quantity("m", "unstretched length", above=0.0, maximum=1e4)
-    elements: int = quantity("-", "number of elements", kind=int, minimum=1, maximum=2000)
-    youngs_modulus: float | None = quantity("Pa", "E", None, above=0.0, optional=True)
-    radius: float | None = quantity(
-        "m", "radius of the solid round section", None, above=0.0, maximum=1.0, optional=True
+def list_scenarios(model: str | None = None) -> tuple[str, ...]:
+    """Names of the scenarios that come with the package, sorted; of one model, or of all."""
+    names = sorted(
+        entry.name.removesuffix(".yaml")
+        for entry in _shipped().iterdir()
+        if entry.name.endswith(".yaml")
     )
-    area: float | None = quantity("m^2", "A", None, above=0.0, optional=True)
-    second_moment: float | None = quantity(
-        "m^4", "second moment of area I", None, above=0.0, optional=True
-    )
-    density: float | None = quantity("kg/m^3", "rho", None, above=0.0, optional=True)
-    axial_stiffness: float | None = quantity("N", "EA", None, above=0.0, optional=True)
-    bending_stiffness: float | None = quantity("N m^2", "EI", None, above=0.0, optional=True)
-    line_density: float | None = quantity("kg/m", "rho A", None, above=0.0, optional=True)
-    axial_damping_time: float = quantity(
-        "s", "axial strain-rate damping over EA", 0.0, minimum=0.0, maximum=100.0
-    )
-    bending_damping_time: float = quantity(
-        "s", "bending strain-rate damping over EI", 0.0, minimum=0.0, maximum=100.0
-    )
-    breaking_load: float = quantity(
-        "N", "tension at which the tether parts", math.inf, above=0.0, infinite=True
-    )
-    root: Root = choice(get_args(Root), "whether the slope at the root is free or held", "pinned")
-
-    def check(self) -> None:
-        """Refuse a cross-section that is given in no way or in two."""
-        every = {name for names in MATERIALS for name in names}
-        given = {name for name in every if getattr(self, name) is not None}
-        if not any(given == set(names) for names in MATERIALS):
-            shown = ", ".join(sorted(given)) or "none of them"
-            raise ScenarioError(
-                "(cross-section)", shown, f"should give exactly one of: {_MATERIAL_TEXT}"
-            )
-
-    @cached_property
-    def section(self) -> TetherSection:
-        """Stiffness, mass, damping and strength of the cross-section."""
-        damping_and_strength = {
-            "axial_damping_time": self.axial_damping_time,
-            "bending_damping_time": self.bending_damping_time,
-            "breaking_load": self.breaking_load,
-        }
-        if self.radius is not None:
-            return TetherSection.round(
-                _known(self.youngs_modulus),
-                self.radius,
-                _known(self.density),
-                **damping_and_strength,
-            )
-        if self.area is not None:
-            return TetherSection(
-                axial_stiffness=_known(self.youngs_modulus) * self.area,
-                bending_stiffness=_known(self.youngs_modulus) * _known(self.second_moment),
-                line_density=_known(self.density) * self.area,
-                **damping_and_strength,
-            )
-        return TetherSection(
-            axial_stiffness=_known(self.axial_stiffness),
-            bending_stiffness=_known(self.bending_stiffness),
-            line_density=_known(self.line_density),
-            **damping_and_strength,
-        )
-
-
-@dataclass(frozen=True)
-class Rover(Configuration):
-    """Body 1 (wheels, motors, tether) and Body 2, which slides on it and jumps.
-
-    Both are uniform rectangles with their centres of mass in the middle.
-    """
-
-    m1: float = quantity("kg", "mass of Body 1", above=0.0, maximum=1e5)
-    m2: float = quantity("kg", "mass of Body 2", above=0.0, maximum=1e5)
-    body1_size: Point = quantity("m", "width and height of Body 1", above=0.0, length=2)
-    body2_size: Point = quantity("m", "width and height of Body 2", above=0.0, length=2)
-    attachment: Point = quantity(
-        "m", "tether's attachment (a, b) from Body 1's centre, in its axes", length=2
-    )
-    spring_rate: float = quantity("N/m", "k of the jump spring", above=0.0)
-    spring_free_length: float = quantity(
-        "m", "l0, between the centres of mass", above=0.0, maximum=100.0
-    )
-    slider_damping: float = quantity("N s/m", "damper along the slider", 0.0, minimum=0.0)
-
-    @property
-    def mass(self) -> float:
-        """m1 + m2 [kg]."""
-        return self.m1 + self.m2
-
-    @property
-    def inertia1(self) -> float:
-        """Moment of inertia of Body 1 about its centre [kg m^2]."""
-        return _rectangle_inertia(self.m1, self.body1_size)
-
-    @property
-    def inertia2(self) -> float:
-        """Moment of inertia of Body 2 about its centre [kg m^2]."""
-        return _rectangle_inertia(self.m2, self.body2_size)
-
-
-@dataclass(frozen=True)
-class Tip(Configuration):
-    """What ends a tether without a rover: a point mass, or nothing."""
-
-    mass: float = quantity("kg", "point mass at the tip, 0 for a free end", 0.0, minimum=0.0)
-
-
-@dataclass(frozen=True)
-class Start(Configuration):
-    """Where the tether's tip stands at the start, and in what shape the tether is.
-
-    The slack evaluation value is dh/df, the vertical over the horizontal distance
-    between root and tip. The geometries, tip at (x, y):
-
-    ``-H``
-        below the root by `drop`, at the horizontal distance drop/slack.
-    ``-K``, ``+K``
-        below or above the root, on a chord of `chord_ratio` times the tether's
-        length at the angle atan(slack).
-    ``chord``
-        the same with a chord of `chord` metres, on the named `side`.
-    ``straight``
-        the tether straight and unstretched along `direction`.
-    """
-
-    geometry: Geometry = choice(get_args(Geometry), "where the tip stands")
-    slack: float | None = quantity(
-        "-", "slack evaluation value dh/df", None, minimum=0.0, maximum=1e6, optional=True
-    )
-    drop: float = quantity("m", "dh of geometry -H", 2.2, above=0.0, maximum=1e4)
-    chord_ratio: float = quantity(
-        "-", "chord over length of -K and +K", 0.99, above=0.0, maximum=0.99999
-    )
-    chord: float | None = quantity("m", "chord of geometry chord", None, above=0.0, optional=True)
-    side: Side | None = choice(
-        get_args(Side), "where the tip of geometry chord stands from the root", None, optional=True
-    )
-    direction: float | None = quantity(
-        "deg",
-        "direction of a straight tether, and of a clamped root's slope; 0 level, -90 down",
-        None,
-        minimum=-360.0,
-        maximum=360.0,
-        optional=True,
-    )
-    initial_shape: InitialShape = choice(
-        get_args(InitialShape),
-        "static equilibrium, or unrelaxed: inextensible catenary, circular arc, straight",
-        "static",
-    )
-    theta0: float = quantity("deg", "theta of the rover", 0.0, minimum=-180.0, maximum=180.0)
-
-    def check(self) -> None:
-        """Refuse what the geometry lacks and what it would silently leave unused."""
-        straight = self.geometry == "straight"
-        if straight != (self.initial_shape == "straight"):
-            right = "straight" if straight else "static, catenary or arc"
-            raise ScenarioError(
-                "initial_shape", self.initial_shape, f"geometry {self.geometry} goes with {right}"
-            )
-        if straight:
-            self._require("direction", "the tether's direction in degrees")
-        else:
-            self._require("slack", "the slack value dh/df")
-        if self.geometry == "-H" and self.slack == 0.0:
-            raise ScenarioError("slack", self.slack, "should be above 0 with geometry -H")
-        for name in ("chord", "side"):
-            if self.geometry == "chord":
-                self._require(name, "the chord [m] and the side, below or above")
-            elif getattr(self, name) is not None:
-                raise ScenarioError(
-                    name,
-                    getattr(self, name),
-                    f"is used by geometry chord only and should be null with {self.geometry}",
-                )
-
-    def _require(self, name: str, what: str) -> None:
-        if getattr(self, name) is None:
-            raise ScenarioError(name, None, f"geometry {self.geometry} needs {what}")
-
-    def tip_position(self, length: float) -> Point:
-        """Position (x, y) [m] of the tip of a tether of the given length [m]."""
-        if self.geometry == "straight":
-            angle = math.radians(_known(self.direction))
-            return length * math.cos(angle), length * math.sin(angle)
-        slack = _known(self.slack)
-        if self.geometry == "-H":
-            return self.drop / slack, -self.drop
-        chord = self.chord_ratio * length if self.chord is None else self.chord
-        above = self.geometry == "+K" or self.side == "above"
-        angle = math.atan(slack) if above else -math.atan(slack)
-        return chord * math.cos(angle), chord * math.sin(angle)
-
-
-@dataclass(frozen=True)
-class TakeOff(Configuration):
-    """How the rover leaves the ground: by its spring, or with a given velocity.
-
-    Both bodies start with the same velocity and the spring at its free length. A
-    compression delta gives the speed delta sqrt(k/(m1 + m2)) along the slider.
-    """
-
-    compression: float | None = quantity(
-        "m", "delta, compression of the spring", None, above=0.0, maximum=10.0, optional=True
-    )
-    velocity: Point | None = quantity(
-        "m/s", "velocity (vx, vy) of both bodies", None, length=2, optional=True
-    )
-    tether_rates: TetherRates = choice(
-        get_args(TetherRates),
-        "whether only the tether's tip moves with the rover at first, or its nodes do"
-        " linearly with arc length",
-        "tip",
-    )
-
-    def check(self) -> None:
-        """Refuse none or both of compression and velocity."""
-        if (self.compression is None) == (self.velocity is None):
-            raise ScenarioError(
-                "compression",
-                self.compression,
-                f"should be given exactly one of compression and velocity (velocity is"
-                f" {configuration.shown(self.velocity)})",
-            )
-
-
-@dataclass(frozen=True)
-class Integration(Configuration):
-    """How the energy-momentum integrator steps."""
-
-    h: float = quantity("s", "time step", 1e-3, above=0.0, maximum=0.1)
-    tolerance: float = quantity(
-        "m", "largest change of an unknown in the last iteration", 1e-8, above=0.0, maximum=1e-3
-    )
-    numerical_damping: float = quantity(
-        "-", "x: 0 conserves the tether's energy, 1 damps most", 0.0, minimum=0.0, maximum=1.0
-    )
-    max_halvings: int = quantity(
-        "-", "how often a step that fails may be halved", 10, kind=int, minimum=0, maximum=30
-    )
-
-
-@dataclass(frozen=True)
-class Scenario(Configuration):
-    """Everything that a simulation starts from."""
-
-    name: str = text("short name, the file's name without .yaml")
-    tether: Tether = configuration.section(Tether, "the tether")
-    start: Start = configuration.section(Start, "how tether and rover stand at the start")
-    gravity: float = quantity("m/s^2", "g, along -y", minimum=0.0, maximum=1e3)
-    about: str = text("what it is and where its numbers come from", "")
-    model: Model = choice(get_args(Model), "the plant that integrates it", "planar")
-    rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
-    tip: Tip | None = configuration.section(
-        Tip, "what ends a tether without a rover", None, optional=True
-    )
-    take_off: TakeOff | None = configuration.section(
-        TakeOff, "how the rover leaves the ground", None, optional=True
-    )
-    after_landing: AfterLanding = choice(
-        get_args(AfterLanding), "whether the rover is stopped where it comes down", "hold"
-    )
-    integration: Integration = configuration.section(
-        Integration, "how the motion is integrated", Integration()
-    )
-
-    def check(self) -> None:
-        """Refuse parts that do not fit one another."""
-        if self.rover is not None:
-            if self.tip is not None:
-                raise ScenarioError("tip", self.tip, "should be null, as the rover is at the tip")
-            if self.take_off is None:
-                raise ScenarioError(
-                    "take_off", None, "a rover needs a compression [m] or a velocity [m/s]"
-                )
-        elif self.take_off is not None:
-            raise ScenarioError("take_off", self.take_off, "should be null without a rover")
-        if self.tether.root == "clamped" and self.start.direction is None:
-            raise ScenarioError(
-                "start.direction", None, "a clamped root needs the direction of its slope [deg]"
-            )
-        if self.start.geometry != "straight":
-            self._check_reach()
-
-    def _check_reach(self) -> None:
-        start, length = self.start, self.tether.length
-        chord = math.hypot(*self.tip_position)
-        if chord < length:
-            return
-        if start.geometry == "-H":
-            if start.drop >= length:
-                raise ScenarioError(
-                    "start.drop", start.drop, f"should be below the tether's length {length:g} m"
-                )
-            least = start.drop / math.sqrt(length**2 - start.drop**2)
-            raise ScenarioError(
-                "start.slack",
-                start.slack,
-                f"puts the tip {chord:.4g} m from the root, out of reach of a tether of"
-                f" {length:g} m; with a drop of {start.drop:g} m it should be above {least:.4g}",
-            )
-        raise ScenarioError(
-            "start.chord", start.chord, f"should be below the tether's length {length:g} m"
-        )
-
-    @classmethod
-    def from_mapping(cls, mapping: object) -> Scenario:
-        """Build a scenario from nested plain values.
-
-        Raises:
-            ScenarioError: Naming the dotted path, the value and what would be right.
-        """
-        return configuration.read(cls, mapping)
-
-    def to_mapping(self) -> dict[str, Any]:
-        """Every value, plain and JSON-ready; `from_mapping` gives the scenario back."""
-        return configuration.to_mapping(self)
-
-    def with_overrides(self, overrides: Mapping[str, object]) -> Scenario:
-        """Copy with values replaced by dotted path, e.g. ``{"start.slack": 2.0}``."""
-        return Scenario.from_mapping(configuration.with_overrides(self.to_mapping(), overrides))
-
-    @cached_property
-    def tip_position(self) -> Point:
-        """Position (x, y) [m] of the tether's tip at the start."""
-        return self.start.tip_position(self.tether.length)
-
-    @property
-    def slack_value(self) -> float:
-        """Slack evaluation value dh/df at the start; infinite straight up or down."""
-        if self.start.geometry != "straight" and self.start.slack is not None:
-            return self.start.slack
-        x, y = self.tip_position
-        return abs(y / x) if abs(x) > 1e-12 * self.tether.length else math.inf
-
-    @property
-    def theta0(self) -> float:
-        """The rover's angle at the start [rad]."""
-        return math.radians(self.start.theta0)
-
-    @property
-    def tip_mass(self) -> float:
-        """Point mass at the tip of a tether without a rover [kg]."""
-        return self.tip.mass if self.tip is not None else 0.0
-
-    @property
-    def take_off_velocity(self) -> Point:
-        """Velocity (vx, vy) [m/s] of both bodies at take-off; zero without a rover."""
-        if self.take_off is None or self.rover is None:
-            return 0.0, 0.0
-        if self.take_off.velocity is not None:
-            return self.take_off.velocity
-        delta = _known(self.take_off.compression)
-        speed = delta * math.sqrt(self.rover.spring_rate / self.rover.mass)
-        return -speed * math.sin(self.theta0), speed * math.cos(self.theta0)
-
-    @property
-    def take_off_energy(self) -> float:
-        """Kinetic energy [J] that the bodies take off with."""
-        vx, vy = self.take_off_velocity
-        return 0.5 * self.rover.mass * (vx**2 + vy**2) if self.rover is not None else 0.0
-
-
-def list_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package, sorted."""
-    return tuple(
-        sorted(
-            entry.name.removesuffix(".yaml")
-            for entry in _shipped().iterdir()
-            if entry.name.endswith(".yaml")
-        )
-    )
+    if model is None:
+        return tuple(names)
+    return tuple(name for name in names if _mapping_of(name).get("model", "planar") == model)
 
 
 def load_scenario(
     name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
-) -> Scenario:
+) -> AnyScenario:
     """Load a scenario that comes with the package, or one from a YAML file.
 
     Args:
@@ -442,10 +70,49 @@ def load_scenario(
     Raises:
         ScenarioError: Naming the dotted path (or the file), the value and what would be right.
     """
-    mapping = read_yaml(_source_of(name_or_path))
-    if not isinstance(mapping, Mapping):
-        raise ScenarioError(str(name_or_path), mapping, "should hold a mapping of keys to values")
-    return Scenario.from_mapping(configuration.with_overrides(mapping, overrides or {}))
+    mapping = _mapping_of(name_or_path)
+    return scenario_from_mapping(configuration.with_overrides(mapping, overrides or {}))
+
+
+def load_planar(
+    name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
+) -> Scenario:
+    """`load_scenario` for those who want a planar one.
+
+    Raises:
+        ScenarioError: As `load_scenario`, and if the scenario is of another model.
+    """
+    scenario = load_scenario(name_or_path, overrides)
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError("model", scenario.model, "should be planar here")
+    return scenario
+
+
+def load_spatial(
+    name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
+) -> SpatialScenario:
+    """`load_scenario` for those who want a spatial one.
+
+    Raises:
+        ScenarioError: As `load_scenario`, and if the scenario is of another model.
+    """
+    scenario = load_scenario(name_or_path, overrides)
+    if not isinstance(scenario, SpatialScenario):
+        raise ScenarioError("model", scenario.model, "should be spatial here")
+    return scenario
+
+
+def scenario_from_mapping(mapping: object) -> AnyScenario:
+    """Build a scenario of the model that the mapping names.
+
+    Raises:
+        ScenarioError: Naming the dotted path, the value and what would be right.
+    """
+    model = mapping.get("model", "planar") if isinstance(mapping, Mapping) else "planar"
+    kind = _KINDS.get(model) if isinstance(model, str) else None
+    if kind is None:
+        raise ScenarioError("model", model, f"should be one of {', '.join(_KINDS)}")
+    return kind.from_mapping(mapping)
 
 
 def parse_override(assignment: str) -> tuple[str, object]:
@@ -460,7 +127,7 @@ def parse_override(assignment: str) -> tuple[str, object]:
     return path.strip(), read_yaml(value, name=path.strip())
 
 
-def dump_scenario(scenario: Scenario) -> str:
+def dump_scenario(scenario: AnyScenario) -> str:
     """Write a scenario as YAML text that `load_scenario` reads back."""
     return yaml.safe_dump(scenario.to_mapping(), sort_keys=False, allow_unicode=True)
 
@@ -483,11 +150,55 @@ def _source_of(name_or_path: str | PathLike[str]) -> Path | Any:
     )
 
 
-def _known(value: float | None) -> float:
-    if value is None:
-        raise AssertionError("checked at construction")
-    return value
+def _mapping_of(name_or_path: str | PathLike[str]) -> dict[str, Any]:
+    """A file's keys and values, joined with those of its bases."""
+    source = _source_of(name_or_path)
+    return _joined_with_bases(source, str(name_or_path), ())
 
 
-def _rectangle_inertia(mass: float, size: Point) -> float:
-    return mass * (size[0] ** 2 + size[1] ** 2) / 12.0
+def _joined_with_bases(source: Path | Any, label: str, above: tuple[str, ...]) -> dict[str, Any]:
+    mapping = read_yaml(source)
+    if not isinstance(mapping, Mapping):
+        raise ScenarioError(label, mapping, "should hold a mapping of keys to values")
+    own = dict(mapping)
+    base = own.pop("base", None)
+    if base is None:
+        return own
+    found = _base(source, base)
+    if str(found) in above:
+        raise ScenarioError(f"{label}: base", base, "should not lead back to the file itself")
+    return _joined(_joined_with_bases(found, str(base), (*above, str(source))), own)
+
+
+def _base(source: Path | Any, base: object) -> Path | Any:
+    names = tuple(
+        sorted(
+            entry.name.removesuffix(".yaml")
+            for entry in _shipped().joinpath(_BASES).iterdir()
+            if entry.name.endswith(".yaml")
+        )
+    )
+    if isinstance(base, str):
+        if base in names:
+            return _shipped().joinpath(_BASES, f"{base}.yaml")
+        if base in list_scenarios():
+            return _shipped().joinpath(f"{base}.yaml")
+        if base.endswith((".yaml", ".yml")) and isinstance(source, Path):
+            return source.parent / base
+    raise ScenarioError(
+        "base",
+        base,
+        f"should be one of {', '.join((*names, *list_scenarios()))}, or the path of a .yaml file",
+    )
+
+
+def _joined(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of `over`, and where it has none those of `under`, section by section."""
+    result = dict(under)
+    for key, value in over.items():
+        below = result.get(key)
+        if isinstance(value, Mapping) and isinstance(below, Mapping):
+            result[key] = _joined(below, value)
+        else:
+            result[key] = value
+    return result

@@ -20,7 +20,7 @@ from rover_sim.actuators import stopped
 from rover_sim.planar_plant import PlanarState
 from rover_sim.plant import Phase
 from rover_sim.plants import build_plant
-from rover_sim.scenario import Scenario, ScenarioError, load_scenario
+from rover_sim.scenario import AnyScenario, ScenarioError, load_scenario
 from rover_sim.sim_loop import NANO, Happening, Schedule, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 from rover_sim.telemetry import Telemetry
@@ -115,7 +115,7 @@ class SimNode(ContractNode):
     PARAMETERS = (SimParameters, RateParameters)
 
     _runner: SimRunner | None = None
-    _scenario: Scenario | None = None
+    _scenario: AnyScenario | None = None
     _told_phase: Phase | None = None
 
     # --- life ------------------------------------------------------------------------------------
@@ -304,7 +304,7 @@ class SimNode(ContractNode):
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
 
 
-def load(wanted: SimParameters) -> Scenario:
+def load(wanted: SimParameters) -> AnyScenario:
     """Load the scenario that the parameters ask for.
 
     Raises:

@@ -14,7 +14,15 @@ from typing import Final
 
 import numpy as np
 
-from rover_sim import Outcome, RunError, Scenario, ScenarioError, build_plant, jump, run
+from rover_sim import (
+    AnyScenario,
+    Outcome,
+    PlanarPlant,
+    RunError,
+    ScenarioError,
+    jump,
+    run,
+)
 
 Value = float | int | str | bool | None
 Kind = type[float] | type[int] | type[str] | type[bool]
@@ -46,13 +54,13 @@ class Experiment:
     about: str
     columns: Mapping[str, Kind]
     settings: Mapping[str, Setting]
-    perform: Callable[[Scenario, int, Mapping[str, float]], Mapping[str, Value]]
+    perform: Callable[[AnyScenario, int, Mapping[str, float]], Mapping[str, Value]]
 
 
-def _jump(scenario: Scenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
     if scenario.rover is None:
         raise ScenarioError("rover", None, f"{scenario.name} has no rover, so nothing jumps")
-    plant = build_plant(scenario)
+    plant = PlanarPlant(scenario)
     start = plant.initial_state()
     metrics = jump(plant, start, limit=settings["limit"])
     found: dict[str, Value] = dict(metrics.to_mapping())
@@ -60,14 +68,14 @@ def _jump(scenario: Scenario, _seed: int, settings: Mapping[str, float]) -> dict
     return {
         **found,
         "slack_value": metrics.slack_value,
-        "take_off_energy_J": scenario.take_off_energy,
+        "take_off_energy_J": plant.scenario.take_off_energy,
         "initial_axial_energy_J": plant.energies(start).axial,
         "initial_slope_error": float(np.max(np.abs(slopes - 1.0))),
     }
 
 
-def _run(scenario: Scenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
-    plant = build_plant(scenario)
+def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+    plant = PlanarPlant(scenario)
     done = run(plant, plant.initial_state(), settings["duration"], tick=settings["tick"])
     final, last = done.final, done.results[-1]
     if last.outcome is Outcome.DIVERGED:

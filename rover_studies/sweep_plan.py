@@ -34,7 +34,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from rover_sim import Scenario, ScenarioError, load_scenario, read_yaml
+from rover_sim import (
+    AnyScenario,
+    ScenarioError,
+    load_scenario,
+    read_yaml,
+    scenario_from_mapping,
+)
 from rover_studies.experiments import EXPERIMENTS, Experiment, Value
 
 SCENARIO: Final = "scenario"
@@ -150,10 +156,10 @@ class Plan:
         return EXPERIMENTS[self.content["experiment"]]
 
     @cached_property
-    def scenarios(self) -> Mapping[str, Scenario]:
+    def scenarios(self) -> Mapping[str, AnyScenario]:
         """The scenarios by name, with what `set` changes in all of them."""
         return {
-            name: Scenario.from_mapping(mapping)
+            name: scenario_from_mapping(mapping)
             for name, mapping in self.content["scenarios"].items()
         }
 
@@ -226,7 +232,7 @@ class Plan:
         seed = int(np.random.SeedSequence([self.seed, number, 1]).generate_state(1)[0])
         return Run(number, scenario, values, seed)
 
-    def scenario_of(self, run: Run) -> Scenario:
+    def scenario_of(self, run: Run) -> AnyScenario:
         """The scenario of a run.
 
         Raises:
@@ -346,7 +352,7 @@ def _whole(content: Mapping[str, Any], key: str, default: int, low: int, high: i
     return value
 
 
-def _scenario(name: str, folder: Path | None, shared: Mapping[str, Any]) -> Scenario:
+def _scenario(name: str, folder: Path | None, shared: Mapping[str, Any]) -> AnyScenario:
     source: str | Path = name
     if name.endswith((".yaml", ".yml")) and folder is not None:
         source = folder / name

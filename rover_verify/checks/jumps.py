@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_sim import Command, JumpMetrics, PlanarPlant, PlanarState, Scenario, jump, load_scenario
+from rover_sim import Command, JumpMetrics, PlanarPlant, PlanarState, Scenario, jump, load_planar
 from rover_sim.physics.planar_dae import PlanarDae
 from rover_sim.run import run
 from rover_verify.checks import Batch, Measured
@@ -53,7 +53,7 @@ def _known_jumps() -> list[tuple[str, JumpMetrics, tuple[float, float]]]:
                 "take_off.compression": known.compression,
                 "tether.elements": elements,
             }
-            metrics = jump(PlanarPlant(load_scenario(known.scenario, overrides)))
+            metrics = jump(PlanarPlant(load_planar(known.scenario, overrides)))
             name = f"{known.scenario} {known.geometry} s = {known.slack:g}, n = {elements}"
             found.append((name, metrics, expected))
     return found
@@ -75,7 +75,7 @@ def taut(_batch: Batch) -> Measured:
     """Largest deviation of the taut jump's figures from the other code's, on three meshes."""
     details = {}
     for elements in (10, 20, 40):
-        metrics = jump(PlanarPlant(load_scenario("taut_jump", {"tether.elements": elements})))
+        metrics = jump(PlanarPlant(load_planar("taut_jump", {"tether.elements": elements})))
         values = (metrics.height, metrics.attitude_variation, metrics.travel, metrics.flight_time)
         for (name, expected), value in zip(_TAUT.items(), values, strict=True):
             details[f"{name}, n = {elements}"] = value - expected
@@ -84,7 +84,7 @@ def taut(_batch: Batch) -> Measured:
 
 def taut_path(_batch: Batch) -> Measured:
     """Deviation of Body 1 at 0.3 s of the taut jump from the other code."""
-    plant = PlanarPlant(load_scenario("taut_jump", {"integration.h": 5e-4}))
+    plant = PlanarPlant(load_planar("taut_jump", {"integration.h": 5e-4}))
     state = run(plant, plant.take_off(plant.initial_state()), 0.3).final
     difference = np.array([*state.G1, state.theta]) - np.array(_TAUT_AT_300_MS)
     names = ("x [m]", "y [m]", "theta [rad]")
@@ -107,7 +107,7 @@ def random_jump(generator: np.random.Generator, **fixed: object) -> Scenario:
         "rover.m2": float(generator.uniform(0.2, 3.0)),
         **fixed,
     }
-    return load_scenario(_HIGH, overrides)
+    return load_planar(_HIGH, overrides)
 
 
 def dae_of(scenario: Scenario) -> PlanarDae:
@@ -179,7 +179,7 @@ def dae_order(_batch: Batch) -> Measured:
     orders = {}
     for name, (scenario, overrides) in cases.items():
         steps = (5e-4, 2.5e-4, 1.25e-4)
-        differences = _difference_from_dae(load_scenario(scenario, overrides), steps)
+        differences = _difference_from_dae(load_planar(scenario, overrides), steps)
         for coarse, fine in itertools.pairwise(differences):
             orders[f"{name}, from {coarse:.1e} m"] = math.log2(coarse / fine)
     return Measured(min(orders.values()), "two jumps over 0.2 s, h = 0.5 to 0.125 ms", orders)
@@ -190,7 +190,7 @@ def order_in_time(_batch: Batch) -> Measured:
     ends = []
     for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
         overrides = {"integration.h": h, "integration.tolerance": 1e-11}
-        plant = PlanarPlant(load_scenario("taut_jump", overrides))
+        plant = PlanarPlant(load_planar("taut_jump", overrides))
         state, _ = plant.step(plant.take_off(plant.initial_state()), Command(), 0.3)
         ends.append(np.array([*state.G1, state.theta]))
     gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(ends)]
@@ -203,7 +203,7 @@ def order_in_elements(_batch: Batch) -> Measured:
     """Order of convergence of the free tether's fall in the number of elements."""
     tips = []
     for elements in (5, 10, 20, 40):
-        plant = PlanarPlant(load_scenario("tether_pendulum", {"tether.elements": elements}))
+        plant = PlanarPlant(load_planar("tether_pendulum", {"tether.elements": elements}))
         state, _ = plant.step(plant.initial_state(), Command(), 0.8)
         tips.append(state.nodes[-1, 0])
     gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(tips)]
@@ -222,7 +222,7 @@ def unrelaxed_scatter(_batch: Batch) -> Measured:
             "start.initial_shape": shape,
             "tether.elements": 5,
         }
-        plant = PlanarPlant(load_scenario(_STIFF, overrides))
+        plant = PlanarPlant(load_planar(_STIFF, overrides))
         stored[shape] = plant.energies(plant.initial_state()).axial
     details = {f"axial energy, {shape} [J]": energy for shape, energy in stored.items()}
     return Measured(stored["catenary"], "-H, s = 3.5, 70 GPa, n = 5; the jump has 16.5 J", details)

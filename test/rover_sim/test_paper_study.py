@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rover_sim.paper_study import main, study_point
-from rover_sim.scenario import ScenarioError, load_scenario
+from rover_sim.scenario import ScenarioError, load_planar
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,7 +29,7 @@ def jumps(name: str, **overrides: object) -> tuple[list[float], list[float]]:
     """Heights [m] and attitude variations [rad] over the slack values."""
     given = {key.replace("__", "."): value for key, value in overrides.items()}
     points = [
-        study_point(load_scenario(name, {**given, "start.slack": slack})) for slack in SLACK_VALUES
+        study_point(load_planar(name, {**given, "start.slack": slack})) for slack in SLACK_VALUES
     ]
     return (
         [one["jump_height_m"] for one in points],
@@ -272,4 +272,4 @@ class TestCommandLine:
 
     def test_a_study_point_needs_a_rover(self):
         with pytest.raises(ScenarioError, match="no rover"):
-            study_point(load_scenario("tether_pendulum"))
+            study_point(load_planar("tether_pendulum"))

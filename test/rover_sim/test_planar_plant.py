@@ -21,6 +21,7 @@ from rover_sim import (
     WinchCommand,
     jump,
     jump_many,
+    load_planar,
     load_scenario,
     run,
 )
@@ -304,7 +305,7 @@ def test_a_step_releases_the_interpreters_lock() -> None:
 
 def test_many_jumps_give_what_single_ones_do_whatever_the_number_of_threads() -> None:
     scenarios = [
-        load_scenario("paper_table1_high", {"start.slack": slack, "tether.breaking_load": load})
+        load_planar("paper_table1_high", {"start.slack": slack, "tether.breaking_load": load})
         for slack, load in ((0.6, 1e3), (1.0, 1e3), (2.0, 0.1))
     ]
     one, two = jump_many(scenarios), jump_many(scenarios, workers=2)

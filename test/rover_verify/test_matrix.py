@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rover_sim import Scenario, TetherSection, load_scenario, static_equilibrium
+from rover_sim import Scenario, TetherSection, load_planar, static_equilibrium
 from rover_verify import checks, matrix, page
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.matrix import Result, Store, measure, verify
@@ -263,9 +263,9 @@ def test_a_wrong_model_fails_its_check(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert measure(row, batch_in(tmp_path)).state == "PASS"
 
     def heavier(name: str, changes: dict[str, object]) -> Scenario:
-        return load_scenario(name, {**changes, "gravity": 9.82})
+        return load_planar(name, {**changes, "gravity": 9.82})
 
-    monkeypatch.setattr("rover_verify.checks.jumps.load_scenario", heavier)
+    monkeypatch.setattr("rover_verify.checks.jumps.load_planar", heavier)
     assert measure(row, batch_in(tmp_path)).state == "FAIL"
 
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rover_sim.plant import Command, Energies, Event, Outcome, Phase, StepResult
+from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, Phase, StepResult
 from rover_sim.scenario import load_scenario
 
 
@@ -53,7 +53,7 @@ class FakePlant:
                 return replace(after, phase=Phase.LANDED), self._result(Outcome.CONVERGED)
             return after, self._result(Outcome.CONVERGED)
         jump = command.jump
-        if jump is None:
+        if not isinstance(jump, JumpMotorCommand):
             return after, self._result(Outcome.CONVERGED)
         way = jump.compression - state.compression
         moved = state.compression + math.copysign(min(abs(way), jump.rate * dt), way)

@@ -11,7 +11,7 @@ from rover_sim.physics.ancf import Array
 from rover_sim.physics.planar_dae import DEFAULT_STABILISATION, DaeTrajectory, PlanarDae
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Command
-from rover_sim.scenario import Scenario, load_scenario
+from rover_sim.scenario import Scenario, load_planar
 
 UNDAMPED_SLIDER = {"rover.slider_damping": 0.0}
 EVERYTHING_DAMPED = {
@@ -43,7 +43,7 @@ def take_off(scenario: Scenario) -> PlanarState:
 @pytest.fixture
 def disturbed() -> tuple[PlanarDae, Array, Array]:
     """A damped DAE at coordinates and rates that fulfil no constraint."""
-    scenario = load_scenario("paper_table1_high", EVERYTHING_DAMPED)
+    scenario = load_planar("paper_table1_high", EVERYTHING_DAMPED)
     dae = dae_of(scenario)
     generator = np.random.default_rng(11)
     q, _ = dae.coordinates(take_off(scenario))
@@ -99,7 +99,7 @@ class TestEquations:
         assert difference == pytest.approx(0.0, abs=1e-9)
 
     def test_element_matrices_agree_with_the_quadrature_of_the_assembled_model(self):
-        scenario = load_scenario("paper_table1_high")
+        scenario = load_planar("paper_table1_high")
         dae, section = dae_of(scenario), scenario.tether.section
         generator = np.random.default_rng(5)
         e = generator.standard_normal((5, 4, 2))
@@ -120,25 +120,25 @@ class TestEquations:
 class TestMotion:
     @pytest.mark.parametrize("stabilisation", [5.0, 20.0, 100.0])
     def test_constraints_hold_over_four_seconds(self, stabilisation: float):
-        scenario = load_scenario("paper_table1_high")
+        scenario = load_planar("paper_table1_high")
         flight = dae_of(scenario, stabilisation).integrate(take_off(scenario), 4.0, 1e-3, 100)
         assert flight.largest_constraint < 1e-8
         assert flight.bodies[-1, 0, 1] < -4.0  # it fell past its start and the tether caught it
 
     def test_too_strong_a_stabilisation_fails(self):
-        scenario = load_scenario("paper_table1_high")
+        scenario = load_planar("paper_table1_high")
         with pytest.raises(ArithmeticError, match="left the finite numbers at"):
             dae_of(scenario, 3000.0).integrate(take_off(scenario), 4.0, 1e-3)
 
     def test_the_error_falls_with_the_fourth_power_of_the_step(self):
-        scenario = load_scenario("paper_table1_low", UNDAMPED_SLIDER)
+        scenario = load_planar("paper_table1_low", UNDAMPED_SLIDER)
         dae, start = dae_of(scenario), take_off(scenario)
         ends = [dae.integrate(start, 0.2, h).nodes[-1] for h in (4e-3, 2e-3, 1e-3)]
         ratio = np.max(np.abs(ends[0] - ends[1])) / np.max(np.abs(ends[1] - ends[2]))
         assert 12.0 < ratio < 40.0
 
     def test_energy_without_damping_is_kept_to_the_order_of_the_method(self):
-        scenario = load_scenario("paper_table1_low", UNDAMPED_SLIDER)
+        scenario = load_planar("paper_table1_low", UNDAMPED_SLIDER)
         dae, start = dae_of(scenario), take_off(scenario)
         drifts = []
         for h in (4e-3, 2e-3, 1e-3):
@@ -148,13 +148,13 @@ class TestMotion:
         assert drifts[0] > 10.0 * drifts[1] > 100.0 * drifts[2]
 
     def test_energy_with_damping_only_falls(self):
-        scenario = load_scenario("paper_table1_high", EVERYTHING_DAMPED)
+        scenario = load_planar("paper_table1_high", EVERYTHING_DAMPED)
         energy = dae_of(scenario).integrate(take_off(scenario), 0.2, 2.5e-4).energy
         assert np.all(np.diff(energy) < 0.0)
         assert energy[0] - energy[-1] > 1e-3
 
     def test_the_taut_jump_comes_out_as_other_codes_find_it(self):
-        scenario = load_scenario("taut_jump", {"tether.elements": 10})
+        scenario = load_planar("taut_jump", {"tether.elements": 10})
         flight = dae_of(scenario).integrate(take_off(scenario), 0.3, 2.5e-4, 1200)
         body1 = flight.bodies[-1, 0]
         assert body1[:2] == pytest.approx([4.82477, -1.98151], abs=3e-5)
@@ -162,7 +162,7 @@ class TestMotion:
 
     @pytest.mark.parametrize("duration", [0.0, -1.0, 0.00037])
     def test_a_duration_that_is_no_number_of_steps_is_refused(self, duration: float):
-        scenario = load_scenario("paper_table1_low")
+        scenario = load_planar("paper_table1_low")
         with pytest.raises(ValueError, match="whole number of steps"):
             dae_of(scenario).integrate(take_off(scenario), duration, 1e-3)
 
@@ -221,7 +221,7 @@ class TestAgainstTheAssembledModel:
         reference_step: float,
         steps: tuple[float, ...],
     ):
-        scenario = load_scenario(name, {**overrides, "integration.tolerance": 1e-12})
+        scenario = load_planar(name, {**overrides, "integration.tolerance": 1e-12})
         reference = self.reference(scenario, reference_step)
         assert reference.largest_constraint < 1e-10
         differences = [self.difference(self.assembled(scenario, h), reference) for h in steps]
@@ -230,7 +230,7 @@ class TestAgainstTheAssembledModel:
             assert 3.0 < coarse / fine < 5.2
 
     def test_a_wrong_parameter_would_show(self):
-        scenario = load_scenario("paper_table1_high", EVERYTHING_DAMPED)
+        scenario = load_planar("paper_table1_high", EVERYTHING_DAMPED)
         reference = self.reference(scenario, 2.5e-4)
         for path, value in (
             ("rover.body2_size", [0.25, 0.10]),

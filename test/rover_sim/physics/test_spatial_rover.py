@@ -9,7 +9,7 @@ from rover_sim.physics.spatial_rover import ROTORS, SPIN, Rover
 from rover_sim.physics.tether import make_tether
 from rover_sim.planar_plant import PlanarPlant
 from rover_sim.plant import Command
-from rover_sim.scenario import load_scenario
+from rover_sim.scenario import load_planar
 
 TABLE1 = TetherSection.round(0.5e9, 3.45e-4, 1e4, axial_damping_time=2e-3)
 
@@ -125,7 +125,7 @@ def test_free_gyrostat_keeps_energy_and_momenta():
 def spatial_jump(azimuth: float, h: float, duration: float) -> tuple[March, np.ndarray]:
     """The planar taut jump's start, standing in the vertical plane of that azimuth."""
     overrides = {"tether.elements": 5, "integration.h": h, "integration.tolerance": 1e-12}
-    scenario = load_scenario("taut_jump", overrides)
+    scenario = load_planar("taut_jump", overrides)
     plant = PlanarPlant(scenario)
     state = plant.take_off(plant.initial_state())
     made = scenario.rover

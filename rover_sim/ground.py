@@ -1,0 +1,281 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
+"""The place in space: gravity, floor, boulders, hole and what the ground is made of.
+
+Axes: map, z up, the fairlead at the origin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
+
+from rover_sim import configuration
+from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity
+from rover_sim.mirrored import Mirrored, refuse_what_is_refused_by
+from rover_sim.physics import boulders, contact, places, wheel_soil
+from rover_sim.physics.terrain import Terrain, build_terrain
+from rover_sim.physics.wheel_contact import WheelLaw
+
+Material: TypeAlias = Literal["regolith", "rock"]
+
+_BOULDERS = boulders.BoulderParameters()
+_RELIEF = places.ReliefParameters()
+_TERRAIN = places.TerrainParameters()
+_SOIL = wheel_soil.Soil()
+_WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
+_KNOWN_HOLES = {
+    "marius_hills": places.MARIUS_HILLS,
+    "tranquillitatis": places.MARE_TRANQUILLITATIS,
+    "ingenii": places.MARE_INGENII,
+}
+_FAR_BELOW = 1.0e6  # floor of a place without one [m]; farther than any tether reaches
+
+
+@dataclass(frozen=True)
+class Floor(Configuration):
+    """A plane below the fairlead; with a hole its height follows from the hole's depth."""
+
+    height: float = quantity(
+        "m", "z of the floor below the fairlead", _TERRAIN.floor_height, maximum=0.0
+    )
+    slope: float = quantity("deg", "inclination", 0.0, minimum=0.0, maximum=60.0)
+    downhill: float = quantity(
+        "deg", "where the slope falls to, from x towards y", 0.0, minimum=-360.0, maximum=360.0
+    )
+    material: Material = choice(get_args(Material), "what it is", "regolith")
+
+    @property
+    def gradient(self) -> tuple[float, float]:
+        """dz/dx and dz/dy [-]."""
+        fall, heading = math.tan(math.radians(self.slope)), math.radians(self.downhill)
+        return -fall * math.cos(heading), -fall * math.sin(heading)
+
+
+@dataclass(frozen=True)
+class Relief(Mirrored):
+    """Gentle ups and downs of the floor on the patch."""
+
+    KIND = places.ReliefParameters
+
+    rms: float = quantity("m", "root mean square height", _RELIEF.rms, minimum=0.0)
+    spacing: float = quantity("m", "of the nodes", _RELIEF.spacing, above=0.0)
+    octaves: int = quantity("-", "of wavelengths", _RELIEF.octaves, kind=int, minimum=1, maximum=8)
+    roughness: float = quantity(
+        "-", "amplitude of an octave over the next", _RELIEF.roughness, above=0.0, maximum=1.0
+    )
+
+
+@dataclass(frozen=True)
+class Boulders(Mirrored):
+    """Boulders strewn over the patch by a power law."""
+
+    KIND = boulders.BoulderParameters
+
+    density: float = quantity(
+        "1/m^2", "boulders of all sizes per area", _BOULDERS.density, minimum=0.0, maximum=20.0
+    )
+    smallest: float = quantity("m", "diameter", _BOULDERS.smallest, above=0.0)
+    largest: float = quantity("m", "diameter", _BOULDERS.largest, above=0.0)
+    exponent: float = quantity("-", "b of N(>= D) ~ D^-b", _BOULDERS.exponent, above=0.0)
+    height_ratio: float = quantity(
+        "-", "height over diameter", _BOULDERS.height_ratio, above=0.0, maximum=0.5
+    )
+    clear_radius: float = quantity(
+        "m", "free of boulders around the plumb line", _BOULDERS.clear_radius, minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Patch(Configuration):
+    """The square that relief and boulders cover."""
+
+    centre: tuple[float, float] = quantity("m", "x and y", _TERRAIN.patch_centre, length=2)
+    half_width: float = quantity(
+        "m", "half its side", _TERRAIN.patch_half_width, above=0.0, maximum=200.0
+    )
+
+
+@dataclass(frozen=True)
+class Hole(Configuration):
+    """A vertical hole: a known one, or one by its numbers.
+
+    A hole by numbers has a straight wall that widens by `overhang` below `overhang_from`.
+    """
+
+    known: str | None = choice(tuple(_KNOWN_HOLES), "a hole of the Moon", None, optional=True)
+    diameter: float | None = quantity("m", "of the mouth", None, above=0.0, optional=True)
+    depth: float | None = quantity("m", "from ground to floor", None, above=0.0, optional=True)
+    overhang: float | None = quantity(
+        "m", "radius of the floor beyond the mouth's, of a hole by numbers", None, optional=True
+    )
+    overhang_from: float | None = quantity(
+        "m", "depth at which the wall begins to widen", None, above=0.0, optional=True
+    )
+    wall_distance: float = quantity("m", "fairlead's, at the narrowest", 3.0, above=0.0)
+    fairlead_height: float = quantity("m", "above the ground around", 1.0, above=0.0)
+    rim_radius: float = quantity("m", "rounding of the rim", 1.0, above=0.0)
+
+    def check(self) -> None:
+        """Refuse a hole that is given in no way or in two."""
+        numbers = ("diameter", "depth")
+        for name in (*numbers, "overhang", "overhang_from"):
+            value = getattr(self, name)
+            if self.known is not None and value is not None:
+                raise ConfigurationError(name, value, f"should be null, as {self.known} is known")
+        for name in numbers:
+            if self.known is None and getattr(self, name) is None:
+                raise ConfigurationError(
+                    name, None, f"needed, unless known is one of {', '.join(_KNOWN_HOLES)}"
+                )
+        if (self.overhang is None) != (self.overhang_from is None):
+            raise ConfigurationError(
+                "overhang_from", self.overhang_from, "should be given together with overhang"
+            )
+        refuse_what_is_refused_by(self.parameters)
+
+    def parameters(self) -> places.HoleParameters:
+        """What the terrain is built from."""
+        place: dict[str, Any] = {
+            "wall_distance": self.wall_distance,
+            "fairlead_height": self.fairlead_height,
+            "rim_radius": self.rim_radius,
+        }
+        if self.known is not None:
+            return dataclasses.replace(_KNOWN_HOLES[self.known], **place)
+        assert self.diameter is not None
+        assert self.depth is not None
+        profile: tuple[tuple[float, float], ...] = ()
+        if self.overhang is not None and self.overhang_from is not None:
+            if not self.overhang_from < self.depth:
+                raise ConfigurationError(
+                    "overhang_from", self.overhang_from, f"should be below {self.depth:g} m"
+                )
+            profile = ((self.overhang_from, 0.0), (self.depth, self.overhang))
+        return places.HoleParameters(
+            diameter=self.diameter, depth=self.depth, profile=profile, **place
+        )
+
+
+@dataclass(frozen=True)
+class Contact(Mirrored):
+    """Law of contact between the rover's corners, or the tether, and a ground."""
+
+    KIND: ClassVar[type] = contact.ContactParameters
+
+    stiffness: float = quantity("N/m^1.5", "k of k d^1.5 (tether: per metre)", above=0.0)
+    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0)
+    static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
+    kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
+    stribeck_speed: float = quantity("m/s", "over which mu falls", 0.05, above=0.0)
+    slip_speed: float = quantity("m/s", "of the regularisation", 0.002, above=0.0)
+    anchor_stiffness: float = quantity(
+        "N/m", "of the parking anchor (tether: per metre)", 1.0e5, minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Soil(Mirrored):
+    """Strength of the regolith under a wheel."""
+
+    KIND = wheel_soil.Soil
+
+    cohesive_modulus: float = quantity("N/m^(n+1)", "k_c", _SOIL.cohesive_modulus, minimum=0.0)
+    frictional_modulus: float = quantity("N/m^(n+2)", "k_phi", _SOIL.frictional_modulus, above=0.0)
+    exponent: float = quantity("-", "n", _SOIL.exponent, minimum=0.3, maximum=2.0)
+    cohesion: float = quantity("Pa", "c", _SOIL.cohesion, minimum=0.0)
+    friction_angle: float = quantity("deg", "phi", _SOIL.friction_angle, above=0.0, maximum=60.0)
+    shear_modulus: float = quantity("m", "K", _SOIL.shear_modulus, above=0.0)
+    peak_offset: float = quantity("-", "c1", _SOIL.peak_offset, minimum=0.0, maximum=1.0)
+    peak_slope: float = quantity("-", "c2", _SOIL.peak_slope, minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True)
+class WheelOnSoil(Configuration):
+    """How a wheel sinks, slips sideways and parks."""
+
+    damping: float = quantity("s/m", "of sinking", _WHEEL_LAW["damping"], minimum=0.0)
+    parking_speed: float = quantity(
+        "m/s", "below which it parks", _WHEEL_LAW["parking_speed"], above=0.0
+    )
+    slip_speed: float = quantity(
+        "m/s", "of the regularisation", _WHEEL_LAW["slip_speed"], above=0.0
+    )
+    anchor_stiffness: float = quantity(
+        "N/m", "of the parking anchor", _WHEEL_LAW["anchor_stiffness"], minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Place(Configuration):
+    """Where it all happens."""
+
+    gravity: float = quantity("m/s^2", "g, along -z", minimum=0.0, maximum=1e3)
+    seed: int = quantity("-", "of relief and boulders", 0, kind=int, minimum=0, maximum=2**31 - 1)
+    floor: Floor | None = configuration.section(
+        Floor, "the floor; null: nothing to touch", Floor(), optional=True
+    )
+    patch: Patch = configuration.section(Patch, "where relief and boulders are", Patch())
+    relief: Relief | None = configuration.section(Relief, "ups and downs", None, optional=True)
+    boulders: Boulders | None = configuration.section(Boulders, "boulders", None, optional=True)
+    hole: Hole | None = configuration.section(Hole, "a hole around all", None, optional=True)
+    rock: Contact = configuration.section(
+        Contact, "boulders, walls and bare rock", Contact.like(contact.ROCK)
+    )
+    regolith: Contact = configuration.section(
+        Contact, "regolith, for the rover's corners", Contact.like(contact.REGOLITH)
+    )
+    soil: Soil = configuration.section(Soil, "regolith under a wheel", Soil())
+    wheel: WheelOnSoil = configuration.section(WheelOnSoil, "wheels on regolith", WheelOnSoil())
+
+    def check(self) -> None:
+        """Refuse parts that nothing would show."""
+        if self.floor is None:
+            for name in ("relief", "boulders", "hole"):
+                if getattr(self, name) is not None:
+                    raise ConfigurationError(
+                        name, "given", "should be null without a floor to carry it"
+                    )
+        if self.hole is not None and self.floor is not None and self.floor.slope != 0.0:
+            raise ConfigurationError("floor.slope", self.floor.slope, "should be 0 in a hole")
+
+    @property
+    def parameters(self) -> places.TerrainParameters:
+        """What the terrain is built from; without a floor, one that nothing reaches."""
+        floor = self.floor
+        if floor is None:
+            return places.TerrainParameters(floor_height=-_FAR_BELOW)
+        slope_x, slope_y = floor.gradient
+        return places.TerrainParameters(
+            floor_height=floor.height,
+            slope_x=slope_x,
+            slope_y=slope_y,
+            floor_is_rock=floor.material == "rock",
+            patch_centre=self.patch.centre,
+            patch_half_width=self.patch.half_width,
+            relief=None if self.relief is None else self.relief.parameters(),
+            boulders=None if self.boulders is None else self.boulders.parameters(),
+            hole=None if self.hole is None else self.hole.parameters(),
+        )
+
+    def build(self) -> Terrain:
+        """The terrain."""
+        return build_terrain(self.parameters, self.seed)
+
+    @property
+    def floor_height(self) -> float:
+        """Height of the floor's plane below the fairlead [m]; -inf without one."""
+        if self.floor is None:
+            return -math.inf
+        if self.hole is not None:
+            hole = self.hole.parameters()
+            return -hole.fairlead_height - hole.depth
+        return self.floor.height
+
+    def wheel_law(self, table: Any) -> WheelLaw:
+        """Law of a wheel on this soil, from the table of its stresses."""
+        values = {
+            item.name: getattr(self.wheel, item.name) for item in dataclasses.fields(self.wheel)
+        }
+        return WheelLaw(table, **values)

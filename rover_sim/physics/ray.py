@@ -1,0 +1,54 @@
+"""How far it is from a point to the ground along a line: what a range finder would measure."""
+
+import math
+
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.contact import Vector
+from rover_sim.physics.terrain import Terrain, depth_and_normal
+
+_LONGEST_STEP = 0.2  # [m]; below terrain.CLEARANCE, within which depths are exact
+_SHORTEST_STEP = 0.01
+_BISECTIONS = 30
+
+
+@checked
+def _depth(terrain: Terrain, origin: Vector, direction: Vector, way: float) -> float:
+    return depth_and_normal(
+        terrain,
+        origin[0] + way * direction[0],
+        origin[1] + way * direction[1],
+        origin[2] + way * direction[2],
+    )[0]
+
+
+@checked
+def distance_to_ground(terrain: Terrain, origin: Vector, direction: Vector, reach: float) -> float:
+    """Distance [m] along a unit vector to where the ground begins; inf if beyond `reach`.
+
+    What the line only grazes by less than a centimetre may be missed. A point inside the ground
+    has the distance 0.
+
+    Args:
+        terrain: the ground.
+        origin: where the line starts [m].
+        direction: unit vector.
+        reach: how far is looked [m].
+    """
+    way = 0.0
+    depth = _depth(terrain, origin, direction, way)
+    if depth >= 0.0:
+        return 0.0
+    while way < reach:
+        step = min(max(-depth, _SHORTEST_STEP), _LONGEST_STEP)
+        depth = _depth(terrain, origin, direction, way + step)
+        if depth >= 0.0:
+            low, high = way, way + step
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + high)
+                if _depth(terrain, origin, direction, middle) >= 0.0:
+                    high = middle
+                else:
+                    low = middle
+            return 0.5 * (low + high)
+        way += step
+    return math.inf

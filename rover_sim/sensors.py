@@ -1,0 +1,514 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
+"""Sensors: what the hardware would measure of what is true, with its errors.
+
+`SensorSuite.step` takes what is true at the end of a tick and gives readings; its state is a value,
+so the same state and truth give the same readings. A reading is made in this order: the true
+signal, late by `delay` (between ticks it runs linearly); the bias, which starts at random and
+wanders; white noise; the range, beyond which it saturates; the resolution. White noise is given by
+its density N, so that a tick of dt carries N/sqrt(dt), and a wandering bias by the density K of its
+walk, K sqrt(dt) in a tick: both look the same however long the ticks are. Every random number
+follows from the seed, the tick's number and the channel.
+
+The gyro gives the mean rate of the tick (the rotation from its start to its end) and the
+accelerometer the mean specific force at its place (the change of velocity less gravity), as sensors
+do that integrate over their sample.
+
+Vectors are in base_link; SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rover_sim import configuration
+from rover_sim.configuration import Configuration, choice, quantity
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.ray import distance_to_ground
+from rover_sim.physics.terrain import Terrain
+from rover_sim.physics.vectors import Vector, rotate, rotation_of
+
+Quality: TypeAlias = Literal["real", "perfect"]
+
+
+# ---------------------------------------------------------------------------------- parameters
+
+
+@dataclass(frozen=True)
+class Channel(Configuration):
+    """Errors of one measured quantity; its unit U is the quantity's."""
+
+    noise_density: float = quantity("U/sqrt(Hz)", "of the white noise", 0.0, minimum=0.0)
+    bias: float = quantity("U", "standard deviation of the bias at the start", 0.0, minimum=0.0)
+    bias_walk: float = quantity("U/sqrt(s)", "density of the bias' walk", 0.0, minimum=0.0)
+    range: float = quantity(
+        "U", "largest magnitude; beyond it saturates", math.inf, above=0.0, infinite=True
+    )
+    resolution: float = quantity("U", "step of the readings, 0: none", 0.0, minimum=0.0)
+    delay: float = quantity("s", "from truth to reading", 0.0, minimum=0.0, maximum=5.0)
+
+
+@dataclass(frozen=True)
+class Camera(Configuration):
+    """A camera that looks at the wall, with a range finder along its axis."""
+
+    place: Vector = quantity("m", "in base_link", (-0.16, 0.0, 0.05), length=3)
+    axis: Vector = quantity("-", "where it looks in base_link", (-1.0, 0.0, 0.0), length=3)
+    pixel: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
+    exposure: float = quantity("s", "exposure time", 0.1, above=0.0, maximum=10.0)
+    reach: float = quantity("m", "how far the range finder sees", 60.0, above=0.0, maximum=500.0)
+    range_finder: Channel = configuration.section(
+        Channel, "wall distance [m]", Channel(noise_density=5e-4, resolution=1e-3)
+    )
+
+    def check(self) -> None:
+        """Refuse an axis that is none."""
+        if not any(self.axis):
+            raise configuration.ConfigurationError(
+                "axis", list(self.axis), "should point somewhere"
+            )
+
+
+# Our choice: a tactical MEMS IMU (0.05 deg/s and 0.01 m/s^2 a sample at 100 Hz), encoders of 4096
+# counts at the motors, Hall current sensors, and strain-gauge load cells of 500 N.
+_GYRO = Channel(
+    noise_density=8.7e-5, bias=1.7e-3, bias_walk=3e-6, range=8.7, resolution=0.0, delay=0.0
+)
+_ACCELEROMETER = Channel(noise_density=1e-3, bias=0.01, bias_walk=1e-5, range=80.0)
+_COUNT = 2.0 * math.pi / 4096.0
+_CURRENT = Channel(noise_density=1e-3, bias=5e-3, range=20.0)
+_LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_walk=5e-4, range=500.0)
+
+
+@dataclass(frozen=True)
+class Sensors(Configuration):
+    """All that measures; `quality: perfect` takes every error away."""
+
+    quality: Quality = choice(
+        get_args(Quality), "real: with the errors below; perfect: with none", "real"
+    )
+    seed: int = quantity("-", "of all errors", 0, kind=int, minimum=0, maximum=2**31 - 1)
+    imu_place: Vector = quantity("m", "of the IMU in base_link", (0.05, 0.0, 0.0), length=3)
+    gyro: Channel = configuration.section(Channel, "angular velocity [rad/s]", _GYRO)
+    accelerometer: Channel = configuration.section(
+        Channel, "specific force [m/s^2]", _ACCELEROMETER
+    )
+    flywheel_encoder: Channel = configuration.section(
+        Channel, "angle of the jump motor's shaft [rad]", Channel(resolution=_COUNT)
+    )
+    wheel_encoders: Channel = configuration.section(
+        Channel, "angles of the wheels [rad]", Channel(resolution=_COUNT / 4.0)
+    )
+    drum_encoder: Channel = configuration.section(
+        Channel, "length paid out [m]", Channel(resolution=2e-6)
+    )
+    currents: Channel = configuration.section(Channel, "currents of the motors [A]", _CURRENT)
+    fairlead_load_cell: Channel = configuration.section(
+        Channel, "tension at the fairlead [N]", _LOAD_CELL
+    )
+    rover_load_cell: Channel = configuration.section(
+        Channel, "tension at the rover [N]", _LOAD_CELL
+    )
+    switch_load: float = quantity("N", "load that closes a contact switch", 0.5, above=0.0)
+    camera: Camera = configuration.section(Camera, "the wall camera", Camera())
+
+
+# ------------------------------------------------------------------------------- true and read
+
+
+class BodyMotion(NamedTuple):
+    """Body 1 at an instant."""
+
+    position: Vector  # of base_link in map [m]
+    orientation: tuple[float, float, float, float]  # (w, x, y, z), base_link to map
+    velocity: Vector  # in map [m/s]
+    spin: Vector  # angular velocity in base_link [rad/s]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What there is to measure at the end of a tick."""
+
+    time: float  # [s]
+    body: BodyMotion | None = None  # None: no rover
+    nut: float = 0.0  # counted as compression [m]
+    flywheel_angle: float = 0.0  # [rad]
+    flywheel_rate: float = 0.0  # relative to Body 1 [rad/s]
+    wheel_angles: tuple[float, float] = (0.0, 0.0)  # left, right [rad]
+    wheel_rates: tuple[float, float] = (0.0, 0.0)  # relative to Body 1 [rad/s]
+    length: float = 0.0  # paid out [m]
+    payout_rate: float = 0.0  # [m/s]
+    brake_closed: bool = True
+    currents: Vector = (0.0, 0.0, 0.0)  # of jump, wheel and winch motor [A]
+    fairlead_tension: float = 0.0  # [N]
+    rover_tension: float = 0.0  # [N]
+    wheel_loads: tuple[float, float] = (0.0, 0.0)  # of the ground on the wheels [N]
+    body_load: float = 0.0  # of the ground on corners and tail [N]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the sensors tell at the end of a tick."""
+
+    time: float  # [s]
+    gyro: Vector  # [rad/s]
+    specific_force: Vector  # [m/s^2]
+    nut: float  # [m]
+    nut_rate: float  # [m/s]
+    flywheel_angle: float  # [rad]
+    flywheel_rate: float  # [rad/s]
+    wheel_angles: tuple[float, float]  # left, right [rad]
+    wheel_rates: tuple[float, float]  # [rad/s]
+    length: float  # [m]
+    payout_rate: float  # [m/s]
+    brake_closed: bool
+    currents: Vector  # of jump, wheel and winch motor [A]
+    fairlead_tension: float  # [N]
+    rover_tension: float  # [N]
+    wheel_contacts: tuple[bool, bool]  # left, right
+    body_contact: bool
+    wall_distance: float  # [m]; inf: out of reach
+    smear: float  # of the wall's picture over the exposure [px]
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether anything touches."""
+        return self.body_contact or any(self.wheel_contacts)
+
+
+class _Row(IntEnum):
+    """Where the signals stand in a row of all of them."""
+
+    GYRO = 0
+    FORCE = 3
+    NUT = 6
+    FLYWHEEL = 7
+    FLYWHEEL_RATE = 8
+    WHEELS = 9
+    WHEEL_RATES = 11
+    LENGTH = 13
+    PAYOUT = 14
+    CURRENTS = 15
+    FAIRLEAD = 18
+    ROVER = 19
+    WALL = 20
+    SIZE = 21
+
+
+@dataclass(frozen=True, eq=False)
+class SensorState:
+    """What the sensors remember; a value like the plant's states."""
+
+    tick: int
+    truth: Truth
+    bias: Array  # (SIZE,)
+    signals: tuple[tuple[float, Array], ...]  # instants [s] and rows that delays still need
+    angles: Array  # last rows read, for the encoders' rates, (SIZE,)
+    picture: tuple[tuple[float, float, float], ...]  # time [s] and place of the picture [rad]
+
+
+# ------------------------------------------------------------------------------------ measuring
+
+
+def mean_rate(before: ArrayLike, after: ArrayLike, dt: float) -> Array:
+    """Mean angular velocity in body axes [rad/s], (3,), between two orientations (w, x, y, z)."""
+    w0, v0 = _parts(before)
+    w1, v1 = _parts(after)
+    scalar = w0 * w1 + v0 @ v1
+    vector = w0 * v1 - w1 * v0 - np.cross(v0, v1)
+    if scalar < 0.0:
+        scalar, vector = -scalar, -vector
+    size = float(np.linalg.norm(vector))
+    if size < 1e-12:
+        return np.asarray(2.0 / dt * vector)
+    return np.asarray(2.0 * math.atan2(size, scalar) / (size * dt) * vector)
+
+
+def specific_force(
+    before: BodyMotion, after: BodyMotion, place: ArrayLike, gravity: float, dt: float
+) -> Array:
+    """Mean specific force at a place of Body 1, in its axes in the middle of dt [m/s^2], (3,)."""
+    acceleration = (_velocity_at(after, place) - _velocity_at(before, place)) / dt
+    acceleration[2] += gravity
+    middle = np.array(before.orientation)
+    other = np.array(after.orientation)
+    middle = middle + (other if middle @ other >= 0.0 else -other)
+    return np.asarray(_matrix(middle / np.linalg.norm(middle)).T @ acceleration)
+
+
+def image_rate(body: BodyMotion, place: ArrayLike, axis: ArrayLike, distance: float) -> Array:
+    """Rate at which what a camera sees moves past its axis [rad/s], (3,), in base_link.
+
+    A point of the wall on the axis at the distance D moves by -(W x a + v/D), v the camera's
+    velocity across the axis a.
+    """
+    look = _unit(axis)
+    spin = np.array(body.spin)
+    velocity = _matrix(np.array(body.orientation)).T @ _velocity_at(body, place)
+    across = velocity - (velocity @ look) * look
+    parallax = across / distance if math.isfinite(distance) and distance > 0.0 else 0.0
+    return np.asarray(-(np.cross(spin, look) + parallax))
+
+
+def spread(points: Iterable[tuple[float, float]]) -> float:
+    """Largest distance between two of some points of a plane."""
+    places = np.array(list(points))
+    if len(places) < 2:
+        return 0.0
+    apart = places[:, None] - places[None]
+    return float(np.sqrt(np.max(np.sum(apart**2, axis=-1))))
+
+
+class SensorSuite:
+    """The sensors of a scenario.
+
+    Args:
+        parameters: what they are like.
+        gravity: strength [m/s^2].
+        pitch: travel of the nut per angle of the jump motor's shaft [m/rad].
+        terrain: what the camera looks at; None: nothing.
+        seed: of the errors, instead of the parameters' own.
+    """
+
+    def __init__(
+        self,
+        parameters: Sensors,
+        gravity: float,
+        *,
+        pitch: float = 0.0,
+        terrain: Terrain | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.parameters = parameters
+        self._gravity = gravity
+        self._pitch = pitch
+        self._terrain = terrain
+        self._seed = parameters.seed if seed is None else seed
+        self._noise, self._bias, self._walk, self._resolution = np.zeros((4, _Row.SIZE))
+        self._range = np.full(_Row.SIZE, math.inf)
+        self._delay = np.zeros(_Row.SIZE)
+        if parameters.quality == "real":
+            self._take_over(parameters)
+        self._sides = _sides_of(parameters.camera.axis)
+
+    def _take_over(self, p: Sensors) -> None:
+        screw = p.flywheel_encoder.resolution * self._pitch
+        nut = replace(p.flywheel_encoder, resolution=screw, noise_density=0.0, bias=0.0)
+        for first, count, channel in (
+            (_Row.GYRO, 3, p.gyro),
+            (_Row.FORCE, 3, p.accelerometer),
+            (_Row.NUT, 1, nut),
+            (_Row.FLYWHEEL, 1, p.flywheel_encoder),
+            (_Row.WHEELS, 2, p.wheel_encoders),
+            (_Row.LENGTH, 1, p.drum_encoder),
+            (_Row.CURRENTS, 3, p.currents),
+            (_Row.FAIRLEAD, 1, p.fairlead_load_cell),
+            (_Row.ROVER, 1, p.rover_load_cell),
+            (_Row.WALL, 1, p.camera.range_finder),
+        ):
+            rows = slice(first, first + count)
+            self._noise[rows] = channel.noise_density
+            self._bias[rows] = channel.bias
+            self._walk[rows] = channel.bias_walk
+            self._range[rows] = channel.range
+            self._resolution[rows] = channel.resolution
+            self._delay[rows] = channel.delay
+
+    def start(self, truth: Truth) -> SensorState:
+        """The sensors switched on, with biases drawn."""
+        row = self._signals(truth, truth, 0.0)
+        return SensorState(
+            0,
+            truth,
+            self._bias * self._numbers(0),
+            ((truth.time, row),),
+            self._quantised(row),
+            ((truth.time, 0.0, 0.0),),
+        )
+
+    def step(self, state: SensorState, truth: Truth) -> tuple[SensorState, Readings]:
+        """Measure at the end of a tick that began at the state's truth.
+
+        Raises:
+            ValueError: time has not gone on.
+        """
+        dt = truth.time - state.truth.time
+        if not dt > 0.0:
+            raise ValueError(f"time = {truth.time}: must be after {state.truth.time} s")
+        tick = state.tick + 1
+        now = self._signals(state.truth, truth, dt)
+        signals = self._kept((*state.signals, (truth.time, now)))
+        row = self._late(signals, truth.time)
+        numbers = self._numbers(tick)
+        bias = state.bias + self._walk * math.sqrt(dt) * numbers[0]
+        read = row + bias + self._noise / math.sqrt(dt) * numbers[1]
+        read = self._quantised(np.clip(read, -self._range, self._range))
+        for angle, rate, count in (
+            (_Row.FLYWHEEL, _Row.FLYWHEEL_RATE, 1),
+            (_Row.WHEELS, _Row.WHEEL_RATES, 2),
+            (_Row.LENGTH, _Row.PAYOUT, 1),
+        ):
+            for k in range(count):
+                if self._resolution[angle + k] > 0.0:
+                    turned = read[angle + k] - state.angles[angle + k]
+                    read[rate + k] = turned / dt
+        picture, smear = self._smear(state, truth, now[_Row.WALL], dt)
+        after = SensorState(tick, truth, bias, signals, read, picture)
+        return after, self._readings(truth, read, smear)
+
+    def _numbers(self, tick: int) -> Array:
+        """Standard normal numbers of a tick, (2, SIZE): for the walks and for the noise."""
+        counter = np.array([0, 0, tick, 0], dtype=np.uint64)
+        bits = np.random.Philox(key=self._seed, counter=counter)
+        drawn = np.random.Generator(bits).standard_normal((2, _Row.SIZE))
+        return drawn if tick else drawn[0]
+
+    def _signals(self, before: Truth, after: Truth, dt: float) -> Array:
+        """All signals without errors, (SIZE,)."""
+        row = np.zeros(_Row.SIZE)
+        if after.body is not None:
+            row[_Row.GYRO : _Row.GYRO + 3] = after.body.spin
+            if before.body is not None and dt > 0.0:
+                row[_Row.GYRO : _Row.GYRO + 3] = mean_rate(
+                    before.body.orientation, after.body.orientation, dt
+                )
+                row[_Row.FORCE : _Row.FORCE + 3] = specific_force(
+                    before.body, after.body, self.parameters.imu_place, self._gravity, dt
+                )
+        row[_Row.NUT] = after.nut
+        row[_Row.FLYWHEEL], row[_Row.FLYWHEEL_RATE] = after.flywheel_angle, after.flywheel_rate
+        row[_Row.WHEELS : _Row.WHEELS + 2] = after.wheel_angles
+        row[_Row.WHEEL_RATES : _Row.WHEEL_RATES + 2] = after.wheel_rates
+        row[_Row.LENGTH], row[_Row.PAYOUT] = after.length, after.payout_rate
+        row[_Row.CURRENTS : _Row.CURRENTS + 3] = after.currents
+        row[_Row.FAIRLEAD], row[_Row.ROVER] = after.fairlead_tension, after.rover_tension
+        row[_Row.WALL] = self._wall_distance(after.body)
+        return row
+
+    def _wall_distance(self, body: BodyMotion | None) -> float:
+        camera = self.parameters.camera
+        if body is None or self._terrain is None:
+            return math.inf
+        turned = rotation_of(body.orientation)
+        place = np.array(body.position) + rotate(turned, camera.place)
+        look = _unit(rotate(turned, camera.axis))
+        return float(
+            distance_to_ground(
+                self._terrain, _vector(place.tolist()), _vector(look.tolist()), camera.reach
+            )
+        )
+
+    def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:
+        """Without what is older than the longest delay needs."""
+        oldest = signals[-1][0] - float(self._delay.max())
+        first = 0
+        while first + 1 < len(signals) and signals[first + 1][0] <= oldest:
+            first += 1
+        return signals[first:]
+
+    def _late(self, signals: tuple[tuple[float, Array], ...], now: float) -> Array:
+        """The row of signals, each late by its delay."""
+        if not self._delay.any():
+            return signals[-1][1]
+        instants = np.array([instant for instant, _ in signals])
+        rows = np.array([row for _, row in signals])
+        late = np.empty(_Row.SIZE)
+        for k in range(_Row.SIZE):
+            late[k] = np.interp(now - self._delay[k], instants, rows[:, k])
+        return late
+
+    def _quantised(self, row: Array) -> Array:
+        step = np.where(self._resolution > 0.0, self._resolution, 1.0)
+        return np.where(self._resolution > 0.0, np.round(row / step) * step, row)
+
+    def _smear(
+        self, state: SensorState, truth: Truth, distance: float, dt: float
+    ) -> tuple[tuple[tuple[float, float, float], ...], float]:
+        """The picture's way during the last exposure, and its spread [px]."""
+        camera = self.parameters.camera
+        if truth.body is None or state.truth.body is None:
+            return state.picture, 0.0
+        rate = 0.5 * (
+            image_rate(state.truth.body, camera.place, camera.axis, distance)
+            + image_rate(truth.body, camera.place, camera.axis, distance)
+        )
+        _, x, y = state.picture[-1]
+        moved = self._sides @ rate * dt
+        picture = (*state.picture, (truth.time, x + float(moved[0]), y + float(moved[1])))
+        opened = truth.time - camera.exposure * (1.0 + 1e-9)
+        while len(picture) > 2 and picture[1][0] <= opened:
+            picture = picture[1:]
+        if picture[0][0] < opened:  # the shutter opened between two ticks
+            (t0, x0, y0), (t1, x1, y1) = picture[:2]
+            share = (opened - t0) / (t1 - t0)
+            first = (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
+            points = [first, *((px, py) for _, px, py in picture[1:])]
+        else:
+            points = [(px, py) for _, px, py in picture]
+        return picture, spread(points) / camera.pixel
+
+    def _readings(self, truth: Truth, row: Array, smear: float) -> Readings:
+        values = row.tolist()
+        switch = self.parameters.switch_load
+        return Readings(
+            time=truth.time,
+            gyro=_vector(values[_Row.GYRO : _Row.GYRO + 3]),
+            specific_force=_vector(values[_Row.FORCE : _Row.FORCE + 3]),
+            nut=values[_Row.NUT],
+            nut_rate=values[_Row.FLYWHEEL_RATE] * self._pitch,
+            flywheel_angle=values[_Row.FLYWHEEL],
+            flywheel_rate=values[_Row.FLYWHEEL_RATE],
+            wheel_angles=(values[_Row.WHEELS], values[_Row.WHEELS + 1]),
+            wheel_rates=(values[_Row.WHEEL_RATES], values[_Row.WHEEL_RATES + 1]),
+            length=values[_Row.LENGTH],
+            payout_rate=values[_Row.PAYOUT],
+            brake_closed=truth.brake_closed,
+            currents=_vector(values[_Row.CURRENTS : _Row.CURRENTS + 3]),
+            fairlead_tension=values[_Row.FAIRLEAD],
+            rover_tension=values[_Row.ROVER],
+            wheel_contacts=(truth.wheel_loads[0] > switch, truth.wheel_loads[1] > switch),
+            body_contact=truth.body_load > switch,
+            wall_distance=values[_Row.WALL],
+            smear=smear,
+        )
+
+
+def _parts(quaternion: ArrayLike) -> tuple[float, Array]:
+    q = np.asarray(quaternion, dtype=np.float64)
+    return float(q[0]), q[1:]
+
+
+def _matrix(quaternion: Array) -> Array:
+    """Rotation matrix, body to map."""
+    w, x, y, z = quaternion.tolist()
+    return np.column_stack(rotation_of((w, x, y, z)))
+
+
+def _velocity_at(body: BodyMotion, place: ArrayLike) -> Array:
+    """Velocity in map of a point of Body 1 [m/s]."""
+    turning = np.cross(np.array(body.spin), np.asarray(place, dtype=np.float64))
+    return np.asarray(np.array(body.velocity) + _matrix(np.array(body.orientation)) @ turning)
+
+
+def _unit(vector: ArrayLike) -> Array:
+    array = np.asarray(vector, dtype=np.float64)
+    return np.asarray(array / np.linalg.norm(array))
+
+
+def _sides_of(axis: ArrayLike) -> Array:
+    """Two unit vectors across an axis, (2, 3)."""
+    look = _unit(axis)
+    helper = np.array([0.0, 0.0, 1.0]) if abs(look[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    first = _unit(np.cross(helper, look))
+    return np.stack([first, np.cross(look, first)])
+
+
+def _vector(values: list[float]) -> Vector:
+    x, y, z = values
+    return (x, y, z)
