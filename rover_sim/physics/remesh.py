@@ -21,52 +21,52 @@ has just been split gives back the same state.
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from rover_sim.physics.ancf import GAUSS_POINTS, GAUSS_WEIGHTS, Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.ancf import GAUSS_POINTS, GAUSS_WEIGHTS, Array, curvature_functions
+from rover_sim.physics.compiled import kernel
 from rover_sim.physics.tether import Tether
-from rover_sim.physics.variable_length import exit_energies, field_at, split
+from rover_sim.physics.variable_length import Coordinates, field_at
 
 _POINTS = len(GAUSS_WEIGHTS)  # on each of the two elements that are merged
+_CURVATURE = curvature_functions(GAUSS_POINTS, 1.0)
 
 
-class Remesh(NamedTuple):
-    """Scratch arrays of splitting and merging in space."""
+class _Span(NamedTuple):
+    """One direction of an element: what `field_at` takes."""
 
-    e: Array  # coordinates of the exit element, (4, 3)
-    rate: Array  # their rates, (4, 3)
-    chain: Array  # coordinates of the chain's first element, (4, 3)
-    chain_rate: Array  # their rates, (4, 3)
-    merged: Array  # coordinates of the new exit element, (4, 3)
-    merged_rate: Array  # their rates, (4, 3)
-    node: Array  # (r, r') of a node, (6,)
-    node_rate: Array  # its rates, (6,)
+    length: float  # undeformed [m]
+    payout_rate: float  # of the material through its first node [m/s]
+    e: Coordinates
+    rate: Coordinates
 
 
-@allocating
-def make_remesh() -> Remesh:
-    """Allocate the arrays."""
-    return Remesh(
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros(6),
-        np.zeros(6),
+@kernel
+def _exit_span(
+    length: float, payout_rate: float, slope: float, rate: float, q: Array, v: Array, i: int, d: int
+) -> _Span:
+    """Direction d of an exit element from the fairlead to the chain's node i."""
+    return _Span(
+        length,
+        payout_rate,
+        (0.0, slope, q[d, i], q[3 + d, i]),
+        (0.0, rate, v[d, i], v[3 + d, i]),
     )
 
 
 @kernel
-def _gather(mouth: Array, q: Array, v: Array, node: int, e: Array, rate: Array) -> None:
-    """Coordinates and rates of an element from the fairlead to a node."""
-    for d in range(3):
-        e[0, d], rate[0, d] = 0.0, 0.0
-        e[1, d], rate[1, d] = mouth[0, d], mouth[1, d]
-        e[2, d], rate[2, d] = q[d, node], v[d, node]
-        e[3, d], rate[3, d] = q[3 + d, node], v[3 + d, node]
+def _chain_span(length: float, q: Array, v: Array, d: int) -> _Span:
+    """Direction d of the chain's first element."""
+    return _Span(
+        length,
+        0.0,
+        (q[d, 0], q[3 + d, 0], q[d, 1], q[3 + d, 1]),
+        (v[d, 0], v[3 + d, 0], v[d, 1], v[3 + d, 1]),
+    )
+
+
+@kernel
+def _field(span: _Span, place: float) -> tuple[float, float, float, float]:
+    """Place, slope, velocity and its slope at a distance from the span's first node."""
+    return field_at(span.length, place, span.payout_rate, span.e, span.rate)
 
 
 @kernel
@@ -78,33 +78,30 @@ def split_first(
     q: Array,
     v: Array,
     anchors: Array,
-    n: int,
-    work: Remesh,
 ) -> float:
     """Cut an element of nominal length off the exit element, as the chain's new first one.
 
     Args:
-        tether: its element_length is what is cut off.
+        tether: the chain before, of n elements; its element_length is what is cut off.
         length: undeformed length of the exit element, above element_length [m].
         payout_rate: v_pay [m/s].
         mouth: slope and slope rate at the fairlead, which is the origin, (2, 3).
         q: rows (6, width) of the chain's n + 1 nodes; changed: a node comes before the others.
         v: their rates; changed.
         anchors: of the contact points (2 n + 2 or more, 3); changed.
-        n: elements of the chain before; q, v and anchors have room for one more.
-        work: scratch.
 
     Returns:
         Length of the new exit element [m].
     """
+    n = tether.elements
     left = length - tether.element_length
-    _gather(mouth, q, v, 0, work.e, work.rate)
-    split(length, left, payout_rate, work.e, work.rate, work.node, work.node_rate)
-    for k in range(6):
-        for i in range(n + 1, 0, -1):
-            q[k, i], v[k, i] = q[k, i - 1], v[k, i - 1]
-        q[k, 0], v[k, 0] = work.node[k], work.node_rate[k]
     for d in range(3):
+        span = _exit_span(length, payout_rate, mouth[0, d], mouth[1, d], q, v, 0, d)
+        place, slope, speed, slope_speed = _field(span, left)
+        for k in (d, 3 + d):
+            for i in range(n + 1, 0, -1):
+                q[k, i], v[k, i] = q[k, i - 1], v[k, i - 1]
+        q[d, 0], q[3 + d, 0], v[d, 0], v[3 + d, 0] = place, slope, speed, slope_speed
         for p in range(2 * n + 1, 1, -1):
             anchors[p, d] = anchors[p - 2, d]
         anchors[0, d], anchors[1, d] = 0.0, 0.0
@@ -112,102 +109,102 @@ def split_first(
 
 
 @kernel
-def _old_field(
-    tether: Tether, length: float, payout_rate: float, k: int, d: int, work: Remesh
-) -> tuple[float, float, float]:
-    """Place, slope and velocity of the two elements to be merged, at point k of both together."""
-    g = k % _POINTS
-    if k < _POINTS:
-        here, slope, speed, _ = field_at(
-            length, length * GAUSS_POINTS[g], payout_rate, work.e, work.rate, d
-        )
-    else:
-        nominal = tether.element_length
-        here, slope, speed, _ = field_at(
-            nominal, nominal * GAUSS_POINTS[g], 0.0, work.chain, work.chain_rate, d
-        )
-    return here, slope, speed
-
-
-@kernel
-def _point(tether: Tether, length: float, k: int) -> tuple[float, float]:
-    """Distance from the fairlead and weight [m] of point k."""
+def _point(length: float, nominal: float, k: int) -> tuple[float, float]:
+    """Distance from the fairlead and weight [m] of quadrature point k of both elements."""
     g = k % _POINTS
     if k < _POINTS:
         return length * GAUSS_POINTS[g], length * GAUSS_WEIGHTS[g]
-    nominal = tether.element_length
     return length + nominal * GAUSS_POINTS[g], nominal * GAUSS_WEIGHTS[g]
 
 
 @kernel
-def _slope_shape(length: float, place: float) -> tuple[float, float]:
+def _old(first: _Span, second: _Span, place: float) -> tuple[float, float, float, float]:
+    """The field of the two elements to be merged."""
+    if place < first.length:
+        return _field(first, place)
+    return _field(second, place - first.length)
+
+
+@kernel
+def _exit_shape(length: float, place: float) -> tuple[float, float]:
     """Shape function of an element's first slope, and its derivative."""
     xi = place / length
     return length * xi * (1.0 - xi) ** 2, (1.0 - xi) * (1.0 - 3.0 * xi)
 
 
 @kernel
-def _fit_shape(tether: Tether, length: float, payout_rate: float, work: Remesh) -> None:
-    """Exit slope of the merged element: closest shape, then the same mean strain."""
-    whole = length + tether.element_length
-    for d in range(3):
-        work.merged[1, d] = 0.0
-        wanted, size = 0.0, 0.0
-        for k in range(2 * _POINTS):
-            s, weight = _point(tether, length, k)
-            shape, _ = _slope_shape(whole, s)
-            old, _, _ = _old_field(tether, length, payout_rate, k, d, work)
-            held, _, _, _ = field_at(whole, s, 0.0, work.merged, work.merged_rate, d)
-            wanted += weight * shape * (old - held)
-            size += weight * shape * shape
-        work.merged[1, d] = wanted / size
-
-    # |r'|^2 integrated changes by 2 way.move + size move^2 with the slope
-    way = (0.0, 0.0, 0.0)
-    size, excess = 0.0, 0.0
+def _closest_slope(first: _Span, second: _Span, held: _Span) -> float:
+    """Exit slope of the merged element that leaves the shape closest; `held` has slope 0."""
+    wanted, size = 0.0, 0.0
     for k in range(2 * _POINTS):
-        s, weight = _point(tether, length, k)
-        _, shape = _slope_shape(whole, s)
+        s, weight = _point(first.length, second.length, k)
+        shape, _ = _exit_shape(held.length, s)
+        wanted += weight * shape * (_old(first, second, s)[0] - _field(held, s)[0])
         size += weight * shape * shape
-        for d in range(3):
-            _, old, _ = _old_field(tether, length, payout_rate, k, d, work)
-            _, slope, _, _ = field_at(whole, s, 0.0, work.merged, work.merged_rate, d)
-            excess += weight * (slope * slope - old * old)
-            work.node[d] = slope
-        way = (
-            way[0] + weight * shape * work.node[0],
-            way[1] + weight * shape * work.node[1],
-            way[2] + weight * shape * work.node[2],
-        )
+    return wanted / size
+
+
+@kernel
+def _closest_rate(first: _Span, second: _Span, held: _Span) -> float:
+    """Exit slope's rate that leaves the velocities closest; `held` has rate 0."""
+    wanted, size = 0.0, 0.0
+    for k in range(2 * _POINTS):
+        s, weight = _point(first.length, second.length, k)
+        shape, _ = _exit_shape(held.length, s)
+        wanted += weight * shape * (_old(first, second, s)[2] - _field(held, s)[2])
+        size += weight * shape * shape
+    return wanted / size
+
+
+@kernel
+def _stretching(first: _Span, second: _Span, merged: _Span) -> tuple[float, float, float]:
+    """One direction's part in the integral of r'.r': excess of the new, its slope and curvature.
+
+    Slope and curvature are those of half the integral by the exit slope.
+    """
+    excess, way, size = 0.0, 0.0, 0.0
+    for k in range(2 * _POINTS):
+        s, weight = _point(first.length, second.length, k)
+        _, shape = _exit_shape(merged.length, s)
+        new = _field(merged, s)[1]
+        excess += weight * (new * new - _old(first, second, s)[1] ** 2)
+        way += weight * shape * new
+        size += weight * shape * shape
+    return excess, way, size
+
+
+@kernel
+def _keep_stretch(
+    excess: float, way: tuple[float, float, float], size: float
+) -> tuple[float, float, float]:
+    """The least change of the exit slope that takes the excess away, or as much as can be."""
     steep = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-    if steep > 0.0:
-        move = -excess / (steep + math.sqrt(max(steep * steep - size * excess, 0.0)))
+    if not steep > 0.0:
+        return 0.0, 0.0, 0.0
+    move = -excess / (steep + math.sqrt(max(steep * steep - size * excess, 0.0)))
+    return move * way[0] / steep, move * way[1] / steep, move * way[2] / steep
+
+
+@kernel
+def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
+    """Energy of an element [J], by quadrature that is exact."""
+    length = spans[0].length
+    total = 0.0
+    for g in range(_POINTS):
+        s = length * GAUSS_POINTS[g]
+        square, density = 0.0, 0.0
         for d in range(3):
-            work.merged[1, d] += move * way[d] / steep
-
-
-@kernel
-def _fit_motion(tether: Tether, length: float, payout_rate: float, work: Remesh) -> None:
-    """Exit slope's rate of the merged element: closest velocities."""
-    whole = length + tether.element_length
-    for d in range(3):
-        work.merged_rate[1, d] = 0.0
-        wanted, size = 0.0, 0.0
-        for k in range(2 * _POINTS):
-            s, weight = _point(tether, length, k)
-            shape, _ = _slope_shape(whole, s)
-            _, _, old = _old_field(tether, length, payout_rate, k, d, work)
-            _, _, held, _ = field_at(whole, s, payout_rate, work.merged, work.merged_rate, d)
-            wanted += weight * shape * (old - held)
-            size += weight * shape * shape
-        work.merged_rate[1, d] = wanted / size
-
-
-@kernel
-def _energy(tether: Tether, length: float, payout_rate: float, e: Array, rate: Array) -> float:
-    """Energy of an element [J]."""
-    parts = exit_energies(tether, length, payout_rate, e, rate)
-    return parts[0] + parts[1] + parts[2] + parts[3]
+            span = spans[d]
+            place, slope, speed, _ = _field(span, s)
+            square += slope * slope
+            density += tether.line_density * (0.5 * speed * speed - tether.gravity[d] * place)
+            bend = 0.0
+            for i in range(4):
+                bend += _CURVATURE[g, i] * span.e[i] * (length if i % 2 == 1 else 1.0)
+            density += 0.5 * tether.bending_stiffness * (bend / length**2) ** 2
+        density += 0.5 * tether.axial_stiffness * (0.5 * (square - 1.0)) ** 2
+        total += length * GAUSS_WEIGHTS[g] * density
+    return total
 
 
 @kernel
@@ -219,46 +216,65 @@ def merge_first(
     q: Array,
     v: Array,
     anchors: Array,
-    n: int,
-    work: Remesh,
-) -> tuple[float, float]:
+) -> float:
     """Merge the exit element and the chain's first one.
 
+    The new exit element is longer by the tether's element_length.
+
     Args:
-        tether: the chain.
+        tether: the chain before, of n elements, 2 or more.
         length: undeformed length of the exit element [m].
         payout_rate: v_pay [m/s].
         mouth: slope and slope rate at the fairlead, which is the origin, (2, 3); changed.
         q: rows (6, width) of the chain's n + 1 nodes; changed: the first of them goes.
         v: their rates; changed.
         anchors: of the contact points (2 n or more, 3); changed: the first two of them go.
-        n: elements of the chain before, 2 or more.
-        work: scratch.
 
     Returns:
-        Length of the new exit element [m], and by what the tether's energy has changed [J].
+        By what the tether's energy has changed [J], contact left out.
     """
-    whole = length + tether.element_length
-    _gather(mouth, q, v, 0, work.e, work.rate)
-    _gather(mouth, q, v, 1, work.chain, work.chain_rate)
-    _gather(mouth, q, v, 1, work.merged, work.merged_rate)
+    n = tether.elements
+    nominal = tether.element_length
+    whole = length + nominal
+    x, y, z = 0, 1, 2
+    first = (
+        _exit_span(length, payout_rate, mouth[0, x], mouth[1, x], q, v, 0, x),
+        _exit_span(length, payout_rate, mouth[0, y], mouth[1, y], q, v, 0, y),
+        _exit_span(length, payout_rate, mouth[0, z], mouth[1, z], q, v, 0, z),
+    )
+    second = (
+        _chain_span(nominal, q, v, x),
+        _chain_span(nominal, q, v, y),
+        _chain_span(nominal, q, v, z),
+    )
+    change = -_energy(tether, first) - _energy(tether, second)
+
+    excess, size = 0.0, 0.0
     for d in range(3):
-        for a in range(2):
-            work.chain[a, d] = q[3 * a + d, 0]
-            work.chain_rate[a, d] = v[3 * a + d, 0]
-    _fit_shape(tether, length, payout_rate, work)
-    _fit_motion(tether, length, payout_rate, work)
-    change = _energy(tether, whole, payout_rate, work.merged, work.merged_rate)
-    change -= _energy(tether, length, payout_rate, work.e, work.rate)
-    change -= _energy(tether, tether.element_length, 0.0, work.chain, work.chain_rate)
+        held = _exit_span(whole, payout_rate, 0.0, 0.0, q, v, 1, d)
+        mouth[0, d] = _closest_slope(first[d], second[d], held)
+        merged = _exit_span(whole, payout_rate, mouth[0, d], 0.0, q, v, 1, d)
+        more, mouth[1, d], size = _stretching(first[d], second[d], merged)
+        excess += more
+    moves = _keep_stretch(excess, (mouth[1, x], mouth[1, y], mouth[1, z]), size)
+    for d in range(3):
+        mouth[0, d] += moves[d]
+        held = _exit_span(whole, payout_rate, mouth[0, d], 0.0, q, v, 1, d)
+        mouth[1, d] = _closest_rate(first[d], second[d], held)
+    change += _energy(
+        tether,
+        (
+            _exit_span(whole, payout_rate, mouth[0, x], mouth[1, x], q, v, 1, x),
+            _exit_span(whole, payout_rate, mouth[0, y], mouth[1, y], q, v, 1, y),
+            _exit_span(whole, payout_rate, mouth[0, z], mouth[1, z], q, v, 1, z),
+        ),
+    )
 
     for d in range(3):
-        mouth[0, d], mouth[1, d] = work.merged[1, d], work.merged_rate[1, d]
-    for k in range(6):
-        for i in range(n):
-            q[k, i], v[k, i] = q[k, i + 1], v[k, i + 1]
-    for d in range(3):
+        for k in (d, 3 + d):
+            for i in range(n):
+                q[k, i], v[k, i] = q[k, i + 1], v[k, i + 1]
         for p in range(2 * n - 2):
             anchors[p, d] = anchors[p + 2, d]
         anchors[2 * n - 2, d], anchors[2 * n - 1, d] = 0.0, 0.0
-    return whole, change
+    return change

@@ -31,6 +31,8 @@ from rover_sim.physics.compiled import allocating, kernel
 from rover_sim.physics.energy_momentum import Workspace, set_end
 from rover_sim.physics.tether import Tether
 
+Coordinates = tuple[float, float, float, float]  # (r1, r1', r2, r2') in one direction
+
 _POWER = np.array([0.0, 1.0, 0.0, 1.0])  # p of the four shape functions
 
 # Cubic coefficients of f, rows in ascending powers of xi, columns the shape functions.
@@ -396,29 +398,28 @@ def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
 
 @kernel
 def field_at(
-    length: float, place: float, payout_rate: float, e: Array, rate: Array, d: int
+    length: float, place: float, payout_rate: float, e: Coordinates, rate: Coordinates
 ) -> tuple[float, float, float, float]:
-    """Place, slope, material velocity and its slope in direction d inside an exit element.
+    """Place, slope, material velocity and its slope in one direction inside an element.
 
     Args:
         length: undeformed length of the element [m].
         place: undeformed distance from its first node [m].
         payout_rate: v_pay [m/s]; 0 for a Lagrangian element.
-        e: its coordinates, (4, dim).
-        rate: their rates, (4, dim).
-        d: which direction.
+        e: its coordinates in that direction.
+        rate: their rates.
     """
     sigma = -payout_rate
     xi = place / length
     here, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
         power = _scale(i, length)
-        here += power * _cubic(_F, xi, i) * e[i, d]
-        slope += power / length * _cubic_slope(_F, xi, i) * e[i, d]
-        speed += power * _cubic(_F, xi, i) * rate[i, d]
-        speed += sigma * power / length * _cubic(_G, xi, i) * e[i, d]
-        slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i, d]
-        slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i, d]
+        here += power * _cubic(_F, xi, i) * e[i]
+        slope += power / length * _cubic_slope(_F, xi, i) * e[i]
+        speed += power * _cubic(_F, xi, i) * rate[i]
+        speed += sigma * power / length * _cubic(_G, xi, i) * e[i]
+        slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i]
+        slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i]
     return here, slope, speed, slope_speed
 
 
@@ -448,5 +449,9 @@ def split(
     dim = e.shape[1]
     for d in range(dim):
         node[d], node[dim + d], node_rate[d], node_rate[dim + d] = field_at(
-            length, cut, payout_rate, e, rate, d
+            length,
+            cut,
+            payout_rate,
+            (e[0, d], e[1, d], e[2, d], e[3, d]),
+            (rate[0, d], rate[1, d], rate[2, d], rate[3, d]),
         )
