@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity
 from rover_sim.mirrored import Mirrored, refuse_what_is_refused_by
-from rover_sim.physics import boulders, contact, places, wheel_soil
+from rover_sim.physics import boulders, contact, places, tether_contact, wheel_soil
 from rover_sim.physics.terrain import Terrain, build_terrain
 from rover_sim.physics.wheel_contact import WheelLaw
 
@@ -24,6 +24,7 @@ _BOULDERS = boulders.BoulderParameters()
 _RELIEF = places.ReliefParameters()
 _TERRAIN = places.TerrainParameters()
 _SOIL = wheel_soil.Soil()
+_TETHER = tether_contact.TetherContactParameters()
 _WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
 _KNOWN_HOLES = {
     "marius_hills": places.MARIUS_HILLS,
@@ -160,18 +161,48 @@ class Hole(Configuration):
 
 @dataclass(frozen=True)
 class Contact(Mirrored):
-    """Law of contact between the rover's corners, or the tether, and a ground."""
+    """Law of contact between the rover's corners, or its wheels, and a ground."""
 
     KIND: ClassVar[type] = contact.ContactParameters
 
-    stiffness: float = quantity("N/m^1.5", "k of k d^1.5 (tether: per metre)", above=0.0)
+    stiffness: float = quantity("N/m^1.5", "k of k d^1.5", above=0.0)
     damping: float = quantity("s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0)
     static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
     kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
     stribeck_speed: float = quantity("m/s", "over which mu falls", 0.05, above=0.0)
     slip_speed: float = quantity("m/s", "of the regularisation", 0.002, above=0.0)
+    anchor_stiffness: float = quantity("N/m", "of the parking anchor", 1.0e5, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class TetherContact(Mirrored):
+    """Law of contact between a metre of tether and the ground."""
+
+    KIND = tether_contact.TetherContactParameters
+
+    rock_stiffness: float = quantity("N/m^1.5/m", "k on rock", _TETHER.rock_stiffness, above=0.0)
+    regolith_stiffness: float = quantity(
+        "N/m^1.5/m", "k on regolith", _TETHER.regolith_stiffness, above=0.0
+    )
+    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", _TETHER.damping, minimum=0.0)
+    rock_static_friction: float = quantity(
+        "-", "mu at rest on rock", _TETHER.rock_static_friction, minimum=0.0, maximum=5.0
+    )
+    rock_kinetic_friction: float = quantity(
+        "-", "mu sliding on rock", _TETHER.rock_kinetic_friction, minimum=0.0, maximum=5.0
+    )
+    regolith_static_friction: float = quantity(
+        "-", "mu at rest", _TETHER.regolith_static_friction, minimum=0.0, maximum=5.0
+    )
+    regolith_kinetic_friction: float = quantity(
+        "-", "mu sliding", _TETHER.regolith_kinetic_friction, minimum=0.0, maximum=5.0
+    )
+    stribeck_speed: float = quantity(
+        "m/s", "over which mu falls", _TETHER.stribeck_speed, above=0.0
+    )
+    slip_speed: float = quantity("m/s", "of the regularisation", _TETHER.slip_speed, above=0.0)
     anchor_stiffness: float = quantity(
-        "N/m", "of the parking anchor (tether: per metre)", 1.0e5, minimum=0.0
+        "N/m/m", "of the parking anchor", _TETHER.anchor_stiffness, minimum=0.0
     )
 
 

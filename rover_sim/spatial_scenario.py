@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, choice, quantity, text
-from rover_sim.ground import Contact, Place
+from rover_sim.ground import Place, TetherContact
 from rover_sim.machine import Rover, Vector, Winch
 from rover_sim.physics.drum import DrumParameters
 from rover_sim.scenario_parts import CrossSection, Integration, ScenarioError
@@ -44,8 +44,8 @@ class SpatialTether(CrossSection):
     element_length: float | None = quantity(
         "m", "nominal length of an element, instead", None, above=0.0, optional=True
     )
-    contact: Contact | None = configuration.section(
-        Contact, "with the ground, per metre; null: none", None, optional=True
+    contact: TetherContact | None = configuration.section(
+        TetherContact, "with the ground; null: it falls through", TetherContact(), optional=True
     )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
