@@ -1,0 +1,145 @@
+"""Twist of the tether, as one number, and the swivel between tether and rover.
+
+The cable has no torsion of its own; a spring GJ/L between fairlead and rover stands in for it. Its
+angle is that of the rover against a frame that goes along the tether without spinning about it
+(Bishop 1975, American Mathematical Monthly 82): from one tangent t1 to the next t2 by the smallest
+rotation, which takes a vector d normal to t1 to
+
+    d - (d.t2)/(1 + t1.t2) (t1 + t2).
+
+The chain of tangents is: straight down, where d is the world's x axis; the slope at the fairlead;
+the slopes of the nodes; and the rover's own -z axis b, about which the angle of its x axis against
+d is taken. So on a straight tether this is the swing-twist angle; a rover that cones about the
+vertical comes back to the same angle, though the integral of w.t does not (it drifts by the solid
+angle that t encloses). With the last tangent t held, the angle changes at the rate
+
+    w.a,   a = (t + b)/(1 + t.b),
+
+so a moment -M a on the rover does work against it exactly.
+
+Where two tangents in a row are opposite, in a folded tether, the smallest rotation is undefined;
+the angle then stays as it was. It is unwrapped with its last value: within half a turn of it.
+
+The swivel is elastic-perfectly plastic: below its friction torque it holds and the tether is
+twisted, above it slips.
+"""
+
+import math
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.vectors import (
+    Quaternion,
+    Vector,
+    add,
+    axpy,
+    cross,
+    dot,
+    rotation_of,
+    scale,
+)
+
+FOLDED = 1.0e-3  # 1 + t1.t2 below which the way from t1 to t2 counts as undefined [-]
+
+_DOWN: Vector = (0.0, 0.0, -1.0)
+_FORWARD: Vector = (1.0, 0.0, 0.0)
+
+
+@checked
+def direction_of(slope: Vector, otherwise: Vector) -> Vector:
+    """Unit vector along a slope; `otherwise` for one that is too small or not finite."""
+    square = dot(slope, slope)
+    if not 1.0e-12 < square < math.inf:
+        return otherwise
+    return scale(1.0 / math.sqrt(square), slope)
+
+
+@checked
+def carried(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
+    """d, normal to t1, turned by the smallest rotation from t1 to t2; False if there is none."""
+    room = 1.0 + dot(t1, t2)
+    if not room > FOLDED:
+        return d, False
+    return axpy(-dot(d, t2) / room, add(t1, t2), d), True
+
+
+@checked
+def tip_direction(elements: int, q: Array) -> Vector:
+    """Unit tangent at the last node of a tether with rows q (6, width)."""
+    n = elements
+    return direction_of((q[3, n], q[4, n], q[5, n]), _DOWN)
+
+
+@checked
+def twist_axis(elements: int, q: Array, orientation: Quaternion) -> Vector:
+    """The vector a (3,) such that the twist changes at the rate w.a; zero where folded."""
+    t = tip_direction(elements, q)
+    b = scale(-1.0, rotation_of(orientation)[2])
+    room = 1.0 + dot(t, b)
+    if not room > FOLDED:
+        return (0.0, 0.0, 0.0)
+    return scale(1.0 / room, add(t, b))
+
+
+@checked
+def twist_angle(
+    elements: int, slope: Vector, q: Array, orientation: Quaternion, before: float
+) -> float:
+    """Twist of the tether [rad], positive when the rover is turned about its -z axis, downwards.
+
+    Args:
+        elements: n.
+        slope: at the fairlead, (3,).
+        q: rows (6, width) of the chain's nodes.
+        orientation: of the rover, body to world.
+        before: the angle at the last step, for unwrapping and for a folded tether.
+    """
+    body = rotation_of(orientation)
+    t1 = _DOWN
+    d = _FORWARD
+    t2 = direction_of((slope[0], slope[1], slope[2]), t1)
+    for i in range(-1, elements + 2):
+        if i == elements + 1:
+            t2 = scale(-1.0, body[2])
+        elif i >= 0:
+            t2 = direction_of((q[3, i], q[4, i], q[5, i]), t1)
+        d, defined = carried(d, t1, t2)
+        if not defined:
+            return before
+        t1 = t2
+    sine = dot(cross(d, body[0]), t1)
+    cosine = dot(d, body[0])
+    if not sine * sine + cosine * cosine > 0.25:  # 1, up to rounding
+        return before
+    turn = math.atan2(sine, cosine) - before
+    turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+    return before + turn
+
+
+@checked
+def swivel_torque(
+    stiffness: float, friction: float, twist: float, slip: float
+) -> tuple[float, float, float]:
+    """Torque of the twisted tether on the rover, and how the swivel slips.
+
+    Args:
+        stiffness: GJ/L [N m/rad].
+        friction: torque at which the swivel slips [N m]; 0: free, inf: clamped.
+        twist: angle of the rover against the tether's frame [rad].
+        slip: of the swivel before [rad].
+
+    Returns:
+        Torque on the rover about `twist_axis` [N m]; the slip after; and the heat of slipping [J].
+    """
+    held = stiffness * (twist - slip)
+    if abs(held) <= friction:
+        return -held, slip, 0.0
+    limit = math.copysign(friction, held)
+    after = twist - limit / stiffness
+    return -limit, after, friction * abs(after - slip)
+
+
+@checked
+def twist_energy(stiffness: float, twist: float, slip: float) -> float:
+    """Energy of the twisted tether [J]."""
+    return 0.5 * stiffness * (twist - slip) ** 2
