@@ -18,11 +18,12 @@ PARAMS_FILE = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "sim_no
 # Parameters of sim_node that go before those of its file where they are given: type, meaning.
 PARAMETERS = {
     "scenario": (str, "name of a scenario of the package, or path of a .yaml file"),
+    "model": (str, "planar or spatial: refuse a scenario of another; scenario: take what it says"),
     "overrides": (str, 'changes to the scenario by dotted path: {"start.slack": 2.0}'),
     "real_time_factor": (float, "simulated seconds per second; 0 = as fast as possible"),
     "start_paused": (bool, "true: simulated time stands still until stepped or resumed"),
     "duration": (float, "end after this much simulated time [s]; 0 = never"),
-    "seed": (int, "seed of everything random"),
+    "seed": (int, "seed of the sensors' errors"),
 }
 ARGUMENTS = {
     "sim_params_file": (PARAMS_FILE, "parameters of sim_node"),

@@ -1,103 +1,220 @@
 """The drives' side of the plant: commands judged against it, and stopped when they cease.
 
 The contract has already refused what is no number, out of limits or out of date. Here is refused
-what only the plant can judge, such as a compression during the flight. Time is simulated time.
+what only the drives can judge, such as a reaction wheel's torque while the nut is hooked. Each
+drive has a watchdog of its own, with the contract's times: it needs nobody to be told that the
+commands have ceased. Time is simulated time; a tick is begun stopped if it would end too late.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
+
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_BRAKE, WINCH_DRUM
-from rover_sim.plant import Command, JumpMotorCommand, Phase
-from rover_sim.scenario import Scenario
+from msg_schemas.table import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    TOPICS,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from rover_sim.plant import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    Phase,
+    WheelRateCommand,
+    WheelTorqueCommand,
+    WinchCommand,
+)
 
 _NANO = 1e9
 # A drum without a motor is told to hold the length that it has; so near counts as that.
 _SAME_LENGTH = 1e-3
+# A nut so near to where it was sent has arrived [m].
+_ARRIVED = 1e-4
+# A drum that pays out no faster counts as standing [m/s].
+_STANDING = 1e-3
 # A command that was on its way when the latch tripped is no mistake of its sender's.
 _ON_THE_WAY_NS = 100_000_000
+
+COMMANDS = (
+    topics.JUMP_MOTOR_COMMAND,
+    topics.FLYWHEEL_COMMAND,
+    topics.WHEEL_COMMAND,
+    topics.WHEEL_TORQUE_COMMAND,
+    topics.WINCH_COMMAND,
+)
+
+
+@dataclass(frozen=True)
+class Nut:
+    """The nut of the jump motor's screw."""
+
+    spring_rate: float  # that it works against [N/m]
+    free_travel: float = 0.0  # above the latch [m]
+    needs_ground: bool = False  # whether it only works while the ground holds the rover
+    trip_event: str = "take_off"  # of the plant, when the latch trips
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """Which drives a plant has."""
+
+    scenario: str  # its name
+    nut: Nut | None = None
+    flywheel: bool = False
+    wheels: bool = False
+    held_length: float | None = None  # of a drum without a motor [m]; None: it has one
+
+
+class DriveStates(NamedTuple):
+    """What the drives feel at the start of a tick."""
+
+    phase: Phase
+    compression: float = 0.0  # where the nut stands, counted as compression [m]
+    nut_free: bool = True  # clear of the latch
+    spring_held: bool = False  # the latch holds the spring compressed so far
+    length: float = 0.0  # paid out [m]
+    payout_rate: float = 0.0  # [m/s]
+
+
+class Silence(NamedTuple):
+    """A drive that was stopped because its commands have ceased."""
+
+    name: str  # of the event
+    message: str
+    values: Mapping[str, object]
+
+
+C = TypeVar("C")
+
+
+class _Held(Generic[C]):
+    """The last command of one motor, while it holds."""
+
+    def __init__(self) -> None:
+        self.command: C | None = None
+        self._topic = ""
+        self._heard_ns = 0
+
+    def take(self, topic: str, command: C, now_ns: int) -> None:
+        self.command, self._topic, self._heard_ns = command, topic, now_ns
+
+    def drop(self) -> None:
+        self.command = None
+
+    def silence(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
+        """Drop a command that would be too old at the tick's end; returns its age [s]."""
+        if self.command is None:
+            return None
+        stale = TOPICS[self._topic].stale
+        limit = min(stale.silence, stale.moving_silence) if moves else stale.silence
+        if now_ns + tick_ns - self._heard_ns <= round(limit * _NANO):
+            return None
+        self.drop()
+        return (now_ns - self._heard_ns) / _NANO
 
 
 class Actuators:
     """What the drives were last told, while it holds.
 
     Args:
-        scenario: what is simulated.
+        equipment: the drives that there are.
+        tick_ns: control tick [ns].
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self._silence_ns = round(TOPICS[topics.JUMP_MOTOR_COMMAND].stale.silence * _NANO)
-        self._took_off_ns: int | None = None
-        self._jump: JumpMotorCommand | None = None
-        self._jump_heard_ns = 0
+    def __init__(self, equipment: Equipment, tick_ns: int) -> None:
+        self._equipment = equipment
+        self._tick_ns = tick_ns
+        self._tripped_ns: int | None = None
+        self._jump: _Held[JumpMotorCommand | FlywheelCommand] = _Held()
+        self._wheel: _Held[WheelRateCommand | WheelTorqueCommand] = _Held()
+        self._winch: _Held[WinchCommand] = _Held()
+        self._takers: dict[str, Callable[[JointSample, DriveStates, int], None]] = {
+            topics.JUMP_MOTOR_COMMAND: self._take_nut,
+            topics.FLYWHEEL_COMMAND: self._take_flywheel,
+            topics.WHEEL_COMMAND: self._take_wheel_rate,
+            topics.WHEEL_TORQUE_COMMAND: self._take_wheel_torque,
+            topics.WINCH_COMMAND: self._take_winch,
+        }
+
+    @property
+    def trip_event(self) -> str | None:
+        """Name of the plant's event when the latch trips."""
+        nut = self._equipment.nut
+        return None if nut is None else nut.trip_event
 
     @property
     def command(self) -> Command:
         """What the plant is to do in the next tick."""
-        return Command(jump=self._jump)
+        return Command(self._jump.command, self._winch.command, self._wheel.command)
 
     def clear(self) -> None:
         """Forget everything: the plant starts again."""
-        self._jump = None
-        self._took_off_ns = None
+        for drive in (self._jump, self._wheel, self._winch):
+            drive.drop()
+        self._tripped_ns = None
 
-    def note_take_off(self, now_ns: int) -> None:
+    def note_trip(self, now_ns: int) -> None:
         """The latch has tripped: what was commanded is done."""
-        self._jump = None
-        self._took_off_ns = now_ns
+        self._jump.drop()
+        self._tripped_ns = now_ns
 
-    def command_jump(
-        self, sample: JointSample, phase: Phase, compression: float, now_ns: int
-    ) -> None:
-        """Take a command for the nut of the jump motor.
+    def take(self, topic: str, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+        """Take a command.
 
         Args:
-            sample: an accepted sample of the jump motor's command.
-            phase: the plant's.
-            compression: present compression of the spring [m].
+            topic: one of ``COMMANDS``.
+            sample: an accepted sample of it.
+            states: what the drives feel now.
             now_ns: simulated time of arrival.
 
         Raises:
-            Refusal: the plant cannot do it now, or not at all.
+            Refusal: the drive cannot do it now, or is not there.
         """
-        topic = topics.JUMP_MOTOR_COMMAND
-        rover = self._scenario.rover
-        if rover is None:
-            raise Refusal(
-                topic,
-                RefusalCode.NOT_SUPPORTED,
-                f"the scenario {self._scenario.name} has no rover, so it has no jump motor",
-            )
-        if phase.final:
-            raise Refusal(topic, RefusalCode.WRONG_PHASE, stopped(phase))
-        taken_off = self._took_off_ns
-        if taken_off is not None and sample.stamp_ns <= taken_off + _ON_THE_WAY_NS:
+        if states.phase.final:
+            raise Refusal(topic, RefusalCode.WRONG_PHASE, stopped(states.phase))
+        self._takers[topic](sample, states, now_ns)
+
+    # --- jump motor ------------------------------------------------------------------------------
+
+    def _take_nut(self, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+        topic, nut = topics.JUMP_MOTOR_COMMAND, self._equipment.nut
+        if nut is None:
+            raise self._missing(topic, "rover", "jump motor")
+        if self._tripped_ns is not None and sample.stamp_ns <= self._tripped_ns + _ON_THE_WAY_NS:
             return
-        if phase not in (Phase.HELD, Phase.LANDED):
+        if nut.needs_ground and states.phase not in (Phase.HELD, Phase.LANDED):
             raise Refusal(
                 topic,
                 RefusalCode.WRONG_PHASE,
-                f"the nut cannot be driven in phase {phase.value}, the rover must stand",
+                f"the nut cannot be driven in phase {states.phase.value}, the rover must stand",
             )
         setpoint, rate, effort = sample.joints[JUMP_SCREW]
-        if setpoint < 0.0:
+        if setpoint < -nut.free_travel:
             raise Refusal(
                 topic,
-                RefusalCode.NOT_SUPPORTED,
-                f"{JUMP_SCREW}.position is {setpoint!r} m, this plant's nut has no free travel: "
-                "it must be at least 0",
+                RefusalCode.OUT_OF_LIMITS,
+                f"{JUMP_SCREW}.position is {setpoint!r} m, the nut's free travel is "
+                f"{nut.free_travel:g} m: it must be at least {0.0 - nut.free_travel:g} m",
             )
-        if 0.0 < setpoint < compression:
+        if states.spring_held and 0.0 < setpoint < states.compression - _ARRIVED:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
                 f"{JUMP_SCREW}.position is {setpoint!r} m, the spring is compressed by "
-                f"{compression:.4g} m already: it must be at least that, or 0 to let it down",
+                f"{states.compression:.4g} m already: it must be at least that, or 0 to let it "
+                "down",
             )
-        force = rover.spring_rate * setpoint
+        force = nut.spring_rate * max(setpoint, 0.0)
         if force > effort:
             raise Refusal(
                 topic,
@@ -105,43 +222,120 @@ class Actuators:
                 f"{JUMP_SCREW}.effort is {effort!r} N, holding the spring at {setpoint:.4g} m "
                 f"takes {force:.4g} N: the setpoint cannot be reached",
             )
-        self._jump = JumpMotorCommand(setpoint, rate)
-        self._jump_heard_ns = now_ns
+        self._jump.take(topic, JumpMotorCommand(setpoint, rate, effort), now_ns)
 
-    def command_winch(self, sample: JointSample, phase: Phase) -> None:
-        """Take a command for the drum; one without a motor can only hold.
-
-        Raises:
-            Refusal: anything but holding the present length, or nothing moves any more.
-        """
-        topic = topics.WINCH_COMMAND
-        if phase.final:
-            raise Refusal(topic, RefusalCode.WRONG_PHASE, stopped(phase))
-        length, rate, _ = sample.joints[WINCH_DRUM]
-        held = self._scenario.tether.length
-        released = sample.joints[WINCH_BRAKE].position != 0.0
-        if rate != 0.0 or released or abs(length - held) > _SAME_LENGTH:
+    def _take_flywheel(self, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+        topic = topics.FLYWHEEL_COMMAND
+        if not self._equipment.flywheel:
+            raise self._missing(topic, "rover with a free screw", "reaction wheel")
+        if not states.nut_free:
             raise Refusal(
                 topic,
-                RefusalCode.NOT_SUPPORTED,
-                f"{WINCH_DRUM} is told {length!r} m at {rate!r} m/s, brake "
-                f"{'released' if released else 'closed'}; this plant's drum has no motor and only "
-                f"holds: {held:g} m at 0 m/s, brake closed",
+                RefusalCode.WRONG_PHASE,
+                f"the nut stands at {states.compression:.4g} m and works on the latch; it must be "
+                f"driven clear first ({topics.JUMP_MOTOR_COMMAND} below 0)",
             )
+        self._jump.take(topic, FlywheelCommand(sample.joints[FLYWHEEL].effort), now_ns)
 
-    def silenced(self, now_ns: int, compression: float) -> float | None:
-        """Stop the nut when commands have ceased while it moves.
+    # --- wheels ----------------------------------------------------------------------------------
 
-        Returns:
-            How long there was silence [s] if the nut was stopped just now.
+    def _take_wheel_rate(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
+        topic = topics.WHEEL_COMMAND
+        if not self._equipment.wheels:
+            raise self._missing(topic, "wheels", "wheel motor")
+        _, rate, torque = sample.joints[WHEEL_DRIVE]
+        self._wheel.take(topic, WheelRateCommand(rate, torque), now_ns)
+
+    def _take_wheel_torque(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
+        topic = topics.WHEEL_TORQUE_COMMAND
+        if not self._equipment.wheels:
+            raise self._missing(topic, "wheels", "wheel motor")
+        torque = sample.joints[WHEEL_DRIVE].effort
+        self._wheel.take(topic, WheelTorqueCommand(torque), now_ns)
+
+    # --- winch -----------------------------------------------------------------------------------
+
+    def _take_winch(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
+        topic, held = topics.WINCH_COMMAND, self._equipment.held_length
+        length, rate, tension = sample.joints[WINCH_DRUM]
+        brake = sample.joints[WINCH_BRAKE].position
+        if brake not in (0.0, 1.0):
+            raise Refusal(
+                topic,
+                RefusalCode.OUT_OF_LIMITS,
+                f"{WINCH_BRAKE}.position is {brake!r}, it must be 1 (release) or 0 (close)",
+            )
+        if held is not None:
+            if rate != 0.0 or brake or abs(length - held) > _SAME_LENGTH:
+                raise Refusal(
+                    topic,
+                    RefusalCode.NOT_SUPPORTED,
+                    f"{WINCH_DRUM} is told {length!r} m at {rate!r} m/s, brake "
+                    f"{'released' if brake else 'closed'}; this plant's drum has no motor and "
+                    f"only holds: {held:g} m at 0 m/s, brake closed",
+                )
+            return
+        limit = sample.joints[WINCH_LIMIT].effort
+        command = WinchCommand(length, rate, tension, bool(brake), limit)
+        self._winch.take(topic, command, now_ns)
+
+    def _missing(self, topic: str, part: str, drive: str) -> Refusal:
+        return Refusal(
+            topic,
+            RefusalCode.NOT_SUPPORTED,
+            f"the scenario {self._equipment.scenario} has no {part}, so it has no {drive}",
+        )
+
+    # --- watchdogs -------------------------------------------------------------------------------
+
+    def silenced(self, states: DriveStates, now_ns: int) -> list[Silence]:
+        """Stop the drives whose commands have ceased; returns those that were at work.
+
+        Args:
+            states: what the drives feel now.
+            now_ns: start of the tick.
         """
-        jump = self._jump
-        if jump is None or now_ns - self._jump_heard_ns < self._silence_ns:
-            return None
-        self._jump = None
-        if jump.compression == compression:
-            return None
-        return (now_ns - self._jump_heard_ns) / _NANO
+        found = []
+        jump, wheel, winch = self._jump.command, self._wheel.command, self._winch.command
+        age = self._jump.silence(now_ns, self._tick_ns, moves=False)
+        if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
+            found.append(_silence("flywheel", age, "the motor is off", torque=jump.torque))
+        at = states.compression
+        if age is not None and isinstance(jump, JumpMotorCommand) and _on_its_way(jump, at):
+            found.append(
+                _silence("jump_motor", age, f"the nut stops at {at:.4g} m", compression=at)
+            )
+        age = self._wheel.silence(now_ns, self._tick_ns, moves=False)
+        if age is not None and wheel is not None and _asks_for_motion(wheel):
+            found.append(_silence("wheel_motor", age, "the motor is off"))
+        moves = abs(states.payout_rate) > _STANDING or (winch is not None and winch.rate != 0.0)
+        age = self._winch.silence(now_ns, self._tick_ns, moves=moves)
+        if age is not None and winch is not None and winch.brake_released:
+            rate = states.payout_rate
+            found.append(
+                _silence(
+                    "winch",
+                    age,
+                    f"the brake closes at {states.length:.4g} m, {rate:+.3g} m/s",
+                    length=states.length,
+                    rate=rate,
+                )
+            )
+        return found
+
+
+def _on_its_way(command: JumpMotorCommand, compression: float) -> bool:
+    return abs(command.compression - compression) > _ARRIVED
+
+
+def _asks_for_motion(command: WheelRateCommand | WheelTorqueCommand) -> bool:
+    wanted = command.rate if isinstance(command, WheelRateCommand) else command.torque
+    return not math.isclose(wanted, 0.0, abs_tol=1e-12)
+
+
+def _silence(drive: str, age: float, what: str, **values: object) -> Silence:
+    message = f"no command for {age:.3g} s while the drive worked: {what}"
+    return Silence(f"{drive}_silent", message, {"silence": age, **values})
 
 
 def stopped(phase: Phase) -> str:

@@ -5,26 +5,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic
 
-from msg_schemas.samples import JointSample, Level
-from rover_sim.actuators import Actuators, stopped
-from rover_sim.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plant import Event, Outcome, Phase, S, StepResult
+from msg_schemas.samples import JointSample
+from rover_sim.actuators import Actuators
+from rover_sim.happenings import Happening, of_event, of_silence
+from rover_sim.interface import PlantInterface
+from rover_sim.plant import Outcome, Phase, S, StepResult
 
 NANO = 1_000_000_000
-
-
-@dataclass(frozen=True)
-class Happening:
-    """Something to tell: an event of the plant or of the simulation, at its simulated time."""
-
-    name: str
-    message: str
-    stamp_ns: int
-    level: Level = Level.OK
-    values: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -131,25 +121,28 @@ class Pacer:
         return wall > self._late_until
 
 
-class Simulation:
+class Simulation(Generic[S]):
     """A plant that runs: its state, simulated time, the drives' commands, and totals.
 
     Args:
-        plant: the plant.
+        interface: the plant and its outside.
         tick: control tick [s].
     """
 
-    def __init__(self, plant: PlanarPlant, tick: float) -> None:
-        self.plant = plant
+    def __init__(self, interface: PlantInterface[S], tick: float) -> None:
+        self.interface = interface
+        self.plant = interface.plant
         self.tick_ns = round(tick * NANO)
-        self._actuators = Actuators(plant.scenario)
-        self._start = plant.initial_state()
+        self._actuators = Actuators(interface.equipment, self.tick_ns)
+        self._start = self.plant.initial_state()
         self.state = self._start
         self.stamp_ns = 0
         self.ticks = 0
         self.halved_ticks = 0
+        self.commands = 0
         self.peak_tension = 0.0
         self.last: StepResult | None = None
+        interface.restart(self.state, 0)
 
     @property
     def phase(self) -> Phase:
@@ -158,8 +151,8 @@ class Simulation:
 
     def reset(self) -> None:
         """Start again: state, clock and totals."""
-        self.reset_plant()
         self.stamp_ns = 0
+        self.reset_plant()
 
     def reset_plant(self) -> None:
         """Put the plant back to its start; simulated time stays."""
@@ -167,33 +160,29 @@ class Simulation:
         self.state = self._start
         self.ticks = 0
         self.halved_ticks = 0
+        self.commands = 0
         self.peak_tension = 0.0
         self.last = None
+        self.interface.restart(self.state, self.stamp_ns)
 
-    def command_jump(self, sample: JointSample) -> None:
-        """Take a command for the jump motor; raises Refusal."""
-        self._actuators.command_jump(
-            sample, self.state.phase, self.state.compression, self.stamp_ns
-        )
+    def take(self, topic: str, sample: JointSample) -> None:
+        """Take a command for a drive, one of ``actuators.COMMANDS``; raises Refusal."""
+        drives = self.interface.drives(self.state)
+        self._actuators.take(topic, sample, drives, self.stamp_ns)
+        self.commands += 1
 
-    def command_winch(self, sample: JointSample) -> None:
-        """Take a command for the winch; raises Refusal."""
-        self._actuators.command_winch(sample, self.state.phase)
-
-    def tick(self) -> Tick[PlanarState]:
+    def tick(self) -> Tick[S]:
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns
-        happenings = []
-        silence = self._actuators.silenced(before_ns, before.compression)
-        if silence is not None:
-            happenings.append(_stopped_nut(silence, before.compression, before_ns))
+        silences = self._actuators.silenced(self.interface.drives(before), before_ns)
+        happenings = [of_silence(silence, before_ns) for silence in silences]
         dt = self.tick_ns / NANO
         after, result = self.plant.step(before, self._actuators.command, dt)
         for event in result.events:
             stamp_ns = before_ns + round((event.time - before.time) * NANO)
-            if event.name == "take_off":
-                self._actuators.note_take_off(stamp_ns)
-            happenings.append(_happening(event, stamp_ns, after, result, self.plant))
+            if event.name == self._actuators.trip_event:
+                self._actuators.note_trip(stamp_ns)
+            happenings.append(of_event(event, stamp_ns, after, result, self.plant.scenario))
         if after.phase.final:
             self._actuators.clear()
         self.state = after
@@ -202,52 +191,5 @@ class Simulation:
         self.halved_ticks += result.outcome is Outcome.HALVED
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.last = result
+        self.interface.measure(before, after, dt, self.stamp_ns, result)
         return Tick(before, after, dt, self.stamp_ns, result, tuple(happenings))
-
-
-def _stopped_nut(silence: float, compression: float, stamp_ns: int) -> Happening:
-    return Happening(
-        "jump_motor_silent",
-        f"no command for {silence:.3g} s while the nut moved: it stops at {compression:.4g} m",
-        stamp_ns,
-        Level.WARN,
-        {"silence": silence, "compression": compression},
-    )
-
-
-def _happening(
-    event: Event, stamp_ns: int, after: PlanarState, result: StepResult, plant: PlanarPlant
-) -> Happening:
-    values: dict[str, object] = dict(event.values)
-    level = Level.OK
-    if event.name == "diverged":
-        level = Level.ERROR
-        integration = plant.scenario.integration
-        values |= {
-            "plant_time": after.time,
-            "newton_iterations": result.newton_iterations,
-            "h": integration.h,
-            "tolerance": integration.tolerance,
-            "max_halvings": integration.max_halvings,
-        }
-        message = (
-            f"{stopped(Phase.DIVERGED)}; the last good state, at {after.time:.6g} s, is kept; "
-            "a smaller integration.h, a larger integration.max_halvings or a tether with damping "
-            "may help"
-        )
-    elif event.name == "tether_broken":
-        level = Level.ERROR
-        message = f"{stopped(Phase.TETHER_BROKEN)}; tension {values['tension']:.4g} N"
-    elif event.name == "take_off":
-        message = f"the latch has tripped: the rover takes off at {values['speed']:.4g} m/s"
-    elif event.name == "apex":
-        message = f"highest at {values['height']:.4g} m over the start"
-    elif event.name == "touchdown":
-        message = (
-            f"down after {values['flight_time']:.4g} s: height {values['height']:.4g} m, "
-            f"attitude changed by {values['attitude_variation']:+.4g} rad, "
-            f"travelled {values['travel']:+.4g} m"
-        )
-    else:
-        message = event.name
-    return Happening(event.name, message, stamp_ns, level, values)

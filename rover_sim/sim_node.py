@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from msg_schemas import topics
@@ -16,14 +17,14 @@ from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
 from msg_schemas.yaml_reader import read_yaml
-from rover_sim.actuators import stopped
-from rover_sim.planar_plant import PlanarState
+from rover_sim.actuators import COMMANDS, stopped
+from rover_sim.happenings import Happening
+from rover_sim.interfaces import build_interface
 from rover_sim.plant import Phase
 from rover_sim.plants import build_plant
 from rover_sim.scenario import AnyScenario, ScenarioError, load_scenario
-from rover_sim.sim_loop import NANO, Happening, Schedule, Simulation, Tick
+from rover_sim.sim_loop import NANO, Schedule, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
-from rover_sim.telemetry import Telemetry
 
 
 def _table_rate(name: str) -> float:
@@ -31,6 +32,10 @@ def _table_rate(name: str) -> float:
     if rate is None:
         raise AssertionError(f"{name} has no rate")
     return rate
+
+
+AS_SCENARIO = "scenario"
+MODELS = ("planar", "spatial")
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,11 @@ class SimParameters:
         read_only=True,
     )
     model: str = parameter(
-        "planar", "-", "the plant that integrates it", choices=("planar",), read_only=True
+        AS_SCENARIO,
+        "-",
+        "the plant that integrates it: that of the scenario, or refuse if it is not this one",
+        choices=(AS_SCENARIO, *MODELS),
+        read_only=True,
     )
     tick: float = parameter(
         0.01, "s", "control tick: commands take effect at ticks", 1e-4, 0.1, read_only=True
@@ -59,7 +68,10 @@ class SimParameters:
     real_time_factor: float = parameter(
         1.0, "-", "simulated seconds per second; 0 = as fast as possible", 0.0, 1000.0
     )
-    seed: int = parameter(1, "-", "seed of everything random", 0, 2**31 - 1, read_only=True)
+    seed: int = parameter(
+        1, "-", "seed of the sensors' errors; the ground's is in the scenario", 0, 2**31 - 1,
+        read_only=True,
+    )  # fmt: skip
     start_paused: bool = parameter(
         False, "-", "simulated time stands still until it is stepped or resumed", read_only=True
     )
@@ -82,6 +94,7 @@ class RateParameters:
     sensor_rate: float = _rate("rate of sensors and drives", topics.IMU)
     truth_rate: float = _rate("rate of the bodies' true motion and the energy", topics.TRUTH_BODY1)
     tether_rate: float = _rate("rate of the tether's true shape", topics.TRUTH_TETHER)
+    camera_rate: float = _rate("rate of the wall camera's figures", topics.CAMERA)
     marker_rate: float = _rate("rate of markers to look at", topics.MARKERS)
 
     def check(self, tick: float) -> None:
@@ -103,6 +116,7 @@ class RateParameters:
             topics.TRUTH_BODY2: self.truth_rate,
             topics.TRUTH_ENERGY: self.truth_rate,
             topics.TRUTH_TETHER: self.tether_rate,
+            topics.CAMERA: self.camera_rate,
             topics.MARKERS: self.marker_rate,
         }
         return {name: rates.get(name, self.sensor_rate) for name in wanted}
@@ -133,11 +147,11 @@ class SimNode(ContractNode):
         begin = time.monotonic()
         plant = build_plant(scenario)
         plant.warm_up()
-        simulation = Simulation(plant, wanted.tick)
+        outside = build_interface(plant, wanted.seed)
+        simulation = Simulation(outside, wanted.tick)
         self.get_logger().info(f"compiled and at rest after {time.monotonic() - begin:.1f} s")
-        self._telemetry = Telemetry(plant)
-        self._schedule = Schedule(rates.of_topics(self._telemetry.topics))
-        self._outlets = {name: self.publisher(name) for name in self._telemetry.topics}
+        self._schedule = Schedule(rates.of_topics(outside.topics))
+        self._outlets = {name: self.publisher(name) for name in outside.topics}
         self._phase_outlet = self.publisher(topics.TRUTH_PHASE)
         self._status_outlet = self.publisher(topics.SIM_STATUS)
         runner = SimRunner(
@@ -147,8 +161,8 @@ class SimNode(ContractNode):
             paused=wanted.start_paused,
             duration=wanted.duration,
         )
-        self.subscribe(topics.JUMP_MOTOR_COMMAND, runner.command_jump)
-        self.subscribe(topics.WINCH_COMMAND, runner.command_winch)
+        for name in COMMANDS:
+            self.subscribe(name, partial(runner.command, name))
         self.serve(topics.SIM_PAUSE, lambda pause: (True, runner.pause(pause)))
         self.serve(topics.SIM_STEP, lambda: (True, runner.step()))
         self.serve(topics.SIM_RESET, lambda: (True, self._reset(runner, clock=True)))
@@ -193,30 +207,23 @@ class SimNode(ContractNode):
 
     # --- told by the plant's thread ---------------------------------------------------------------
 
-    def ticked(self, tick: Tick[PlanarState], before_ns: int) -> None:
+    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish what is due."""
-        due = self._heard(self._schedule.due(before_ns, tick.stamp_ns))
-        made = self._telemetry.samples(
-            due, tick.before, tick.after, tick.dt, tick.stamp_ns, tick.result.energies
-        )
-        for name, sample in made:
-            self._outlets[name].send(sample)
+        self._tell(self._schedule.due(before_ns, tick.stamp_ns))
         self._tell_phase(tick.after.phase)
         for happening in tick.happenings:
             self.happened(happening)
 
     def restarted(self) -> None:
-        """Publish everything once."""
-        simulation = self._simulation
-        state = simulation.state
-        # Before the first tick there is no time over which an accelerometer could measure.
-        due = self._heard(name for name in self._telemetry.topics if name != topics.IMU)
-        energies = simulation.plant.energies(state)
-        for name, sample in self._telemetry.samples(
-            due, state, state, 0.0, simulation.stamp_ns, energies
-        ):
+        """Publish everything once that can be told without a tick before it."""
+        outside = self._simulation.interface
+        self._tell(name for name in outside.topics if name not in outside.measured_over_a_tick)
+        self._tell_phase(self._simulation.phase)
+
+    def _tell(self, due: Iterable[str]) -> None:
+        heard = [name for name in due if self._outlets[name].is_heard]
+        for name, sample in self._simulation.interface.samples(heard):
             self._outlets[name].send(sample)
-        self._tell_phase(state.phase)
 
     def happened(self, happening: Happening) -> None:
         """Publish an event; what is not well goes to the diagnostics too."""
@@ -244,13 +251,10 @@ class SimNode(ContractNode):
         self.exit_code = ExitCode.CRASH
 
     @property
-    def _simulation(self) -> Simulation:
+    def _simulation(self) -> Simulation[Any]:
         if self._runner is None:
             raise AssertionError("told by a thread that does not run")
         return self._runner.simulation
-
-    def _heard(self, names: Iterable[str]) -> list[str]:
-        return [name for name in names if self._outlets[name].is_heard]
 
     def _tell_phase(self, phase: Phase) -> None:
         if phase is not self._told_phase:
@@ -281,6 +285,7 @@ class SimNode(ContractNode):
             "measured_real_time_factor": "" if measured is None else f"{measured:.4g}",
             "wall_time_given_up": f"{pacer.given_up:.4g}",
             "ticks": str(simulation.ticks),
+            "commands": str(simulation.commands),
             "halved_ticks": str(simulation.halved_ticks),
             "peak_tension": repr(simulation.peak_tension),
         }
@@ -308,14 +313,23 @@ def load(wanted: SimParameters) -> AnyScenario:
     """Load the scenario that the parameters ask for.
 
     Raises:
-        ScenarioError: it does not exist or holds bad values; or the overrides are no mapping.
+        ScenarioError: it does not exist or holds bad values; the overrides are no mapping; or it is
+            of another model than asked for.
     """
-    overrides = read_yaml(wanted.overrides, "overrides") if wanted.overrides.strip() else {}
+    overrides = read_yaml(wanted.overrides, name="overrides") if wanted.overrides.strip() else {}
     if not isinstance(overrides, Mapping):
         raise ScenarioError(
             "overrides", overrides, 'should be a mapping, such as {"start.slack": 2.0}'
         )
-    return load_scenario(wanted.scenario, {**overrides, "model": wanted.model})
+    scenario = load_scenario(wanted.scenario, overrides)
+    if wanted.model not in (AS_SCENARIO, scenario.model):
+        raise ScenarioError(
+            "model",
+            wanted.model,
+            f"the scenario {scenario.name} is {scenario.model}: should be {scenario.model}, or "
+            f"{AS_SCENARIO} to take what the scenario says",
+        )
+    return scenario
 
 
 def main() -> int:

@@ -17,8 +17,8 @@ from typing import Any, Generic, Protocol, TypeVar
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from rover_sim.planar_plant import PlanarState
-from rover_sim.sim_loop import NANO, Happening, Pacer, Simulation, Tick
+from rover_sim.happenings import Happening
+from rover_sim.sim_loop import NANO, Pacer, Simulation, Tick
 
 T = TypeVar("T")
 
@@ -30,7 +30,7 @@ _LOOK_AGAIN = 0.5
 class Listener(Protocol):
     """Who is told what the simulation does; called in its thread."""
 
-    def ticked(self, tick: Tick[PlanarState], before_ns: int) -> None:
+    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
         """A tick was made."""
 
     def restarted(self) -> None:
@@ -76,7 +76,7 @@ class SimRunner:
 
     def __init__(
         self,
-        simulation: Simulation,
+        simulation: Simulation[Any],
         factor: float,
         listener: Listener,
         *,
@@ -132,13 +132,9 @@ class SimRunner:
                 request.answer.cancel()
                 raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
 
-    def command_jump(self, sample: JointSample) -> None:
-        """Hand a command to the jump motor; raises Refusal."""
-        self.ask(lambda: self.simulation.command_jump(sample))
-
-    def command_winch(self, sample: JointSample) -> None:
-        """Hand a command to the winch; raises Refusal."""
-        self.ask(lambda: self.simulation.command_winch(sample))
+    def command(self, topic: str, sample: JointSample) -> None:
+        """Hand a command to a drive; raises Refusal."""
+        self.ask(lambda: self.simulation.take(topic, sample))
 
     def set_factor(self, factor: float) -> None:
         """Go on at another real-time factor."""

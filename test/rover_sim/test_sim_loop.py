@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import pytest
-from fake_plant import fake_plant
+from fake_plant import fake_interface
 
+from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from rover_sim.actuators import Equipment
+from rover_sim.happenings import Happening
 from rover_sim.plant import Phase
-from rover_sim.scenario import load_scenario
-from rover_sim.sim_loop import NANO, Happening, Pacer, Schedule, Simulation
+from rover_sim.sim_loop import NANO, Pacer, Schedule, Simulation
 
 TICK = 0.01
+NUT, DRUM = topics.JUMP_MOTOR_COMMAND, topics.WINCH_COMMAND
 
 
 def nut(position: float, velocity: float = 0.1, effort: float = 400.0, at: float = 0.0):
@@ -31,11 +34,11 @@ def drum(length: float, rate: float = 0.0, brake: float = 0.0):
 
 
 @pytest.fixture
-def simulation() -> Simulation:
-    return Simulation(fake_plant(), TICK)
+def simulation() -> Simulation[Any]:
+    return Simulation(fake_interface(), TICK)
 
 
-def run_to(simulation: Simulation, time: float) -> list[Happening]:
+def run_to(simulation: Simulation[Any], time: float) -> list[Happening]:
     """All that happens up to a time."""
     happened: list[Happening] = []
     while simulation.stamp_ns < round(time * NANO):
@@ -118,14 +121,14 @@ def test_the_factor_reached_is_measured():
 # ---------------------------------------------------------------------------- simulation, commands
 
 
-def test_simulated_time_advances_by_exact_ticks(simulation: Simulation):
+def test_simulated_time_advances_by_exact_ticks(simulation: Simulation[Any]):
     run_to(simulation, 10.0)
     assert simulation.stamp_ns == 10 * NANO
     assert simulation.ticks == 1000
 
 
-def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation):
-    simulation.command_jump(nut(0.0255))
+def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.0255))
     happened = run_to(simulation, 0.3)
     assert [h.name for h in happened] == ["take_off"]
     assert happened[0].stamp_ns == pytest.approx(0.255 * NANO, abs=2)
@@ -133,62 +136,62 @@ def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation)
     assert simulation.phase is Phase.FLIGHT
 
 
-def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation):
-    simulation.command_jump(nut(0.0255))
+def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.0255))
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == ["take_off"]
     assert simulation.phase is Phase.LANDED
-    simulation.command_jump(nut(0.02, at=2.0))
+    simulation.take(NUT, nut(0.02, at=2.0))
     assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
 
 
-def test_silence_stops_the_nut_where_it_is(simulation: Simulation):
-    simulation.command_jump(nut(0.2))
+def test_silence_stops_the_nut_where_it_is(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("jump_motor_silent", Level.WARN)]
     assert happened[0].stamp_ns == pytest.approx(0.5 * NANO, abs=0.02 * NANO)
     assert simulation.state.compression == pytest.approx(0.05, abs=0.002)
 
 
-def test_renewed_commands_keep_the_nut_moving(simulation: Simulation):
+def test_renewed_commands_keep_the_nut_moving(simulation: Simulation[Any]):
     happened = []
     for step in range(1, 16):
-        simulation.command_jump(nut(0.3, at=simulation.stamp_ns / NANO))
+        simulation.take(NUT, nut(0.3, at=simulation.stamp_ns / NANO))
         happened += run_to(simulation, 0.1 * step)
     assert not happened
     assert simulation.state.compression == pytest.approx(0.15)
 
 
-def test_a_nut_that_rests_at_its_setpoint_may_be_left_alone(simulation: Simulation):
-    simulation.command_jump(nut(0.0))
+def test_a_nut_that_rests_at_its_setpoint_may_be_left_alone(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.0))
     assert not run_to(simulation, 2.0)
 
 
-def refusal_of(act: Callable[..., None], *arguments: JointSample) -> Refusal:
+def refusal_of(simulation: Simulation[Any], topic: str, sample: JointSample) -> Refusal:
     with pytest.raises(Refusal) as caught:
-        act(*arguments)
+        simulation.take(topic, sample)
     return caught.value
 
 
 def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
-    simulation: Simulation,
+    simulation: Simulation[Any],
 ):
-    simulation.command_jump(nut(0.02))
+    simulation.take(NUT, nut(0.02))
     run_to(simulation, 0.25)
     assert simulation.phase is Phase.FLIGHT
-    simulation.command_jump(nut(0.02, at=0.19))
-    refusal = refusal_of(simulation.command_jump, nut(0.02, at=0.35))
+    simulation.take(NUT, nut(0.02, at=0.19))
+    refusal = refusal_of(simulation, NUT, nut(0.02, at=0.35))
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "flight" in refusal.reason
     run_to(simulation, 1.0)
     # What was on its way at the take-off starts nothing after the landing either.
-    simulation.command_jump(nut(0.02, at=0.19))
+    simulation.take(NUT, nut(0.02, at=0.19))
     assert not run_to(simulation, 1.2)
     assert simulation.state.phase is Phase.LANDED
 
 
-def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation):
-    refusal = refusal_of(simulation.command_jump, nut(0.2, effort=100.0))
+def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation[Any]):
+    refusal = refusal_of(simulation, NUT, nut(0.2, effort=100.0))
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert "164.8 N" in refusal.reason
     assert not run_to(simulation, 0.1)
@@ -196,37 +199,36 @@ def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation):
 
 
 def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down(
-    simulation: Simulation,
+    simulation: Simulation[Any],
 ):
-    simulation.command_jump(nut(0.2))
+    simulation.take(NUT, nut(0.2))
     run_to(simulation, 0.3)
-    refusal = refusal_of(simulation.command_jump, nut(0.01))
+    refusal = refusal_of(simulation, NUT, nut(0.01))
     assert "0 to let it down" in refusal.reason
-    simulation.command_jump(nut(0.0))
+    simulation.take(NUT, nut(0.0))
     run_to(simulation, 0.7)
     assert simulation.state.compression == 0.0
     assert simulation.phase is Phase.HELD
 
 
 def test_a_scenario_without_a_rover_has_no_jump_motor():
-    plant = fake_plant()
-    plant.scenario = load_scenario("tether_pendulum")
-    refusal = refusal_of(Simulation(plant, TICK).command_jump, nut(0.1))
+    simulation = Simulation(fake_interface(Equipment("pendulum", held_length=5.0)), TICK)
+    refusal = refusal_of(simulation, NUT, nut(0.1))
     assert refusal.code is RefusalCode.NOT_SUPPORTED
-    assert "tether_pendulum has no rover" in refusal.reason
+    assert "pendulum has no rover" in refusal.reason
 
 
-def test_a_drum_without_a_motor_only_holds(simulation: Simulation):
-    simulation.command_winch(drum(5.0))
+def test_a_drum_without_a_motor_only_holds(simulation: Simulation[Any]):
+    simulation.take(DRUM, drum(5.0))
     for bad in (drum(5.0, 0.1), drum(4.9), drum(5.1, -0.1), drum(5.0, brake=1.0)):
-        refusal = refusal_of(simulation.command_winch, bad)
+        refusal = refusal_of(simulation, DRUM, bad)
         assert refusal.code is RefusalCode.NOT_SUPPORTED
         assert "5 m at 0 m/s" in refusal.reason
 
 
 def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
-    simulation = Simulation(fake_plant(diverges_at=0.3), TICK)
-    simulation.command_jump(nut(0.2))
+    simulation = Simulation(fake_interface(diverges_at=0.3), TICK)
+    simulation.take(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("diverged", Level.ERROR)]
     assert "0.3 s" in happened[0].message
@@ -234,12 +236,12 @@ def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
     assert simulation.state.time == pytest.approx(0.3)
     assert simulation.state.compression == pytest.approx(0.03)
     assert simulation.stamp_ns == NANO
-    for act, sample in ((simulation.command_jump, nut(0.1)), (simulation.command_winch, drum(5))):
-        assert refusal_of(act, sample).code is RefusalCode.WRONG_PHASE
+    for topic, sample in ((NUT, nut(0.1)), (DRUM, drum(5))):
+        assert refusal_of(simulation, topic, sample).code is RefusalCode.WRONG_PHASE
 
 
-def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation: Simulation):
-    simulation.command_jump(nut(0.2))
+def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.2))
     run_to(simulation, 0.3)
     simulation.reset_plant()
     assert (simulation.stamp_ns, simulation.state.compression) == (round(0.3 * NANO), 0.0)
@@ -249,16 +251,32 @@ def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation
     assert (simulation.stamp_ns, simulation.ticks, simulation.halved_ticks) == (0, 0, 0)
 
 
-def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: Simulation):
+def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: Simulation[Any]):
     run_to(simulation, 3.0)
     simulation.reset_plant()
-    simulation.command_jump(nut(0.02, at=3.0))
+    simulation.take(NUT, nut(0.02, at=3.0))
     happened = run_to(simulation, 3.5)
     assert happened[0].stamp_ns == pytest.approx(3.2 * NANO, abs=2)
 
 
-def test_totals_count_halved_ticks_and_the_peak_tension(simulation: Simulation):
-    simulation.command_jump(nut(0.2))
+def test_totals_count_halved_ticks_and_the_peak_tension(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.2))
     run_to(simulation, 0.2)
     assert simulation.halved_ticks == 20
     assert simulation.peak_tension == 2.0
+
+
+def test_commands_taken_are_counted_and_refused_ones_are_not(simulation: Simulation[Any]):
+    simulation.take(NUT, nut(0.2))
+    refusal_of(simulation, NUT, nut(0.2, effort=1.0))
+    simulation.take(DRUM, drum(5.0))
+    assert simulation.commands == 2
+
+
+def test_the_sensors_see_every_tick_whether_or_not_anybody_listens():
+    outside = fake_interface()
+    simulation = Simulation(outside, TICK)
+    run_to(simulation, 0.1)
+    assert outside.measured == pytest.approx([i * TICK for i in range(11)])
+    simulation.reset()
+    assert outside.measured == [0.0]

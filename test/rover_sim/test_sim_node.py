@@ -172,7 +172,7 @@ def bad_jump_commands() -> list[Any]:
         "no joint": ("wrong_name", "jump_screw", lambda m: m.name.clear()),
         "wrong length": ("wrong_length", "velocity", lambda m: m.velocity.append(0.1)),
         "negative": ("out_of_limits", "-0.1 .. 0.4 m", set_("position", -0.11)),
-        "clear of the latch": ("not_supported", "no free travel", set_("position", -0.05)),
+        "above the latch": ("out_of_limits", "free travel is 0 m", set_("position", -0.05)),
         "too far": ("out_of_limits", "-0.1 .. 0.4 m", set_("position", 0.41)),
         "too fast": ("out_of_limits", "0.5 m/s", set_("velocity", 0.6)),
         "too weak": ("out_of_limits", "164.8 N", set_("effort", 100.0)),
@@ -536,7 +536,9 @@ def test_bad_configuration_ends_it_with_code_2_and_one_line(
         ({"overrides": "[1, 2"}, "not YAML"),
         ({"overrides": "3"}, "should be a mapping"),
         ({"overrides": "{rover.wheels: 4}"}, "rover.wheels"),
-        ({"model": "cubic"}, "one of planar"),
+        ({"model": "cubic"}, "one of scenario, planar, spatial"),
+        ({"model": "spatial"}, "paper_table1_high is planar: should be planar, or scenario"),
+        ({"model": "planar", "scenario": "marius_hills"}, "marius_hills is spatial"),
         ({"tick": 0.0}, "tick = 0.0: should be a number"),
         ({"seed": -1}, "seed"),
         ({"duration": math.inf}, "finite"),
@@ -547,6 +549,14 @@ def test_a_bad_scenario_or_parameter_is_refused_with_the_reason(
 ):
     with pytest.raises(ValueError, match=re.escape(complaint)):
         load(from_mapping(SimParameters, parameters))
+
+
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_the_model_is_the_scenario_s_and_may_be_insisted_on(model: str):
+    scenario = {"planar": "paper_table1_high", "spatial": "marius_hills"}[model]
+    for wanted in ("scenario", model):
+        parameters = from_mapping(SimParameters, {"scenario": scenario, "model": wanted})
+        assert load(parameters).model == model
 
 
 def test_rates_may_not_exceed_one_per_tick():

@@ -8,13 +8,15 @@ import time
 from typing import Any
 
 import pytest
-from fake_plant import fake_plant
+from fake_plant import fake_interface
 
+from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
+from rover_sim.happenings import Happening
 from rover_sim.plant import Phase
-from rover_sim.sim_loop import NANO, Happening, Simulation, Tick
+from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 
 PATIENCE = 30.0
@@ -71,8 +73,9 @@ class Running:
     """Starts a runner and stops it, whatever the test does."""
 
     def __init__(self, listening: Listening, factor: float, **options: Any) -> None:
-        self.plant = fake_plant(diverges_at=options.pop("diverges_at", math.inf))
-        self.runner = SimRunner(Simulation(self.plant, 0.01), factor, listening, **options)
+        outside = fake_interface(diverges_at=options.pop("diverges_at", math.inf))
+        self.plant = outside.plant
+        self.runner = SimRunner(Simulation(outside, 0.01), factor, listening, **options)
 
     def __enter__(self) -> SimRunner:
         self.runner.start()
@@ -107,14 +110,16 @@ def test_a_request_is_served_while_the_thread_waits_for_a_tick(listening: Listen
     with Running(listening, 1e-3) as runner:  # a tick every ten seconds
         listening.wait(lambda: listening.ticks)
         begin = time.monotonic()
-        runner.command_jump(nut(0.1))
+        runner.command(topics.JUMP_MOTOR_COMMAND, nut(0.1))
         assert time.monotonic() - begin < 5.0
 
 
 def test_a_refusal_reaches_who_asked_and_the_simulation_runs_on(listening: Listening):
     with Running(listening, 0.0) as runner:
         with pytest.raises(Refusal) as caught:
-            runner.command_jump(JointSample(0, {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)}))
+            runner.command(
+                topics.JUMP_MOTOR_COMMAND, JointSample(0, {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
+            )
         assert caught.value.code is RefusalCode.OUT_OF_LIMITS
         count = len(listening.ticks)
         listening.wait(lambda: len(listening.ticks) > count)

@@ -1,13 +1,33 @@
-"""A plant that costs nothing, for tests of what runs around a plant."""
+"""A plant that costs nothing, and its interface, for tests of what runs around a plant."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, Phase, StepResult
-from rover_sim.scenario import load_scenario
+from msg_schemas import topics
+from msg_schemas.samples import ClockSample, JointSample, JointValue, Sample
+from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
+from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.plant import (
+    Command,
+    Energies,
+    Event,
+    FlywheelCommand,
+    JumpMotorCommand,
+    Outcome,
+    Phase,
+    StepResult,
+    WheelRateCommand,
+    WheelTorqueCommand,
+)
+from rover_sim.scenario import load_planar
+
+SPRING_RATE = 824.0
+FREE_TRAVEL = 0.06
+LENGTH = 5.0
 
 
 @dataclass(frozen=True)
@@ -15,10 +35,18 @@ class FakeState:
     time: float = 0.0
     phase: Phase = Phase.HELD
     compression: float = 0.0
+    length: float = LENGTH
+    payout_rate: float = 0.0
+    brake_released: bool = False
+    wheel_rate: float = 0.0
+    flywheel_torque: float = 0.0
 
 
 class FakePlant:
     """A nut that follows its setpoint, a latch that trips there, and a flight of 0.5 s.
+
+    The drum pays out at the commanded rate while its brake is released, wheels and flywheel do
+    what they are told.
 
     Attributes:
         diverges_at: time at which it diverges [s].
@@ -26,7 +54,7 @@ class FakePlant:
     """
 
     def __init__(self, diverges_at: float = math.inf) -> None:
-        self.scenario = load_scenario("paper_table1_low")
+        self.scenario = load_planar("paper_table1_low")
         self.diverges_at = diverges_at
         self.commands: list[Command] = []
         self.error: Exception | None = None
@@ -47,7 +75,7 @@ class FakePlant:
         if time > self.diverges_at + 1e-9:
             event = Event("diverged", state.time)
             return replace(state, phase=Phase.DIVERGED), self._result(Outcome.DIVERGED, event)
-        after = replace(state, time=time)
+        after = self._moved(replace(state, time=time), command, dt)
         if state.phase is Phase.FLIGHT:
             if time >= 0.5:
                 return replace(after, phase=Phase.LANDED), self._result(Outcome.CONVERGED)
@@ -63,10 +91,80 @@ class FakePlant:
             return flying, self._result(Outcome.CONVERGED, event)
         return replace(after, compression=moved), self._result(Outcome.HALVED)
 
+    def _moved(self, state: FakeState, command: Command, dt: float) -> FakeState:
+        """Winch, wheels and flywheel after a tick."""
+        winch, wheel, jump = command.winch, command.wheel, command.jump
+        released = winch is not None and winch.brake_released
+        rate = winch.rate if winch is not None and released else 0.0
+        turning = 0.0
+        if isinstance(wheel, WheelRateCommand):
+            turning = wheel.rate
+        elif isinstance(wheel, WheelTorqueCommand):
+            turning = state.wheel_rate + wheel.torque * dt
+        return replace(
+            state,
+            length=state.length + rate * dt,
+            payout_rate=rate,
+            brake_released=released,
+            wheel_rate=turning,
+            flywheel_torque=jump.torque if isinstance(jump, FlywheelCommand) else 0.0,
+        )
+
     def _result(self, outcome: Outcome, *events: Event) -> StepResult:
         return StepResult(outcome, self.energies(FakeState()), 0.0, 3, 1e-3, events, 2.0)
 
 
-def fake_plant(**options: Any) -> Any:
-    """Return a fake plant where a planar one is expected."""
-    return FakePlant(**options)
+EVERYTHING = Equipment("fake", nut=Nut(SPRING_RATE, FREE_TRAVEL), flywheel=True, wheels=True)
+"""Drives as the spatial plant has them."""
+
+HELD_BY_THE_GROUND = Equipment("fake", nut=Nut(SPRING_RATE, needs_ground=True), held_length=LENGTH)
+"""Drives as the planar plant has them."""
+
+
+class FakeInterface:
+    """The outside of a fake plant: a clock and a drum.
+
+    Attributes:
+        measured: time of each state that it was given to measure [s].
+    """
+
+    topics = (topics.CLOCK, topics.WINCH_STATE)
+    measured_over_a_tick: frozenset[str] = frozenset()
+
+    def __init__(self, plant: FakePlant, equipment: Equipment = HELD_BY_THE_GROUND) -> None:
+        self.plant = plant
+        self.equipment = equipment
+        self.measured: list[float] = []
+        self._last = (FakeState(), 0)
+
+    def drives(self, state: FakeState) -> DriveStates:
+        held = state.compression > 0.0
+        return DriveStates(
+            state.phase, state.compression, not held, held, state.length, state.payout_rate
+        )
+
+    def restart(self, state: FakeState, stamp_ns: int) -> None:
+        self.measured = [state.time]
+        self._last = (state, stamp_ns)
+
+    def measure(
+        self, before: FakeState, after: FakeState, dt: float, stamp_ns: int, result: StepResult
+    ) -> None:
+        assert self.measured[-1] == before.time
+        self.measured.append(after.time)
+        self._last = (after, stamp_ns)
+
+    def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
+        state, stamp_ns = self._last
+        drum = JointValue(state.length, state.payout_rate)
+        brake = JointValue(float(state.brake_released))
+        made: dict[str, Sample] = {
+            topics.CLOCK: ClockSample(stamp_ns),
+            topics.WINCH_STATE: JointSample(stamp_ns, {WINCH_DRUM: drum, WINCH_BRAKE: brake}),
+        }
+        return ((name, made[name]) for name in due)
+
+
+def fake_interface(equipment: Equipment = HELD_BY_THE_GROUND, **options: Any) -> FakeInterface:
+    """Return a fake plant in its interface."""
+    return FakeInterface(FakePlant(**options), equipment)

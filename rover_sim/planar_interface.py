@@ -1,4 +1,4 @@
-"""What a tick of the planar plant looks like from outside: states to samples, pure.
+"""How the planar plant meets the contract: its drives, and states told as samples.
 
 Samples are SI in REP-103 axes. Twists are in the body's own frame.
 """
@@ -35,10 +35,11 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WORLD_FRAME,
 )
+from rover_sim.actuators import DriveStates, Equipment, Nut
 from rover_sim.physics import ancf, rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plant import Energies, Phase
+from rover_sim.plant import Energies, Phase, StepResult
 
 # Topics of every plant, and those that need a rover.
 _ALWAYS = (
@@ -65,16 +66,19 @@ _TETHER_WIDTH = 0.01
 _POINTS_PER_ELEMENT = 4
 
 
-class Telemetry:
-    """Samples of one plant, topic by topic.
+class PlanarInterface:
+    """The planar plant's outside.
 
     Args:
         plant: the plant whose states are told.
     """
 
+    measured_over_a_tick = frozenset({topics.IMU})
+
     def __init__(self, plant: PlanarPlant) -> None:
-        self._plant = plant
+        self.plant = plant
         self._scenario = plant.scenario
+        self._moment: _Moment | None = None
         self._makers: Mapping[str, Callable[[_Moment], Sample]] = {
             topics.CLOCK: lambda moment: ClockSample(moment.stamp_ns),
             topics.TRUTH_BODY1: self._body1,
@@ -95,26 +99,40 @@ class Telemetry:
         """Topics that this plant can fill: without a rover there is nothing of a rover."""
         return _ALWAYS if self._scenario.rover is None else (*_ALWAYS, *_OF_ROVER)
 
-    def samples(
+    @property
+    def equipment(self) -> Equipment:
+        """A jump motor where there is a rover; the drum only holds."""
+        rover = self._scenario.rover
+        nut = None if rover is None else Nut(rover.spring_rate, needs_ground=True)
+        return Equipment(self._scenario.name, nut=nut, held_length=self._scenario.tether.length)
+
+    def drives(self, state: PlanarState) -> DriveStates:
+        """What the jump motor feels."""
+        held = state.compression > 0.0
+        return DriveStates(
+            state.phase, state.compression, not held, held, self._scenario.tether.length
+        )
+
+    def restart(self, state: PlanarState, stamp_ns: int) -> None:
+        """Take a state with no tick before it."""
+        self._moment = _Moment(self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state))
+
+    def measure(
         self,
-        due: Iterable[str],
         before: PlanarState,
         after: PlanarState,
         dt: float,
         stamp_ns: int,
-        energies: Energies,
-    ) -> Iterator[tuple[str, Sample]]:
-        """Yield (topic, sample) for the topics that are due.
+        result: StepResult,
+    ) -> None:
+        """Take what a tick did; see `interface.PlantInterface.measure`."""
+        self._moment = _Moment(self.plant, before, after, dt, stamp_ns, result.energies)
 
-        Args:
-            due: topics wanted, all of ``self.topics``.
-            before: the state a tick ago; the sensors that measure over a tick need it.
-            after: the state told.
-            dt: time between both [s]; 0 if there was no tick.
-            stamp_ns: simulated time of ``after``.
-            energies: of ``after``.
-        """
-        moment = _Moment(self._plant, before, after, dt, stamp_ns, energies)
+    def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
+        """Yield (topic, sample) of what was last taken, for the topics that are due."""
+        moment = self._moment
+        if moment is None:
+            raise AssertionError("nothing was measured yet")
         for name in due:
             yield name, self._makers[name](moment)
 

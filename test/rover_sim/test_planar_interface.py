@@ -19,10 +19,10 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
+from rover_sim.planar_interface import PlanarInterface
 from rover_sim.planar_plant import PlanarPlant
 from rover_sim.plant import Command, JumpMotorCommand, Phase
 from rover_sim.scenario import load_scenario
-from rover_sim.telemetry import Telemetry
 
 DT = 0.002
 Tick = dict[str, Any]
@@ -30,7 +30,7 @@ Tick = dict[str, Any]
 
 def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Tick]:
     """All samples of each tick: some while standing, then a jump by the nut."""
-    telemetry = Telemetry(plant)
+    outside = PlanarInterface(plant)
     state, ticks, stamp = plant.initial_state(), [], 0
     for index in range(round(seconds / DT)):
         command = Command()
@@ -39,8 +39,8 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
         before = state
         state, result = plant.step(before, command, DT)
         stamp += round(DT * 1e9)
-        samples = telemetry.samples(telemetry.topics, before, state, DT, stamp, result.energies)
-        ticks.append({**dict(samples), "state": state})
+        outside.measure(before, state, DT, stamp, result)
+        ticks.append({**dict(outside.samples(outside.topics)), "state": state})
     return ticks
 
 
@@ -218,13 +218,13 @@ def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
 
 
 def test_without_a_rover_nothing_of_a_rover_is_told():
-    told = Telemetry(PlanarPlant(load_scenario("tether_pendulum"))).topics
+    told = PlanarInterface(PlanarPlant(load_scenario("tether_pendulum"))).topics
     assert not {topics.IMU, topics.CONTACT, topics.TRUTH_BODY1, topics.JUMP_MOTOR_STATE} & {*told}
     assert {topics.TRUTH_TETHER, topics.LOAD_CELL, topics.CLOCK} < {*told}
 
 
 def test_with_a_rover_every_timed_topic_of_the_sim_node_is_told():
-    told = Telemetry(PlanarPlant(load_scenario("paper_table1_low"))).topics
+    told = PlanarInterface(PlanarPlant(load_scenario("paper_table1_low"))).topics
     timed = {
         name
         for name, row in TOPICS.items()

@@ -1,0 +1,55 @@
+"""How a plant meets the contract: which drives it has, and what it tells on which topics.
+
+There is one implementation for each model of plant. All of it is pure: no ROS, no clock of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol, TypeVar
+
+from msg_schemas.samples import Sample
+from rover_sim.actuators import DriveStates, Equipment
+from rover_sim.plant import Plant, State, StepResult
+
+S = TypeVar("S", bound=State)
+
+
+class PlantInterface(Protocol[S]):
+    """The outside of a plant whose states are of type S."""
+
+    @property
+    def plant(self) -> Plant[S]:
+        """What is inside."""
+
+    @property
+    def equipment(self) -> Equipment:
+        """The drives that there are."""
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that can be told: without a rover there is nothing of a rover."""
+
+    @property
+    def measured_over_a_tick(self) -> frozenset[str]:
+        """Those of them that can be told only after a tick, as an accelerometer's."""
+
+    def drives(self, state: S) -> DriveStates:
+        """What the drives feel."""
+
+    def restart(self, state: S, stamp_ns: int) -> None:
+        """Take a state with no tick before it: sensors begin anew."""
+
+    def measure(self, before: S, after: S, dt: float, stamp_ns: int, result: StepResult) -> None:
+        """Take what a tick did; sensors measure it.
+
+        Args:
+            before: the state a tick ago.
+            after: the state now.
+            dt: the tick [s].
+            stamp_ns: simulated time of ``after``.
+            result: what the step reported.
+        """
+
+    def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
+        """Yield (topic, sample) of what was last taken, for the topics that are due."""

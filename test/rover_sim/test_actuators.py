@@ -1,0 +1,307 @@
+"""The drives' watchdogs and refusals, stepped without ROS and without a plant that costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from fake_plant import EVERYTHING, FakePlant, FakeState, fake_interface
+
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    TOPICS,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from rover_sim.actuators import COMMANDS, Actuators, DriveStates, Equipment
+from rover_sim.happenings import Happening
+from rover_sim.plant import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    Phase,
+    WheelRateCommand,
+    WheelTorqueCommand,
+    WinchCommand,
+)
+from rover_sim.sim_loop import NANO, Simulation
+
+TICK = 0.01
+PAYING_OUT = 0.3
+HANGING = DriveStates(Phase.HANGING, -0.03)
+
+
+def nut(position: float) -> JointSample:
+    return JointSample(0, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
+
+
+def flywheel(torque: float) -> JointSample:
+    return JointSample(0, {FLYWHEEL: JointValue(effort=torque)})
+
+
+def wheels(rate: float, torque: float = 2.0) -> JointSample:
+    return JointSample(0, {WHEEL_DRIVE: JointValue(0.0, rate, torque)})
+
+
+def wheel_torque(torque: float) -> JointSample:
+    return JointSample(0, {WHEEL_DRIVE: JointValue(effort=torque)})
+
+
+def drum(rate: float, brake: float = 1.0, feed_forward: float = 16.0) -> JointSample:
+    joints = {
+        WINCH_DRUM: JointValue(5.0, rate, feed_forward),
+        WINCH_BRAKE: JointValue(brake),
+        WINCH_LIMIT: JointValue(effort=40.0),
+    }
+    return JointSample(0, joints)
+
+
+GOOD = {
+    topics.JUMP_MOTOR_COMMAND: nut(0.2),
+    topics.FLYWHEEL_COMMAND: flywheel(0.01),
+    topics.WHEEL_COMMAND: wheels(3.0),
+    topics.WHEEL_TORQUE_COMMAND: wheel_torque(0.1),
+    topics.WINCH_COMMAND: drum(PAYING_OUT),
+}
+
+
+@pytest.fixture
+def actuators() -> Actuators:
+    return Actuators(EVERYTHING, round(TICK * NANO))
+
+
+@pytest.fixture
+def simulation() -> Simulation[FakeState]:
+    return Simulation(fake_interface(EVERYTHING), TICK)
+
+
+def run_to(simulation: Simulation[FakeState], time: float) -> list[Happening]:
+    happened: list[Happening] = []
+    while simulation.stamp_ns < round(time * NANO):
+        happened += simulation.tick().happenings
+    return happened
+
+
+def orders(simulation: Simulation[FakeState]) -> list[Command]:
+    """What the plant was told, tick by tick."""
+    assert isinstance(simulation.plant, FakePlant)
+    return simulation.plant.commands
+
+
+def refusal_of(
+    actuators: Actuators, topic: str, sample: JointSample, states: DriveStates = HANGING
+) -> Refusal:
+    with pytest.raises(Refusal) as caught:
+        actuators.take(topic, sample, states, 0)
+    assert caught.value.subject == topic
+    assert actuators.command == Command()
+    return caught.value
+
+
+# ------------------------------------------------------------------------------- what reaches them
+
+
+def test_every_command_reaches_the_plant_with_its_numbers(actuators: Actuators):
+    for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
+        actuators.take(topic, GOOD[topic], HANGING, 0)
+    command = actuators.command
+    assert command.jump == JumpMotorCommand(0.2, 0.1, 400.0)
+    assert command.wheel == WheelRateCommand(3.0, 2.0)
+    assert command.winch == WinchCommand(5.0, PAYING_OUT, 16.0, True, 40.0)
+
+
+def test_one_motor_obeys_the_command_that_came_last(actuators: Actuators):
+    for topic in (topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND):
+        actuators.take(topic, GOOD[topic], HANGING, 0)
+    for topic in (topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND):
+        actuators.take(topic, GOOD[topic], HANGING, 0)
+    assert actuators.command == Command(FlywheelCommand(0.01), None, WheelTorqueCommand(0.1))
+    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(-0.05), HANGING, 0)
+    actuators.take(topics.WHEEL_COMMAND, wheels(-1.0), HANGING, 0)
+    assert actuators.command == Command(
+        JumpMotorCommand(-0.05, 0.1, 400.0), None, WheelRateCommand(-1.0, 2.0)
+    )
+
+
+def test_the_drives_topics_are_those_of_the_contract():
+    assert set(COMMANDS) == {n for n, r in TOPICS.items() if n.endswith("command") and r.joints}
+
+
+# ------------------------------------------------------------------------------------- watchdogs
+
+
+def test_a_winch_that_pays_out_is_braked_within_a_tenth_of_a_second(
+    simulation: Simulation[FakeState],
+):
+    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    happened = run_to(simulation, 1.0)
+    assert [(h.name, h.level) for h in happened] == [("winch_silent", Level.WARN)]
+    assert happened[0].stamp_ns == round(0.1 * NANO)
+    assert happened[0].values["rate"] == PAYING_OUT
+    assert simulation.state.length == pytest.approx(5.0 + 0.1 * PAYING_OUT)
+    assert simulation.state.payout_rate == 0.0
+    assert not simulation.state.brake_released
+
+
+@pytest.mark.parametrize("tick", [0.003, 0.007, 0.03, 0.1])
+def test_no_tick_is_long_enough_to_brake_late(tick: float):
+    simulation = Simulation(fake_interface(EVERYTHING), tick)
+    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    run_to(simulation, 1.0)
+    paid_out = simulation.state.length - 5.0
+    assert 0.1 - tick < paid_out / PAYING_OUT <= 0.1 + 1e-9
+
+
+def test_a_winch_that_is_told_to_stand_with_its_brake_open_does_so_until_the_timeout(
+    simulation: Simulation[FakeState],
+):
+    simulation.take(topics.WINCH_COMMAND, drum(0.0))
+    happened = run_to(simulation, 1.0)
+    assert [h.name for h in happened] == ["winch_silent"]
+    assert happened[0].stamp_ns == round(0.5 * NANO)
+
+
+def test_a_drum_that_turns_against_its_command_counts_as_moving(actuators: Actuators):
+    actuators.take(topics.WINCH_COMMAND, drum(0.0), HANGING, 0)
+    at = round(0.1 * NANO)
+    assert not actuators.silenced(HANGING, at)
+    dragged = HANGING._replace(payout_rate=0.05)
+    assert [s.name for s in actuators.silenced(dragged, at)] == ["winch_silent"]
+    assert actuators.command.winch is None
+
+
+def test_a_winch_that_holds_by_its_brake_may_be_left_alone(simulation: Simulation[FakeState]):
+    simulation.take(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
+    assert not run_to(simulation, 2.0)
+    assert orders(simulation)[-1].winch is None
+
+
+def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
+    simulation: Simulation[FakeState],
+):
+    for topic in (topics.FLYWHEEL_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
+        rate = TOPICS[topic].rate
+        assert rate is not None
+        period, happened = 1.0 / rate, []
+        begin = simulation.stamp_ns / NANO
+        for step in range(100):
+            if step % 10 != 5:  # one in ten is lost
+                simulation.take(topic, GOOD[topic])
+            happened += run_to(simulation, begin + (step + 1) * period)
+        assert not happened
+        run_to(simulation, simulation.stamp_ns / NANO + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("topic", "event"),
+    [
+        (topics.FLYWHEEL_COMMAND, "flywheel_silent"),
+        (topics.WHEEL_COMMAND, "wheel_motor_silent"),
+        (topics.WHEEL_TORQUE_COMMAND, "wheel_motor_silent"),
+        (topics.JUMP_MOTOR_COMMAND, "jump_motor_silent"),
+    ],
+)
+def test_other_motors_are_off_after_the_contract_s_silence(
+    simulation: Simulation[FakeState], topic: str, event: str
+):
+    sample = nut(0.39) if topic == topics.JUMP_MOTOR_COMMAND else GOOD[topic]
+    simulation.take(topic, sample)
+    happened = run_to(simulation, 2.0)
+    assert [h.name for h in happened] == [event]
+    assert happened[0].stamp_ns == round(TOPICS[topic].stale.silence * NANO)
+    at_work = [c for c in orders(simulation) if c.jump or c.wheel]
+    assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.silence)
+
+
+@pytest.mark.parametrize(
+    ("topic", "sample"),
+    [
+        (topics.FLYWHEEL_COMMAND, flywheel(0.0)),
+        (topics.WHEEL_COMMAND, wheels(0.0)),
+        (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.0)),
+    ],
+)
+def test_a_drive_at_rest_may_be_left_alone(
+    simulation: Simulation[FakeState], topic: str, sample: JointSample
+):
+    simulation.take(topic, sample)
+    assert not run_to(simulation, 2.0)
+
+
+def test_a_reset_forgets_every_command(simulation: Simulation[FakeState]):
+    for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
+        simulation.take(topic, GOOD[topic])
+    simulation.reset()
+    assert not run_to(simulation, 1.0)
+    assert set(orders(simulation)) == {Command()}
+
+
+# --------------------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize("topic", COMMANDS)
+@pytest.mark.parametrize("phase", [Phase.DIVERGED, Phase.TETHER_BROKEN])
+def test_nothing_is_taken_where_nothing_moves(actuators: Actuators, topic: str, phase: Phase):
+    refusal = refusal_of(actuators, topic, GOOD[topic], DriveStates(phase))
+    assert refusal.code is RefusalCode.WRONG_PHASE
+    assert topics.SIM_RESET in refusal.reason
+
+
+@pytest.mark.parametrize("topic", [t for t in COMMANDS if t != topics.WINCH_COMMAND])
+def test_a_plant_without_the_drive_says_so(topic: str):
+    bare = Actuators(Equipment("bare_tether", held_length=5.0), round(TICK * NANO))
+    refusal = refusal_of(bare, topic, GOOD[topic])
+    assert refusal.code is RefusalCode.NOT_SUPPORTED
+    assert "bare_tether" in refusal.reason
+
+
+def test_the_flywheel_needs_a_nut_that_is_clear_of_the_latch(actuators: Actuators):
+    hooked = HANGING._replace(compression=0.05, nut_free=False, spring_held=True)
+    refusal = refusal_of(actuators, topics.FLYWHEEL_COMMAND, flywheel(0.01), hooked)
+    assert refusal.code is RefusalCode.WRONG_PHASE
+    assert "0.05 m" in refusal.reason
+
+
+@pytest.mark.parametrize(
+    ("position", "states", "words"),
+    [
+        (-0.07, HANGING, "free travel is 0.06 m"),
+        (0.01, HANGING._replace(compression=0.05, spring_held=True), "0 to let it down"),
+    ],
+)
+def test_the_nut_s_setpoint_must_be_within_reach(
+    actuators: Actuators, position: float, states: DriveStates, words: str
+):
+    refusal = refusal_of(actuators, topics.JUMP_MOTOR_COMMAND, nut(position), states)
+    assert refusal.code is RefusalCode.OUT_OF_LIMITS
+    assert words in refusal.reason
+
+
+def test_a_nut_past_the_latch_may_come_back(actuators: Actuators):
+    released = HANGING._replace(compression=0.2, nut_free=False)
+    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.1), released, 0)
+    assert actuators.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
+
+
+@pytest.mark.parametrize("brake", [0.5, 1e-9, 0.999])
+def test_a_brake_is_open_or_closed(actuators: Actuators, brake: float):
+    refusal = refusal_of(actuators, topics.WINCH_COMMAND, drum(0.0, brake))
+    assert refusal.code is RefusalCode.OUT_OF_LIMITS
+    assert repr(brake) in refusal.reason
+
+
+def test_a_refused_command_does_not_feed_the_watchdog(simulation: Simulation[FakeState]):
+    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    happened: list[Any] = []
+    for step in range(1, 20):
+        with pytest.raises(Refusal):
+            simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT, brake=0.5))
+        happened += run_to(simulation, 0.02 * step)
+    assert [h.name for h in happened] == ["winch_silent"]
+    assert happened[0].stamp_ns == round(0.1 * NANO)
