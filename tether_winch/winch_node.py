@@ -1,4 +1,4 @@
-"""The ``winch_node`` executable: holds the drum and watches the tether's tension."""
+"""The ``winch_node`` executable: the mother machine's winch on topics and services."""
 
 from __future__ import annotations
 
@@ -8,8 +8,23 @@ import time
 from dataclasses import dataclass
 
 from msg_schemas import topics
+from msg_schemas.machine import (
+    ALARM_NAMES,
+    MAX_LENGTH,
+    MAX_PAYOUT_RATE,
+    MAX_TENSION,
+    PAYOUT,
+    REFERENCE,
+    STRETCHED,
+    TENSION,
+    TETHER_OUT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
 from msg_schemas.node import ContractNode, run
 from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -18,114 +33,263 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import MAX_TENSION, SMALLEST_LIMIT, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from tether_winch.tension_watch import TensionChange, TensionParameters, TensionWatch
-from tether_winch.winch_hold import WinchHold
+from tether_winch.drum_model import DrumParameters
+from tether_winch.estimates import EstimateParameters, TensionSource
+from tether_winch.guard import Fault, GuardParameters
+from tether_winch.load_watch import LoadParameters, LoadState
+from tether_winch.requests import Mode, RequestParameters
+from tether_winch.servo import DriveCommand, ServoParameters
+from tether_winch.winch import Winch, WinchParameters
 
-_CHECK_PERIOD = 0.1
+_LISTENING_PERIOD = 0.1  # by the wall clock [s]
+_SILENCE = 0.5  # by the wall clock [s]
+_SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
+# What the tension watch says of a state of the load.
+_WORDS = {
+    LoadState.UNKNOWN: "unknown",
+    LoadState.SLACK: "slack",
+    LoadState.OVER_TENSION: "over_tension",
+}
 
 
 @dataclass(frozen=True)
 class WinchNodeParameters:
-    """How the drum is held."""
+    """How often the node acts."""
 
     command_rate: float = parameter(
-        20.0, "Hz", "how often the drum is told", 5.0, 200.0, read_only=True
-    )
-    tension_limit: float = parameter(
-        1000.0, "N", "largest tension that the drive may use", SMALLEST_LIMIT, MAX_TENSION
+        100.0, "Hz", "how often the winch is stepped and the drive told", 20.0, 500.0,
+        read_only=True,
+    )  # fmt: skip
+    estimate_rate: float = parameter(
+        50.0, "Hz", "how often the estimates are told", 1.0, 200.0, read_only=True
     )
 
 
 class WinchNode(ContractNode):
-    """Holds the drum where it stands, and tells slack and too much tension by the load cell."""
+    """Moves the tether on request and keeps the rover safe, whatever else is alive."""
 
     NAME = "winch_node"
-    PARAMETERS = (WinchNodeParameters, TensionParameters)
+    PARAMETERS = (
+        WinchNodeParameters,
+        ServoParameters,
+        RequestParameters,
+        GuardParameters,
+        LoadParameters,
+        EstimateParameters,
+        DrumParameters,
+    )
 
     def setup(self) -> None:
-        """Open topics."""
+        """Open topics and services."""
         self._command_outlet = self.publisher(topics.WINCH_COMMAND)
+        self._estimate_outlet = self.publisher(topics.WINCH_ESTIMATE)
+        self._mode_outlet = self.publisher(topics.WINCH_MODE)
+        self._alarm_outlet = self.publisher(topics.WINCH_ALARMS)
         self._watch_outlet = self.publisher(topics.TENSION_WATCH)
         self._begin()
         self.subscribe(topics.WINCH_STATE, self._on_drum)
         self.subscribe(topics.LOAD_CELL, self._on_load_cell)
+        self.subscribe(topics.MOTOR_CURRENTS, self._on_currents)
+        self.subscribe(topics.JUMP_PHASE, self._on_jump)
+        self.subscribe(topics.WINCH_TRIM, self._on_trim)
+        self.serve(topics.WINCH_HOLD, self._on_hold)
+        self.serve(topics.WINCH_RELAX, self._on_relax)
+        self.serve(topics.WINCH_STOP, self._on_stop)
+        self.serve(topics.WINCH_REARM, self._on_rearm)
+        self.subscribe(topics.WINCH_REQUEST, self._on_request)
 
     def start(self) -> None:
-        """Begin to hold and to watch."""
+        """Stand disarmed, with the brake closed."""
         self._begin()
-        self.every(1.0 / self.parameters_of(WinchNodeParameters).command_rate, self._command)
-        # By the wall clock: where simulated time has stopped, the load cell is silent too.
-        self.every(_CHECK_PERIOD, self._check, by_wall_clock=True)
+        rates = self.parameters_of(WinchNodeParameters)
+        self.every(1.0 / rates.command_rate, self._step)
+        self.every(1.0 / rates.estimate_rate, self._tell_estimates)
+        # Where simulated time stands still, the sensors are silent too.
+        self.every(_LISTENING_PERIOD, self._listen, by_wall_clock=True)
+
+    def stop(self) -> None:
+        """Brake, motor off."""
+        self._winch.stop("the node stops", self.now_ns())
+        self._step()
 
     def parameters_changed(self) -> None:
-        """Watch by the new thresholds; what is held stays."""
+        """Go by the new limits and thresholds at once."""
         if self.active:
-            self._hold.tension_limit = self.parameters_of(WinchNodeParameters).tension_limit
-            self._begin_to_watch()
+            self._winch.retune(self._winch_parameters())
 
     def clock_jumped(self) -> None:
-        """Begin anew: what was timed means nothing any more."""
+        """Brake: nothing that was timed means anything any more."""
         if self.active:
-            self._begin()
+            self._winch.clock_jumped(self.now_ns())
+            self._step()
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Put a refusal on diagnostics; a sensor that talks nonsense ends every motion."""
+        super().refuse(refusal)
+        if self.active and refusal.subject in _SENSORS:
+            reason = f"{refusal.subject}: {refusal.reason}"
+            self._winch.latch(Fault.BAD_READING, reason, self.now_ns())
+            self._step()
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """The sensors that are silent."""
+        return self._winch.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
-        """Tension and what is held."""
+        """Mode with its fault, and tension with its source."""
         if not self.active:
             return ()
-        state, tension, length = self._watch.state, self._watch.tension, self._hold.length
-        values = {
-            "tension": "" if math.isnan(tension) else repr(tension),
-            "held_length": "" if length is None else repr(length),
-        }
-        statuses = [
-            Status(f"{self.NAME}: tension", state.value, state.level, self.NAME, values),
-        ]
-        if length is None:
-            reason = f"{topics.WINCH_STATE} was never heard: the drum is not held"
-            statuses.append(Status(f"{self.NAME}: drum", reason, Level.WARN, self.NAME))
-        return tuple(statuses)
+        winch = self._winch
+        level, text = Level.OK, winch.mode.value
+        if winch.mode is Mode.FAULT:
+            level, text = Level.ERROR, f"{winch.fault}: {winch.fault_reason}"
+        value, source = winch.tension_now(self.now_ns())
+        known = source is not TensionSource.NONE
+        values = {"tension": repr(value) if known else "", "source": source.value}
+        values["load_mean"] = repr(winch.load.mean)
+        tension_level = Level.OK if source is TensionSource.LOAD_CELL else Level.WARN
+        heat = {"motor_heat": repr(winch.heat.heat)}
+        return (
+            Status(f"{self.NAME}: mode", text, level, self.NAME, heat),
+            Status(
+                f"{self.NAME}: tension", self._winch.load.state.value, tension_level,
+                self.NAME, values,
+            ),
+        )  # fmt: skip
 
-    def _begin(self) -> None:
-        self._hold = WinchHold(self.parameters_of(WinchNodeParameters).tension_limit)
-        self._begin_to_watch()
-
-    def _begin_to_watch(self) -> None:
-        self._watch = TensionWatch(self.parameters_of(TensionParameters))
-        self._heard = time.monotonic()
-        self._watch_outlet.send(TextSample(self._watch.state.value))
+    # --- what is heard ---------------------------------------------------------------------------
 
     def _on_drum(self, sample: JointSample) -> None:
-        self._hold.hear(sample)
+        self._winch.hear_drum(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
         self._heard = time.monotonic()
-        self._tell(self._watch.hear(sample, self.now_ns()))
+        self._winch.hear_load_cell(sample, self.now_ns())
 
-    def _check(self) -> None:
-        self._tell(self._watch.check(time.monotonic() - self._heard))
+    def _on_currents(self, sample: JointSample) -> None:
+        self._winch.hear_currents(sample, self.now_ns())
 
-    def _command(self) -> None:
-        command = self._hold.command()
+    def _on_jump(self, sample: TextSample) -> None:
+        self._winch.hear_jump(sample.text, self.now_ns())
+
+    def _on_trim(self, sample: JointSample) -> None:
+        self._winch.trim(sample.joints[WINCH_DRUM].velocity, self.now_ns())
+
+    def _on_request(self, sample: JointSample) -> None:
+        self._winch.request(sample, self.now_ns())
+        self._tell_changes()
+
+    def _on_hold(self) -> tuple[bool, str]:
+        done = self._winch.hold(self.now_ns())
+        self._tell_changes()
+        return True, done
+
+    def _on_relax(self) -> tuple[bool, str]:
+        done = self._winch.relax(self.now_ns())
+        self._tell_changes()
+        return True, done
+
+    def _on_stop(self) -> tuple[bool, str]:
+        self._winch.stop("asked to stop", self.now_ns())
+        self._step()
+        return True, f"braked, in {self._winch.mode}"
+
+    def _on_rearm(self) -> tuple[bool, str]:
+        done = self._winch.rearm(self.now_ns())
+        self._tell_changes()
+        return True, done
+
+    # --- what is told ----------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        self._winch = Winch(self._winch_parameters())
+        self._heard = time.monotonic()
+        self._told_mode: Mode | None = None
+        self._told_word = ""
+        self._told_alarms: dict[str, bool] | None = None
+        self._tell_changes()
+
+    def _winch_parameters(self) -> WinchParameters:
+        return WinchParameters(
+            self.parameters_of(DrumParameters),
+            self.parameters_of(EstimateParameters),
+            self.parameters_of(LoadParameters),
+            self.parameters_of(ServoParameters),
+            self.parameters_of(GuardParameters),
+            self.parameters_of(RequestParameters),
+        )
+
+    def _step(self) -> None:
+        now_ns = self.now_ns()
+        command = self._winch.step(now_ns)
         if command is not None:
-            joints = {
-                WINCH_DRUM: JointValue(command.length, command.rate),
-                WINCH_BRAKE: JointValue(0.0),
-                WINCH_LIMIT: JointValue(effort=command.tension),
-            }
-            self._command_outlet.send(JointSample(self.now_ns(), joints))
+            self._command_outlet.send(_told(command, now_ns))
+        self._tell_changes()
 
-    def _tell(self, change: TensionChange | None) -> None:
-        if change is None:
+    def _listen(self) -> None:
+        silent = time.monotonic() - self._heard
+        if silent > _SILENCE:
+            self._winch.note_silence(f"the load cell is silent for {silent:.2g} s")
+            self._tell_changes()
+
+    def _tell_changes(self) -> None:
+        winch = self._winch
+        if winch.mode is not self._told_mode:
+            self._told_mode = winch.mode
+            self._mode_outlet.send(TextSample(winch.mode.value))
+        word = _WORDS.get(winch.load.state, "normal")
+        if word != self._told_word:
+            self._told_word = word
+            self._watch_outlet.send(TextSample(word))
+        alarms = dict(winch.alarms)
+        if alarms != self._told_alarms:
+            self._told_alarms = alarms
+            tension, _ = winch.tension_now(self.now_ns())
+            effort = 0.0 if math.isnan(tension) else max(tension, 0.0)
+            values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
+            self._alarm_outlet.send(JointSample(self.now_ns(), values))
+        for change in winch.take_transitions():
+            self.event(change.name, change.reason, change.level, change.values)
+            if change.level is not Level.OK:
+                name = f"{self.NAME}: {change.name}"
+                self.report(Status(name, change.reason, change.level, self.NAME))
+
+    def _tell_estimates(self) -> None:
+        winch = self._winch
+        if not winch.payout.is_known:
             return
-        self._watch_outlet.send(TextSample(change.state.value))
-        values = {} if math.isnan(change.tension) else {"tension": change.tension}
-        name = f"tension_{change.state.value}"
-        self.event(name, change.reason, change.state.level, values)
-        if change.state.level is not Level.OK:
-            self.report(
-                Status(f"{self.NAME}: {name}", change.reason, change.state.level, self.NAME)
-            )
+        now_ns = self.now_ns()
+        tension, source = winch.tension_now(now_ns)
+        known = source is not TensionSource.NONE
+        length, rate = max(winch.payout.length, 0.0), winch.payout.rate
+        pull = tension if known else winch.drum.hanging_weight(length) + winch.load.mean
+        stretched = winch.drum.stretched(length, pull)
+        reference = winch.servo.reference
+        weight = winch.drum.hanging_weight(length)
+        line_density = winch.parameters.drum.line_density
+        values = {
+            PAYOUT: JointValue(length, rate, 0.0),
+            STRETCHED: JointValue(stretched, rate * stretched / length if length else rate, 0.0),
+            TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
+            TETHER_OUT: JointValue(line_density * length, 0.0, weight),
+            REFERENCE: JointValue(
+                min(max(reference.length, 0.0), MAX_LENGTH),
+                min(max(reference.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
+                min(winch.servo.aimed_tension, MAX_TENSION),
+            ),
+        }
+        self._estimate_outlet.send(JointSample(now_ns, values))
+
+
+def _told(command: DriveCommand, now_ns: int) -> JointSample:
+    return JointSample(
+        now_ns,
+        {
+            WINCH_DRUM: JointValue(command.length, command.rate, command.feed_forward),
+            WINCH_BRAKE: JointValue(float(command.release_brake), 0.0, 0.0),
+            WINCH_LIMIT: JointValue(0.0, 0.0, command.limit),
+        },
+    )
 
 
 def main() -> int:

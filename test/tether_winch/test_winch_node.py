@@ -1,169 +1,356 @@
-"""winch_node as a process of its own, with the simulator or with a mother machine of the test's."""
+"""winch_node as a process of its own, with a mother machine of the test's or with the simulator."""
 
 from __future__ import annotations
 
 import math
 import signal
-import threading
-import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from graph import forbidden_to_controllers, subscriptions_of
+from winch_hoist import Hoist, HoistParameters
+from winch_mother import Mother
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
-from msg_schemas.samples import JointSample, JointValue, Level, WrenchSample
-from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import (
+    PAYOUT,
+    TENSION,
+    TETHER_OUT,
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
+    WINCH_DRUM,
+    WINCH_SLACK,
+    WINCH_TO_LENGTH,
+)
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Processes, Stage
+    from rover_verify.stage import Observer, Process, Stage
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 MODULE, NODE = "tether_winch.winch_node", "winch_node"
+WEIGHT = 16.2
 
 
-class LoadCell:
-    """Speaks at 50 Hz in a thread of its own, what it is told to say."""
+class Bench:
+    """A winch node and its mother machine."""
 
-    def __init__(self, observer: Observer) -> None:
-        self._observer = observer
-        self._publisher = observer.publisher(topics.LOAD_CELL)
-        self._ended = threading.Event()
-        self.tension: float | None = 10.0  # None = silent
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+    def __init__(self, process: Process, observer: Observer, mother: Mother) -> None:
+        self.process = process
+        self.observer = observer
+        self.mother = mother
 
-    def _run(self) -> None:
-        while not self._ended.wait(0.02):
-            tension = self.tension
-            if tension is None:
-                continue
-            message = encode(topics.LOAD_CELL, WrenchSample(time.time_ns(), (0.0, 0.0, -1.0)))
-            message.wrench.force.z = -tension
-            self._publisher.publish(message)
+    def ask(self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0) -> None:
+        value = JointValue(position, velocity, effort)
+        sample = JointSample(self.mother.now_ns, {joint: value})
+        self.observer.send(topics.WINCH_REQUEST, sample)
 
-    def end(self) -> None:
-        self._ended.set()
-        self._thread.join()
+    def modes(self) -> int:
+        return len(self.observer.listen(topics.WINCH_MODE))
+
+    def arm(self) -> None:
+        answer = self.observer.call(topics.WINCH_REARM)
+        assert answer.success, answer.message
+        self.observer.wait_for_text(topics.WINCH_MODE, "hold")
+
+    def lower(self, rate: float = 0.3) -> None:
+        """Arm, and wait until the tether is paid out at a rate."""
+        self.arm()
+        self.ask(WINCH_TO_LENGTH, 45.0, rate)
+        self.mother.wait(lambda: self.mother.last.rate > 0.95 * rate, "the drum does not pay out")
+
+    def wait_for_fault(self, fault: str, since: int) -> str:
+        """Wait for the fault; returns its reason."""
+        self.observer.wait_for_text(topics.WINCH_MODE, "fault", since=since)
+        return self.observer.wait_for_status(
+            topics.EVENTS,
+            lambda s: s.name == "winch_fault" and s.values.get("fault") == fault,
+        ).message
+
+    def wait_until_braked(self) -> None:
+        """Wait until the drum stands, its brake closed and its motor without torque."""
+
+        def braked() -> bool:
+            last = self.mother.last
+            return last.rate == 0.0 and not last.brake_is_open and last.current == 0.0
+
+        self.mother.wait(braked, "the drum is not braked")
 
 
 @pytest.fixture
-def winch(stage: Stage) -> tuple[Process, Observer]:
-    process = stage.processes.start(MODULE, {"weight_reference": 10.0})
+def bench(stage: Stage) -> Iterator[Bench]:
+    yield from make_bench(stage, Hoist(HoistParameters(start_length=5.0)))
+
+
+def make_bench(stage: Stage, hoist: Hoist) -> Iterator[Bench]:
+    hoist.step(None, 0.01)  # compiled here, not while time runs
+    process = stage.processes.start(MODULE, {"use_sim_time": True})
     observer = stage.observer()
     observer.listen(topics.DIAGNOSTICS)
-    observer.wait_for_text(topics.TENSION_WATCH, "unknown")
-    return process, observer
+    observer.listen(topics.WINCH_MODE)
+    mother = Mother(observer, hoist)
+    mother.begin()
+    observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+    observer.wait_until_ready(NODE)
+    try:
+        yield Bench(process, observer, mother)
+    finally:
+        mother.end()
 
 
-@pytest.fixture
-def load_cell(winch: tuple[Process, Observer]) -> Iterator[LoadCell]:
-    made = LoadCell(winch[1])
-    yield made
-    made.end()
+# ------------------------------------------------------------------------------- arms and requests
 
 
-def words(observer: Observer) -> int:
-    return len(observer.listen(topics.TENSION_WATCH))
+def test_it_stands_disarmed_and_refuses_motion_with_the_reason(bench: Bench):
+    bench.ask(WINCH_TO_LENGTH, 10.0, 0.3)
+    refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
+    assert topics.WINCH_REARM in refusal.message
+    answer = bench.observer.call(topics.WINCH_HOLD)
+    assert not answer.success
+    assert "disarmed" in answer.message
+    assert all(s.joints[WINCH_DRUM].velocity == 0.0 for s in commands(bench))
 
 
-def test_tension_is_watched_and_each_change_told_with_its_reason(
-    winch: tuple[Process, Observer], load_cell: LoadCell
-):
-    _, observer = winch
-    observer.wait_for_text(topics.TENSION_WATCH, "normal")
-    for tension, word, level in (
-        (1.0, "slack", Level.OK),
-        (10.0, "normal", Level.OK),
-        (45.0, "over_tension", Level.ERROR),
-        (10.0, "normal", Level.OK),
+def commands(bench: Bench) -> list[JointSample]:
+    return list(bench.observer.listen(topics.WINCH_COMMAND).samples)
+
+
+def test_a_length_is_reached_and_held_by_the_brake(bench: Bench):
+    bench.arm()
+    since = bench.modes()
+    bench.ask(WINCH_TO_LENGTH, 6.0, 0.3)
+    bench.observer.wait_for_text(topics.WINCH_MODE, "length", since=since)
+    bench.observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
+    bench.wait_until_braked()
+    assert bench.mother.last.length == pytest.approx(6.0, abs=0.005)
+    estimate = bench.observer.listen(topics.WINCH_ESTIMATE)
+    bench.mother.wait_for(0.5)
+    joints = estimate.last.joints
+    assert joints[PAYOUT].position == pytest.approx(bench.mother.last.length, abs=1e-3)
+    assert joints[TENSION] == JointValue(1.0, 0.0, pytest.approx(bench.mother.last.tension, rel=0.1))
+    assert joints[TETHER_OUT].position == pytest.approx(0.005 * 6.0, rel=1e-3)
+
+
+def bad_number(message: Any) -> None:
+    message.velocity[0] = math.nan
+
+
+def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
+    bench.arm()
+    for joint, value, code, words in (
+        (WINCH_TO_LENGTH, (59.0, 0.3, 0.0), "out_of_limits", "0.3 .. 57.8 m"),
+        (WINCH_TO_LENGTH, (10.0, 0.4, 0.0), "out_of_limits", "0.35 m/s"),
+        (WINCH_AT_RATE, (0.0, 0.1, 100.0), "out_of_limits", "at most 40 N"),
+        (WINCH_AT_TENSION, (0.0, 0.1, 0.1), "out_of_limits", "pay out without end"),
+        (WINCH_AT_TENSION, (0.0, 0.1, 3.0), "wrong_phase", "let it fall"),
+        (WINCH_SLACK, (1.0, 0.1, 0.0), "wrong_phase", "must stand first"),
     ):
-        since, events = words(observer), len(observer.listen(topics.EVENTS))
-        load_cell.tension = tension
-        observer.wait_for_text(topics.TENSION_WATCH, word, since=since)
-        event = observer.wait_for_event(f"tension_{word}", events)
-        assert event.level is level
-        assert float(event.values["tension"]) == pytest.approx(tension)
+        since = len(bench.observer.listen(topics.DIAGNOSTICS))
+        bench.ask(joint, *value)
+        refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, code, since)
+        assert words in refusal.message
+    stale = JointSample(bench.mother.now_ns - 5_000_000_000, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
+    if stale.stamp_ns > 0:
+        bench.observer.send(topics.WINCH_REQUEST, stale)
+        bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "stale")
+    assert bench.mother.last.rate == 0.0
 
 
-@pytest.mark.parametrize("tension", [None, math.nan, -math.inf])
-def test_a_load_cell_that_is_silent_or_says_nonsense_makes_it_unknown(
-    winch: tuple[Process, Observer], load_cell: LoadCell, tension: float | None
+# -------------------------------------------------------------------------------------------- safety
+
+
+def silent_drum(bench: Bench) -> None:
+    bench.mother.spoil = lambda name, m: None if name == topics.WINCH_STATE else m
+
+
+def silent_cell(bench: Bench) -> None:
+    bench.mother.spoil = lambda name, m: None if name == topics.LOAD_CELL else m
+
+
+def cell_says(value: float) -> Callable[[Bench], None]:
+    def spoil(name: str, message: Any) -> Any:
+        if name == topics.LOAD_CELL:
+            message.wrench.force.z = -value
+        return message
+
+    def apply(bench: Bench) -> None:
+        bench.mother.spoil = spoil
+
+    return apply
+
+
+def drum_says(field: str, value: float) -> Callable[[Bench], None]:
+    def spoil(name: str, message: Any) -> Any:
+        if name == topics.WINCH_STATE:
+            getattr(message, field)[0] = value
+        return message
+
+    def apply(bench: Bench) -> None:
+        bench.mother.spoil = spoil
+
+    return apply
+
+
+def clock_jumps_back(bench: Bench) -> None:
+    bench.mother.now_ns -= 700_000_000
+
+
+def tether_ends(bench: Bench) -> None:
+    assert bench.observer.set_parameter(NODE, "soft_margin", 0.0).successful
+    assert bench.observer.set_parameter(NODE, "longest_length", bench.mother.last.length).successful
+
+
+CASES = {
+    "drum_lost": silent_drum,
+    "tension_lost": silent_cell,
+    "bad_reading": cell_says(math.nan),
+    "bad_reading ": drum_says("position", math.nan),
+    "overspeed": drum_says("velocity", 1.0),
+    "over_tension": cell_says(5.0 * WEIGHT),
+    "tether_end": tether_ends,
+    "clock_jump": clock_jumps_back,
+}
+
+
+@pytest.mark.parametrize("case", list(CASES))
+def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
+    bench: Bench, case: str
 ):
-    process, observer = winch
-    observer.wait_for_text(topics.TENSION_WATCH, "normal")
-    since = words(observer)
-    load_cell.tension = tension
-    observer.wait_for_text(topics.TENSION_WATCH, "unknown", since=since)
-    if tension is not None:
-        observer.wait_for_refusal(topics.LOAD_CELL, "not_finite")
-    since = words(observer)
-    load_cell.tension = 10.0
-    observer.wait_for_text(topics.TENSION_WATCH, "normal", since=since)
-    assert process.is_running
+    bench.lower(0.2)
+    since = bench.modes()
+    CASES[case](bench)
+    reason = bench.wait_for_fault(case.strip(), since)
+    assert reason.startswith(case.strip())
+    assert len(reason) > len(case) + 10
+    bench.wait_until_braked()
+    begun = len(bench.mother.history)
+    bench.mother.spoil = lambda _, message: message
+    bench.mother.wait_for(0.5)
+    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
+    assert case.strip() in refusal.message
+    assert all(r.rate == 0.0 for _, r, _ in bench.mother.history[begun:])
+    if case == "tether_end":
+        bench.observer.set_parameter(NODE, "longest_length", 58.0)
+    since = bench.modes()
+    bench.arm()
+    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    bench.mother.wait(lambda: bench.mother.last.rate < -0.1, "it does not reel in again")
 
 
-def test_the_drum_is_held_at_the_length_at_which_it_first_stood(
-    winch: tuple[Process, Observer],
+@pytest.mark.parametrize("mode", [WINCH_AT_RATE, WINCH_AT_TENSION])
+def test_a_request_that_is_not_renewed_ends_in_a_fault_and_a_renewed_one_goes_on(
+    bench: Bench, mode: str
 ):
-    _, observer = winch
-    commands = observer.listen(topics.WINCH_COMMAND)
-    observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: drum" and s.level is Level.WARN
+    bench.arm()
+    since = bench.modes()
+    for _ in range(8):
+        bench.ask(mode, 0.0, 0.1, 0.0 if mode == WINCH_AT_RATE else 15.0)
+        bench.mother.wait_for(0.25)
+    assert "fault" not in {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]}
+    assert bench.mother.last.rate > 0.01
+    reason = bench.wait_for_fault("command_silence", since)
+    assert "not renewed within 1 s" in reason
+    bench.wait_until_braked()
+
+
+def test_the_stop_service_brakes_at_once_and_stays_so(bench: Bench):
+    bench.lower()
+    since = bench.modes()
+    assert bench.observer.call(topics.WINCH_STOP).success
+    bench.observer.wait_for_text(topics.WINCH_MODE, "stop", since=since)
+    bench.wait_until_braked()
+    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: signal.Signals):
+    bench.lower()
+    assert bench.process.stop(number) == 0
+    last = commands(bench)[-1]
+    assert last.joints[WINCH_DRUM] == JointValue(
+        pytest.approx(last.joints[WINCH_DRUM].position), 0.0, 0.0
     )
-    assert not commands.samples
-    for length in (12.5, 13.0):
-        value = {WINCH_DRUM: JointValue(length, 0.0, 10.0), WINCH_BRAKE: JointValue()}
-        observer.send(topics.WINCH_STATE, JointSample(time.time_ns(), value))
-    held = commands.wait_for_count(20)
-    assert {s.joints[WINCH_DRUM] for s in held} == {JointValue(12.5)}
-    assert {s.joints[WINCH_BRAKE].position for s in held} == {0.0}
-    assert {s.joints[WINCH_LIMIT].effort for s in held} == {1000.0}
-    stamps = [s.stamp_ns for s in held]
-    assert (stamps[-1] - stamps[0]) / 19e9 == pytest.approx(0.05, rel=0.5)
+    bench.wait_until_braked()
+    assert bench.process.group_is_gone()
+    assert "Traceback" not in bench.process.output
 
 
-def test_it_hears_no_truth_of_the_simulator(winch: tuple[Process, Observer]):
-    heard = subscriptions_of(winch[1], NODE)
-    assert topics.LOAD_CELL in heard
+def test_deactivated_it_brakes(bench: Bench):
+    bench.lower()
+    assert bench.observer.change_state(NODE, "deactivate")
+    bench.wait_until_braked()
+
+
+@pytest.mark.parametrize("length", [5.0, 15.0, 45.0])
+def test_killed_while_it_pays_out_the_drum_stops_in_time_and_softly(stage: Stage, length: float):
+    for bench in make_bench(stage, Hoist(HoistParameters(start_length=length))):
+        bench.arm()
+        bench.ask(WINCH_TO_LENGTH, length + 8.0, 0.3)
+        mother = bench.mother
+        mother.wait(lambda: mother.last.rate > 0.295, "the drum does not pay out")
+        bench.process.send(signal.SIGKILL)
+        bench.process.wait()
+        mother.is_alone = True
+        mother.wait(lambda: mother.last.rate == 0.0, "the drum does not stop")
+        mother.wait_for(3.0)
+        last = next(i for i, (_, _, c) in enumerate(mother.history) if i > 100 and c is None)
+        # Silence begins with the last command, which the drive had for 0.1 s.
+        begun = max(0, last - 11)
+        after = mother.history[begun:]
+        stopped = next(t for t, r, _ in after if r.rate == 0.0)
+        assert stopped - after[0][0] < 0.75
+        assert mother.last.length - after[0][1].length < 0.15
+        assert max(r.tension for _, r, _ in after) < 4.0 * WEIGHT
+
+
+# ------------------------------------------------------------------------------------------ the rest
+
+
+def test_touchdown_is_told_and_stops_the_payout(stage: Stage):
+    hoist = Hoist(HoistParameters(start_length=5.0, floor_depth=5.6))
+    for bench in make_bench(stage, hoist):
+        bench.arm()
+        bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+        event = bench.observer.wait_for_event("alarm_touchdown")
+        assert float(event.values["length"]) == pytest.approx(5.65, abs=0.05)
+        bench.wait_until_braked()
+        assert hoist.slack < 0.15
+        alarms = bench.observer.listen(topics.WINCH_ALARMS)
+        alarms.wait(lambda s: s.joints["touchdown"].position == 1.0)
+        alarms.wait(lambda s: s.joints["slack"].position == 1.0)
+        bench.observer.wait_for_text(topics.TENSION_WATCH, "slack")
+        bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+        bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_phase")
+
+
+def test_it_hears_no_truth_of_the_simulator(bench: Bench):
+    heard = subscriptions_of(bench.observer, NODE)
+    assert {topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS} <= heard
     assert not heard & forbidden_to_controllers()
 
 
-def test_thresholds_are_checked_together_also_when_changed(winch: tuple[Process, Observer]):
-    _, observer = winch
-    result = observer.set_parameter(NODE, "over_above", 1.0)
+def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
+    result = bench.observer.set_parameter(NODE, "snag_above", 1.2)
     assert result.successful
-    result = observer.set_parameter(NODE, "slack_below", 0.9)
+    result = bench.observer.set_parameter(NODE, "touchdown_below", 0.9)
     assert not result.successful
     assert "further apart" in result.reason
-    assert observer.get_parameter(NODE, "slack_below") == 0.5
+    assert bench.observer.get_parameter(NODE, "touchdown_below") == 0.5
 
 
-def test_thresholds_that_cross_end_it_with_code_2(processes: Processes):
-    process = processes.start(MODULE, {"slack_below": 1.0, "over_above": 1.0})
+def test_thresholds_that_cross_end_it_with_code_2(stage: Stage):
+    process = stage.processes.start(MODULE, {"touchdown_below": 0.9, "snag_above": 1.1})
     assert process.wait() == 2
     assert "further apart" in process.output
     assert "Traceback" not in process.output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_cleanly(winch: tuple[Process, Observer], number: signal.Signals):
-    process, _ = winch
-    assert process.stop(number) == 0
-    assert process.group_is_gone()
-    assert "Traceback" not in process.output
-
-
-# ------------------------------------------------------------------------------ with the simulator
-
-
 @pytest.mark.usefixtures("compiled")
-def test_with_the_simulator_it_holds_and_sees_the_slack_tether_and_the_simulator_s_death(
-    stage: Stage,
-):
+def test_with_the_planar_simulator_it_holds_and_sees_the_slack_tether_and_its_death(stage: Stage):
     observer = stage.observer()
     observer.listen(topics.DIAGNOSTICS)
     stage.processes.start(MODULE, {"use_sim_time": True, "weight_reference": 49.0})
@@ -177,6 +364,10 @@ def test_with_the_simulator_it_holds_and_sees_the_slack_tether_and_the_simulator
         if "refused" in status.name
     ]
     assert not refused
-    since = words(observer)
+    since = len(observer.listen(topics.TENSION_WATCH))
     sim.send(signal.SIGKILL)
     observer.wait_for_text(topics.TENSION_WATCH, "unknown", since=since)
+    assert not [
+        s for e in observer.listen(topics.EVENTS).samples for s in e.statuses
+        if s.hardware_id == NODE and s.level is Level.ERROR
+    ]  # fmt: skip

@@ -1,0 +1,288 @@
+"""Descents drawn at random, and how the winch's judgement of its load stands up to them.
+
+A descent goes down in legs: lowering at some rate, ended smoothly or by a hard stop, raising by a
+little, sometimes until the rover is caught under a lip, and in the end at 0.1 m/s to the floor. On
+the way the rover swings and scrapes along the wall. The winch knows neither payload nor friction
+nor its load cell's errors. What it tells is held against what the plant knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from msg_schemas.machine import WINCH_TO_LENGTH
+from rover_verify.checks.winch_rig import TICK, Rig, SensorErrors, Session
+from tether_winch.requests import Mode
+from tether_winch.winch import Winch, WinchParameters
+
+APPROACH_RATE = 0.1  # [m/s]
+_SETTLE = 2.0  # [s]
+_AFTER = 1.5  # a truth that ended so long ago still excuses its alarm [s]
+_PATIENCE = 4.0  # in which a true condition must be found [s]
+
+
+class LegKind(StrEnum):
+    """What a leg of the descent is."""
+
+    LOWER = "lower"
+    RAISE = "raise"
+
+
+class Leg(NamedTuple):
+    """One leg of a descent."""
+
+    kind: LegKind
+    way: float  # [m], above 0
+    rate: float  # [m/s]
+    hard_stop_after: float | None = None  # [s]
+    lip_above: float | None = None  # way [m] after which the rover is caught
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """One descent.
+
+    Attributes:
+        start_length: paid out at the start [m].
+        payload: mass of the rover over the nominal one.
+        friction: friction of the drum over what the controller was told.
+        swing: angle at the start [rad].
+        scrapes: begin [s], end [s] and force as part of the weight, of each touch of the wall.
+        floor_below: depth of the floor below the lowest leg [m].
+    """
+
+    start_length: float
+    payload: float
+    friction: float
+    swing: float
+    legs: tuple[Leg, ...]
+    scrapes: tuple[tuple[float, float, float], ...]
+    errors: SensorErrors
+    floor_below: float
+
+    @property
+    def floor_depth(self) -> float:
+        """Of the floor below the fairlead [m]."""
+        lowest = at = self.start_length
+        for leg in self.legs:
+            at += leg.way if leg.kind is LegKind.LOWER else -leg.way
+            lowest = max(lowest, at)
+        return lowest + self.floor_below
+
+
+class TrialRig(Rig, Protocol):
+    """A plant that knows what is true."""
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether the floor carries more than half of the rover."""
+
+    @property
+    def is_caught(self) -> bool:
+        """Whether the rover is held under a lip."""
+
+    @property
+    def slack(self) -> float:
+        """Length by which the tether is longer than its way [m]."""
+
+    @property
+    def depth(self) -> float:
+        """Of the rover below the fairlead [m]."""
+
+    def place_lip(self, depth: float) -> None:
+        """Put a lip at a depth [m], under which the rover is caught when pulled up."""
+
+
+class TrialResult(NamedTuple):
+    """What one descent showed."""
+
+    touchdown_missed: bool
+    touchdown_false: bool
+    slack_false: bool
+    snags: int  # that there were
+    snag_missed: bool
+    snag_false: bool
+    slack_at_stop: float  # [m]
+    hard_stops: int
+    faults: tuple[str, ...]
+
+
+def draw_plan(rng: np.random.Generator) -> TrialPlan:
+    """Draw a descent."""
+    legs: list[Leg] = []
+    for _ in range(int(rng.integers(2, 5))):
+        way, rate = float(rng.uniform(0.8, 3.0)), float(rng.uniform(0.1, 0.3))
+        hard = rng.random() < 0.6
+        after = float(rng.uniform(0.4, 0.95) * way / rate) if hard else None
+        legs.append(Leg(LegKind.LOWER, way, rate, after))
+        if rng.random() < 0.5:
+            lift, lift_rate = float(rng.uniform(0.3, 0.8)), float(rng.uniform(0.05, 0.3))
+            caught = rng.random() < 0.4
+            lip = float(rng.uniform(0.3, 0.8) * lift) if caught else None
+            hard = lip is None and rng.random() < 0.3
+            after = float(rng.uniform(0.4, 0.9) * lift / lift_rate) if hard else None
+            legs.append(Leg(LegKind.RAISE, lift, lift_rate, after, lip))
+    scrapes = []
+    at = float(rng.exponential(4.0))
+    while at < 200.0:
+        lasts = float(rng.uniform(0.05, 0.5))
+        scrapes.append((at, at + lasts, float(rng.uniform(0.2, 0.8))))
+        at += lasts + float(rng.exponential(4.0))
+    errors = SensorErrors(
+        cell_noise=float(rng.uniform(0.05, 0.4)),
+        cell_bias=float(rng.uniform(-0.5, 0.5)),
+        cell_gain=float(rng.uniform(0.97, 1.03)),
+        rate_noise=float(rng.uniform(0.001, 0.004)),
+        current_noise=0.01,
+    )
+    return TrialPlan(
+        start_length=float(rng.uniform(3.0, 40.0)),
+        payload=float(rng.uniform(0.7, 1.3)),
+        friction=float(rng.uniform(0.5, 2.0)),
+        swing=float(rng.uniform(0.0, np.radians(10.0))),
+        legs=tuple(legs),
+        scrapes=tuple(scrapes),
+        errors=errors,
+        floor_below=float(rng.uniform(0.3, 1.5)),
+    )
+
+
+def run_trial(
+    plan: TrialPlan,
+    rig: TrialRig,
+    rng: np.random.Generator,
+    parameters: WinchParameters | None = None,
+) -> TrialResult:
+    """Let the winch make one descent."""
+    session = Session(
+        Winch(WinchParameters() if parameters is None else parameters),
+        rig,
+        plan.errors,
+        rng,
+        keeps=False,
+    )
+    trial = _Trial(session, rig)
+    session.arm()
+    trial.go(1.0)
+    for leg in plan.legs:
+        trial.do(leg)
+    trial.approach()
+    return trial.result()
+
+
+class _Trial:
+    """A descent under way, with a tally of what was true and what was told."""
+
+    def __init__(self, session: Session, rig: TrialRig) -> None:
+        self.session = session
+        self.rig = rig
+        self.hard_stops = 0
+        self.faults: list[str] = []
+        self._supported = _Truth()
+        self._caught = _Truth()
+        self._slack = _Truth()
+
+    def go(self, duration: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Go on for so long [s] at most."""
+        for _ in range(round(duration / TICK)):
+            self.session.tick()
+            now, winch, rig = self.session.time, self.session.winch, self.rig
+            touchdown, slack, snag, _ = winch.alarms.values()
+            self._supported.step(rig.is_supported, touchdown, now)
+            self._slack.step(rig.is_supported or rig.slack > 0.0, slack, now)
+            self._caught.step(rig.is_caught, snag, now)
+            if until():
+                return
+
+    def do(self, leg: Leg) -> None:
+        """Make one leg."""
+        winch, session = self.session.winch, self.session
+        self._ready()
+        sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
+        goal = max(winch.payout.length + sign * leg.way, 1.0)
+        if leg.lip_above is not None:
+            self.rig.place_lip(self.rig.depth - leg.lip_above)
+        session.ask(WINCH_TO_LENGTH, goal, leg.rate)
+
+        def done() -> bool:
+            return winch.mode is not Mode.LENGTH and winch.servo.rests
+
+        if leg.hard_stop_after is not None:
+            self.go(leg.hard_stop_after, done)
+            if not done():
+                winch.stop("a hard stop", session.now_ns)
+                self.hard_stops += 1
+        self.go(leg.way / leg.rate + 10.0, done)
+        if leg.lip_above is not None:
+            self.go(_PATIENCE)
+            self.rig.place_lip(-1e9)
+        self.go(_SETTLE)
+
+    def approach(self) -> None:
+        """Go down to the floor and stop there."""
+        winch, session = self.session.winch, self.session
+        self._ready()
+        session.ask(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
+        self.go(140.0, lambda: winch.mode is not Mode.LENGTH and winch.servo.rests)
+        self.go(_SETTLE)
+
+    def _ready(self) -> None:
+        """Arm again what has stopped."""
+        winch = self.session.winch
+        if winch.mode is Mode.FAULT:
+            self.faults.append(winch.fault_reason)
+        for _ in range(5):
+            if winch.mode.is_armed:
+                break
+            self.go(1.0)
+            winch.rearm(self.session.now_ns)
+        if winch.load.is_supported:  # a false touchdown must not end the trial
+            self.go(_PATIENCE)
+
+    def result(self) -> TrialResult:
+        """What the descent showed."""
+        return TrialResult(
+            self._supported.missed or not self._supported.found,
+            self._supported.false,
+            self._slack.false,
+            self._caught.count,
+            self._caught.missed,
+            self._caught.false,
+            self.rig.slack,
+            self.hard_stops,
+            tuple(self.faults),
+        )
+
+
+class _Truth:
+    """Holds an alarm against what is true: told without, or not told in time."""
+
+    def __init__(self) -> None:
+        self.found = False
+        self.missed = False
+        self.false = False
+        self.count = 0
+        self._true_since: float | None = None
+        self._last_true = -np.inf
+        self._told = False
+
+    def step(self, is_true: bool, is_told: bool, now: float) -> None:
+        """Take one instant."""
+        if is_true:
+            if self._true_since is None and now - self._last_true > _AFTER:
+                self.count += 1
+                self._told = False
+            if self._true_since is None:
+                self._true_since = now
+            self._last_true = now
+            self._told |= is_told
+            self.found |= is_told
+            self.missed |= not self._told and now - self._true_since > _PATIENCE
+        else:
+            self._true_since = None
+            self.false |= is_told and now - self._last_true > _AFTER

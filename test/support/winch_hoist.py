@@ -1,0 +1,184 @@
+"""A plant of reduced order for the winch: drum, elastic tether with mass, swinging point mass.
+
+The drum is the simulator's own. The tether is one spring along the line from the fairlead to the
+rover, E A (l - L)/L with strain-rate damping, without compression; its weight hangs on the fairlead
+and a third of its mass moves with the rover. The rover swings in a plane, rests on a floor, rubs
+along a wall for given times, and may be caught under a lip when it is pulled up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_sim.physics import drum as drums
+from rover_sim.physics.compiled import checked
+from rover_verify.checks.winch_rig import Readings
+from tether_winch.servo import DriveCommand
+
+_SUBSTEP = 1e-3
+
+
+@dataclass(frozen=True)
+class HoistParameters:
+    """One hoist."""
+
+    mass: float = 10.0  # rover [kg]
+    axial_stiffness: float = 2.0e4  # EA [N]
+    line_density: float = 0.005  # [kg/m]
+    damping_time: float = 0.015  # of the tether's strain rate [s]
+    gravity: float = 1.62  # [m/s^2]
+    floor_depth: float = math.inf  # below the fairlead [m]
+    floor_stiffness: float = 2.0e4  # [N/m^1.5]
+    swing: float = 0.0  # start angle [rad]
+    swing_damping: float = 0.002  # part of the sideways speed lost in a second [1/s]
+    start_length: float = 2.0  # [m]
+    drum: drums.DrumParameters = field(default_factory=drums.DrumParameters)
+    scrapes: tuple[tuple[float, float, float], ...] = ()  # begin [s], end [s], force [N]
+    lip: tuple[float, float] | None = None  # from this time [s] on, at this depth [m]
+
+
+class _Body(NamedTuple):
+    x: float
+    z: float
+    vx: float
+    vz: float
+
+
+class _Constants(NamedTuple):
+    mass: float
+    stiffness: float
+    density: float
+    damping_time: float
+    gravity: float
+    floor: float
+    floor_stiffness: float
+    swing_damping: float
+
+
+@checked
+def _march(
+    constants: _Constants,
+    drum: drums.Drum,
+    state: drums.DrumState,
+    command: drums.DrumCommand,
+    body: _Body,
+    rub: float,
+    lip: float,
+    steps: int,
+    h: float,
+) -> tuple[drums.DrumState, _Body, float, float, float, float]:
+    """Advance; returns states, last tension and current, peak tension, force of the floor."""
+    x, z, vx, vz = body
+    tension = 0.0
+    peak = 0.0
+    floor = 0.0
+    current = 0.0
+    for _ in range(steps):
+        length = state.length
+        away = math.sqrt(x * x + z * z)
+        mass = constants.mass + constants.density * length / 3.0
+        closing = (x * vx + z * vz) / away - state.rate * drum.radius
+        strain = (away - length) / length
+        tip = constants.stiffness * (strain + constants.damping_time * closing / length)
+        if strain <= 0.0 or tip < 0.0:
+            tip = 0.0
+        weight = constants.density * constants.gravity * min(length, abs(z))
+        tension = tip + weight
+        peak = max(peak, tension)
+        state, outputs, _books = drums.advance(drum, state, command, tension, h)
+        current = outputs.current
+        fx = -tip * x / away - constants.swing_damping * mass * vx
+        fz = -tip * z / away - mass * constants.gravity
+        fz -= rub * math.tanh(vz / 0.01)
+        depth = -constants.floor - z
+        floor = 0.0
+        if depth > 0.0:
+            floor = constants.floor_stiffness * depth**1.5 * max(0.0, 1.0 - 0.75 * vz)
+            fz += floor
+            fx -= 0.6 * floor * math.tanh(vx / 0.005)
+        pressed = z + lip
+        if pressed > 0.0:
+            fz -= constants.floor_stiffness * pressed**1.5 * max(0.0, 1.0 + 0.75 * vz)
+        vx += h * fx / mass
+        vz += h * fz / mass
+        x += h * vx
+        z += h * vz
+    return state, _Body(x, z, vx, vz), tension, current, peak, floor
+
+
+class Hoist:
+    """A rig to hang a winch controller on.
+
+    Args:
+        parameters: of one hoist.
+    """
+
+    def __init__(self, parameters: HoistParameters) -> None:
+        self.parameters = p = parameters
+        self._drum = drums.make_drum(p.drum)
+        self._state = drums.initial_state(self._drum, p.start_length)
+        weight = p.mass * p.gravity
+        stretched = p.start_length * (1.0 + weight / p.axial_stiffness)
+        start = min(stretched * math.cos(p.swing), p.floor_depth)
+        self._body = _Body(stretched * math.sin(p.swing), -start, 0.0, 0.0)
+        self._constants = _Constants(
+            p.mass, p.axial_stiffness, p.line_density, p.damping_time, p.gravity,
+            min(p.floor_depth, 1e9), p.floor_stiffness, p.swing_damping,
+        )  # fmt: skip
+        self.time = 0.0
+        self.peak_tension = 0.0
+        self.floor_force = 0.0  # [N]
+        self.is_caught = False
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Of the rover: sideways, upwards [m]."""
+        return np.array([self._body.x, self._body.z])
+
+    @property
+    def depth(self) -> float:
+        """Of the rover below the fairlead [m]."""
+        return -self._body.z
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether the floor carries more than half of the rover."""
+        return self.floor_force > 0.5 * self.parameters.mass * self.parameters.gravity
+
+    @property
+    def slack(self) -> float:
+        """Length by which the tether is longer than its way [m]."""
+        return max(0.0, self._state.length - math.hypot(self._body.x, self._body.z))
+
+    def place_lip(self, depth: float) -> None:
+        """Put a lip above the rover, under which it is caught when pulled up [m]."""
+        self.parameters = replace(self.parameters, lip=(self.time, depth))
+
+    def step(self, command: DriveCommand | None, dt: float) -> Readings:
+        """Advance under a command; None = the drive has none."""
+        rub = sum(f for begin, end, f in self.parameters.scrapes if begin <= self.time < end)
+        lip = self.parameters.lip
+        depth = lip[1] if lip is not None and self.time >= lip[0] else -1e9
+        self._state, self._body, tension, current, peak, self.floor_force = _march(
+            self._constants, self._drum, self._state, self._told(command), self._body, rub, depth,
+            round(dt / _SUBSTEP), _SUBSTEP,
+        )  # fmt: skip
+        self.is_caught = self._body.z + depth > 0.0
+        self.peak_tension = max(self.peak_tension, peak)
+        self.time += dt
+        s = self._state
+        radius = drums.radius_at(self._drum, self._drum.full_turns - s.angle / (2.0 * math.pi))
+        return Readings(s.length, s.rate * radius, not s.braked, current, tension)
+
+    def _told(self, command: DriveCommand | None) -> drums.DrumCommand:
+        if command is None:
+            return drums.DrumCommand(0, 0.0, 0.0, 0.0, False)
+        arm = self._drum.radius / self._drum.gear_ratio
+        return drums.DrumCommand(
+            2, -command.feed_forward * arm, command.rate, command.limit * arm, command.release_brake
+        )

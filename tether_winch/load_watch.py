@@ -1,0 +1,243 @@
+"""What the tension says about the rover: touchdown, slack, snag, over-tension. Pure.
+
+The load is the tension at the fairlead less the weight of the tether that is out. It is compared
+with its own running mean, so that neither payload nor load cell need be known well. A bounce after
+a hard stop takes the load away, or doubles it, for up to half the period of the rover on its
+tether (0.5 s at 45 m and 10 kg); a wall that the rover scrapes does so for a few tenths. So a
+change is believed only after it has lasted longer, and later still when the drum has just braked
+or stands still, where waiting costs no slack.
+
+touchdown     something carries most of the rover: the floor, or a ledge on which it sits
+slack         the tether carries nothing but itself
+snag          the load is well above the mean: something holds the rover or tether while it is
+              reeled in; not looked for after own braking
+over_tension  the tension is too high, whatever the reason
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from msg_schemas.parameters import ParameterError, parameter
+from tether_winch.held import Held
+
+
+class LoadState(StrEnum):
+    """What the tension says; the gravest that holds."""
+
+    UNKNOWN = "unknown"
+    NORMAL = "normal"
+    TOUCHDOWN = "touchdown"
+    SLACK = "slack"
+    SNAG = "snag"
+    OVER_TENSION = "over_tension"
+
+
+@dataclass(frozen=True)
+class LoadParameters:
+    """Thresholds as parts of the load's running mean, and how long they must last."""
+
+    weight_reference: float = parameter(
+        16.2, "N", "weight of the rover, until the load is known better: 10 kg on the Moon",
+        1e-3, 5000.0,
+    )  # fmt: skip
+    mean_time: float = parameter(5.0, "s", "time constant of the running mean", 0.5, 120.0)
+    learning_range: float = parameter(
+        0.5, "-", "part of the weight by which the mean may differ from weight_reference", 0.0, 0.95
+    )
+    hysteresis: float = parameter(
+        0.1, "-", "part of the mean beyond a threshold that takes it back", 0.0, 0.4
+    )
+    touchdown_below: float = parameter(
+        0.5, "-", "below this part of the mean something else carries the rover", 0.1, 0.9
+    )
+    slack_below: float = parameter(
+        0.1, "-", "below this part of the mean the tether is slack", 0.0, 0.5
+    )
+    snag_above: float = parameter(
+        1.35, "-", "above this part of the mean something holds on", 1.1, 10.0
+    )
+    hold_time: float = parameter(
+        0.6, "s", "how long a threshold must be passed to be believed", 0.05, 10.0
+    )
+    bounce_share: float = parameter(
+        0.9, "-", "part of the rover's bounce period on its tether, if that is longer", 0.0, 10.0
+    )
+    unsteady_hold_time: float = parameter(
+        1.5, "s", "the same while the drum stands, reels in or has just braked", 0.05, 30.0
+    )
+    back_time: float = parameter(
+        0.3, "s", "how long it must be taken back to be believed", 0.0, 10.0
+    )
+    brake_blanking: float = parameter(
+        2.0, "s", "after own braking: no snag, and the longer hold time", 0.0, 30.0
+    )
+    over_above: float = parameter(
+        3.5, "-", "above this part of weight_reference the tension is too high", 1.1, 100.0
+    )
+    over_hold_time: float = parameter(
+        0.02, "s", "how long too much tension must last to be believed", 0.0, 10.0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse thresholds that leave nothing between them."""
+        if self.slack_below + self.hysteresis > self.touchdown_below:
+            msg = (
+                f"slack_below is {self.slack_below:g} and touchdown_below "
+                f"{self.touchdown_below:g}, they must be further apart than the hysteresis, "
+                f"{self.hysteresis:g}"
+            )
+            raise ParameterError(msg)
+        if self.touchdown_below + self.hysteresis >= self.snag_above - self.hysteresis:
+            msg = (
+                f"touchdown_below is {self.touchdown_below:g} and snag_above "
+                f"{self.snag_above:g}, they must be further apart than twice the hysteresis, "
+                f"{self.hysteresis:g}"
+            )
+            raise ParameterError(msg)
+
+
+class LoadWatch:
+    """Follows the load of one tether.
+
+    Args:
+        parameters: thresholds.
+    """
+
+    _FILTER = 0.03  # low-pass of the load [s]
+    _LEARNT_AT_ONCE = 1.0  # weight of weight_reference in the mean's beginning [s]
+
+    def __init__(self, parameters: LoadParameters) -> None:
+        self.parameters = parameters
+        self.state = LoadState.UNKNOWN
+        self.mean = parameters.weight_reference  # [N]
+        self.load = math.nan  # [N]
+        self._learnt = self._LEARNT_AT_ONCE  # [s]
+        self._braked: float | None = None
+        self._paying_since: float | None = None
+        self._reeled: float | None = None
+        self._last: float | None = None
+        self._touchdown, self._slack, self._snag, self._over = Held(), Held(), Held(), Held()
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether something else than the tether carries most of the rover."""
+        return self._touchdown.is_on
+
+    @property
+    def is_snagged(self) -> bool:
+        """Whether something holds on to rover or tether."""
+        return self._snag.is_on
+
+    @property
+    def alarms(self) -> Mapping[str, bool]:
+        """Each condition, whether it holds; several may."""
+        return {
+            LoadState.TOUCHDOWN: self._touchdown.is_on,
+            LoadState.SLACK: self._slack.is_on,
+            LoadState.SNAG: self._snag.is_on,
+            LoadState.OVER_TENSION: self._over.is_on,
+        }
+
+    def note_braking(self, now: float) -> None:
+        """The brake has closed on a moving drum."""
+        self._braked = now
+
+    def lose(self) -> None:
+        """The tension is not known now."""
+        self.load = math.nan
+        self._paying_since = None
+        self.state = LoadState.UNKNOWN
+
+    def step(
+        self,
+        tension: float,
+        own_weight: float,
+        rate: float,
+        bounce_period: float,
+        now: float,
+    ) -> LoadState:
+        """Take the estimates of one instant.
+
+        Args:
+            tension: at the fairlead [N]; NaN = not known.
+            own_weight: of the tether that is out [N].
+            rate: of payout [m/s].
+            bounce_period: of the rover on its tether [s].
+            now: controller's clock [s].
+        """
+        p = self.parameters
+        dt = 0.0 if self._last is None else now - self._last
+        self._last = now
+        if math.isnan(tension):
+            self.lose()
+            return self.state
+        load = tension - own_weight
+        if math.isnan(self.load):
+            self.load = load
+        else:
+            self.load += (load - self.load) * -math.expm1(-dt / self._FILTER)
+        if rate <= 0.01:
+            self._paying_since = None
+        elif self._paying_since is None:
+            self._paying_since = now
+        if rate < -0.01:
+            self._reeled = now
+        self._judge(tension, max(p.hold_time, p.bounce_share * bounce_period), now)
+        self._learn(dt, now)
+        return self.state
+
+    def _judge(self, tension: float, lasting: float, now: float) -> None:
+        p = self.parameters
+        ratio, h = self.load / self.mean, p.hysteresis
+        steady = (
+            not self._just_braked(now)
+            and self._paying_since is not None
+            and now - self._paying_since > lasting
+        )
+        hold = lasting if steady else max(lasting, p.unsteady_hold_time)
+        self._touchdown.step(
+            ratio < p.touchdown_below, ratio > p.touchdown_below + h, now, hold, p.back_time
+        )
+        self._slack.step(ratio < p.slack_below, ratio > p.slack_below + h, now, hold, p.back_time)
+        free = not self._just_braked(now)
+        over = tension / p.weight_reference
+        self._over.step(
+            over > p.over_above, over < p.over_above - h, now, p.over_hold_time, p.back_time
+        )
+        # Too much tension while reeling in is a snag at once: the winch will now brake.
+        caught = self._over.is_on and self._reeled is not None and now - self._reeled < p.hold_time
+        self._snag.step(
+            ratio > p.snag_above and free,
+            ratio < p.snag_above - h or not free,
+            now,
+            0.0 if caught else lasting,
+            p.back_time,
+        )
+        if self._over.is_on:
+            self.state = LoadState.OVER_TENSION
+        elif self._snag.is_on:
+            self.state = LoadState.SNAG
+        elif self._slack.is_on:
+            self.state = LoadState.SLACK
+        elif self._touchdown.is_on:
+            self.state = LoadState.TOUCHDOWN
+        else:
+            self.state = LoadState.NORMAL
+
+    def _learn(self, dt: float, now: float) -> None:
+        """Move the running mean, while the rover hangs and nothing else is going on."""
+        p = self.parameters
+        pending = any(h.is_on or h.is_pending for h in (self._touchdown, self._snag, self._over))
+        if pending or self._just_braked(now):
+            return
+        self._learnt = min(self._learnt + dt, p.mean_time)
+        mean = self.mean + (self.load - self.mean) * dt / self._learnt
+        low, high = 1.0 - p.learning_range, 1.0 + p.learning_range
+        self.mean = min(max(mean, low * p.weight_reference), high * p.weight_reference)
+
+    def _just_braked(self, now: float) -> bool:
+        return self._braked is not None and now - self._braked < self.parameters.brake_blanking

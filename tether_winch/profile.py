@@ -1,0 +1,181 @@
+"""S-curve: length and rate that never exceed limits of rate, acceleration and jerk. Pure.
+
+Each step takes the largest next acceleration from which a stop before the goal remains possible
+under the same limits. The distance to a stop is known in closed form, so goals and limits may
+change at any time; what is already moving is then brought down as fast as the limits allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+_BISECTIONS = 24
+_CRUISING = 1e-6  # so near to a rate counts as having it [m/s]
+_ARRIVED = 1e-5  # so near and slow counts as arrived [m]
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What the motion may not exceed; all above zero."""
+
+    rate: float  # [m/s]
+    acceleration: float  # [m/s^2]
+    jerk: float  # [m/s^3]
+
+
+class Motion(NamedTuple):
+    """A point of the profile."""
+
+    length: float  # [m]
+    rate: float  # [m/s]
+    acceleration: float  # [m/s^2]
+
+
+def stopping_distance(rate: float, acceleration: float, limits: MotionLimits) -> float:
+    """Way [m] from here to rest, braking as hard as the limits allow; signed as the motion."""
+    jerk = limits.jerk
+    if rate + acceleration * abs(acceleration) / (2.0 * jerk) < 0.0:
+        return -_stop_forward(-rate, -acceleration, limits)
+    return _stop_forward(rate, acceleration, limits)
+
+
+def _stop_forward(rate: float, acceleration: float, limits: MotionLimits) -> float:
+    """The same for a motion that braking must slow down: ramp to -peak, hold, ramp to zero."""
+    jerk, most = limits.jerk, limits.acceleration
+    # Both ramps together take rate: (peak^2 - a^2/2)/jerk = rate for a triangle.
+    peak = math.sqrt(max(0.0, rate * jerk + 0.5 * acceleration * acceleration))
+    hold = 0.0
+    if peak > most:
+        hold = (rate + (0.5 * acceleration * acceleration - most * most) / jerk) / most
+        peak = most
+    distance = 0.0
+    v, a = rate, acceleration
+    for slope, time in (
+        (-jerk, (a + peak) / jerk),
+        (0.0, max(hold, 0.0)),
+        (jerk, peak / jerk),
+    ):
+        distance += time * (v + time * (0.5 * a + slope * time / 6.0))
+        v += time * (a + 0.5 * slope * time)
+        a += slope * time
+    return distance
+
+
+def advanced(motion: Motion, acceleration: float, h: float) -> Motion:
+    """The motion h later, its acceleration running linearly to the given one."""
+    start = motion.acceleration
+    return Motion(
+        motion.length + h * (motion.rate + h * (2.0 * start + acceleration) / 6.0),
+        motion.rate + 0.5 * h * (start + acceleration),
+        acceleration,
+    )
+
+
+def toward_length(motion: Motion, goal: float, limits: MotionLimits, h: float) -> Motion:
+    """Advance by h toward a length [m], to stop there without overshoot."""
+    if _has_arrived(motion, goal, limits, h):
+        return Motion(goal, 0.0, 0.0)
+    rest = motion.length + stopping_distance(motion.rate, motion.acceleration, limits)
+    side = 1.0 if goal >= rest else -1.0
+
+    def stops_in_time(after: Motion) -> bool:
+        way = stopping_distance(after.rate, after.acceleration, limits)
+        return side * (goal - after.length - way) >= 0.0
+
+    cruising = _cruised(motion, side * limits.rate, h)
+    if cruising is not None and stops_in_time(cruising):
+        return cruising
+    return _furthest(motion, side, stops_in_time, limits, h)
+
+
+def toward_rate(
+    motion: Motion,
+    rate: float,
+    limits: MotionLimits,
+    h: float,
+    ends: tuple[float, float] = (-math.inf, math.inf),
+) -> Motion:
+    """Advance by h toward a rate [m/s], stopping before the ends [m] if it leads there."""
+    rate = min(max(rate, -limits.rate), limits.rate)
+    end = ends[1] if rate > 0.0 else ends[0]
+    if rate != 0.0 and _has_arrived(motion, end, limits, h):
+        return Motion(end, 0.0, 0.0)
+    settled = motion.rate + motion.acceleration * abs(motion.acceleration) / (2.0 * limits.jerk)
+    side = 1.0 if rate >= settled else -1.0
+
+    def stays_below(after: Motion) -> bool:
+        ramped = after.acceleration * abs(after.acceleration) / (2.0 * limits.jerk)
+        if side * (rate - after.rate - ramped) < 0.0:
+            return False
+        rest = after.length + stopping_distance(after.rate, after.acceleration, limits)
+        return rest <= ends[1] if side > 0.0 else rest >= ends[0]
+
+    cruising = _cruised(motion, rate, h)
+    if cruising is not None and rate != 0.0:
+        rest = cruising.length + stopping_distance(rate, 0.0, limits)
+        if ends[0] <= rest <= ends[1]:
+            return cruising
+    after = _furthest(motion, side, stays_below, limits, h)
+    way = stopping_distance(after.rate, after.acceleration, limits)
+    leads_out = (way > 0.0 and after.length + way > ends[1]) or (
+        way < 0.0 and after.length + way < ends[0]
+    )
+    if leads_out:
+        return toward_length(motion, ends[1] if way > 0.0 else ends[0], limits, h)
+    if abs(after.rate - rate) <= _CRUISING and abs(after.acceleration) <= limits.jerk * h:
+        return after._replace(rate=rate, acceleration=0.0)
+    return after
+
+
+def _has_arrived(motion: Motion, goal: float, limits: MotionLimits, h: float) -> bool:
+    return (
+        abs(goal - motion.length) <= _ARRIVED
+        and abs(motion.rate) <= _ARRIVED / h
+        and abs(motion.acceleration) <= limits.jerk * h
+    )
+
+
+def _cruised(motion: Motion, rate: float, h: float) -> Motion | None:
+    """The motion h later at a rate that it has already; None = it has not."""
+    if abs(motion.acceleration) > _CRUISING or abs(motion.rate - rate) > _CRUISING:
+        return None
+    return Motion(motion.length + h * rate, rate, 0.0)
+
+
+def _furthest(
+    motion: Motion,
+    side: float,
+    allowed: Callable[[Motion], bool],
+    limits: MotionLimits,
+    h: float,
+) -> Motion:
+    """The largest allowed next acceleration toward a side; the least one if none is."""
+    reach = limits.jerk * h
+    high = min(side * motion.acceleration + reach, limits.acceleration)
+    low = max(side * motion.acceleration - reach, -limits.acceleration)
+    high, low = max(high, low), min(high, low)
+    # Never faster than the limit once the acceleration has run out.
+    ramp = limits.jerk * h
+
+    def within(acceleration: float) -> bool:
+        after = advanced(motion, side * acceleration, h)
+        peak = side * after.rate + max(acceleration, 0.0) * (max(acceleration, 0.0) + ramp) / (
+            2.0 * limits.jerk
+        )
+        return peak <= limits.rate and allowed(after)
+
+    if within(high):
+        return advanced(motion, side * high, h)
+    if not within(low):
+        return advanced(motion, side * low, h)
+    good, bad = low, high
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (good + bad)
+        if within(middle):
+            good = middle
+        else:
+            bad = middle
+    return advanced(motion, side * good, h)
