@@ -60,7 +60,7 @@ _POSITION_ROWS[:, :, :3] = _SHAPES[:, [0, 2], None]
 _SLOPE_ROWS = np.zeros((POINTS, 2, 8))
 _SLOPE_ROWS[:, :, 3:6] = _SHAPES[:, [1, 3], None]
 _CLEAR = 0.25  # `terrain` says little of points farther off than this [m]
-_SMALL_TRAVEL = 1.0e-8  # below this the corrections along u fade out [m]
+_SMALL_TRAVEL = 1.0e-5  # below this the corrections along u fade out [m]
 _LARGEST_TILT = 0.5  # of the force by c u/u.u [-]
 
 
