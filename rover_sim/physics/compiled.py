@@ -73,3 +73,14 @@ checked = _decorator(_nrt=False)
 
 allocating = _decorator()
 """For what makes arrays."""
+
+inner = _decorator(
+    _nrt=False, fastmath=set(FAST_MATH), no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+"""As `kernel`, for what compiled functions alone call.
+
+Without its entry from Python, which takes seconds to compile for arguments of many numbers.
+"""
+
+checked_inner = _decorator(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""As `checked`, for what compiled functions alone call."""

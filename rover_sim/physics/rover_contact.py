@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import allocating, inner
 from rover_sim.physics.contact import (
     NO_VECTOR,
     ContactLaw,
@@ -101,13 +101,13 @@ def make_feet_step(corners: int) -> FeetStep:
     )
 
 
-@kernel
+@inner
 def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float, float, float]:
     """Depth, normal and rock at a place."""
     return depth_and_normal(terrain, place[0], place[1], place[2])  # type: ignore[no-any-return]
 
 
-@kernel
+@inner
 def _rim(feet: Feet, terrain: Terrain, kind: int, centre: Vector, axle: Vector) -> RimContact:
     """Deepest point of a rim in the floor or in rock."""
     if kind == _ROCK:
@@ -116,12 +116,12 @@ def _rim(feet: Feet, terrain: Terrain, kind: int, centre: Vector, axle: Vector) 
     return rim_on_floor(terrain, centre, axle, radius)
 
 
-@kernel
+@inner
 def _wheel_centre(feet: Feet, wheel: int) -> Vector:
     return feet.left_wheel if wheel == 0 else feet.right_wheel
 
 
-@kernel
+@inner
 def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: FeetStep) -> bool:
     """Find the depths at the step's start; returns whether anything is near the ground.
 
@@ -158,7 +158,7 @@ def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: Feet
     return found
 
 
-@kernel
+@inner
 def _wheel_force(
     feet: Feet,
     on_soil: bool,
@@ -181,7 +181,7 @@ def _wheel_force(
     )
 
 
-@kernel
+@inner
 def add_feet(
     feet: Feet,
     terrain: Terrain,
@@ -272,7 +272,7 @@ def add_feet(
                     rover_step.load[3 + d] += surplus[d]
 
 
-@kernel
+@inner
 def _turned_axle(pose: Pose) -> Vector:
     """C e_y: the axle at the step's end in the axes of its start."""
     th = pose.th
@@ -281,7 +281,7 @@ def _turned_axle(pose: Pose) -> Vector:
     return axpy(shrink, axpy(0.5, cross(th, first), first), (0.0, 1.0, 0.0))
 
 
-@kernel
+@inner
 def end_feet(
     feet: Feet,
     terrain: Terrain,

@@ -1,0 +1,424 @@
+"""One time step of the plant in space: tether, fairlead, rover and ground in one Newton iteration.
+
+What the drives do in the step is known before (`Actions`). The unknowns are the increments of the
+tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`), of the
+rover's rotation and slide (`spatial_rover`); the ground acts on the tether (`tether_contact`) and
+on the rover (`rover_contact`) with the forces that belong to these increments.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import allocating, checked_inner, inner
+from rover_sim.physics.drum import Drum
+from rover_sim.physics.energy_momentum import (
+    Workspace,
+    assemble,
+    begin_ends,
+    begin_step,
+    end_step,
+    make_workspace,
+    set_end,
+    solve_increment,
+)
+from rover_sim.physics.jump_drive import JumpDrive
+from rover_sim.physics.newton import (
+    CONTROL_SIZE,
+    FAILED,
+    GO_ON,
+    MAX_TURN,
+    distrust,
+    verdict,
+)
+from rover_sim.physics.predictor import History, extrapolate, make_history
+from rover_sim.physics.rover_contact import (
+    Feet,
+    FeetStep,
+    add_feet,
+    begin_feet,
+    end_feet,
+    make_feet_step,
+)
+from rover_sim.physics.slider import NutAction, Slider, slider_energy, slider_force
+from rover_sim.physics.spatial_rover import (
+    BODY_SIZE,
+    SLIDE,
+    SPIN,
+    VELOCITY1,
+    VELOCITY2,
+    Rover,
+    RoverStep,
+    add_rover,
+    clear_loads,
+    end_rover_step,
+    make_rover_step,
+    orientation,
+    pose_of,
+    rover_increment,
+    vector_at,
+)
+from rover_sim.physics.terrain import Terrain
+from rover_sim.physics.tether import Tether, row_width
+from rover_sim.physics.tether_contact import (
+    TetherContact,
+    TetherContactLaw,
+    TetherContactTotals,
+    add_tether_contact,
+    begin_tether_contact,
+    end_tether_contact,
+    make_tether_contact,
+)
+from rover_sim.physics.variable_length import (
+    Exit,
+    Payout,
+    add_exit,
+    begin_exit,
+    end_exit_step,
+    exit_increment,
+    make_exit,
+)
+from rover_sim.physics.vectors import Vector, dot, rotation_of, sub
+from rover_sim.physics.wheel_drive import WheelDrive
+
+
+class Model(NamedTuple):
+    """Everything constant during a run, as the compiled functions see it."""
+
+    tether: Tether  # `elements` is that of the state, not this
+    has_winch: bool  # else the root is pinned at the fairlead and the length is fixed
+    drum: Drum
+    has_rover: bool  # else a point mass hangs at the tip
+    tip_mass: float  # [kg]
+    rover: Rover
+    slider: Slider
+    jump: JumpDrive
+    wheels: WheelDrive
+    feet: Feet
+    has_ground: bool
+    terrain: Terrain
+    tether_ground: TetherContactLaw
+    torsion: float  # GJ of the tether [N m^2]
+    swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
+    breaking_load: float  # [N]
+    step: float  # h [s]
+    tolerance: float  # [m]
+    max_halvings: int
+
+
+class Motion(NamedTuple):
+    """Arrays of the moving parts; see `rover_sim.physics.spatial`."""
+
+    q: Array  # (6, width)
+    v: Array  # (6, width)
+    mouth: Array  # slope and slope rate at the fairlead, (2, 3)
+    body: Array  # (BODY_SIZE,)
+    feet_anchors: Array  # (corners + 4, 3)
+    tether_anchors: Array  # (points, 3)
+
+
+class Actions(NamedTuple):
+    """What drives and swivel do in a step."""
+
+    pay: Payout  # of the exit element
+    nut: NutAction
+    rotors: Vector  # their momenta at the step's end, body axes [N m s]
+    left_rate: float  # mean rates of the wheels relative to Body 1 [rad/s]
+    right_rate: float
+    torque: Vector  # of the tether on the rover, world axes [N m]
+
+
+class Losses(NamedTuple):
+    """Where energy went in a step [J], and what is known of its forces."""
+
+    tether: float
+    slider: float
+    nut: float  # work of the nut on Body 2
+    rover_ground: float
+    tether_ground: float
+    rover_stored: float  # change of what the rover's contacts store
+    tether_stored: float
+    near_ground: bool  # whether the rover's contacts were looked at
+    touching: int  # points of the tether that touch the ground
+    peak_tension: float  # [N]
+
+
+class Solver(NamedTuple):
+    """Work arrays; what they hold is valid within one call only."""
+
+    work: Workspace
+    rover: RoverStep
+    exit: Exit
+    feet: FeetStep
+    contact: TetherContact
+    after: Motion  # the state after an attempted step; its tether anchors are not used
+    origin: Array  # the fairlead's place, zeros (3,)
+    no_turn: Array  # zeros (4,)
+    moves: Array  # increments th, ds and of the exit slope, (7,)
+    history: History
+    control: Array  # see `newton`
+
+
+@allocating
+def make_solver(capacity: int, corners: int) -> Solver:
+    """Allocate for a tether of at most `capacity` elements and so many corners of the rover."""
+    width = row_width(capacity, 3)
+    control = np.zeros(CONTROL_SIZE)
+    distrust(control)
+    return Solver(
+        make_workspace(capacity, 3),
+        make_rover_step(),
+        make_exit(3),
+        make_feet_step(corners),
+        make_tether_contact(capacity),
+        Motion(
+            np.zeros((6, width)),
+            np.zeros((6, width)),
+            np.zeros((2, 3)),
+            np.zeros(BODY_SIZE),
+            np.zeros((corners + 4, 3)),
+            np.zeros((0, 3)),
+        ),
+        np.zeros(3),
+        np.zeros(4),
+        np.zeros(7),
+        make_history(6, width, 7),
+        control,
+    )
+
+
+@inner
+def slide_rate(body: Array) -> float:
+    """Rate of the slide s' [m/s]."""
+    axis = rotation_of(orientation(body))[2]
+    return dot(axis, sub(vector_at(body, VELOCITY2), vector_at(body, VELOCITY1)))
+
+
+@inner
+def _predict(model: Model, n: int, h: float, motion: Motion, depth: int, solver: Solver) -> None:
+    """Start the iteration from `depth` of the past steps, or from the rates if it is 0."""
+    width = row_width(n, 3)
+    increment = solver.work.increment
+    moves = solver.moves
+    if depth == 0:
+        for k in range(6):
+            for i in range(width):
+                increment[k, i] = h * motion.v[k, i]
+        for d in range(3):
+            moves[d] = h * motion.body[SPIN + d]
+            moves[4 + d] = h * motion.mouth[1, d]
+        moves[3] = h * slide_rate(motion.body)
+    else:
+        extrapolate(solver.history, h, depth, increment[:, :width], moves)
+    if not model.has_winch:
+        for d in range(3):
+            increment[d, 0] = 0.0
+            moves[4 + d] = 0.0
+    if not model.has_rover:
+        for k in range(4):
+            moves[k] = 0.0
+    for k in range(4):
+        solver.rover.turn[k] = moves[k]
+    for d in range(3):
+        solver.exit.increment[d] = moves[4 + d]
+
+
+@inner
+def _point_mass(model: Model, n: int, h: float, v: Array, work: Workspace) -> None:
+    """Add the point mass to the tip."""
+    for d in range(3):
+        force = 2.0 / h * (work.increment[d, n] / h - v[d, n]) - model.tether.gravity[d]
+        set_end(work, 1, 6, d, model.tip_mass * force)
+        set_end(work, 1, d, d, 2.0 * model.tip_mass / h**2)
+
+
+@inner
+def _add_rover(
+    model: Model, n: int, h: float, motion: Motion, actions: Actions, near: bool, solver: Solver
+) -> None:
+    """Add the rover with everything that acts on it."""
+    step = solver.rover
+    clear_loads(step)
+    middle = motion.body[SLIDE] + 0.5 * step.turn[3]
+    slide = slider_force(model.slider, actions.nut, middle, step.turn[3] / h)
+    step.slide[0], step.slide[1], step.slide[2] = slide.force, slide.by_position, slide.by_rate
+    for d in range(3):
+        step.load[3 + d] = actions.torque[d]
+    if near:
+        increment = solver.work.increment
+        add_feet(
+            model.feet,
+            model.terrain,
+            model.rover.attachment,
+            h,
+            pose_of(model.rover, motion.body, step.turn),
+            motion.body,
+            (increment[0, n], increment[1, n], increment[2, n]),
+            motion.feet_anchors,
+            step,
+            solver.feet,
+        )
+    add_rover(model.rover, model.tether.gravity, h, n, motion.body, solver.work, step)
+
+
+@inner
+def _end_slider(
+    model: Model, h: float, body: Array, nut: NutAction, step: RoverStep
+) -> tuple[float, float]:
+    """Heat of slider and pads, and work of the nut on Body 2 [J]."""
+    s0, ds = body[SLIDE], step.turn[3]
+    slide = slider_force(model.slider, nut, s0 + 0.5 * ds, ds / h)
+    way = nut.rate * h
+    nut_work = slide.nut_force * way
+    stored = slider_energy(model.slider, nut.pressing, nut.position + 0.5 * way, s0 + ds)
+    stored -= slider_energy(model.slider, nut.pressing, nut.position - 0.5 * way, s0)
+    return nut_work - slide.force * ds - stored, nut_work
+
+
+@checked_inner
+def attempt_step(
+    model: Model,
+    tether: Tether,
+    h: float,
+    motion: Motion,
+    actions: Actions,
+    depth: int,
+    solver: Solver,
+    iterations: Array,
+) -> tuple[bool, Losses]:
+    """Try one step of length h; the state after it is left in solver.after.
+
+    The tether's anchors in `motion` are carried on in place if the step succeeds.
+
+    Args:
+        model: constants.
+        tether: model.tether with the chain's present number of elements.
+        h: [s].
+        motion: the state, not changed but for the anchors.
+        actions: of the drives.
+        depth: of the predictor.
+        solver: work arrays.
+        iterations: (1,), counts Newton iterations.
+
+    Returns:
+        Whether the iteration converged to a sound state, and the step's losses.
+    """
+    n = tether.elements
+    work, step, after = solver.work, solver.rover, solver.after
+    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    for k in range(6):
+        work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
+        work.end_fixed[1, k] = 0.0
+    begin_ends(tether, work)
+    _predict(model, n, h, motion, depth, solver)
+    begin_step(tether, h, motion.q, motion.v, work)
+    if model.has_winch:
+        begin_exit(solver.origin, motion.mouth[0], motion.mouth[1], motion.q, motion.v, solver.exit)
+    near_tether = 0
+    near_feet = False
+    if model.has_rover:
+        for d in range(3):
+            step.rotors_after[d] = actions.rotors[d]
+        solver.feet.spin[0] = actions.left_rate
+        solver.feet.spin[1] = actions.right_rate
+    if model.has_ground:
+        near_tether = begin_tether_contact(
+            model.terrain,
+            tether,
+            h,
+            motion.q,
+            motion.v,
+            motion.tether_anchors,
+            solver.contact,
+        )
+        if model.has_rover:
+            pose = pose_of(model.rover, motion.body, step.turn)
+            near_feet = begin_feet(model.feet, model.terrain, pose, motion.body, solver.feet)
+
+    previous = np.inf
+    judged = GO_ON
+    iteration = 0
+    while judged == GO_ON:
+        if model.has_rover:
+            _add_rover(model, n, h, motion, actions, near_feet, solver)
+        else:
+            _point_mass(model, n, h, motion.v, work)
+        if model.has_winch:
+            add_exit(tether, h, actions.pay, work, solver.exit)
+        assemble(tether, h, work)
+        if near_tether > 0:
+            add_tether_contact(
+                model.terrain,
+                model.tether_ground,
+                tether,
+                h,
+                motion.tether_anchors,
+                work,
+                solver.contact,
+            )
+        change = solve_increment(tether, work)
+        if model.has_rover:
+            change += rover_increment(n, work, step)
+        if model.has_winch:
+            change += exit_increment(actions.pay.length0, work, solver.exit)
+        iterations[0] += 1.0
+        judged = verdict(iteration, change, previous, model.tolerance, solver.control)
+        previous = change
+        iteration += 1
+    if judged == FAILED:
+        return False, failed
+
+    tether_heat, peak, turn = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
+    if not turn < MAX_TURN:
+        return False, failed
+    for k in range(4):
+        solver.moves[k] = step.turn[k]
+    for d in range(3):
+        solver.moves[4 + d] = solver.exit.increment[d]
+    slider_heat, nut_work, rover_heat, rover_stored = 0.0, 0.0, 0.0, 0.0
+    if model.has_rover:
+        end_rover_step(model.rover, h, n, motion.body, work, step, after.body)
+        slider_heat, nut_work = _end_slider(model, h, motion.body, actions.nut, step)
+        if near_feet:
+            pose = pose_of(model.rover, motion.body, step.turn)
+            ground_work, rover_stored = end_feet(
+                model.feet,
+                model.terrain,
+                h,
+                pose,
+                motion.feet_anchors,
+                solver.feet,
+                after.feet_anchors,
+            )
+            rover_heat = -ground_work - rover_stored
+        else:
+            after.feet_anchors[:] = 0.0
+    if model.has_winch:
+        tether_heat += end_exit_step(
+            tether, h, actions.pay, solver.exit, after.mouth[0], after.mouth[1]
+        )
+        peak = max(peak, solver.exit.tension[0])
+    ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
+    if near_tether > 0:
+        ground = end_tether_contact(
+            model.terrain,
+            model.tether_ground,
+            tether,
+            h,
+            motion.tether_anchors,
+            work,
+            solver.contact,
+        )
+    return True, Losses(
+        tether_heat,
+        slider_heat,
+        nut_work,
+        rover_heat,
+        ground.dissipated,
+        rover_stored,
+        ground.stored_change,
+        near_feet,
+        ground.touching,
+        peak,
+    )
