@@ -1,0 +1,167 @@
+"""Step a tether that lies, falls or slides on a terrain, by the kernel's own parts."""
+
+from typing import Any
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import checked
+from rover_sim.physics.energy_momentum import (
+    assemble,
+    begin_ends,
+    begin_step,
+    end_step,
+    make_workspace,
+    set_end,
+    solve_increment,
+)
+from rover_sim.physics.terrain import Terrain
+from rover_sim.physics.tether import Tether, tether_energies, to_rows
+from rover_sim.physics.tether_contact import (
+    TetherContactParameters,
+    add_tether_contact,
+    begin_tether_contact,
+    end_tether_contact,
+    make_tether_contact,
+    tether_contact_energy,
+)
+
+# Entries of the log.
+(
+    TETHER_HEAT, GROUND_HEAT, GROUND_STORED, NORMAL, TOUCHING, ITERATIONS, STEPS, HALVINGS,
+    LEAST_HEAT, DEEPEST,
+) = range(10)  # fmt: skip
+
+
+@checked
+def _attempt(
+    terrain: Any, law: Any, cable: Any, mass: float, h: float,
+    q: Array, v: Array, anchors: Array, work: Any, contact: Any, q1: Array, v1: Array,
+    tolerance: float, log: Array,
+) -> bool:  # fmt: skip
+    n = cable.elements
+    for k in range(6):
+        for i in range(n + 1):
+            work.increment[k, i] = h * v[k, i]
+        for end in range(2):
+            if work.end_fixed[end, k] != 0.0:
+                work.increment[k, end * n] = 0.0
+    begin_ends(cable, work)
+    begin_step(cable, h, q, v, work)
+    begin_tether_contact(terrain, cable, h, q, v, anchors, contact)
+    done = False
+    for _ in range(20):
+        for d in range(3):
+            if mass > 0.0:
+                pull = 2.0 / h * (work.increment[d, n] / h - v[d, n]) - cable.gravity[d]
+                set_end(work, 1, 6, d, mass * pull)
+                set_end(work, 1, d, d, 2.0 * mass / h**2)
+        assemble(cable, h, work)
+        makeshift = add_tether_contact(terrain, law, cable, h, anchors, work, contact)
+        change = solve_increment(cable, work)
+        log[ITERATIONS] += 1.0
+        if change < tolerance and makeshift == 0:
+            done = True
+            break
+    if not done:
+        return False
+    log[TETHER_HEAT] += end_step(cable, h, q, v, work, q1, v1)[0]
+    ground = end_tether_contact(terrain, law, cable, h, anchors, work, contact)
+    log[GROUND_HEAT] += ground.dissipated
+    log[GROUND_STORED] += ground.stored_change
+    log[NORMAL], log[TOUCHING] = ground.normal_force, ground.touching
+    log[LEAST_HEAT] = min(log[LEAST_HEAT], ground.dissipated)
+    for s in range(contact.near_count[0]):
+        log[DEEPEST] = max(log[DEEPEST], contact.ground[s, 0])
+    return True
+
+
+@checked
+def _march(
+    terrain: Any, law: Any, cable: Any, mass: float, h: float, steps: int,
+    q: Array, v: Array, anchors: Array, work: Any, contact: Any, q1: Array, v1: Array,
+    tolerance: float, log: Array,
+) -> bool:  # fmt: skip
+    for _ in range(steps):
+        left, part = h, h
+        while left > 1e-12 * h:
+            part = min(part, left)
+            if _attempt(
+                terrain, law, cable, mass, part, q, v, anchors, work, contact, q1, v1,
+                tolerance, log,
+            ):  # fmt: skip
+                left -= part
+                log[STEPS] += 1.0
+                for k in range(6):
+                    for i in range(cable.elements + 1):
+                        q[k, i], v[k, i] = q1[k, i], v1[k, i]
+            else:
+                part *= 0.5
+                log[HALVINGS] += 1.0
+                if part < h / 1000.0:
+                    return False
+    return True
+
+
+class GroundedTether:
+    """A tether in space on a terrain; ends free, or held in their places, or with a mass."""
+
+    def __init__(
+        self,
+        cable: Tether,
+        terrain: Terrain,
+        nodes: Array,
+        parameters: TetherContactParameters | None = None,
+        held: tuple[int, ...] = (),
+        mass: float = 0.0,
+        room: int = 0,
+    ) -> None:
+        """Start at rest with nodes (n + 1, 2, 3); `held` names ends whose places do not move."""
+        n = cable.elements
+        self.cable, self.terrain, self.mass = cable, terrain, mass
+        self.law = (parameters or TetherContactParameters()).law()
+        self.q = to_rows(nodes)
+        self.v = np.zeros_like(self.q)
+        self.anchors = np.zeros((2 * (n + room), 3))
+        self.work = make_workspace(n, 3)
+        self.contact = make_tether_contact(n + room)
+        self.log = np.zeros(10)
+        self._after = (np.zeros_like(self.q), np.zeros_like(self.q))
+        for end in held:
+            self.work.end_fixed[end, :3] = 1.0
+
+    def run(self, duration: float, h: float, tolerance: float = 1e-10) -> None:
+        """Step on; steps that do not converge are halved."""
+        ok = _march(
+            self.terrain, self.law, self.cable, self.mass, h, round(duration / h), self.q, self.v,
+            self.anchors, self.work, self.contact, *self._after, tolerance, self.log,
+        )  # fmt: skip
+        assert ok, "a step did not converge"
+
+    @property
+    def places(self) -> Array:
+        """Positions of the nodes [m], (n + 1, 3)."""
+        return self.q[:3, : self.cable.elements + 1].T.copy()
+
+    @property
+    def ground_energy(self) -> float:
+        """Stored in ground and anchors [J]."""
+        return float(
+            tether_contact_energy(
+                self.terrain, self.law, self.cable, self.q, self.anchors, self.contact
+            )
+        )
+
+    @property
+    def energy(self) -> float:
+        """Everything stored [J]."""
+        n = self.cable.elements
+        total: Any = sum(tether_energies(self.cable, self.q, self.v)) + self.ground_energy
+        rate = self.v[:3, n]
+        weight = self.mass * float(np.array(self.cable.gravity) @ self.q[:3, n])
+        return float(total + 0.5 * self.mass * rate @ rate - weight)
+
+    @property
+    def dissipated(self) -> float:
+        """By tether and ground since the start [J]."""
+        return float(self.log[TETHER_HEAT] + self.log[GROUND_HEAT])
