@@ -104,7 +104,7 @@ def make_feet_step(corners: int) -> FeetStep:
 @inner
 def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float, float, float]:
     """Depth, normal and rock at a place."""
-    return depth_and_normal(terrain, place[0], place[1], place[2])  # type: ignore[no-any-return]
+    return depth_and_normal(terrain, place[0], place[1], place[2])
 
 
 @inner
