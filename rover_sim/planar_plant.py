@@ -371,6 +371,8 @@ def _drive_of(command: Command, spring_rate: float) -> tuple[float, float]:
         raise ValueError(f"compression = {jump.compression}: must be finite and not below 0 m")
     if not (math.isfinite(jump.rate) and jump.rate > 0.0):
         raise ValueError(f"rate = {jump.rate}: must be finite and above 0 m/s")
+    if jump.compression > 0.0 and not jump.trips:
+        raise ValueError("trips = False: the latch of the planar plant always trips; must be True")
     holding = spring_rate * jump.compression
     if not jump.largest_force >= holding:
         raise ValueError(

@@ -54,9 +54,10 @@ class JumpMotorCommand:
     Below 0 the nut stands clear of the latch, for plants whose nut has a free travel.
     """
 
-    compression: float  # setpoint [m]; reaching one above 0 releases the spring
+    compression: float  # setpoint [m]; reaching one above 0 releases the spring if it trips
     rate: float  # largest speed of the nut [m/s], > 0
     largest_force: float = math.inf  # that the nut may use [N], > 0; inf: the motor's own limit
+    trips: bool = True  # False: the nut stays at the setpoint, the latch holds
 
 
 @dataclass(frozen=True)
@@ -146,11 +147,41 @@ class Energies:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at an instant inside a step."""
+    """Something that happened at an instant inside a step.
 
-    name: str  # take_off, apex, touchdown, tether_broken, diverged
+    Names: take_off, apex, touchdown, tether_broken, diverged; of the spatial plant also drum_stop
+    and latch_free, latch_hooking, latch_engaged, latch_compressing, latch_released.
+    """
+
+    name: str
     time: float  # [s]
     values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Forces, currents and limits in the last time step of a tick, of plants that have drives."""
+
+    fairlead: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the tether on the fairlead [N]
+    fairlead_tension: float = 0.0  # [N]
+    rover_tension: float = 0.0  # of the tether at its tip [N]
+    left_wheel: float = 0.0  # normal force of the ground [N]
+    right_wheel: float = 0.0
+    body: float = 0.0  # on corners and tail of both bodies
+    grounded_points: int = 0  # of the tether that touch the ground
+    nut: float = 0.0  # on Body 2 [N]
+    jump_torque: float = 0.0  # of the motors, at their shafts [N m]
+    wheel_torque: float = 0.0
+    winch_torque: float = 0.0
+    jump_current: float = 0.0  # [A]
+    wheel_current: float = 0.0
+    winch_current: float = 0.0
+    flywheel_saturated: bool = False
+    screw_soft_limit: int = 0  # -1 / +1: near the upper / lower end of the free travel
+    screw_hard_limit: int = 0  # -1 / +1: at the upper / lower end of the screw
+    ratchet: int = 0  # rover_sim.physics.wheel_drive.Ratchet
+    drum_stuck: bool = False
+    drum_stop: int = 0  # -1: fully reeled in, +1: nothing left
 
 
 @dataclass(frozen=True)
@@ -164,6 +195,7 @@ class StepResult:
     smallest_step: float  # [s]; infinite if no time step was made
     events: tuple[Event, ...]
     peak_tension: float  # largest tension in the tether during the tick [N]
+    forces: Forces = Forces()
 
 
 class State(Protocol):

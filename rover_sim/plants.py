@@ -1,9 +1,24 @@
 """Which plant a scenario asks for."""
 
+from __future__ import annotations
+
+from typing import overload
+
 from rover_sim.planar_plant import PlanarPlant
-from rover_sim.scenario import AnyScenario
+from rover_sim.scenario import AnyScenario, Scenario, SpatialScenario
+from rover_sim.spatial_plant import SpatialPlant
 
 
-def build_plant(scenario: AnyScenario) -> PlanarPlant:
+@overload
+def build_plant(scenario: Scenario) -> PlanarPlant: ...
+
+
+@overload
+def build_plant(scenario: SpatialScenario) -> SpatialPlant: ...
+
+
+def build_plant(scenario: AnyScenario) -> PlanarPlant | SpatialPlant:
     """The plant that the scenario's `model` names."""
+    if isinstance(scenario, SpatialScenario):
+        return SpatialPlant(scenario)
     return PlanarPlant(scenario)

@@ -25,7 +25,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_sim import build_plant, jump, load_scenario
+from rover_sim import build_plant, jump, load_planar, load_scenario
 from rover_sim.sim_node import RateParameters, SimParameters, load
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     flown = {k: float(v) for k, v in observer.wait_for_event("touchdown").values.items()}
     observer.wait_for_text(topics.TRUTH_PHASE, "landed")
 
-    alone = jump(build_plant(load_scenario("paper_table1_high", changes)))
+    alone = jump(build_plant(load_planar("paper_table1_high", changes)))
     assert flown["height"] == pytest.approx(alone.height, abs=1e-5)
     assert flown["attitude_variation"] == pytest.approx(alone.attitude_variation, abs=2e-4)
     assert flown["flight_time"] == pytest.approx(alone.flight_time, abs=1e-5)

@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow.csv
 import pytest
 
-from rover_sim import jump, load_scenario
+from rover_sim import jump, load_planar
 from rover_sim.plants import build_plant
 from rover_studies.sweep import (
     DONE,
@@ -80,7 +80,7 @@ def test_a_row_is_the_jump_that_its_parameters_say(expected: list[dict[str, Any]
     row = expected[40]
     metrics = jump(
         build_plant(
-            load_scenario(
+            load_planar(
                 "paper_table1_high",
                 {
                     "tether.elements": 3,

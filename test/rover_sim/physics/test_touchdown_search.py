@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from rover_sim import Command, build_plant, load_scenario
+from rover_sim import Command, build_plant, load_planar
 from rover_sim.physics import planar
 from rover_sim.physics.planar_rover import BODY_SIZE, VY1, Y1
 
@@ -55,7 +55,7 @@ def test_a_rover_that_flies_on_touches_down_once_and_at_little_cost(name: str, t
         "integration.h": STEP,
         "after_landing": "fly_on",
     }
-    plant = build_plant(load_scenario(name, changes))
+    plant = build_plant(load_planar(name, changes))
     state = plant.take_off(plant.initial_state())
     touchdowns = []
     while state.time < 0.6 - 1e-9:

@@ -1,0 +1,214 @@
+"""Constants of a spatial scenario as the compiled functions take them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rover_sim.machine import Rover
+from rover_sim.physics import drum as drums
+from rover_sim.physics import jump_drive, slider, wheel_drive
+from rover_sim.physics import spatial_rover as bodies
+from rover_sim.physics.motor import MotorMode
+from rover_sim.physics.rover_contact import Feet
+from rover_sim.physics.spatial import Orders
+from rover_sim.physics.spatial_step import Model
+from rover_sim.physics.tether import make_tether
+from rover_sim.physics.tether_contact import TetherContactParameters
+from rover_sim.physics.wheel_soil import wheel_on_soil, wheel_table
+from rover_sim.plant import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    WheelRateCommand,
+    WheelTorqueCommand,
+    WinchCommand,
+)
+from rover_sim.spatial_scenario import SpatialScenario, configuration_of_drum
+
+_OFF = int(MotorMode.OFF)
+_NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
+_NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
+_NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
+
+
+def make_model(scenario: SpatialScenario) -> Model:
+    """Everything that is constant during a run."""
+    tether, place, integration = scenario.tether, scenario.place, scenario.integration
+    rover = scenario.rover if scenario.rover is not None else Rover()
+    winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
+    if scenario.winch is not None:
+        winch = configuration_of_drum(scenario.winch, tether.whole_length)
+    contact = TetherContactParameters() if tether.contact is None else tether.contact.parameters()
+    law = contact.law()
+    if tether.contact is None:
+        law = law._replace(
+            rock=law.rock._replace(stiffness=0.0), regolith=law.regolith._replace(stiffness=0.0)
+        )
+    chain, _ = scenario.chain
+    nominal = tether.nominal_length
+    return Model(
+        tether=make_tether(
+            tether.section,
+            chain * nominal,
+            chain,
+            (0.0, 0.0, -scenario.gravity),
+            integration.numerical_damping,
+        ),
+        has_winch=scenario.winch is not None,
+        drum=drums.make_drum(winch),
+        has_rover=scenario.rover is not None,
+        tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
+        rover=bodies.Rover(float(rover.m1), float(rover.m2), rover.inertia, rover.attachment),
+        slider=slider.make_slider(rover.slider.parameters()),
+        jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
+        wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
+        feet=_feet(scenario, rover),
+        has_ground=place.floor is not None,
+        terrain=place.build(),
+        tether_ground=law,
+        torsion=float(tether.twist_stiffness),
+        swivel_torque=float(tether.swivel_friction),
+        breaking_load=float(tether.section.breaking_load),
+        step=float(integration.h),
+        tolerance=float(integration.tolerance),
+        max_halvings=int(integration.max_halvings),
+    )
+
+
+def _feet(scenario: SpatialScenario, rover: Rover) -> Feet:
+    place, wheels = scenario.place, rover.wheels
+    corners, first = rover.corners
+    table = wheel_table(wheel_on_soil(wheels.parameters(), place.soil.parameters()))
+    return Feet(
+        corners=np.ascontiguousarray(corners),
+        first_of_body2=first,
+        left_wheel=wheels.left,
+        right_wheel=wheels.right,
+        radius=float(wheels.radius),
+        tip_radius=float(wheels.tip_radius),
+        regolith=place.regolith.parameters().law(),
+        rock=place.rock.parameters().law(),
+        wheel=place.wheel_law(table),
+    )
+
+
+def damped(model: Model, axial: float, bending: float) -> Model:
+    """The model with at least these damping times of the tether [s]."""
+    tether = model.tether
+    return model._replace(
+        tether=tether._replace(
+            axial_damping_time=max(axial, tether.axial_damping_time),
+            bending_damping_time=max(bending, tether.bending_damping_time),
+        )
+    )
+
+
+def make_orders(scenario: SpatialScenario, model: Model, command: Command, *, free: bool) -> Orders:
+    """What the drives are asked to do during a tick.
+
+    The flywheel's drive is interlocked with the latch: unless the nut is `free` its torque is cut.
+
+    Raises:
+        ValueError: a command for a motor that the scenario lacks, or a number that is not finite
+            or out of its range.
+    """
+    if scenario.rover is None:
+        for name in ("jump", "wheel"):
+            if getattr(command, name) is not None:
+                raise ValueError(f"{name}: the scenario has no rover; must be None")
+    if scenario.winch is None and command.winch is not None:
+        raise ValueError("winch: the scenario has no winch; must be None")
+    return Orders(
+        jump=_jump_order(model, command.jump, free=free),
+        drum=_NO_WINCH if command.winch is None else _drum_order(model, command.winch),
+        wheels=_wheel_order(model, command.wheel),
+    )
+
+
+def _jump_order(
+    model: Model, command: JumpMotorCommand | FlywheelCommand | None, *, free: bool
+) -> jump_drive.JumpCommand:
+    if command is None:
+        return _NO_JUMP
+    if isinstance(command, FlywheelCommand):
+        torque = _finite("torque", command.torque, "N m")
+        if not free:
+            return _NO_JUMP
+        return _NO_JUMP._replace(mode=int(MotorMode.TORQUE), torque=torque)
+    drive = model.jump
+    compression = _finite("compression", command.compression, "m")
+    if not -drive.free_travel <= compression <= drive.stroke:
+        raise ValueError(
+            f"compression = {compression}: must lie between {-drive.free_travel:g}, the top of the"
+            f" nut's free travel, and the stroke of {drive.stroke:g} m"
+        )
+    return jump_drive.JumpCommand(
+        int(MotorMode.POSITION),
+        0.0,
+        compression,
+        _positive("rate", command.rate, "m/s"),
+        _limit("largest_force", command.largest_force, "N"),
+        compression if compression > 0.0 and command.trips else math.inf,
+    )
+
+
+def _drum_order(model: Model, command: WinchCommand) -> drums.DrumCommand:
+    drum = model.drum
+    if not (math.isfinite(command.length) and command.length >= 0.0):
+        raise ValueError(f"length = {command.length}: must be finite and not below 0 m")
+    feed_forward = _finite("feed_forward", command.feed_forward, "N")
+    if feed_forward < 0.0:
+        raise ValueError(f"feed_forward = {feed_forward}: must not be below 0 N")
+    largest = _limit("largest_tension", command.largest_tension, "N")
+    per_newton = drum.radius / drum.gear_ratio
+    return drums.DrumCommand(
+        int(MotorMode.RATE),
+        -feed_forward * per_newton,
+        _finite("rate", command.rate, "m/s"),
+        largest * per_newton / drum.efficiency,
+        bool(command.brake_released),
+    )
+
+
+def _wheel_order(
+    model: Model, command: WheelRateCommand | WheelTorqueCommand | None
+) -> wheel_drive.WheelCommand:
+    drive = model.wheels
+    at_motor = 1.0 / (drive.gear_ratio * drive.efficiency)
+    if command is None:
+        return _NO_WHEELS
+    if isinstance(command, WheelTorqueCommand):
+        torque = _finite("torque", command.torque, "N m")
+        return _NO_WHEELS._replace(mode=int(MotorMode.TORQUE), torque=torque * at_motor)
+    largest = _limit("largest_torque", command.largest_torque, "N m")
+    rate = _finite("rate", command.rate, "rad/s")
+    return wheel_drive.WheelCommand(int(MotorMode.RATE), 0.0, rate, largest * at_motor)
+
+
+def check_tick(dt: float) -> float:
+    """The tick [s].
+
+    Raises:
+        ValueError: it is not finite or not above 0.
+    """
+    return _positive("dt", dt, "s")
+
+
+def _finite(name: str, value: float, unit: str) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{name} = {value}: must be finite [{unit}]")
+    return float(value)
+
+
+def _positive(name: str, value: float, unit: str) -> float:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"{name} = {value}: must be finite and above 0 {unit}")
+    return float(value)
+
+
+def _limit(name: str, value: float, unit: str) -> float:
+    if not value > 0.0:
+        raise ValueError(f"{name} = {value}: must be above 0 {unit}")
+    return float(value)

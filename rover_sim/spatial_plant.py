@@ -1,0 +1,437 @@
+"""The spatial plant: tether, winch, rover with its drives, and the ground, behind the contract."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from rover_sim.physics import drum as drums
+from rover_sim.physics import jump_drive, spatial, spatial_rover, wheel_drive
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.jump_drive import Latch
+from rover_sim.physics.spatial import Machines, Orders
+from rover_sim.physics.spatial_step import Model, Solver, make_solver
+from rover_sim.physics.tether import element_tensions, to_rows
+from rover_sim.physics.twist import twist_angle
+from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
+from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
+from rover_sim.spatial_model import check_tick, damped, make_model, make_orders
+from rover_sim.spatial_start import Pose, hanging, laid_out, straight
+from rover_sim.spatial_state import (
+    SpatialState,
+    arrays_of,
+    ledger_sums,
+    rotation_matrix,
+    state_of,
+)
+
+_OUTCOME_OF = {
+    spatial.OUTCOME_CONVERGED: Outcome.CONVERGED,
+    spatial.OUTCOME_HALVED: Outcome.HALVED,
+    spatial.OUTCOME_DIVERGED: Outcome.DIVERGED,
+    spatial.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
+}
+_IDLE = Command()
+# A tether that carries more than this share of the rover's weight carries the rover.
+_CARRIES = 0.05
+
+# Settling: damping times of the tether [s], the tick [s] after which velocities are scaled down and
+# by what, and the speeds below which all is at rest [m/s].
+_SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
+_SETTLING_TICK, _SETTLING_SCALE = 0.02, 0.97
+_AT_REST = 1.0e-6
+
+
+class SettlingError(RuntimeError):
+    """Rover and tether find no rest where the scenario puts them; says how it went instead."""
+
+
+class SpatialPlant:
+    """Winch, tether, rover (or a weight, or a free end) and ground of a scenario, in space.
+
+    Its steps may run in several threads at once; each has its own work arrays.
+
+    Args:
+        scenario: a scenario with `model: spatial`.
+
+    Raises:
+        ScenarioError: the scenario is of another model.
+    """
+
+    scenario: SpatialScenario
+
+    def __init__(self, scenario: AnyScenario) -> None:
+        if not isinstance(scenario, SpatialScenario):
+            raise ScenarioError("model", scenario.model, "should be spatial for the spatial plant")
+        self.scenario = scenario
+        self._model = make_model(scenario)
+        self._capacity = scenario.most_elements + 1
+        self._corners = len(self._model.feet.corners)
+        self._threads = threading.local()
+        self._settled: SpatialState | None = None
+
+    @property
+    def model(self) -> Model:
+        """The constants handed to the compiled functions."""
+        return self._model
+
+    def _solver(self) -> Solver:
+        solver: Solver | None = getattr(self._threads, "solver", None)
+        if solver is None:
+            solver = self._threads.solver = make_solver(self._capacity, self._corners)
+        return solver
+
+    # ------------------------------------------------------------------------------ the start
+
+    def initial_state(self) -> SpatialState:
+        """The state at the scenario's start.
+
+        A standing rover is settled by simulating it, once for each plant.
+
+        Raises:
+            SettlingError: it finds no rest.
+            ScenarioError: the tether does not reach the rover.
+        """
+        kind = self.scenario.start.kind
+        if kind == "hanging":
+            return self._state_from(hanging(self.scenario))
+        if kind == "straight":
+            return self._state_from(straight(self.scenario))
+        if self._settled is None:
+            lying = self._state_from(laid_out(self.scenario, self._model.terrain))
+            self._settled = self._at_rest(lying)
+        return self._settled
+
+    def _state_from(self, pose: Pose) -> SpatialState:
+        body = np.zeros(spatial_rover.BODY_SIZE)
+        turned = rotation_matrix(pose.orientation)
+        spin_x, spin_y = float(pose.spin[0]), float(pose.spin[1])
+        if self._model.has_rover:
+            spin = turned @ pose.spin
+            lever1 = -turned @ np.array(self._model.rover.attachment)
+            lever2 = lever1 + pose.slide * turned[:, 2]
+            tip, rate = pose.nodes[-1, 0], pose.node_rates[-1, 0]
+            body[spatial_rover.POSITION : spatial_rover.POSITION + 3] = tip + lever1
+            body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4] = pose.orientation
+            body[spatial_rover.SPIN : spatial_rover.SPIN + 3] = pose.spin
+            body[spatial_rover.VELOCITY1 : spatial_rover.VELOCITY1 + 3] = rate + np.cross(
+                spin, lever1
+            )
+            body[spatial_rover.VELOCITY2 : spatial_rover.VELOCITY2 + 3] = rate + np.cross(
+                spin, lever2
+            )
+            body[spatial_rover.SLIDE] = pose.slide
+            body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
+            body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
+        length = self.scenario.tether.length
+        drum_length = min(max(length, self._model.drum.min_length), self._model.drum.max_length)
+        machines = Machines(
+            jump_drive.initial_state(self._model.jump)._replace(body_rate=spin_x),
+            drums.initial_state(self._model.drum, drum_length),
+            wheel_drive.WheelState()._replace(body_rate=spin_y),
+        )
+        elements = len(pose.nodes) - 1
+        book = np.zeros(spatial.BOOK_SIZE)
+        book[spatial.ELEMENTS] = elements
+        book[spatial.TENSION] = pose.tension
+        book[spatial.AIRBORNE] = 1.0
+        state = SpatialState(
+            phase=Phase.HANGING,
+            nodes=pose.nodes,
+            node_rates=pose.node_rates,
+            mouth=pose.mouth,
+            body=body,
+            feet_anchors=np.zeros((self._corners + 4, 3)),
+            tether_anchors=np.zeros((2 * elements, 3)),
+            machines=machines,
+            book=book,
+        )
+        twist = math.radians(self.scenario.start.twist)
+        return self._started(state, twist, self._carried(float(self.tension(state)[-1])))
+
+    def _carried(self, tension: float) -> Phase:
+        """What a rover does that touches nothing."""
+        rover = self.scenario.rover
+        if rover is None:
+            return Phase.FREE
+        carries = tension > _CARRIES * rover.mass * self.scenario.gravity and tension > 0.0
+        return Phase.HANGING if carries else Phase.FLIGHT
+
+    def _started(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
+        """The state with its clock and ledgers at zero, the tether twisted by `twist` [rad]."""
+        book = np.zeros(spatial.BOOK_SIZE)
+        for entry in (
+            spatial.ELEMENTS,
+            spatial.TENSION,
+            spatial.LEFT_TORQUE,
+            spatial.LEFT_SLOPE,
+            spatial.RIGHT_TORQUE,
+            spatial.RIGHT_SLOPE,
+            spatial.AIRBORNE,
+        ):
+            book[entry] = state.book[entry]
+        book[spatial.TAKE_OFF_X : spatial.TAKE_OFF_Z + 1] = state.G1
+        if self._model.has_rover:
+            slope = state.mouth[0] if self._model.has_winch else state.nodes[0, 1]
+            quaternion = state.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
+            book[spatial.TWIST] = twist_angle(
+                state.elements,
+                tuple(slope.tolist()),
+                to_rows(state.nodes),
+                tuple(quaternion.tolist()),
+                0.0,
+            )
+            book[spatial.SLIP] = book[spatial.TWIST] - twist
+            spin = state.omega
+            book[spatial.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
+            book[spatial.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
+        fresh = replace(state, book=book, phase=phase)
+        book = fresh.book.copy()
+        book[spatial.REFERENCE] = self.energies(fresh).stored
+        return replace(fresh, book=book)
+
+    def _at_rest(self, state: SpatialState) -> SpatialState:
+        """Simulate with a strongly damped tether and fading velocities until all is at rest."""
+        model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
+        orders = make_orders(self.scenario, model, _IDLE, free=True)
+        longest = self.scenario.start.settling
+        while state.time < longest:
+            state, result = self._advance(model, state, orders, _SETTLING_TICK)
+            if state.phase.final:
+                raise SettlingError(
+                    f"{self.scenario.name}: {result.outcome.value} while settling, after"
+                    f" {state.time:.3g} s"
+                )
+            speed = _fastest(state)
+            if speed < _AT_REST:
+                break
+            state = _slowed(state, _SETTLING_SCALE)
+        else:
+            raise SettlingError(
+                f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
+                " settling; give start.settling more, or another start.position"
+            )
+        return self._started(_slowed(state, 0.0), 0.0, state.phase)
+
+    # -------------------------------------------------------------------------------- stepping
+
+    def step(
+        self, state: SpatialState, command: Command, dt: float
+    ) -> tuple[SpatialState, StepResult]:
+        """Advance by one control tick; see `rover_sim.plant.Plant.step`."""
+        tick = check_tick(dt)
+        free = state.machines.jump.latch == Latch.FREE
+        orders = make_orders(self.scenario, self._model, command, free=free)
+        if state.phase.final:
+            outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
+            return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
+        return self._advance(self._model, state, orders, tick)
+
+    def _advance(
+        self, model: Model, state: SpatialState, orders: Orders, dt: float
+    ) -> tuple[SpatialState, StepResult]:
+        motion, book = arrays_of(state, self._capacity)
+        events = np.zeros((spatial.MAX_EVENTS, spatial.EVENT_SIZE))
+        report = np.zeros(spatial.REPORT_SIZE)
+        outcome_code, count, machines = spatial.advance(
+            model, motion, state.machines, orders, book, dt, events, report, self._solver()
+        )
+        outcome = _OUTCOME_OF[outcome_code]
+        after = state_of(motion, _plain(machines), book, self._phase(outcome, book, report))
+        peak = float(report[spatial.PEAK_TENSION])
+        result = StepResult(
+            outcome=outcome,
+            energies=_energies_of(report, after.book),
+            constraint_drift=float(report[spatial.CONSTRAINT_DRIFT]),
+            newton_iterations=int(report[spatial.ITERATIONS]),
+            smallest_step=float(report[spatial.SMALLEST_STEP]),
+            events=tuple(_event_of(row) for row in events[:count]),
+            peak_tension=peak if math.isfinite(peak) else 0.0,
+            forces=_forces_of(report, after.book),
+        )
+        return after, result
+
+    def _phase(self, outcome: Outcome, book: Array, report: Array) -> Phase:
+        if outcome is Outcome.DIVERGED:
+            return Phase.DIVERGED
+        if outcome is Outcome.TETHER_BROKEN:
+            return Phase.TETHER_BROKEN
+        if book[spatial.AIRBORNE] == 0.0 and self._model.has_rover:
+            return Phase.GROUNDED
+        return self._carried(float(report[spatial.TIP_TENSION]))
+
+    # -------------------------------------------------------------------------------- looking
+
+    def energies(self, state: SpatialState) -> Energies:
+        """Energies of the state, with the balance since the start of the run."""
+        motion, book = arrays_of(state, self._capacity)
+        parts = spatial.energies(self._model, motion, state.machines, book, self._solver())
+        report = np.zeros(spatial.REPORT_SIZE)
+        report[spatial.KINETIC : spatial.TORSION + 1] = parts
+        return _energies_of(report, state.book)
+
+    def to_full_nodes(self, state: SpatialState) -> Array:
+        """Nodes of all the tether from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
+
+        With a winch the first is the fairlead, where the tether's first element begins.
+        """
+        if not self._model.has_winch:
+            return state.nodes
+        fairlead = np.array([[np.zeros(3), state.mouth[0]]])
+        return np.concatenate([fairlead, state.nodes])
+
+    def to_arc_lengths(self, state: SpatialState) -> Array:
+        """Undeformed arc length from the fairlead to each of `to_full_nodes` [m], (m + 1,)."""
+        chain = self._model.tether.element_length * np.arange(state.elements + 1)
+        if not self._model.has_winch:
+            return np.asarray(chain)
+        return np.concatenate([[0.0], state.length - chain[-1] + chain])
+
+    def tension(self, state: SpatialState) -> Array:
+        """Tension at `to_full_nodes` [N], (m + 1,), strain-rate damping included; below 0: pressed.
+
+        Mean axial forces of the elements, interpolated to the nodes and extrapolated to the ends.
+        """
+        tether = self._model.tether._replace(elements=state.elements)
+        means = np.empty(state.elements)
+        element_tensions(tether, to_rows(state.nodes), to_rows(state.node_rates), means)
+        arcs = self.to_arc_lengths(state)
+        if self._model.has_winch:
+            rates = np.array([[np.zeros(3), state.mouth[1]], state.node_rates[0]])
+            first = np.empty(1)
+            element_tensions(
+                tether._replace(elements=1, element_length=float(arcs[1])),
+                to_rows(self.to_full_nodes(state)[:2]),
+                to_rows(rates),
+                first,
+            )
+            means = np.concatenate([first, means])
+        if means.size == 1:
+            return np.repeat(means, 2)
+        middles = 0.5 * (arcs[:-1] + arcs[1:])
+        inner = np.interp(arcs[1:-1], middles, means)
+        slope0 = (means[1] - means[0]) / (middles[1] - middles[0])
+        slope1 = (means[-1] - means[-2]) / (middles[-1] - middles[-2])
+        first_node = means[0] - slope0 * (middles[0] - arcs[0])
+        last_node = means[-1] + slope1 * (arcs[-1] - middles[-1])
+        return np.concatenate([[first_node], inner, [last_node]])
+
+    def payout_rate(self, state: SpatialState) -> float:
+        """Rate of the tether at the drum [m/s], > 0 lengthens it."""
+        if not self._model.has_winch:
+            return 0.0
+        drum = state.machines.drum
+        turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
+        return float(drums.radius_at(self._model.drum, turns)) * drum.rate
+
+    def warm_up(self) -> None:
+        """Compile everything a step needs, or load it from the cache."""
+        start = self.scenario.start
+        state = self._state_from(
+            hanging(self.scenario) if start.kind != "straight" else straight(self.scenario)
+        )
+        orders = make_orders(self.scenario, self._model, _IDLE, free=True)
+        self._advance(self._model, state, orders, self._model.step)
+        self.tension(state)
+        self.payout_rate(state)
+
+
+def _plain(machines: Machines) -> Machines:
+    """The drives' states with the types that the compiled functions were made for."""
+    jump, drum, wheels = machines
+    return Machines(
+        jump_drive.JumpState(int(jump.latch), *(float(value) for value in jump[1:])),
+        drums.DrumState(
+            float(drum.angle),
+            float(drum.length),
+            float(drum.rate),
+            bool(drum.braked),
+            float(drum.brake_clock),
+            float(drum.integral),
+        ),
+        wheel_drive.WheelState(*(float(value) for value in wheels)),
+    )
+
+
+def _fastest(state: SpatialState) -> float:
+    """Largest speed of a node or of a body [m/s]."""
+    speeds = [
+        float(np.max(np.linalg.norm(state.node_rates[:, 0], axis=1))),
+        float(np.linalg.norm(state.G1_rate)),
+        float(np.linalg.norm(state.G2_rate)),
+        0.2 * float(np.linalg.norm(state.omega)),
+    ]
+    return max(speeds)
+
+
+def _slowed(state: SpatialState, factor: float) -> SpatialState:
+    """The state with all velocities scaled down; the drives' are left to their friction."""
+    body = state.body.copy()
+    for first in (spatial_rover.SPIN, spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
+        body[first : first + 3] *= factor
+    mouth = state.mouth.copy()
+    mouth[1] *= factor
+    return replace(state, node_rates=factor * state.node_rates, body=body, mouth=mouth)
+
+
+def _energies_of(report: Array, book: Array) -> Energies:
+    came, went = ledger_sums(book)
+    rotors = float(book[spatial.DRIVE_KINETIC])
+    return Energies(
+        kinetic=float(report[spatial.KINETIC]) - rotors,
+        gravity=float(report[spatial.GRAVITY]),
+        axial=float(report[spatial.AXIAL]),
+        bending=float(report[spatial.BENDING]),
+        spring=float(report[spatial.SPRING]),
+        input=came,
+        dissipated=went,
+        initial=float(book[spatial.REFERENCE]),
+        rotors=rotors,
+        contact=float(report[spatial.CONTACT]),
+        twist=float(report[spatial.TORSION]),
+    )
+
+
+def _forces_of(report: Array, book: Array) -> Forces:
+    x, y, z = report[spatial.FAIRLEAD_X : spatial.FAIRLEAD_Z + 1].tolist()
+    return Forces(
+        fairlead=(x, y, z),
+        fairlead_tension=float(book[spatial.TENSION]),
+        rover_tension=float(report[spatial.TIP_TENSION]),
+        left_wheel=float(report[spatial.LEFT_LOAD]),
+        right_wheel=float(report[spatial.RIGHT_LOAD]),
+        body=float(report[spatial.BODY_LOAD]),
+        grounded_points=int(report[spatial.TETHER_GROUNDED]),
+        nut=float(report[spatial.NUT_FORCE]),
+        jump_torque=float(report[spatial.JUMP_TORQUE]),
+        wheel_torque=float(report[spatial.WHEEL_TORQUE]),
+        winch_torque=float(report[spatial.WINCH_TORQUE]),
+        jump_current=float(report[spatial.JUMP_CURRENT]),
+        wheel_current=float(report[spatial.WHEEL_CURRENT]),
+        winch_current=float(report[spatial.WINCH_CURRENT]),
+        flywheel_saturated=bool(report[spatial.FLYWHEEL_SATURATED]),
+        screw_soft_limit=int(report[spatial.SCREW_SOFT_LIMIT]),
+        screw_hard_limit=int(report[spatial.SCREW_HARD_LIMIT]),
+        ratchet=int(report[spatial.RATCHET]),
+        drum_stuck=bool(report[spatial.DRUM_STUCK]),
+        drum_stop=int(report[spatial.DRUM_STOP]),
+    )
+
+
+def _event_of(row: Array) -> Event:
+    kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
+    place = {"x": x, "y": y, "z": z}
+    if int(kind) == spatial.EVENT_LATCH:
+        return Event(f"latch_{Latch(int(value)).name.lower()}", time, {**place, "speed": speed})
+    name, values = {
+        spatial.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
+        spatial.EVENT_APEX: ("apex", {"height": value}),
+        spatial.EVENT_TOUCHDOWN: ("touchdown", {"height": rise, "speed": speed, "load": value}),
+        spatial.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
+        spatial.EVENT_DIVERGED: ("diverged", {}),
+        spatial.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
+    }[int(kind)]
+    return Event(name, time, {**place, **values})

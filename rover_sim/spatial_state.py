@@ -1,0 +1,238 @@
+"""The state of the spatial plant, and how it becomes arrays and comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rover_sim.physics import spatial, spatial_rover
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.jump_drive import Latch
+from rover_sim.physics.spatial import Machines
+from rover_sim.physics.spatial_step import Motion
+from rover_sim.physics.tether import row_width, to_nodes
+from rover_sim.plant import Phase
+
+_LEDGER = {
+    "input_jump_motor": spatial.INPUT_JUMP,
+    "input_wheel_motor": spatial.INPUT_WHEELS,
+    "input_winch_motor": spatial.INPUT_WINCH,
+    "input_tether_paid_out": spatial.INPUT_TETHER,
+    "input_remeshing": spatial.REMESHED,
+    "heat_tether": spatial.HEAT_TETHER,
+    "heat_slider": spatial.HEAT_SLIDER,
+    "heat_jump_drive": spatial.HEAT_JUMP,
+    "heat_wheel_drive": spatial.HEAT_WHEELS,
+    "heat_winch": spatial.HEAT_WINCH,
+    "heat_rover_on_ground": spatial.HEAT_ROVER_GROUND,
+    "heat_tether_on_ground": spatial.HEAT_TETHER_GROUND,
+    "heat_swivel": spatial.HEAT_SWIVEL,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialState:
+    """State of the spatial plant; its arrays are read-only.
+
+    World axes are those of map: origin at the fairlead, x forward, y left, z up; the rover's those
+    of base_link. Without a rover the fields of the bodies are zero. With a winch the tether's first
+    element runs from the fairlead to nodes[0]; without one nodes[0] is the root at the fairlead.
+    """
+
+    phase: Phase
+    nodes: Array  # (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of the chain's node i
+    node_rates: Array  # the same per second
+    mouth: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
+    body: Array  # of the rover, as in `rover_sim.physics.spatial_rover`, (20,)
+    feet_anchors: Array  # of corners, then [wheel, floor or rock] [m], (c + 4, 3)
+    tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
+    machines: Machines  # states of jump drive, drum and wheel drive
+    book: Array  # what else is remembered, as in `rover_sim.physics.spatial`, (BOOK_SIZE,)
+
+    def __post_init__(self) -> None:
+        for name in (
+            "nodes",
+            "node_rates",
+            "mouth",
+            "body",
+            "feet_anchors",
+            "tether_anchors",
+            "book",
+        ):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return float(self.book[spatial.TIME])
+
+    # ---------------------------------------------------------------------------------- bodies
+
+    @property
+    def G1(self) -> Array:
+        """Centre of Body 1, the origin of base_link [m], (3,)."""
+        return self.body[spatial_rover.POSITION : spatial_rover.POSITION + 3]
+
+    @property
+    def G1_rate(self) -> Array:
+        """[m/s], (3,)."""
+        return self.body[spatial_rover.VELOCITY1 : spatial_rover.VELOCITY1 + 3]
+
+    @property
+    def G2_rate(self) -> Array:
+        """Velocity of Body 2's centre [m/s], (3,)."""
+        return self.body[spatial_rover.VELOCITY2 : spatial_rover.VELOCITY2 + 3]
+
+    @cached_property
+    def orientation(self) -> Array:
+        """Quaternion (x, y, z, w), base_link to map; Body 2 has the same."""
+        w, x, y, z = self.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
+        return np.array([x, y, z, w])
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Rotation matrix, base_link to map, (3, 3)."""
+        return rotation_matrix(self.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4])
+
+    @property
+    def omega(self) -> Array:
+        """Angular velocity of both bodies in base_link [rad/s], (3,)."""
+        return self.body[spatial_rover.SPIN : spatial_rover.SPIN + 3]
+
+    @property
+    def s(self) -> float:
+        """Distance of the bodies' centres along the slider [m]."""
+        return float(self.body[spatial_rover.SLIDE])
+
+    @property
+    def G2(self) -> Array:
+        """Centre of Body 2 [m], (3,)."""
+        return np.asarray(self.G1 + self.s * self.rotation[:, 2], dtype=np.float64)
+
+    @property
+    def s_rate(self) -> float:
+        """Rate of s [m/s]."""
+        return float(self.rotation[:, 2] @ (self.G2_rate - self.G1_rate))
+
+    # ---------------------------------------------------------------------------------- drives
+
+    @property
+    def length(self) -> float:
+        """Tether paid out, unstretched, at the drum [m]; with a winch."""
+        return self.machines.drum.length
+
+    @property
+    def drum_rate(self) -> float:
+        """[rad/s], > 0 pays out."""
+        return self.machines.drum.rate
+
+    @property
+    def braked(self) -> bool:
+        """Whether the winch's brake is closed."""
+        return self.machines.drum.braked
+
+    @property
+    def latch(self) -> Latch:
+        """What nut and latch do."""
+        return Latch(self.machines.jump.latch)
+
+    @property
+    def nut(self) -> float:
+        """Position of the nut, counted as compression [m]; below 0 it is above the latch."""
+        return self.machines.jump.nut
+
+    @property
+    def flywheel_rate(self) -> float:
+        """Of the jump motor's shaft relative to Body 1 [rad/s], > 0 drives the nut down."""
+        return self.machines.jump.rate
+
+    @property
+    def wheel_angles(self) -> tuple[float, float]:
+        """Left and right, relative to Body 1 [rad]."""
+        wheels = self.machines.wheels
+        return wheels.left_angle, wheels.right_angle
+
+    @property
+    def wheel_rates(self) -> tuple[float, float]:
+        """Left and right, relative to Body 1 [rad/s]."""
+        return self.machines.wheels.left, self.machines.wheels.right
+
+    # ---------------------------------------------------------------------------------- tether
+
+    @property
+    def elements(self) -> int:
+        """Elements of the chain, n."""
+        return len(self.nodes) - 1
+
+    @property
+    def tip(self) -> Array:
+        """The tether's attachment at the rover [m], (3,)."""
+        return np.asarray(self.nodes[-1, 0])
+
+    @property
+    def twist(self) -> float:
+        """Angle by which the tether is twisted [rad]."""
+        return float(self.book[spatial.TWIST] - self.book[spatial.SLIP])
+
+    @property
+    def start_height(self) -> float:
+        """Height of G1 at the last take-off [m]."""
+        return float(self.book[spatial.TAKE_OFF_Z])
+
+    @property
+    def ledger(self) -> Mapping[str, float]:
+        """What came in and went since the start of the run [J], by name."""
+        return {name: float(self.book[entry]) for name, entry in _LEDGER.items()}
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """Rotation matrix (3, 3), body to world, of a quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def ledger_sums(book: Array) -> tuple[float, float]:
+    """Input and heat since the start of the run [J]."""
+    came = sum(float(book[entry]) for name, entry in _LEDGER.items() if name.startswith("input"))
+    went = sum(float(book[entry]) for name, entry in _LEDGER.items() if name.startswith("heat"))
+    return came, went
+
+
+def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
+    """Fresh arrays that hold the state, with room for `capacity` elements, and the book."""
+    width = row_width(capacity, 3)
+    count = len(state.nodes)
+    q, v = np.zeros((6, width)), np.zeros((6, width))
+    q[:, :count] = state.nodes.reshape(count, 6).T
+    v[:, :count] = state.node_rates.reshape(count, 6).T
+    anchors = np.zeros((2 * capacity, 3))
+    anchors[: len(state.tether_anchors)] = state.tether_anchors
+    motion = Motion(q, v, state.mouth.copy(), state.body.copy(), state.feet_anchors.copy(), anchors)
+    return motion, state.book.copy()
+
+
+def state_of(motion: Motion, machines: Machines, book: Array, phase: Phase) -> SpatialState:
+    """The state that the arrays hold."""
+    elements = int(book[spatial.ELEMENTS])
+    return SpatialState(
+        phase=phase,
+        nodes=to_nodes(motion.q, elements),
+        node_rates=to_nodes(motion.v, elements),
+        mouth=motion.mouth,
+        body=motion.body,
+        feet_anchors=motion.feet_anchors,
+        tether_anchors=motion.tether_anchors[: 2 * elements],
+        machines=machines,
+        book=book,
+    )
