@@ -560,7 +560,7 @@ def advance(
             solver.work.increment[:, : row_width(n, 3)],
             solver.moves,
         )
-        known = np.int64(min(known + 1, 3))
+        known = np.int64(known + 1 if known < 3 else 3)
 
         # touching, taking off, flying, landing
         if model.has_ground and model.has_rover:
