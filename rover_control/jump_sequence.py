@@ -12,7 +12,8 @@ landed         waits until the rover rests; else fault
 fault          nothing is driven; ``abort`` lets the spring down and leads back to standby
 =============  =======================================================================
 
-Time is the controller's clock in nanoseconds, which may be simulated and jump.
+Time is the controller's clock in nanoseconds, which may be simulated and jump. What the sensors say
+holds for the time of their stamps, however late it is heard.
 """
 
 from __future__ import annotations
@@ -61,7 +62,9 @@ class JumpParameters:
         400.0, "N", "largest force that the nut may use", 1.0, MAX_NUT_FORCE
     )
     nut_zero: float = parameter(1e-3, "m", "a compression below this counts as none", 1e-5, 0.02)
-    sensor_timeout: float = parameter(0.25, "s", "a sensor silent for longer is lost", 0.02, 5.0)
+    sensor_timeout: float = parameter(
+        0.25, "s", "a sensor whose last sample is older is lost", 0.02, 5.0
+    )
     compress_margin: float = parameter(
         1.5, "s", "longer than stroke / speed that a compression may take", 0.1, 60.0
     )
@@ -80,7 +83,7 @@ class JumpParameters:
 
 
 class Reading(NamedTuple):
-    """A sensor's last value and when it arrived."""
+    """A sensor's last value and when it was measured."""
 
     value: float
     stamp_ns: int
@@ -91,7 +94,9 @@ class Sensors:
     """What the rover knows of itself; None = never heard."""
 
     contact: Reading | None = None  # 1 closed, 0 open
-    last_open_ns: int | None = None  # when the contact was last heard open
+    opened_ns: int | None = None  # when the contact last opened,
+    last_open_ns: int | None = None  # was last open,
+    closed_ns: int | None = None  # and closed again
     compression: Reading | None = None  # [m]
     specific_force: Reading | None = None  # magnitude [m/s^2]
 
@@ -105,18 +110,34 @@ class Sensors:
 
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
         """Take a sample of the contact switch."""
-        value = sample.joints[FLOOR_SWITCH].position
-        last_open_ns = self.last_open_ns if value >= _CLOSED else now_ns
-        return replace(self, contact=Reading(value, now_ns), last_open_ns=last_open_ns)
+        value, stamp_ns = sample.joints[FLOOR_SWITCH].position, sample.stamp_ns or now_ns
+        taken = replace(self, contact=Reading(value, stamp_ns))
+        if taken.is_open:
+            opened_ns = self.opened_ns if self.is_open else stamp_ns
+            return replace(taken, opened_ns=opened_ns, last_open_ns=stamp_ns)
+        return replace(taken, closed_ns=stamp_ns) if self.is_open else taken
 
     def with_jump_motor(self, sample: JointSample, now_ns: int) -> Sensors:
         """Take a sample of the jump motor's state."""
-        return replace(self, compression=Reading(sample.joints[JUMP_SCREW].position, now_ns))
+        value = sample.joints[JUMP_SCREW].position
+        return replace(self, compression=Reading(value, sample.stamp_ns or now_ns))
 
     def with_imu(self, sample: ImuSample, now_ns: int) -> Sensors:
         """Take a sample of the accelerometer."""
         force = math.hypot(*sample.linear_acceleration)
-        return replace(self, specific_force=Reading(force, now_ns))
+        return replace(self, specific_force=Reading(force, sample.stamp_ns or now_ns))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the contact is known to be open."""
+        return self.contact is not None and self.contact.value < _CLOSED
+
+    @property
+    def open_time(self) -> float:
+        """How long the contact was open when it was so last [s]; nan if that is not known."""
+        if self.opened_ns is None or self.closed_ns is None or self.closed_ns < self.opened_ns:
+            return math.nan
+        return _seconds(self.closed_ns, self.opened_ns)
 
 
 class NutCommand(NamedTuple):
@@ -151,8 +172,7 @@ class JumpSequence:
         self._stroke = 0.0
         self._speed = parameters.nut_speed
         self._highest = 0.0  # compression reached since the request [m]
-        self._held_ns = 0  # when the spring was last seen held by the nut
-        self._open_since_ns: int | None = None
+        self._held_ns = 0  # when the spring was last measured held by the nut
         self._quiet_since_ns: int | None = None
         self._standing_force = 0.0  # specific force before the jump [m/s^2]
         self._transitions: list[Transition] = []
@@ -195,23 +215,22 @@ class JumpSequence:
         lost = self._lost(sensors, now_ns)
         if lost:
             raise _refused(RefusalCode.STALE, f"{lost}, so the rover's state is not known")
-        contact, compression, force = _known(sensors)
-        if contact < _CLOSED:
+        compression, force = _known(sensors)
+        if sensors.is_open:
             raise _refused(
                 RefusalCode.WRONG_PHASE, "the contact switch is open, the rover must stand to jump"
             )
-        if compression > self.parameters.nut_zero:
+        if compression.value > self.parameters.nut_zero:
             raise _refused(
                 RefusalCode.WRONG_PHASE,
-                f"the spring is compressed by {compression:.4g} m already, it must be let down "
-                f"first ({topics.JUMP_ABORT})",
+                f"the spring is compressed by {compression.value:.4g} m already, it must be let "
+                f"down first ({topics.JUMP_ABORT})",
             )
         self._stroke = stroke
         self._speed = speed if speed > 0.0 else self.parameters.nut_speed
-        self._highest = compression
-        self._standing_force = force
-        self._held_ns = now_ns
-        self._open_since_ns = None
+        self._highest = compression.value
+        self._standing_force = force.value
+        self._held_ns = compression.stamp_ns
         self._enter(
             JumpPhase.COMPRESSING,
             f"requested: {stroke:g} m at {self._speed:g} m/s",
@@ -271,10 +290,10 @@ class JumpSequence:
         if lost:
             self._enter(JumpPhase.LETTING_DOWN, lost, now_ns, Level.ERROR)
             return
-        contact, compression, _ = _known(sensors)
+        compression, _ = _known(sensors)
         zero = self.parameters.nut_zero
-        sprang_back = self._highest > zero and compression < 0.5 * self._highest
-        lifted_unloaded = compression <= zero and self._has_opened(sensors)
+        sprang_back = self._highest > zero and compression.value < 0.5 * self._highest
+        lifted_unloaded = compression.value <= zero and self._has_opened(sensors)
         if sprang_back or lifted_unloaded:
             self._enter(
                 JumpPhase.FLIGHT,
@@ -283,29 +302,27 @@ class JumpSequence:
                 values={"compression": self._highest},
             )
             return
-        self._highest = max(self._highest, compression)
-        self._held_ns = now_ns
-        if contact >= _CLOSED:
-            self._open_since_ns = None
-        elif self._open_since_ns is None:
-            self._open_since_ns = now_ns
-        elif _seconds(now_ns, self._open_since_ns) > self.parameters.contact_loss_time:
-            self._enter(
-                JumpPhase.LETTING_DOWN,
-                f"contact lost at {compression:.4g} m with the spring still held",
-                now_ns,
-                Level.WARN,
-            )
-            return
+        self._highest = max(self._highest, compression.value)
+        self._held_ns = compression.stamp_ns
+        if sensors.is_open and sensors.opened_ns is not None:
+            lifted = _seconds(compression.stamp_ns, sensors.opened_ns)
+            if lifted > self.parameters.contact_loss_time:
+                self._enter(
+                    JumpPhase.LETTING_DOWN,
+                    f"contact lost at {compression.value:.4g} m with the spring still held",
+                    now_ns,
+                    Level.WARN,
+                )
+                return
         limit = self._stroke / self._speed + self.parameters.compress_margin
         if self._elapsed(now_ns) > limit:
             self._enter(
                 JumpPhase.LETTING_DOWN,
-                f"no take-off within {limit:.3g} s, the nut came to {compression:.4g} m "
+                f"no take-off within {limit:.3g} s, the nut came to {compression.value:.4g} m "
                 f"of {self._stroke:g} m",
                 now_ns,
                 Level.ERROR,
-                {"compression": compression},
+                {"compression": compression.value},
             )
 
     def _let_down(self, sensors: Sensors, now_ns: int) -> None:
@@ -325,11 +342,9 @@ class JumpSequence:
             )
 
     def _fly(self, sensors: Sensors, now_ns: int) -> None:
-        flown = self._elapsed(now_ns)
-        contact = sensors.contact
-        closed = contact is not None and contact.value >= _CLOSED
         # The switch may tell of the take-off later than the nut does: it must have opened.
-        if closed and self._has_opened(sensors):
+        if sensors.contact is not None and not sensors.is_open and self._has_opened(sensors):
+            flown = sensors.open_time
             self._quiet_since_ns = None
             self._enter(
                 JumpPhase.LANDED,
@@ -339,7 +354,7 @@ class JumpSequence:
             )
             return
         limit = self.parameters.flight_limit
-        if flown > limit:
+        if self._elapsed(now_ns) > limit:
             self._enter(JumpPhase.FAULT, f"no landing within {limit:g} s", now_ns, Level.ERROR)
 
     def _settle(self, sensors: Sensors, now_ns: int) -> None:
@@ -366,12 +381,12 @@ class JumpSequence:
     def _rests(self, sensors: Sensors, now_ns: int) -> bool:
         if self._lost(sensors, now_ns):
             return False
-        contact, _, force = _known(sensors)
+        _, force = _known(sensors)
         spread = self.parameters.quiet_force * self._standing_force
-        return contact >= _CLOSED and abs(force - self._standing_force) <= spread
+        return not sensors.is_open and abs(force.value - self._standing_force) <= spread
 
     def _has_opened(self, sensors: Sensors) -> bool:
-        """Whether the contact has opened since the spring was last seen held."""
+        """Whether the contact was open after the spring was last measured held."""
         return sensors.last_open_ns is not None and sensors.last_open_ns > self._held_ns
 
     def _is_down(self, sensors: Sensors, now_ns: int) -> bool:
@@ -383,7 +398,7 @@ class JumpSequence:
         )
 
     def _is_fresh(self, reading: Reading, now_ns: int) -> bool:
-        return _seconds(now_ns, reading.stamp_ns) <= self.parameters.sensor_timeout
+        return abs(_seconds(now_ns, reading.stamp_ns)) <= self.parameters.sensor_timeout
 
     def _lost(self, sensors: Sensors, now_ns: int) -> str:
         """Say which sensor is silent; empty if none is."""
@@ -393,9 +408,12 @@ class JumpSequence:
     def _silence(self, topic: str, reading: Reading | None, now_ns: int) -> str:
         if reading is None:
             return f"{topic} was never heard"
-        if not self._is_fresh(reading, now_ns):
-            return f"{topic} is silent for {_seconds(now_ns, reading.stamp_ns):.3g} s"
-        return ""
+        if self._is_fresh(reading, now_ns):
+            return ""
+        age = _seconds(now_ns, reading.stamp_ns)
+        if age > 0.0:
+            return f"{topic} is silent for {age:.3g} s"
+        return f"{topic} is stamped {-age:.3g} s ahead: its sender follows another clock"
 
     def _elapsed(self, now_ns: int) -> float:
         return _seconds(now_ns, self._entered_ns)
@@ -417,11 +435,11 @@ def _refused(code: RefusalCode, reason: str) -> Refusal:
     return Refusal(topics.JUMP_REQUEST, code, reason)
 
 
-def _known(sensors: Sensors) -> tuple[float, float, float]:
-    """Values of sensors that are not lost."""
-    readings = (sensors.contact, sensors.compression, sensors.specific_force)
-    contact, compression, force = (math.nan if r is None else r.value for r in readings)
-    return contact, compression, force
+def _known(sensors: Sensors) -> tuple[Reading, Reading]:
+    """Compression and specific force of sensors that are not lost."""
+    assert sensors.compression is not None
+    assert sensors.specific_force is not None
+    return sensors.compression, sensors.specific_force
 
 
 def _seconds(later_ns: int, earlier_ns: int) -> float:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import signal
+import statistics
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import pytest
 from graph import forbidden_to_controllers, subscriptions_of
@@ -14,7 +16,7 @@ from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, Sample, Status
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
-from rover_sim import build_plant, jump, load_scenario
+from rover_sim import build_plant, jump, load_planar
 
 if TYPE_CHECKING:
     from rover_verify.stage import Observer, Process, Processes, Stage
@@ -25,15 +27,18 @@ MODULE, NODE = "rover_control.jump_node", "jump_node"
 NANO = 1_000_000_000
 
 
-def start_both(stage: Stage, factor: float = 3.0, **parameters: object) -> tuple[Process, Observer]:
-    """Start simulator and sequencer; returns the latter once it may be asked for a jump."""
+def start_both(stage: Stage) -> tuple[Process, Observer]:
+    """Start simulator and sequencer; returns the latter once it may be asked for a jump.
+
+    Simulated time goes slowly, so that on a busy machine no sensor and no command is lost for that.
+    """
     observer = stage.observer()
     observer.listen(topics.EVENTS)
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.JUMP_MOTOR_COMMAND)
-    process = stage.processes.start(MODULE, {"use_sim_time": True, **parameters})
+    process = stage.processes.start(MODULE, {"use_sim_time": True})
     stage.processes.start(
-        "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": factor}
+        "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
     )
     # The last one of each node's topics that is listened to: where it is heard, so are the others.
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
@@ -56,47 +61,47 @@ def wait_for_compression(observer: Observer, low: float, high: float = math.inf)
     feed.wait(lambda s: low < s.joints[JUMP_SCREW].position < high, max(0, len(feed) - 1))
 
 
-def refusals(observer: Observer, subject: str) -> list[Any]:
-    return [
-        status
-        for sample in observer.listen(topics.DIAGNOSTICS).samples
-        for status in sample.statuses
-        if status.name.endswith(f"refused {subject}")
-    ]
-
-
 def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(stage: Stage):
     _, observer = start_both(stage)
     since = len(observer.listen(topics.JUMP_PHASE))
-    request(observer, 0.2, 0.1)
+    request(observer, 0.2, 0.4)
     touchdown = observer.wait_for_event("touchdown")
     observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
-    alone = jump(build_plant(load_scenario("paper_table1_high")))
+    alone = jump(build_plant(load_planar("paper_table1_high")))
     assert float(touchdown.values["height"]) == pytest.approx(alone.height, abs=1e-5)
     assert phases(observer, since) == ["compressing", "flight", "landed", "standby"]
     landed = observer.wait_for_event("jump_landed")
-    assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.2)
-    assert not refusals(observer, topics.JUMP_MOTOR_COMMAND)
+    assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.03)
 
 
 def test_commands_are_streamed_while_compressing_and_only_then(stage: Stage):
-    _, observer = start_both(stage, 1.0)
+    _, observer = start_both(stage)
     commands = observer.listen(topics.JUMP_MOTOR_COMMAND)
     assert not commands.samples
     request(observer, 0.1, 0.1)
-    observer.wait_for_event("take_off")
-    observer.wait_for_event("touchdown")
+    observer.wait_for_event("jump_standby")
     samples = commands.samples
     assert {s.joints[JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
-    # A second of compression at 20 Hz, by the stamps.
-    assert 17 <= len(samples) <= 23
-    assert (samples[-1].stamp_ns - samples[0].stamp_ns) / NANO == pytest.approx(1.0, abs=0.1)
+    begin, end = (stamp_of(observer, f"jump_{phase}") for phase in ("compressing", "flight"))
+    assert end - begin > 0.9 * NANO
+    stamps = [sample.stamp_ns for sample in samples]
+    # The first answers the request, the last comes before the take-off is known.
+    assert begin <= stamps[0] <= begin + NANO // 20
+    assert stamps[-1] <= end
+    gaps = [later - earlier for earlier, later in pairwise(stamps)]
+    assert statistics.median(gaps) / NANO == pytest.approx(0.05, abs=0.01)
+
+
+def stamp_of(observer: Observer, event: str) -> int:
+    """When the sequencer told of an event [ns]."""
+    feed = observer.listen(topics.EVENTS)
+    return int(feed.wait(lambda sample: sample.statuses[0].name == event).stamp_ns)
 
 
 def test_an_abort_lets_the_spring_down_and_no_jump_happens(stage: Stage):
     _, observer = start_both(stage)
     since = len(observer.listen(topics.JUMP_PHASE))
-    request(observer, 0.2, 0.02)
+    request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     answer = observer.call(topics.JUMP_ABORT)
     assert (answer.success, answer.message) == (True, "letting the spring down")
@@ -164,12 +169,12 @@ def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(stage: Stage):
 
 def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(stage: Stage):
     process, observer = start_both(stage)
-    request(observer, 0.2, 0.02)
+    request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     process.send(signal.SIGKILL)
     process.wait()
     stopped = float(observer.wait_for_event("jump_motor_silent").values["compression"])
-    assert 0.02 < stopped < 0.06
+    assert 0.02 < stopped < 0.1
 
     events, told = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
     stage.processes.start(MODULE, {"use_sim_time": True})
@@ -181,25 +186,25 @@ def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(s
     assert observer.call(topics.JUMP_ABORT).success
     observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
     wait_for_compression(observer, -1.0, 1e-9)
-    request(observer, 0.1, 0.1)
+    request(observer, 0.1, 0.4)
     observer.wait_for_event("touchdown", events)
 
 
 def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
     _, observer = start_both(stage)
-    request(observer, 0.2, 0.02)
+    request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     since = len(observer.listen(topics.JUMP_PHASE))
     assert observer.call(topics.SIM_RESET).success
     observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
     observer.wait_until_ready(NODE, len(observer.listen(topics.DIAGNOSTICS)))
-    request(observer, 0.1, 0.1)
+    request(observer, 0.1, 0.4)
     observer.wait_for_event("touchdown")
 
 
 def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(stage: Stage):
     _, observer = start_both(stage)
-    request(observer, 0.2, 0.02)
+    request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert observer.change_state(NODE, "deactivate")
     observer.wait_for_event("jump_motor_silent")
@@ -253,7 +258,7 @@ def test_health_names_the_phase(shared_sim: Observer):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(stage: Stage, number: signal.Signals):
     process, observer = start_both(stage)
-    request(observer, 0.2, 0.02)
+    request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert process.stop(number) == 0
     assert process.group_is_gone()
