@@ -44,7 +44,7 @@ class ServoParameters:
         0.04, "m", "lead of the S-curve over the drum beyond which it waits", 1e-3, 1.0
     )
     tension_bandwidth: float = parameter(
-        2.0, "1/s", "how fast a tension's error is brought down", 0.01, 20.0
+        6.0, "1/s", "how fast a tension's error is brought down", 0.01, 20.0
     )
     largest_compliance: float = parameter(
         0.02, "m/N", "of the tether that the tension's gain is made for", 1e-4, 10.0

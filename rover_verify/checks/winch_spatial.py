@@ -1,0 +1,125 @@
+"""The spatial plant as a rig for the winch: its tether, drum, rover and ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+
+from rover_sim import Command, Outcome, WinchCommand, load_scenario
+from rover_sim.spatial_plant import SpatialPlant
+from rover_verify.checks.winch_rig import Readings
+from rover_verify.checks.winch_trials import TrialPlan
+from tether_winch.servo import DriveCommand
+
+WEIGHT = 16.2  # of the default rover on the Moon [N]
+_SCENARIO = "free_hang"
+_TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
+_WALL_RADIUS = 30.0  # of the hole that trials scrape along [m]
+_SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
+
+
+@cache
+def _plant(items: tuple[tuple[str, object], ...]) -> SpatialPlant:
+    return SpatialPlant(load_scenario(_SCENARIO, dict(items)))
+
+
+def spatial_plant(overrides: Mapping[str, object]) -> SpatialPlant:
+    """The default machine hanging, with other values by dotted path; one plant for each set."""
+    return _plant(tuple(sorted(overrides.items())))
+
+
+class SpatialRig:
+    """A spatial plant under a winch controller.
+
+    Args:
+        overrides: values of the scenario by dotted path.
+    """
+
+    def __init__(self, overrides: Mapping[str, object] | None = None) -> None:
+        self._overrides = {"sensors.quality": "perfect", **(overrides or {})}
+        self._plant = spatial_plant(self._overrides)
+        self.state = self._plant.initial_state()
+        self.peak_tension = 0.0
+        self.is_supported = False
+        self.is_caught = False
+        self._has_lip = False
+
+    def step(self, command: DriveCommand | None, dt: float) -> Readings:
+        """Advance under a command; None = the drive has none.
+
+        Raises:
+            RuntimeError: the plant cannot go on.
+        """
+        told = None
+        if command is not None:
+            told = WinchCommand(
+                command.length,
+                command.rate,
+                command.feed_forward,
+                command.release_brake,
+                command.limit,
+            )
+        self.state, result = self._plant.step(self.state, Command(winch=told), dt)
+        if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
+            raise RuntimeError(f"{result.outcome.value} after {self.state.time:.3g} s")
+        forces = result.forces
+        self.peak_tension = max(self.peak_tension, result.peak_tension)
+        touch = forces.left_wheel + forces.right_wheel + forces.body
+        weight = self._plant.scenario.tip_mass * self._plant.scenario.gravity
+        self.is_caught = self._has_lip and touch > 0.1 * weight
+        self.is_supported = not self._has_lip and forces.rover_tension < 0.5 * weight < touch * 2.0
+        drum = self.state.machines.drum
+        return Readings(
+            self.state.length,
+            self._plant.payout_rate(self.state),
+            not drum.braked,
+            forces.winch_current,
+            forces.fairlead_tension,
+        )
+
+    @property
+    def depth(self) -> float:
+        """Of the tether's attachment below the fairlead [m]."""
+        return -float(self.state.nodes[-1, 0, 2])
+
+    @property
+    def slack(self) -> float:
+        """Length by which the tether is longer than its way [m]."""
+        x, y, z = self.state.nodes[-1, 0]
+        return max(0.0, self.state.length - math.sqrt(x * x + y * y + z * z))
+
+    def place_lip(self, depth: float) -> None:
+        """Put a lip at a depth [m], under which the rover is caught; far above: take it away."""
+        if depth < 0.0:
+            self._plant = spatial_plant(self._overrides)
+            self._has_lip = False
+            return
+        # A shaft too narrow for the rover, which widens below the lip like a funnel.
+        caught = {
+            "place.hole.diameter": _SHAFT,
+            "place.hole.depth": depth + 30.0,
+            "place.hole.overhang": 20.0,
+            "place.hole.overhang_from": depth - 1.0,
+            "place.hole.wall_distance": 0.5 * _SHAFT,
+            "place.hole.fairlead_height": 0.5,
+            "place.hole.rim_radius": 0.05,
+        }
+        self._plant = SpatialPlant(load_scenario(_SCENARIO, {**self._overrides, **caught}))
+        self._has_lip = True
+
+
+def trial_rig(plan: TrialPlan) -> SpatialRig:
+    """The spatial plant of one trial."""
+    return SpatialRig(
+        {
+            "tether.length": round(plan.start_length, 6),
+            "start.swing_angle": math.degrees(plan.swing),
+            "rover.m1": 6.0 * plan.payload,
+            "rover.m2": 4.0 * plan.payload,
+            "winch.friction.coulomb": 0.05 * plan.friction,
+            "winch.friction.breakaway": 0.07 * plan.friction,
+            "winch.friction.viscous": 0.005 * plan.friction,
+            "place.floor.height": -(plan.floor_depth + _TALLEST),
+        }
+    )
