@@ -21,6 +21,7 @@ The same by hand, tick by tick; a state is a value, so keeping or reusing one is
 """
 
 from msg_schemas.yaml_reader import read_yaml
+from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.physics.section import TetherSection
 from rover_sim.physics.statics import StaticsError, static_equilibrium
 from rover_sim.planar_plant import PlanarPlant, PlanarState
@@ -81,6 +82,7 @@ __all__ = [
     "WheelTorqueCommand",
     "WinchCommand",
     "build_plant",
+    "compile_ahead",
     "dump_scenario",
     "jump",
     "jump_many",

@@ -18,6 +18,7 @@ from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.actuators import COMMANDS, stopped
+from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.happenings import Happening
 from rover_sim.interfaces import build_interface
 from rover_sim.plant import Phase
@@ -145,6 +146,11 @@ class SimNode(ContractNode):
             "a second or two from then on)"
         )
         begin = time.monotonic()
+        if not compile_ahead(scenario):
+            self.get_logger().warning(
+                "the compiled code cannot be kept: results may differ from other runs in their "
+                "last bits"
+            )
         plant = build_plant(scenario)
         plant.warm_up()
         outside = build_interface(plant, wanted.seed)

@@ -14,14 +14,16 @@ from typing import Final
 
 import numpy as np
 
+import rover_sim
 from rover_sim import (
     AnyScenario,
     Outcome,
     PlanarPlant,
     RunError,
+    Scenario,
     ScenarioError,
+    build_plant,
     jump,
-    run,
 )
 
 Value = float | int | str | bool | None
@@ -58,6 +60,8 @@ class Experiment:
 
 
 def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError("model", scenario.model, "should be planar for the experiment jump")
     if scenario.rover is None:
         raise ScenarioError("rover", None, f"{scenario.name} has no rover, so nothing jumps")
     plant = PlanarPlant(scenario)
@@ -68,15 +72,15 @@ def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> d
     return {
         **found,
         "slack_value": metrics.slack_value,
-        "take_off_energy_J": plant.scenario.take_off_energy,
+        "take_off_energy_J": scenario.take_off_energy,
         "initial_axial_energy_J": plant.energies(start).axial,
         "initial_slope_error": float(np.max(np.abs(slopes - 1.0))),
     }
 
 
 def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
-    plant = PlanarPlant(scenario)
-    done = run(plant, plant.initial_state(), settings["duration"], tick=settings["tick"])
+    plant = build_plant(scenario)
+    done = rover_sim.run(plant, plant.initial_state(), settings["duration"], tick=settings["tick"])
     final, last = done.final, done.results[-1]
     if last.outcome is Outcome.DIVERGED:
         raise RunError(f"diverged at t = {final.time:.6g} s")

@@ -168,13 +168,14 @@ def _is_of_cluster(error: Exception) -> bool:
 
 
 @contextlib.contextmanager
-def workers_of(scheduler: str | None, count: int | None) -> Iterator[Workers]:
+def workers_of(plan: Plan, scheduler: str | None, count: int | None) -> Iterator[Workers]:
     """The workers that are asked for: a cluster's, or processes of this machine."""
+    scenarios = plan.scenarios.values()
     if scheduler is not None:
-        with dask_cluster(scheduler) as workers:
+        with dask_cluster(scheduler, scenarios) as workers:
             yield workers
     else:
-        with local_processes(count or available_cores()) as workers:
+        with local_processes(count or available_cores(), scenarios) as workers:
             yield workers
 
 
@@ -207,7 +208,6 @@ def sweep(
     try:
         if store.done < plan.count:
             with (
-                workers_of(scheduler, workers) as crew,
                 tqdm(
                     total=plan.count,
                     initial=store.done,
@@ -218,6 +218,7 @@ def sweep(
                     disable=not show_progress,
                     dynamic_ncols=True,
                 ) as bar,
+                workers_of(plan, scheduler, workers) as crew,
             ):
                 wrong: Counter[str] = Counter()
 

@@ -11,11 +11,13 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+
+from rover_sim import AnyScenario, compile_ahead
 
 _SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
@@ -44,14 +46,26 @@ def package_version() -> str:
         return "uninstalled"
 
 
+def compile_all(scenarios: Iterable[AnyScenario]) -> None:
+    """Have the code of some scenarios in this machine's cache."""
+    for scenario in scenarios:
+        compile_ahead(scenario)
+
+
 def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextlib.contextmanager
-def local_processes(count: int) -> Iterator[Workers]:
-    """Processes of this machine, one thread each; they end with this process, however it ends."""
+def local_processes(count: int, scenarios: Iterable[AnyScenario] = ()) -> Iterator[Workers]:
+    """Processes of this machine, one thread each; they end with this process, however it ends.
+
+    Args:
+        count: how many.
+        scenarios: compiled beforehand.
+    """
+    compile_all(scenarios)
     # The child reads its environment when it starts, before numpy is imported.
     kept = {name: os.environ.get(name) for name in _SINGLE_THREADED}
     os.environ.update(_SINGLE_THREADED)
@@ -105,11 +119,12 @@ def _end_with_parent() -> None:
 
 
 @contextlib.contextmanager
-def dask_cluster(address: str) -> Iterator[Workers]:
+def dask_cluster(address: str, scenarios: Iterable[AnyScenario] = ()) -> Iterator[Workers]:
     """The workers of a dask.distributed scheduler.
 
     Args:
         address: of the scheduler, such as ``tcp://host:8786``.
+        scenarios: compiled beforehand on every worker's machine.
 
     Raises:
         WorkersError: dask is not installed, nobody answers there, no worker has joined, or the
@@ -130,6 +145,7 @@ def dask_cluster(address: str) -> Iterator[Workers]:
         if not threads:
             raise WorkersError(f"the dask scheduler at {address} has no workers")
         _check_versions(client.run, address)
+        client.run(compile_all, list(scenarios))
         yield Workers(client.get_executor(pure=False), threads, f"{threads} workers at {address}")
     finally:
         client.close()

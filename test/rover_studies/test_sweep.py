@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow.csv
 import pytest
 
-from rover_sim import jump, load_planar
+from rover_sim import jump, load_scenario
 from rover_sim.plants import build_plant
 from rover_studies.sweep import (
     DONE,
@@ -80,7 +80,7 @@ def test_a_row_is_the_jump_that_its_parameters_say(expected: list[dict[str, Any]
     row = expected[40]
     metrics = jump(
         build_plant(
-            load_planar(
+            load_scenario(
                 "paper_table1_high",
                 {
                     "tether.elements": 3,
@@ -146,33 +146,28 @@ def test_killed_at_any_moment_it_goes_on_and_does_nothing_twice(
         finally:
             process.kill()
             process.wait()
-        done = SweepStoreLook(out, whole).done()
+        done = kept_runs(out, whole)
         assert kept < done, f"kill {kill}: nothing was kept"
         kept = done
     assert 0 < len(kept) < whole.count
-    done = subprocess.run(
+    resumed = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE, check=False
     )
-    assert done.returncode == 0, done.stderr
+    assert resumed.returncode == 0, resumed.stderr
     # It began with what was there.
-    assert f"{len(kept)}/{whole.count}" in done.stderr
+    assert f"{len(kept)}/{whole.count}" in resumed.stderr
     assert rows(out) == [dict(run_one(whole, number)) for number in range(whole.count)]
     assert not (out / "parts").exists()
 
 
-class SweepStoreLook:
-    """Which runs a killed sweep has kept; waits until its last worker has gone."""
-
-    def __init__(self, folder: Path, plan: Plan) -> None:
-        self._store = SweepStore(folder, plan, package_version())
-
-    def done(self) -> set[int]:
-        missing = set(self._store.missing())
-        count = self._store.done
-        self._store.close()
-        found = set(range(300)) - missing
-        assert len(found) == count
-        return found
+def kept_runs(folder: Path, plan: Plan) -> set[int]:
+    """Numbers of the runs that a killed sweep has kept."""
+    store = SweepStore(folder, plan, package_version())
+    missing, count = set(store.missing()), store.done
+    store.close()
+    found = set(range(plan.count)) - missing
+    assert len(found) == count
+    return found
 
 
 def wait_for_parts(process: subprocess.Popen[bytes], out: Path, count: int) -> None:

@@ -1,0 +1,88 @@
+"""Compiles the plant in a process of its own, so that all that step it run the same code.
+
+A process that compiles numba functions itself links them otherwise than one that loads them from
+the cache on disk: the last bits of its results differ from those of all later processes. So the
+first process on a machine lets a child compile, and then loads as the others do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+import llvmlite.binding
+import numba
+
+from rover_sim.physics import planar
+from rover_sim.physics.compiled import source_stamp
+from rover_sim.plants import build_plant
+from rover_sim.scenario import AnyScenario, scenario_from_mapping
+
+_LONGEST: Final = 900.0  # [s]
+_IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
+
+
+def compile_ahead(scenario: AnyScenario) -> bool:
+    """Compile what the scenario's plant needs, in another process, unless that was done before.
+
+    Returns:
+        Whether the code is in the cache now. If it is not (nothing can be written there, or the
+        other process failed), this process will compile by itself, as numba does.
+    """
+    marker = _marker(scenario.model)
+    if marker.exists():
+        return True
+    if _IN_CHILD in os.environ:
+        return False
+    root = str(Path(__file__).resolve().parents[1])
+    inherited = os.environ.get("PYTHONPATH")
+    environment = {
+        **os.environ,
+        _IN_CHILD: "1",
+        "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
+    }
+    try:
+        subprocess.run(
+            [sys.executable, "-m", __name__],
+            input=json.dumps(scenario.to_mapping()),
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST,
+            check=True,
+        )
+        marker.touch()
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
+
+
+def _marker(model: str) -> Path:
+    """A file in numba's cache that is there once a child has compiled exactly these sources."""
+    physics = Path(planar.__file__).parent
+    parts: Iterable[str] = (
+        numba.__version__,
+        sys.version,
+        llvmlite.binding.get_host_cpu_name(),
+        *(source_stamp(path) for path in sorted(physics.glob("*.py"))),
+    )
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
+    return Path(planar.advance._cache.cache_path) / f"compiled_{model}_{digest}"
+
+
+def main() -> int:
+    """The child: read a scenario's values, compile its plant."""
+    plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
+    plant.warm_up()
+    plant.initial_state()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

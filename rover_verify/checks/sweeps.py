@@ -1,0 +1,108 @@
+"""Sweeps: fast enough, resumed without loss after a kill, and the same on any number of workers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from rover_studies.sweep import sweep
+from rover_studies.sweep_plan import Plan, make_plan
+from rover_studies.sweep_store import SweepStore, read_results
+from rover_studies.workers import package_version
+from rover_verify.bench_sweep import jumps
+from rover_verify.checks import Batch, Measured
+
+_JUMPS = 10_000
+_KILLS = 4
+_DEADLINE = 300.0
+_LOOK_EVERY = 0.02
+
+
+def speed(batch: Batch) -> Measured:
+    """Wall time of 10 000 planar jumps at n = 10 by two processes, their start included [s]."""
+    begin = time.monotonic()
+    sweep(jumps(_JUMPS, batch.seed), batch.folder / "jumps", workers=2, show_progress=False).close()
+    spent = time.monotonic() - begin
+    statuses = Counter(read_results(batch.folder / "jumps").column("status").to_pylist())
+    details: dict[str, float | str] = {name: float(count) for name, count in statuses.items()}
+    return Measured(spent, f"{_JUMPS / spent:.0f} jumps a second", details)
+
+
+def _rows(folder: Path) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = read_results(folder).to_pylist()
+    return rows
+
+
+def _differing(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> int:
+    return sum(a != b for a, b in zip(one, other, strict=True))
+
+
+def workers(batch: Batch) -> Measured:
+    """How many rows differ between one, two and five workers."""
+    plan = jumps(100, batch.seed)
+    found = []
+    for count in (1, 2, 5):
+        sweep(plan, batch.folder / str(count), workers=count, show_progress=False).close()
+        found.append(_rows(batch.folder / str(count)))
+    differing = sum(_differing(found[0], other) for other in found[1:])
+    return Measured(differing, f"{plan.count} runs with 1, 2 and 5 workers")
+
+
+def resumed(batch: Batch) -> Measured:
+    """How many runs a sweep killed several times has lost, made twice or made otherwise."""
+    content = {
+        "scenario": "paper_table1_high",
+        "seed": batch.seed,
+        "runs": 400,
+        "set": {"tether.elements": 10},
+        "random": {"start.slack": {"uniform": [0.52, 3.5]}},
+    }
+    plan = make_plan(content, name="plan")
+    file, out = batch.folder / "plan.yaml", batch.folder / "killed"
+    file.write_text(json.dumps(content), encoding="utf-8")
+    command = [sys.executable, "-m", "rover_studies.sweep", str(file), "--out", str(out),
+               "--workers", "2"]  # fmt: skip
+    generators = batch.generators(_KILLS)
+    kept: set[int] = set()
+    lost, details = 0, {}
+    for kill, generator in enumerate(generators):
+        more = int(generator.integers(1, 4))
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+            _wait_for_parts(process, out, more)
+            process.kill()
+        done = _kept(out, plan)
+        lost += len(kept - done)
+        kept = done
+        details[f"kept after kill {kill + 1}"] = float(len(kept))
+    subprocess.run(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True)
+    sweep(plan, batch.folder / "whole", workers=2, show_progress=False).close()
+    found, expected = _rows(out), _rows(batch.folder / "whole")
+    numbers = Counter(row["run"] for row in found)
+    twice = sum(count - 1 for count in numbers.values())
+    missing = plan.count - len(numbers)
+    wrong = _differing(found, expected) if not (twice or missing) else 0
+    note = f"{plan.count} runs, {_KILLS} times killed"
+    return Measured(lost + twice + missing + wrong, note, details)
+
+
+def _wait_for_parts(process: subprocess.Popen[bytes], out: Path, more: int) -> None:
+    look_again = threading.Event()
+    wanted = len(list(out.glob("parts/*.parquet"))) + more
+    for _ in range(int(_DEADLINE / _LOOK_EVERY)):
+        if len(list(out.glob("parts/*.parquet"))) >= wanted or process.poll() is not None:
+            return
+        look_again.wait(_LOOK_EVERY)
+    raise RuntimeError(f"the sweep kept nothing within {_DEADLINE:g} s")
+
+
+def _kept(folder: Path, plan: Plan) -> set[int]:
+    store = SweepStore(folder, plan, package_version())
+    missing = set(store.missing())
+    store.close()
+    return set(range(plan.count)) - missing
