@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rover_verify import core_peak, exudyn_peer
+from rover_verify import bench_sweep, core_peak, exudyn_peer
 from rover_verify.bench_cases import (
     FLOWN,
     PEER_USUAL,
@@ -41,6 +41,7 @@ Tell = Callable[[str], None]
 
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
+_SWEEP_RUNS = 2000
 
 
 def measure_case(case: Case, repetitions: int, tell: Tell) -> Row:
@@ -298,11 +299,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
     rows = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
+    scaling: list[Row] = []
+    if costs:
+        print("sweep of jumps over the number of workers ...", file=sys.stderr)
+        scaling = bench_sweep.measure_scaling(_SWEEP_RUNS)
+        rows += scaling
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(table(rows))
     print()
     print(notes(peer=peer))
+    if scaling:
+        print("\n" + bench_sweep.table(scaling) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]
     if ratios:
         print(f"Median ratio over the cases: {statistics.median(ratios):.1f}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,7 +58,7 @@ def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
     return spent * plan.count / counted
 
 
-def measure_scaling(runs: int, tell: Callable[[str], None]) -> list[dict[str, object]]:
+def measure_scaling(runs: int) -> list[dict[str, object]]:
     """One row for each number of workers: 1, 2, 4 ... up to the cores."""
     counts = [1]
     while counts[-1] * 2 <= available_cores():
@@ -67,7 +67,6 @@ def measure_scaling(runs: int, tell: Callable[[str], None]) -> list[dict[str, ob
     first = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for workers in counts:
-            tell(f"{workers} workers")
             spent = timed_sweep(jumps(runs), Path(folder) / str(workers), workers)
             first = first or spent
             rows.append(
