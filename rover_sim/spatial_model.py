@@ -28,6 +28,8 @@ from rover_sim.plant import (
 from rover_sim.spatial_scenario import SpatialScenario, configuration_of_drum
 
 _OFF = int(MotorMode.OFF)
+# To trip the latch the nut is sent beyond the setpoint [m]: it has to press the latch through.
+_BEYOND_TRIP = 2.0e-3
 _NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
 _NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
 _NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
@@ -144,13 +146,14 @@ def _jump_order(
             f"compression = {compression}: must lie between {-drive.free_travel:g}, the top of the"
             f" nut's free travel, and the stroke of {drive.stroke:g} m"
         )
+    trips = compression > 0.0 and command.trips
     return jump_drive.JumpCommand(
         int(MotorMode.POSITION),
         0.0,
-        compression,
+        compression + (_BEYOND_TRIP if trips else 0.0),
         _positive("rate", command.rate, "m/s"),
         _limit("largest_force", command.largest_force, "N"),
-        compression if compression > 0.0 and command.trips else math.inf,
+        compression if trips else math.inf,
     )
 
 
