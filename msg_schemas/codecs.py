@@ -447,8 +447,9 @@ def _decode_statuses(topic: Topic, message: Message) -> StatusSample:
     return StatusSample(from_time(message.header.stamp), tuple(statuses))
 
 
-_MARKER_LINE_STRIP = 4
-_MARKER_CUBE = 1
+# visualization_msgs/Marker: CUBE, CYLINDER, LINE_STRIP.
+_MARKER_TYPES = {"box": 1, "cylinder": 3, "line": 4}
+_MARKER_KINDS = {number: kind for kind, number in _MARKER_TYPES.items()}
 
 
 def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
@@ -461,7 +462,7 @@ def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
         marker.header.frame_id = shape.frame
         marker.ns = shape.namespace
         marker.id = index
-        marker.type = _MARKER_LINE_STRIP if shape.kind == "line" else _MARKER_CUBE
+        marker.type = _MARKER_TYPES[shape.kind]
         _set(marker.scale, shape.size)
         _set(marker.color, shape.colour, "rgba")
         _set(marker.pose.position, shape.position)
@@ -471,12 +472,22 @@ def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
     return message
 
 
-def _decode_drawing(_topic: Topic, message: Message) -> DrawingSample:
+def _marker_kind(topic: Topic, number: int) -> str:
+    if number not in _MARKER_KINDS:
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_TYPE,
+            f"marker type is {number}, it must be one of {sorted(_MARKER_KINDS)}",
+        )
+    return _MARKER_KINDS[number]
+
+
+def _decode_drawing(topic: Topic, message: Message) -> DrawingSample:
     stamp = from_time(message.markers[0].header.stamp) if message.markers else 0
     shapes = tuple(
         Shape(
             str(m.ns),
-            "line" if m.type == _MARKER_LINE_STRIP else "box",
+            _marker_kind(topic, int(m.type)),
             str(m.header.frame_id),
             (float(m.color.r), float(m.color.g), float(m.color.b), float(m.color.a)),
             _vector(m.scale),

@@ -21,6 +21,7 @@ FRAMES: Mapping[str, str] = MappingProxyType(
 
 # Joints of the drives.
 JUMP_SCREW = "jump_screw"
+JUMP_LATCH = "jump_latch"
 FLYWHEEL = "flywheel"
 WHEEL_DRIVE = "wheel_drive"
 WHEEL_LEFT = "wheel_left"

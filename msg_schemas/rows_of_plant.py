@@ -10,6 +10,7 @@ from msg_schemas.machine import (
     ENERGY_NAMES,
     FLOOR_SWITCH,
     FLYWHEEL,
+    JUMP_LATCH,
     JUMP_MOTOR,
     JUMP_SCREW,
     MAX_FLYWHEEL_TORQUE,
@@ -208,7 +209,8 @@ _SENSOR_ROWS = (
     ),
     Topic(
         topics.LOAD_CELL,
-        "pull of the tether on the mother machine at the fairlead",
+        "pull of the tether on the mother machine at the fairlead; its size is the tension. A cell "
+        "of one axis, as the spatial plant's, tells it along -z whatever the tether's direction",
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
@@ -222,7 +224,8 @@ _SENSOR_ROWS = (
     ),
     Topic(
         topics.ROVER_LOAD_CELL,
-        "pull of the tether on the rover at its attachment",
+        "pull of the tether on the rover at its attachment; its size is the tension. A cell of one "
+        "axis, as the spatial plant's, tells it along z whatever the tether's direction",
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
@@ -356,25 +359,32 @@ _DRIVE_COMMANDS = (
     Topic(
         topics.JUMP_MOTOR_COMMAND,
         "drives the nut of the ball screw; at a setpoint above 0 the latch trips and the rover "
-        "jumps",
+        "jumps, unless the joint of the latch says to hold",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
         "jump_node (one owner)",
         20.0,
-        fields=joint_fields(
-            JUMP_SCREW,
-            (
-                "m",
-                "compression at which the latch trips; 0 lets the spring down; below 0: nut clear",
-                -MAX_FREE_TRAVEL,
-                MAX_STROKE,
+        fields=(
+            *joint_fields(
+                JUMP_SCREW,
+                (
+                    "m",
+                    "compression at which the latch trips; 0 lets the spring down, less clears it",
+                    -MAX_FREE_TRAVEL,
+                    MAX_STROKE,
+                ),
+                ("m/s", "nut speed", 1e-4, MAX_NUT_SPEED),
+                ("N", "largest force that the nut may use", SMALLEST_LIMIT, MAX_NUT_FORCE),
             ),
-            ("m/s", "nut speed", 1e-4, MAX_NUT_SPEED),
-            ("N", "largest force that the nut may use", SMALLEST_LIMIT, MAX_NUT_FORCE),
+            *joint_fields(
+                JUMP_LATCH,
+                ("-", "1 = trips at the setpoint, 0 = the nut stays there; left out: 1", 0.0, 1.0),
+            ),
         ),
         joints=(JUMP_SCREW,),
-        stale=_stale_drive("the drive stops where it is"),
+        optional_joints=(JUMP_LATCH,),
+        stale=_stale_drive("the nut stays where it is"),
     ),
     Topic(
         topics.FLYWHEEL_COMMAND,

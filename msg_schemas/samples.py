@@ -184,7 +184,11 @@ class StatusSample:
 
 
 class Shape(NamedTuple):
-    """One thing to draw: ``kind`` is ``line`` (points) or ``box`` (pose and size)."""
+    """One thing to draw.
+
+    ``kind`` is ``line`` (points, the width in ``size``), ``box`` (pose, size along its axes) or
+    ``cylinder`` (pose, two diameters and the height along its z).
+    """
 
     namespace: str
     kind: str

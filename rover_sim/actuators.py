@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample
+from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import (
     FLYWHEEL,
+    JUMP_LATCH,
     JUMP_SCREW,
     TOPICS,
     WHEEL_DRIVE,
@@ -44,6 +45,7 @@ _ARRIVED = 1e-4
 _STANDING = 1e-3
 # A command that was on its way when the latch tripped is no mistake of its sender's.
 _ON_THE_WAY_NS = 100_000_000
+_TRIPS = JointValue(1.0)
 
 COMMANDS = (
     topics.JUMP_MOTOR_COMMAND,
@@ -59,7 +61,9 @@ class Nut:
     """The nut of the jump motor's screw."""
 
     spring_rate: float  # that it works against [N/m]
+    stroke: float = math.inf  # how far it can compress [m]
     free_travel: float = 0.0  # above the latch [m]
+    holds: bool = False  # whether its drive can hold it against the spring, and must
     needs_ground: bool = False  # whether it only works while the ground holds the rover
     trip_event: str = "take_off"  # of the plant, when the latch trips
 
@@ -111,9 +115,13 @@ class _Held(Generic[C]):
     def drop(self) -> None:
         self.command = None
 
+    def hold(self, command: C) -> None:
+        """Go on with a command that needs no renewal."""
+        self.command, self._topic = command, ""
+
     def silence(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
         """Drop a command that would be too old at the tick's end; returns its age [s]."""
-        if self.command is None:
+        if self.command is None or not self._topic:
             return None
         stale = TOPICS[self._topic].stale
         limit = min(stale.silence, stale.moving_silence) if moves else stale.silence
@@ -206,6 +214,13 @@ class Actuators:
                 f"{JUMP_SCREW}.position is {setpoint!r} m, the nut's free travel is "
                 f"{nut.free_travel:g} m: it must be at least {0.0 - nut.free_travel:g} m",
             )
+        if setpoint > nut.stroke:
+            raise Refusal(
+                topic,
+                RefusalCode.OUT_OF_LIMITS,
+                f"{JUMP_SCREW}.position is {setpoint!r} m, the stroke is {nut.stroke:g} m: it must "
+                "be at most that",
+            )
         if states.spring_held and 0.0 < setpoint < states.compression - _ARRIVED:
             raise Refusal(
                 topic,
@@ -222,7 +237,18 @@ class Actuators:
                 f"{JUMP_SCREW}.effort is {effort!r} N, holding the spring at {setpoint:.4g} m "
                 f"takes {force:.4g} N: the setpoint cannot be reached",
             )
-        self._jump.take(topic, JumpMotorCommand(setpoint, rate, effort), now_ns)
+        trips = self._trips(sample)
+        if not (trips or nut.holds):
+            raise Refusal(
+                topic,
+                RefusalCode.NOT_SUPPORTED,
+                f"{JUMP_LATCH}.position is 0; this plant's latch always trips at the setpoint",
+            )
+        self._jump.take(topic, JumpMotorCommand(setpoint, rate, effort, trips), now_ns)
+
+    def _trips(self, sample: JointSample) -> bool:
+        latch = sample.joints.get(JUMP_LATCH, _TRIPS).position
+        return bool(_switch(topics.JUMP_MOTOR_COMMAND, JUMP_LATCH, latch, "trip", "hold"))
 
     def _take_flywheel(self, sample: JointSample, states: DriveStates, now_ns: int) -> None:
         topic = topics.FLYWHEEL_COMMAND
@@ -259,12 +285,7 @@ class Actuators:
         topic, held = topics.WINCH_COMMAND, self._equipment.held_length
         length, rate, tension = sample.joints[WINCH_DRUM]
         brake = sample.joints[WINCH_BRAKE].position
-        if brake not in (0.0, 1.0):
-            raise Refusal(
-                topic,
-                RefusalCode.OUT_OF_LIMITS,
-                f"{WINCH_BRAKE}.position is {brake!r}, it must be 1 (release) or 0 (close)",
-            )
+        brake = _switch(topic, WINCH_BRAKE, brake, "release", "close")
         if held is not None:
             if rate != 0.0 or brake or abs(length - held) > _SAME_LENGTH:
                 raise Refusal(
@@ -300,11 +321,14 @@ class Actuators:
         age = self._jump.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
             found.append(_silence("flywheel", age, "the motor is off", torque=jump.torque))
-        at = states.compression
-        if age is not None and isinstance(jump, JumpMotorCommand) and _on_its_way(jump, at):
-            found.append(
-                _silence("jump_motor", age, f"the nut stops at {at:.4g} m", compression=at)
-            )
+        at, nut = states.compression, self._equipment.nut
+        if age is not None and isinstance(jump, JumpMotorCommand):
+            if _on_its_way(jump, at):
+                what = f"the nut stops at {at:.4g} m"
+                found.append(_silence("jump_motor", age, what, compression=at))
+            if nut is not None and nut.holds:
+                within = min(max(at, -nut.free_travel), nut.stroke)
+                self._jump.hold(replace(jump, compression=within, trips=False))
         age = self._wheel.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and wheel is not None and _asks_for_motion(wheel):
             found.append(_silence("wheel_motor", age, "the motor is off"))
@@ -322,6 +346,17 @@ class Actuators:
                 )
             )
         return found
+
+
+def _switch(topic: str, joint: str, position: float, one: str, zero: str) -> float:
+    """A position that is 1 or 0; refuses anything between."""
+    if position not in (0.0, 1.0):
+        raise Refusal(
+            topic,
+            RefusalCode.OUT_OF_LIMITS,
+            f"{joint}.position is {position!r}, it must be 1 ({one}) or 0 ({zero})",
+        )
+    return position
 
 
 def _on_its_way(command: JumpMotorCommand, compression: float) -> bool:

@@ -10,6 +10,14 @@ from rover_sim.actuators import Silence, stopped
 from rover_sim.plant import Event, Phase, State, StepResult
 from rover_sim.scenario import AnyScenario
 
+_LATCH_WORDS = {
+    "latch_free": "the nut is clear of the latch",
+    "latch_hooking": "the nut climbs past the latch",
+    "latch_engaged": "nut and latch are engaged",
+    "latch_compressing": "the nut compresses the spring",
+    "latch_released": "the latch has tripped",
+}
+
 
 @dataclass(frozen=True)
 class Happening:
@@ -59,16 +67,29 @@ def of_event(
     elif event.name == "tether_broken":
         level = Level.ERROR
         message = f"{stopped(Phase.TETHER_BROKEN)}; tension {values['tension']:.4g} N"
-    elif event.name == "take_off":
-        message = f"the latch has tripped: the rover takes off at {values['speed']:.4g} m/s"
-    elif event.name == "apex":
-        message = f"highest at {values['height']:.4g} m over the start"
-    elif event.name == "touchdown":
-        message = (
+    else:
+        message = _in_words(event)
+    return Happening(event.name, message, stamp_ns, level, values)
+
+
+def _in_words(event: Event) -> str:
+    values = event.values
+    if event.name == "take_off":
+        return f"the rover takes off at {values['speed']:.4g} m/s"
+    if event.name == "apex":
+        return f"highest at {values['height']:.4g} m over the start"
+    if event.name == "touchdown" and "attitude_variation" in values:
+        return (
             f"down after {values['flight_time']:.4g} s: height {values['height']:.4g} m, "
             f"attitude changed by {values['attitude_variation']:+.4g} rad, "
             f"travelled {values['travel']:+.4g} m"
         )
-    else:
-        message = event.name
-    return Happening(event.name, message, stamp_ns, level, values)
+    if event.name == "touchdown":
+        return (
+            f"down at {values['speed']:.4g} m/s with {values['load']:.4g} N, "
+            f"from {values['height']:.4g} m over the last take-off"
+        )
+    if event.name == "drum_stop":
+        where = "fully reeled in" if values["side"] < 0.0 else "with nothing left to pay out"
+        return f"the drum is at its stop, {where}; tension {values['tension']:.4g} N"
+    return _LATCH_WORDS.get(event.name, event.name)

@@ -40,14 +40,12 @@ class PlantInterface(Protocol[S]):
     def restart(self, state: S, stamp_ns: int) -> None:
         """Take a state with no tick before it: sensors begin anew."""
 
-    def measure(self, before: S, after: S, dt: float, stamp_ns: int, result: StepResult) -> None:
-        """Take what a tick did; sensors measure it.
+    def measure(self, state: S, stamp_ns: int, result: StepResult) -> None:
+        """Take the state at a tick's end; sensors measure what the tick did.
 
         Args:
-            before: the state a tick ago.
-            after: the state now.
-            dt: the tick [s].
-            stamp_ns: simulated time of ``after``.
+            state: follows the one taken before.
+            stamp_ns: its simulated time.
             result: what the step reported.
         """
 

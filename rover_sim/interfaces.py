@@ -7,16 +7,17 @@ from typing import Any
 from rover_sim.interface import PlantInterface
 from rover_sim.planar_interface import PlanarInterface
 from rover_sim.planar_plant import PlanarPlant
-from rover_sim.plant import Plant
+from rover_sim.spatial_interface import SpatialInterface
+from rover_sim.spatial_plant import SpatialPlant
 
 
-def build_interface(plant: Plant[Any], seed: int) -> PlantInterface[Any]:
+def build_interface(plant: PlanarPlant | SpatialPlant, seed: int) -> PlantInterface[Any]:
     """The outside of a plant.
 
     Args:
         plant: from `build_plant`.
-        seed: of the sensors' errors.
+        seed: of the sensors' errors; the planar plant's have none.
     """
-    if isinstance(plant, PlanarPlant):
-        return PlanarInterface(plant)
-    raise TypeError(f"{type(plant).__name__} has no interface (seed {seed})")
+    if isinstance(plant, SpatialPlant):
+        return SpatialInterface(plant, seed)
+    return PlanarInterface(plant)

@@ -17,9 +17,7 @@ from msg_schemas.samples import (
     JointSample,
     JointValue,
     OdometrySample,
-    Quaternion,
     Sample,
-    Shape,
     TetherSample,
     Vector,
     WrenchSample,
@@ -33,10 +31,17 @@ from msg_schemas.table import (
     MAX_NUT_SPEED,
     WINCH_BRAKE,
     WINCH_DRUM,
-    WORLD_FRAME,
 )
 from rover_sim.actuators import DriveStates, Equipment, Nut
-from rover_sim.physics import ancf, rep103
+from rover_sim.drawing import (
+    BODY1_COLOUR,
+    BODY2_COLOUR,
+    as_quaternion,
+    as_vector,
+    solid,
+    tether_line,
+)
+from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Energies, Phase, StepResult
@@ -59,11 +64,8 @@ _OF_ROVER = (
     topics.JUMP_MOTOR_STATE,
 )
 
-_TETHER_COLOUR = (0.95, 0.75, 0.20, 1.0)
-_BODY1_COLOUR = (0.30, 0.45, 0.65, 1.0)
-_BODY2_COLOUR = (0.80, 0.35, 0.25, 1.0)
-_TETHER_WIDTH = 0.01
-_POINTS_PER_ELEMENT = 4
+
+_NANO = 1e9
 
 
 class PlanarInterface:
@@ -117,16 +119,13 @@ class PlanarInterface:
         """Take a state with no tick before it."""
         self._moment = _Moment(self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state))
 
-    def measure(
-        self,
-        before: PlanarState,
-        after: PlanarState,
-        dt: float,
-        stamp_ns: int,
-        result: StepResult,
-    ) -> None:
-        """Take what a tick did; see `interface.PlantInterface.measure`."""
-        self._moment = _Moment(self.plant, before, after, dt, stamp_ns, result.energies)
+    def measure(self, state: PlanarState, stamp_ns: int, result: StepResult) -> None:
+        """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
+        last = self._moment
+        if last is None:
+            raise AssertionError("no state came before the tick")
+        dt = (stamp_ns - last.stamp_ns) / _NANO
+        self._moment = _Moment(self.plant, last.after, state, dt, stamp_ns, result.energies)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of what was last taken, for the topics that are due."""
@@ -168,8 +167,8 @@ class PlanarInterface:
         theta = 0.5 * (before.theta + after.theta)
         return ImuSample(
             moment.stamp_ns,
-            _vector(rep103.rotation_rate(after.omega)),
-            _vector(rep103.vector(_in_body(theta, force))),
+            as_vector(rep103.rotation_rate(after.omega)),
+            as_vector(rep103.vector(_in_body(theta, force))),
         )
 
     def _contact(self, moment: _Moment) -> Sample:
@@ -183,7 +182,7 @@ class PlanarInterface:
         slope = -moment.after.nodes[-1, 1]
         force = float(moment.tension[-1]) / float(np.hypot(*slope)) * slope
         in_body = rep103.vector(_in_body(moment.after.theta, force))
-        return WrenchSample(moment.stamp_ns, _vector(in_body))
+        return WrenchSample(moment.stamp_ns, as_vector(in_body))
 
     def _jump_motor(self, moment: _Moment) -> Sample:
         rover = self._scenario.rover
@@ -208,35 +207,19 @@ class PlanarInterface:
 
     def _markers(self, moment: _Moment) -> Sample:
         state = moment.after
-        line = rep103.vector(_interpolated(state.nodes, self._scenario.tether.length))
-        shapes = [
-            Shape(
-                "tether",
-                "line",
-                WORLD_FRAME,
-                _TETHER_COLOUR,
-                (_TETHER_WIDTH, 0.0, 0.0),
-                tuple(_vector(point) for point in line),
-            )
-        ]
+        length = self._scenario.tether.length
+        nodes = rep103.vector(state.nodes)
+        shapes = [tether_line(nodes, np.linspace(0.0, length, len(nodes)))]
         rover = self._scenario.rover
         if rover is not None:
+            orientation = rep103.quaternion(state.theta)
             for name, (width, height), colour, centre in (
-                (BODY1_FRAME, rover.body1_size, _BODY1_COLOUR, state.G1),
-                (BODY2_FRAME, rover.body2_size, _BODY2_COLOUR, state.G2),
+                (BODY1_FRAME, rover.body1_size, BODY1_COLOUR, state.G1),
+                (BODY2_FRAME, rover.body2_size, BODY2_COLOUR, state.G2),
             ):
-                shapes.append(
-                    Shape(
-                        name,
-                        "box",
-                        WORLD_FRAME,
-                        colour,
-                        (width, width, height),
-                        (),
-                        _vector(rep103.vector(centre)),
-                        _quaternion(rep103.quaternion(state.theta)),
-                    )
-                )
+                size = (width, width, height)
+                place = rep103.vector(centre)
+                shapes.append(solid(name, "box", colour, size, place, orientation))
         return DrawingSample(moment.stamp_ns, tuple(shapes))
 
 
@@ -272,7 +255,7 @@ class _Moment:
         """Force of the tether on the fairlead [N]: its tension, along its slope there."""
         slope = self.after.nodes[0, 1]
         force = float(self.tension[0]) / float(np.hypot(*slope)) * slope
-        return _vector(rep103.vector(force))
+        return as_vector(rep103.vector(force))
 
 
 def _in_body(theta: float, vector: Array) -> Array:
@@ -284,27 +267,8 @@ def _in_body(theta: float, vector: Array) -> Array:
 def _odometry(stamp_ns: int, state: PlanarState, centre: Array, rate: Array) -> OdometrySample:
     return OdometrySample(
         stamp_ns,
-        _vector(rep103.vector(centre)),
-        _quaternion(rep103.quaternion(state.theta)),
-        _vector(rep103.vector(_in_body(state.theta, rate))),
-        _vector(rep103.rotation_rate(state.omega)),
+        as_vector(rep103.vector(centre)),
+        as_quaternion(rep103.quaternion(state.theta)),
+        as_vector(rep103.vector(_in_body(state.theta, rate))),
+        as_vector(rep103.rotation_rate(state.omega)),
     )
-
-
-def _interpolated(nodes: Array, length: float) -> Array:
-    """Points (m, 2) along the tether's cubics, to draw."""
-    inside = np.arange(_POINTS_PER_ELEMENT) / _POINTS_PER_ELEMENT
-    weights = ancf.shape_functions(inside, length / (nodes.shape[0] - 1))
-    ends = np.stack([nodes[:-1, 0], nodes[:-1, 1], nodes[1:, 0], nodes[1:, 1]])
-    points = np.einsum("pk,kei->epi", weights, ends).reshape(-1, 2)
-    return np.concatenate([points, nodes[-1:, 0]])
-
-
-def _vector(array: Array) -> Vector:
-    x, y, z = array.tolist()
-    return (x, y, z)
-
-
-def _quaternion(array: Array) -> Quaternion:
-    x, y, z, w = array.tolist()
-    return (x, y, z, w)

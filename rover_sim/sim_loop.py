@@ -191,5 +191,5 @@ class Simulation(Generic[S]):
         self.halved_ticks += result.outcome is Outcome.HALVED
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.last = result
-        self.interface.measure(before, after, dt, self.stamp_ns, result)
+        self.interface.measure(after, self.stamp_ns, result)
         return Tick(before, after, dt, self.stamp_ns, result, tuple(happenings))

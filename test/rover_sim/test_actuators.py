@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from fake_plant import EVERYTHING, FakePlant, FakeState, fake_interface
+from fake_plant import EVERYTHING, HELD_BY_THE_GROUND, FakePlant, FakeState, fake_interface
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     FLYWHEEL,
+    JUMP_LATCH,
     JUMP_SCREW,
     TOPICS,
     WHEEL_DRIVE,
@@ -39,6 +40,11 @@ HANGING = DriveStates(Phase.HANGING, -0.03)
 
 def nut(position: float) -> JointSample:
     return JointSample(0, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
+
+
+def held_nut(position: float, latch: float = 0.0) -> JointSample:
+    joints = {JUMP_SCREW: JointValue(position, 0.1, 400.0), JUMP_LATCH: JointValue(latch)}
+    return JointSample(0, joints)
 
 
 def flywheel(torque: float) -> JointSample:
@@ -204,19 +210,49 @@ def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
         (topics.FLYWHEEL_COMMAND, "flywheel_silent"),
         (topics.WHEEL_COMMAND, "wheel_motor_silent"),
         (topics.WHEEL_TORQUE_COMMAND, "wheel_motor_silent"),
-        (topics.JUMP_MOTOR_COMMAND, "jump_motor_silent"),
     ],
 )
 def test_other_motors_are_off_after_the_contract_s_silence(
     simulation: Simulation[FakeState], topic: str, event: str
 ):
-    sample = nut(0.39) if topic == topics.JUMP_MOTOR_COMMAND else GOOD[topic]
-    simulation.take(topic, sample)
+    simulation.take(topic, GOOD[topic])
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == [event]
     assert happened[0].stamp_ns == round(TOPICS[topic].stale.silence * NANO)
     at_work = [c for c in orders(simulation) if c.jump or c.wheel]
     assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.silence)
+
+
+def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
+    simulation: Simulation[FakeState],
+):
+    simulation.take(topics.JUMP_MOTOR_COMMAND, nut(0.3))
+    happened = run_to(simulation, 5.0)
+    assert [h.name for h in happened] == ["jump_motor_silent"]
+    assert happened[0].stamp_ns == round(0.5 * NANO)
+    at = simulation.state.compression
+    assert at == pytest.approx(0.05)
+    assert orders(simulation)[-1].jump == JumpMotorCommand(at, 0.1, 400.0, trips=False)
+
+
+def test_a_nut_that_was_told_to_stay_stays_without_renewal(simulation: Simulation[FakeState]):
+    simulation.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.02))
+    assert not run_to(simulation, 5.0)
+    assert simulation.state.phase is Phase.HELD
+    assert simulation.state.compression == pytest.approx(0.02)
+    simulation.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.025, latch=1.0))
+    assert [h.name for h in run_to(simulation, 5.2)] == ["take_off"]
+    assert orders(simulation)[-1].jump is None
+
+
+@pytest.mark.parametrize("at", [-0.065, 0.36])
+def test_a_nut_held_beyond_its_travel_is_told_the_travel_s_end(actuators: Actuators, at: float):
+    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.0), HANGING, 0)
+    actuators.silenced(HANGING._replace(compression=at), NANO)
+    held = actuators.command.jump
+    assert isinstance(held, JumpMotorCommand)
+    assert held.compression == (-0.06 if at < 0.0 else 0.35)
+    assert not held.trips
 
 
 @pytest.mark.parametrize(
@@ -272,6 +308,7 @@ def test_the_flywheel_needs_a_nut_that_is_clear_of_the_latch(actuators: Actuator
     ("position", "states", "words"),
     [
         (-0.07, HANGING, "free travel is 0.06 m"),
+        (0.36, HANGING, "the stroke is 0.35 m"),
         (0.01, HANGING._replace(compression=0.05, spring_held=True), "0 to let it down"),
     ],
 )
@@ -294,6 +331,17 @@ def test_a_brake_is_open_or_closed(actuators: Actuators, brake: float):
     refusal = refusal_of(actuators, topics.WINCH_COMMAND, drum(0.0, brake))
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert repr(brake) in refusal.reason
+
+
+def test_the_latch_trips_or_holds(actuators: Actuators):
+    refusal = refusal_of(actuators, topics.JUMP_MOTOR_COMMAND, held_nut(0.1, latch=0.5))
+    assert refusal.code is RefusalCode.OUT_OF_LIMITS
+    simple = Actuators(HELD_BY_THE_GROUND, round(TICK * NANO))
+    standing = DriveStates(Phase.HELD)
+    refusal = refusal_of(simple, topics.JUMP_MOTOR_COMMAND, held_nut(0.1), standing)
+    assert refusal.code is RefusalCode.NOT_SUPPORTED
+    simple.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.1, latch=1.0), standing, 0)
+    assert simple.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
 
 
 def test_a_refused_command_does_not_feed_the_watchdog(simulation: Simulation[FakeState]):

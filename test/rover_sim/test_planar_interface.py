@@ -32,6 +32,7 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
     """All samples of each tick: some while standing, then a jump by the nut."""
     outside = PlanarInterface(plant)
     state, ticks, stamp = plant.initial_state(), [], 0
+    outside.restart(state, stamp)
     for index in range(round(seconds / DT)):
         command = Command()
         if index * DT >= standing and state.phase is Phase.HELD:
@@ -39,7 +40,7 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
         before = state
         state, result = plant.step(before, command, DT)
         stamp += round(DT * 1e9)
-        outside.measure(before, state, DT, stamp, result)
+        outside.measure(state, stamp, result)
         ticks.append({**dict(outside.samples(outside.topics)), "state": state})
     return ticks
 

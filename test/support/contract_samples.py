@@ -123,5 +123,6 @@ def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
             "body1", "box", "map", (0.0, 0.5, 1.0, 1.0), (0.3, 0.1, 0.15),
             position=(1.0, 0.0, -2.0),
         )  # fmt: skip
-        return st.builds(DrawingSample, stamps(), st.just((line, box)))
+        wheel = box._replace(namespace="wheel", kind="cylinder", size=(0.3, 0.3, 0.06))
+        return st.builds(DrawingSample, stamps(), st.just((line, box, wheel)))
     raise NotImplementedError(kind)

@@ -27,6 +27,7 @@ from rover_sim.scenario import load_planar
 
 SPRING_RATE = 824.0
 FREE_TRAVEL = 0.06
+STROKE = 0.35
 LENGTH = 5.0
 
 
@@ -85,7 +86,7 @@ class FakePlant:
             return after, self._result(Outcome.CONVERGED)
         way = jump.compression - state.compression
         moved = state.compression + math.copysign(min(abs(way), jump.rate * dt), way)
-        if jump.compression > 0.0 and abs(way) <= jump.rate * dt:
+        if jump.trips and jump.compression > 0.0 and abs(way) <= jump.rate * dt:
             event = Event("take_off", state.time + abs(way) / jump.rate, {"speed": 1.0})
             flying = replace(after, phase=Phase.FLIGHT, compression=0.0)
             return flying, self._result(Outcome.CONVERGED, event)
@@ -114,7 +115,12 @@ class FakePlant:
         return StepResult(outcome, self.energies(FakeState()), 0.0, 3, 1e-3, events, 2.0)
 
 
-EVERYTHING = Equipment("fake", nut=Nut(SPRING_RATE, FREE_TRAVEL), flywheel=True, wheels=True)
+EVERYTHING = Equipment(
+    "fake",
+    nut=Nut(SPRING_RATE, STROKE, FREE_TRAVEL, holds=True),
+    flywheel=True,
+    wheels=True,
+)
 """Drives as the spatial plant has them."""
 
 HELD_BY_THE_GROUND = Equipment("fake", nut=Nut(SPRING_RATE, needs_ground=True), held_length=LENGTH)
@@ -147,12 +153,9 @@ class FakeInterface:
         self.measured = [state.time]
         self._last = (state, stamp_ns)
 
-    def measure(
-        self, before: FakeState, after: FakeState, dt: float, stamp_ns: int, result: StepResult
-    ) -> None:
-        assert self.measured[-1] == before.time
-        self.measured.append(after.time)
-        self._last = (after, stamp_ns)
+    def measure(self, state: FakeState, stamp_ns: int, result: StepResult) -> None:
+        self.measured.append(state.time)
+        self._last = (state, stamp_ns)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         state, stamp_ns = self._last

@@ -1,0 +1,400 @@
+"""How the spatial plant meets the contract: its drives, its sensors, and states told as samples.
+
+Samples are SI in REP-103 axes, which are the plant's own. Twists are in the body's own frame.
+Sensors measure at every tick, whether or not anybody listens, so that their errors do not depend on
+who does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.samples import (
+    ClockSample,
+    DrawingSample,
+    ImuSample,
+    JointSample,
+    JointValue,
+    OdometrySample,
+    Sample,
+    TetherSample,
+    WrenchSample,
+)
+from msg_schemas.table import (
+    BODY1_FRAME,
+    BODY2_FRAME,
+    BODY_SWITCH,
+    ENERGY_NAMES,
+    FLOOR_SWITCH,
+    FLYWHEEL,
+    JUMP_MOTOR,
+    JUMP_SCREW,
+    SMEAR,
+    TOPICS,
+    WALL_DISTANCE,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_MOTOR,
+)
+from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.drawing import (
+    BODY1_COLOUR,
+    BODY2_COLOUR,
+    WHEEL_COLOUR,
+    as_quaternion,
+    as_vector,
+    solid,
+    tether_line,
+)
+from rover_sim.machine import Rover
+from rover_sim.physics import drum as drums
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.jump_drive import Latch
+from rover_sim.plant import Energies, Forces, StepResult
+from rover_sim.sensors import BodyMotion, Readings, SensorState, SensorSuite, Truth
+from rover_sim.spatial_plant import SpatialPlant
+from rover_sim.spatial_state import SpatialState
+
+_TRUTH = (topics.CLOCK, topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.MARKERS)
+_TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
+_SENSORS = (topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS)
+_SENSORS_OF_ROVER = (
+    topics.IMU,
+    topics.CONTACT,
+    topics.ROVER_LOAD_CELL,
+    topics.CAMERA,
+    topics.JUMP_MOTOR_STATE,
+    topics.FLYWHEEL_STATE,
+    topics.WHEEL_STATE,
+)
+# The quaternion of a cylinder whose axis, its own z, lies along y.
+_ALONG_Y = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+
+
+class SpatialInterface:
+    """The spatial plant's outside.
+
+    Args:
+        plant: the plant whose states are told.
+        seed: of the sensors' errors.
+    """
+
+    measured_over_a_tick = frozenset((*_SENSORS, *_SENSORS_OF_ROVER))
+
+    def __init__(self, plant: SpatialPlant, seed: int) -> None:
+        self.plant = plant
+        scenario = plant.scenario
+        self._scenario = scenario
+        self._suite = SensorSuite(
+            scenario.sensors,
+            scenario.gravity,
+            pitch=plant.model.jump.pitch,
+            terrain=plant.model.terrain if plant.model.has_ground else None,
+            seed=seed,
+        )
+        self._sensors: SensorState | None = None
+        self._readings: Readings | None = None
+        self._moment: _Moment | None = None
+        self._truth_makers: Mapping[str, Callable[[_Moment], Sample]] = {
+            topics.CLOCK: lambda moment: ClockSample(moment.stamp_ns),
+            topics.TRUTH_BODY1: self._body1,
+            topics.TRUTH_BODY2: self._body2,
+            topics.TRUTH_TETHER: self._tether,
+            topics.TRUTH_ENERGY: self._energy,
+            topics.MARKERS: self._markers,
+        }
+        self._sensor_makers: Mapping[str, Callable[[int, Readings], Sample]] = {
+            topics.IMU: _imu,
+            topics.CONTACT: _contact,
+            topics.LOAD_CELL: _load_cell,
+            topics.ROVER_LOAD_CELL: _rover_load_cell,
+            topics.MOTOR_CURRENTS: _currents,
+            topics.CAMERA: _camera,
+            topics.JUMP_MOTOR_STATE: self._jump_motor,
+            topics.FLYWHEEL_STATE: _flywheel,
+            topics.WHEEL_STATE: _wheels,
+            topics.WINCH_STATE: self._winch,
+        }
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that this plant can fill: without a rover there is nothing of a rover."""
+        if self._scenario.rover is None:
+            return (*_TRUTH, *_SENSORS)
+        return (*_TRUTH, *_TRUTH_OF_ROVER, *_SENSORS, *_SENSORS_OF_ROVER)
+
+    @property
+    def equipment(self) -> Equipment:
+        """All drives where there is a rover and a winch."""
+        scenario, jump = self._scenario, self.plant.model.jump
+        nut = None
+        if scenario.rover is not None:
+            nut = Nut(
+                scenario.rover.slider.spring_rate,
+                jump.stroke,
+                jump.free_travel,
+                holds=True,
+                trip_event="latch_released",
+            )
+        return Equipment(
+            scenario.name,
+            nut=nut,
+            flywheel=nut is not None,
+            wheels=nut is not None,
+            held_length=scenario.tether.length if scenario.winch is None else None,
+        )
+
+    def drives(self, state: SpatialState) -> DriveStates:
+        """What the drives feel."""
+        return DriveStates(
+            state.phase,
+            state.nut,
+            state.latch is Latch.FREE,
+            state.latch in (Latch.ENGAGED, Latch.COMPRESSING),
+            self._length(state),
+            self.plant.payout_rate(state),
+        )
+
+    def _length(self, state: SpatialState) -> float:
+        return self._scenario.tether.length if self._scenario.winch is None else state.length
+
+    # --- what is taken ---------------------------------------------------------------------------
+
+    def restart(self, state: SpatialState, stamp_ns: int) -> None:
+        """Take a state with no tick before it: sensors are switched on anew."""
+        # Nothing was stepped yet, so no forces are known but what the state remembers.
+        self._sensors = self._suite.start(self._truth(state, Forces()))
+        self._readings = None
+        self._moment = _Moment(state, stamp_ns, self.plant.energies(state))
+
+    def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
+        """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
+        if self._sensors is None:
+            raise AssertionError("sensors were not switched on")
+        # A plant that has stopped for good stands still; its sensors keep their last readings.
+        if state.time > self._sensors.truth.time:
+            truth = self._truth(state, result.forces)
+            self._sensors, self._readings = self._suite.step(self._sensors, truth)
+        self._moment = _Moment(state, stamp_ns, result.energies)
+
+    def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
+        """Yield (topic, sample) of what was last taken, for the topics that are due."""
+        moment = self._moment
+        if moment is None:
+            raise AssertionError("nothing was measured yet")
+        for name in due:
+            if name in self._truth_makers:
+                yield name, self._truth_makers[name](moment)
+            elif self._readings is not None:
+                yield name, self._sensor_makers[name](moment.stamp_ns, self._readings)
+
+    def _truth(self, state: SpatialState, forces: Forces) -> Truth:
+        """What there is to measure."""
+        truth = Truth(
+            time=state.time,
+            length=self._length(state),
+            payout_rate=self.plant.payout_rate(state),
+            brake_closed=state.braked,
+            currents=(forces.jump_current, forces.wheel_current, forces.winch_current),
+            fairlead_tension=forces.fairlead_tension,
+        )
+        if self._scenario.rover is None:
+            return truth
+        x, y, z, w = state.orientation.tolist()
+        return replace(
+            truth,
+            body=BodyMotion(
+                as_vector(state.G1), (w, x, y, z), as_vector(state.G1_rate), as_vector(state.omega)
+            ),
+            nut=state.nut,
+            flywheel_angle=state.nut / self.plant.model.jump.pitch,
+            flywheel_rate=state.flywheel_rate,
+            wheel_angles=state.wheel_angles,
+            wheel_rates=state.wheel_rates,
+            rover_tension=forces.rover_tension,
+            wheel_loads=(forces.left_wheel, forces.right_wheel),
+            body_load=forces.body,
+        )
+
+    # --- truth -----------------------------------------------------------------------------------
+
+    def _body1(self, moment: _Moment) -> Sample:
+        return _odometry(moment, moment.state.G1, moment.state.G1_rate)
+
+    def _body2(self, moment: _Moment) -> Sample:
+        return _odometry(moment, moment.state.G2, moment.state.G2_rate)
+
+    def _tether(self, moment: _Moment) -> Sample:
+        nodes = self.plant.to_full_nodes(moment.state)
+        table = np.empty((len(nodes), 7))
+        table[:, 0:3] = nodes[:, 0]
+        table[:, 3:6] = nodes[:, 1]
+        table[:, 6] = self.plant.tension(moment.state)
+        return TetherSample(moment.stamp_ns, table)
+
+    def _energy(self, moment: _Moment) -> Sample:
+        return JointSample(
+            moment.stamp_ns,
+            {name: JointValue(getattr(moment.energies, name)) for name in ENERGY_NAMES},
+        )
+
+    def _markers(self, moment: _Moment) -> Sample:
+        state, rover = moment.state, self._scenario.rover
+        shapes = [tether_line(self.plant.to_full_nodes(state), self.plant.to_arc_lengths(state))]
+        if rover is not None:
+            turned, orientation = state.rotation, state.orientation
+            centre = state.G1 + turned @ np.array(rover.body1_centre)
+            shapes += [
+                solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, centre, orientation),
+                solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, state.G2, orientation),
+            ]
+            axle = _product(orientation, _ALONG_Y)
+            diameter = 2.0 * rover.wheels.radius
+            size = (diameter, diameter, rover.wheels.width)
+            for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
+                middle = state.G1 + turned @ np.array(place)
+                shapes.append(solid(name, "cylinder", WHEEL_COLOUR, size, middle, axle))
+        return DrawingSample(moment.stamp_ns, tuple(shapes))
+
+    # --- sensors that need more than their readings ----------------------------------------------
+
+    def _jump_motor(self, stamp_ns: int, readings: Readings) -> Sample:
+        rover = self._rover
+        held = 0.0
+        if self._moment is not None and self._moment.state.latch in (
+            Latch.ENGAGED,
+            Latch.COMPRESSING,
+        ):
+            held = rover.slider.spring_rate * max(readings.nut, 0.0)
+        value = JointValue(readings.nut, readings.nut_rate, held)
+        return _within_range(topics.JUMP_MOTOR_STATE, stamp_ns, {JUMP_SCREW: value})
+
+    @property
+    def _rover(self) -> Rover:
+        if self._scenario.rover is None:
+            raise AssertionError("a plant without a rover has no jump motor")
+        return self._scenario.rover
+
+    def _winch(self, stamp_ns: int, readings: Readings) -> Sample:
+        drum = self.plant.model.drum
+        tension = 0.0
+        if self._scenario.winch is not None and self._moment is not None:
+            turns = drum.full_turns - self._moment.state.machines.drum.angle / math.tau
+            torque = readings.currents[2] * drum.motor.torque_constant * drum.gear_ratio
+            # A positive torque pays out; what is carried pulls the other way.
+            tension = -torque / float(drums.radius_at(drum, turns))
+        joints = {
+            WINCH_DRUM: JointValue(readings.length, readings.payout_rate, tension),
+            WINCH_BRAKE: JointValue(0.0 if readings.brake_closed else 1.0),
+        }
+        return _within_range(topics.WINCH_STATE, stamp_ns, joints)
+
+
+class _Moment(NamedTuple):
+    """A tick's end."""
+
+    state: SpatialState
+    stamp_ns: int
+    energies: Energies
+
+
+def _odometry(moment: _Moment, centre: Array, rate: Array) -> OdometrySample:
+    state = moment.state
+    return OdometrySample(
+        moment.stamp_ns,
+        as_vector(centre),
+        as_quaternion(state.orientation),
+        as_vector(state.rotation.T @ rate),
+        as_vector(state.omega),
+    )
+
+
+def _imu(stamp_ns: int, readings: Readings) -> Sample:
+    return ImuSample(stamp_ns, readings.gyro, readings.specific_force)
+
+
+def _contact(stamp_ns: int, readings: Readings) -> Sample:
+    left, right = readings.wheel_contacts
+    switches = {
+        FLOOR_SWITCH: readings.on_ground,
+        WHEEL_LEFT: left,
+        WHEEL_RIGHT: right,
+        BODY_SWITCH: readings.body_contact,
+    }
+    return JointSample(stamp_ns, {name: JointValue(float(on)) for name, on in switches.items()})
+
+
+def _load_cell(stamp_ns: int, readings: Readings) -> Sample:
+    return WrenchSample(stamp_ns, (0.0, 0.0, -readings.fairlead_tension))
+
+
+def _rover_load_cell(stamp_ns: int, readings: Readings) -> Sample:
+    return WrenchSample(stamp_ns, (0.0, 0.0, readings.rover_tension))
+
+
+def _currents(stamp_ns: int, readings: Readings) -> Sample:
+    names = (JUMP_MOTOR, WHEEL_MOTOR, WINCH_MOTOR)
+    joints = {
+        name: JointValue(effort=current)
+        for name, current in zip(names, readings.currents, strict=True)
+    }
+    return JointSample(stamp_ns, joints)
+
+
+def _camera(stamp_ns: int, readings: Readings) -> Sample:
+    joints = {WALL_DISTANCE: JointValue(readings.wall_distance), SMEAR: JointValue(readings.smear)}
+    return _within_range(topics.CAMERA, stamp_ns, joints)
+
+
+def _flywheel(stamp_ns: int, readings: Readings) -> Sample:
+    value = JointValue(readings.flywheel_angle, readings.flywheel_rate)
+    return JointSample(stamp_ns, {FLYWHEEL: value})
+
+
+def _wheels(stamp_ns: int, readings: Readings) -> Sample:
+    values = zip(readings.wheel_angles, readings.wheel_rates, strict=True)
+    joints = {
+        name: JointValue(angle, rate)
+        for name, (angle, rate) in zip((WHEEL_LEFT, WHEEL_RIGHT), values, strict=True)
+    }
+    return JointSample(stamp_ns, joints)
+
+
+def _within_range(topic: str, stamp_ns: int, joints: Mapping[str, JointValue]) -> JointSample:
+    """The sample as a sensor of the contract's range tells it: beyond, it saturates."""
+    row = TOPICS[topic].by_path
+
+    def held(name: str, part: str, value: float) -> float:
+        field = row[f"{name}.{part}"]
+        return min(max(value, field.minimum), field.maximum)
+
+    return JointSample(
+        stamp_ns,
+        {
+            name: JointValue(*(held(name, part, getattr(value, part)) for part in value._fields))
+            for name, value in joints.items()
+        },
+    )
+
+
+def _product(first: Array, second: tuple[float, float, float, float]) -> Array:
+    """Product of two quaternions (x, y, z, w): the second rotation, then the first."""
+    x0, y0, z0, w0 = first.tolist()
+    x1, y1, z1, w1 = second
+    return np.array(
+        [
+            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
+            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
+            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
+            w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
+        ]
+    )
