@@ -1,0 +1,300 @@
+"""Spatial scenarios: what ships, what is refused and how, and bases that files are joined with."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rover_sim import (
+    Scenario,
+    ScenarioError,
+    SpatialScenario,
+    dump_scenario,
+    list_scenarios,
+    load_planar,
+    load_scenario,
+    load_spatial,
+    scenario_from_mapping,
+)
+from rover_sim.configuration import Configuration
+from rover_sim.ground import Floor, Hole, Place
+from rover_sim.machine import Rover, Winch, jump_height, rest_slide
+from rover_sim.mirrored import Mirrored
+from rover_sim.physics import places
+from rover_sim.sensors import Sensors
+from rover_sim.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
+
+HANG = "free_hang"
+
+
+def refusal(overrides: dict[str, object], name: str = HANG) -> ScenarioError:
+    with pytest.raises(ScenarioError) as caught:
+        load_spatial(name, overrides)
+    return caught.value
+
+
+class TestShipped:
+    def test_the_places_are_there(self):
+        assert {
+            "marius_hills",
+            "tranquillitatis",
+            "ingenii",
+            "lab_rig",
+            "floor_rubble",
+            "free_hang",
+            "slope_15deg",
+            "spatial_table1",
+        } <= set(list_scenarios("spatial"))
+        assert set(list_scenarios("spatial")).isdisjoint(list_scenarios("planar"))
+        assert set(list_scenarios()) == {*list_scenarios("spatial"), *list_scenarios("planar")}
+
+    @pytest.mark.parametrize("name", list_scenarios("spatial"))
+    def test_each_is_spatial_and_hangs_or_stands_where_its_place_lets_it(self, name: str):
+        scenario = load_spatial(name)
+        count, first = scenario.chain
+        whole = count * scenario.tether.nominal_length + first
+        assert whole == pytest.approx(scenario.tether.length)
+        assert count <= scenario.most_elements
+        if scenario.winch is not None:
+            share = first / scenario.tether.nominal_length
+            assert SHORTEST_EXIT <= share <= LONGEST_EXIT
+        if scenario.rover is not None and scenario.start.kind == "hanging":
+            reach = scenario.tether.length + 0.28 + scenario.rover.wheels.tip_radius
+            assert reach < -scenario.place.floor_height
+
+    def test_holes_are_as_wide_and_deep_as_published(self):
+        for name, least, most, depth in (
+            ("marius_hills", 58.0, 65.0, 50.0),
+            ("tranquillitatis", 88.0, 100.0, 105.0),
+            ("ingenii", 124.0, 130.0, 60.0),
+        ):
+            hole = load_spatial(name).place.parameters.hole
+            assert hole is not None
+            assert 2.0 * hole.narrowest == pytest.approx(least, abs=1e-9)
+            assert (hole.diameter, hole.depth) == (most, depth)
+        assert load_spatial("lab_rig").gravity == 9.81
+
+    def test_the_default_machine_s_file_and_the_physics_defaults_are_one(self):
+        scenario = load_spatial(HANG)
+        assert scenario.rover == Rover()
+        assert scenario.sensors == Sensors()
+        assert scenario.winch == dataclasses.replace(Winch(), min_length=2.0)
+
+    def test_the_default_rover_jumps_0_37_m_on_the_moon_and_hangs_level(self):
+        rover = Rover()
+        assert rover.mass == 10.0
+        assert jump_height(rover, 1.62, 0.2) == pytest.approx(0.375, abs=0.001)
+        light = dataclasses.replace(rover, m1=10.0, m2=0.5)
+        assert jump_height(light, 1.62, 0.2) == pytest.approx(0.0457, rel=5e-3)
+        assert rest_slide(rover, 0.0) == rover.slider.free_length
+        assert rest_slide(rover, 16.48) == pytest.approx(0.18)
+        slide = rover.slider.free_length
+        lever = np_norm(rover.attachment) - rover.centre_of_mass(slide)[2]
+        assert lever == pytest.approx(0.2)
+
+    def test_15_degrees_do_not_topple_it_whichever_way_it_stands(self):
+        rover = Rover()
+        assert rover.tail is not None
+        height = rover.centre_of_mass(rover.slider.free_length)[2] + rover.wheels.tip_radius
+        for support in (rover.wheels.axle_x, -rover.tail[0], 0.5 * rover.wheels.track * 0.7):
+            assert math.degrees(math.atan(support / height)) > 15.0
+
+
+def np_norm(vector: tuple[float, ...]) -> float:
+    return math.sqrt(sum(value * value for value in vector))
+
+
+def configurations(kind: type) -> set[type]:
+    found = {kind}
+    for item in dataclasses.fields(kind):
+        inner = item.metadata["rule"].kind
+        if dataclasses.is_dataclass(inner):
+            found |= configurations(inner)
+    return found
+
+
+class TestMeaning:
+    def test_every_number_has_a_unit_and_every_field_a_meaning(self):
+        kinds = configurations(SpatialScenario)
+        assert len(kinds) > 20
+        for kind in kinds:
+            for item in dataclasses.fields(kind):
+                rule = item.metadata["rule"]
+                assert rule.about, (kind, item.name)
+                if rule.kind in {int, float}:
+                    assert rule.unit, (kind, item.name)
+
+    def test_mirrored_sections_have_the_physics_fields_and_no_others(self):
+        for kind in configurations(SpatialScenario):
+            if not issubclass(kind, Mirrored):
+                continue
+            own = {item.name for item in dataclasses.fields(kind)}
+            physics = {item.name for item in dataclasses.fields(kind.KIND)}
+            # The drum's longest length is the tether's, and one wheel does not know where it is.
+            extra = {"max_length"} if kind is Winch else set()
+            assert physics - extra <= own, kind
+            assert own - physics <= {"track", "axle_x", "axle_z"}, kind
+
+    def test_a_slope_falls_to_where_it_says(self):
+        x, y = Floor(slope=15.0, downhill=90.0).gradient
+        assert x == pytest.approx(0.0, abs=1e-12)
+        assert y == pytest.approx(-math.tan(math.radians(15.0)))
+
+    def test_a_known_hole_or_one_by_numbers(self):
+        known = Hole(known="marius_hills", wall_distance=2.0)
+        assert known.parameters() == dataclasses.replace(places.MARIUS_HILLS, wall_distance=2.0)
+        own = Hole(diameter=20.0, depth=30.0, overhang=2.0, overhang_from=10.0)
+        assert own.parameters().profile == ((10.0, 0.0), (30.0, 2.0))
+        place = Place(gravity=1.62, hole=own)
+        assert place.floor_height == -31.0
+
+    def test_without_a_floor_nothing_is_ever_touched(self):
+        place = load_spatial(HANG).place
+        assert place.floor_height == -math.inf
+        assert place.parameters.floor_height < -1e5
+
+    @pytest.mark.parametrize("length", [2.0, 2.4999, 2.5, 3.7, 20.0, 59.9])
+    def test_the_element_at_the_fairlead_starts_within_its_limits(self, length: float):
+        scenario = load_spatial(HANG, {"tether.length": length})
+        count, first = scenario.chain
+        assert count + first == pytest.approx(length)
+        assert SHORTEST_EXIT <= first <= LONGEST_EXIT
+
+
+class TestBases:
+    def write(self, folder: Path, name: str, content: str) -> Path:
+        path = folder / name
+        path.write_text(content, encoding="utf-8")
+        return path
+
+    def test_sections_are_joined_and_the_rest_replaced(self, tmp_path: Path):
+        path = self.write(
+            tmp_path,
+            "own.yaml",
+            "name: own\nbase: free_hang\nrover: {m2: 2.0}\nplace: {gravity: 3.7}\n",
+        )
+        own, base = load_spatial(path), load_spatial(HANG)
+        assert own.rover is not None
+        assert base.rover is not None
+        assert (own.rover.m1, own.rover.m2, own.gravity) == (6.0, 2.0, 3.7)
+        assert own.place.floor is None
+        assert own.winch == base.winch
+
+    def test_null_takes_a_section_away(self, tmp_path: Path):
+        text = (
+            "name: own\nbase: free_hang\nwinch: null\n"
+            "tether: {max_length: null}\nrover: null\ntip: {mass: 3.0}\n"
+        )
+        own = load_spatial(self.write(tmp_path, "own.yaml", text))
+        assert own.winch is None
+        assert own.rover is None
+        assert own.tip_mass == 3.0
+        assert own.chain == (20, 0.0)
+
+    def test_a_base_beside_the_file(self, tmp_path: Path):
+        self.write(tmp_path, "under.yaml", dump_scenario(load_spatial(HANG)))
+        path = self.write(tmp_path, "own.yaml", "name: own\nbase: under.yaml\n")
+        assert load_spatial(path) == dataclasses.replace(load_spatial(HANG), name="own")
+
+    def test_bases_that_lead_nowhere(self, tmp_path: Path):
+        path = self.write(tmp_path, "own.yaml", "name: own\nbase: nothing\n")
+        with pytest.raises(ScenarioError, match=r"base = 'nothing': should be one of default_mach"):
+            load_spatial(path)
+        self.write(tmp_path, "a.yaml", "base: b.yaml\n")
+        path = self.write(tmp_path, "b.yaml", "base: a.yaml\n")
+        with pytest.raises(ScenarioError, match="lead back"):
+            load_spatial(path)
+
+    @pytest.mark.parametrize("name", list_scenarios("spatial"))
+    def test_nothing_is_lost_in_mapping_json_and_yaml(self, name: str, tmp_path: Path):
+        scenario = load_spatial(name)
+        passed = json.loads(json.dumps(scenario.to_mapping(), allow_nan=False))
+        assert scenario_from_mapping(passed) == scenario
+        assert load_spatial(self.write(tmp_path, "x.yaml", dump_scenario(scenario))) == scenario
+
+    def test_each_loader_wants_its_own_model(self):
+        with pytest.raises(ScenarioError, match="model = 'spatial': should be planar"):
+            load_planar(HANG)
+        with pytest.raises(ScenarioError, match="model = 'planar': should be spatial"):
+            load_spatial("taut_jump")
+        assert isinstance(load_scenario("taut_jump"), Scenario)
+        assert isinstance(load_scenario(HANG), SpatialScenario)
+        with pytest.raises(ScenarioError, match="model = 'flat': should be one of planar, spatial"):
+            load_scenario(HANG, {"model": "flat"})
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("path", "value", "words"),
+        [
+            ("place.gravity", -1.62, "at least 0"),
+            ("place.gravity", math.nan, "finite"),
+            ("place.seed", -1, "at least 0"),
+            ("place.hole", {"known": "copernicus"}, "one of marius_hills"),
+            ("tether.length", 100.0, "at least the length"),
+            ("tether.max_length", 10.0, "at least the length"),
+            ("tether.elements", 10, "exactly one of"),
+            ("tether.contact.damping", -1.0, "at least 0"),
+            ("tether.swivel_friction", -math.inf, "finite"),
+            ("tether.element_length", 5.0, "so that one is left"),
+            ("winch.min_length", 25.0, "between the winch's min_length"),
+            ("winch.efficiency", 1.2, "at most 1"),
+            ("winch.friction.breakaway", 0.01, "must be at least"),
+            ("winch.motor.max_torque", 0.0, "above 0"),
+            ("rover.m2", 0.0, "above 0"),
+            ("rover.inertia2", [0.01, 0.01, 0.1], "no body has that"),
+            ("rover.slider.lower_stop", 0.1, "above the jump drive's stroke"),
+            ("rover.wheels.radius", 0.5, "at most 0.3"),
+            ("rover.wheels.grouser_height", 0.2, "below the radius"),
+            ("rover.attachment", [0.0, 0.0], "list of 3"),
+            ("rover.wheel_drive.gear_ratio", "fast", "a number"),
+            ("sensors.quality", "good", "one of real, perfect"),
+            ("sensors.gyro.noise_density", -1.0, "at least 0"),
+            ("sensors.camera.axis", [0.0, 0.0, 0.0], "point somewhere"),
+            ("start.kind", "lying", "one of hanging, standing, straight"),
+            ("start.kind", "standing", "needs a floor"),
+            ("start.kind", "straight", "needs a direction"),
+            ("start.position", [1.0, 0.0], "of no use to a hanging start"),
+            ("tip", {"mass": 1.0}, "should be null"),
+            ("integration.h", 0.0, "above 0"),
+            ("rover.spring_rate", 824.0, "no such key"),
+        ],
+    )
+    def test_one_bad_value(self, path: str, value: object, words: str):
+        error = refusal({path: value})
+        assert words in str(error)
+        assert error.path
+        assert "\n" not in str(error)
+
+    def test_a_hole_given_twice_or_half(self):
+        assert "marius_hills is known" in str(
+            refusal({"place.hole.diameter": 10.0}, "marius_hills")
+        )
+        assert "needed" in str(refusal({"place.hole.known": None}, "marius_hills"))
+        assert "together" in str(
+            refusal({"place.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii")
+        )
+
+    def test_a_rover_out_of_the_tether_s_reach(self):
+        error = refusal({"start.position": [20.0, 0.0]}, "floor_rubble")
+        assert error.path == "tether.length"
+        assert "does not reach" in error.expected
+
+    def test_building_by_hand_is_checked_too(self):
+        scenario = load_spatial(HANG)
+        with pytest.raises(ScenarioError, match="m1"):
+            dataclasses.replace(Rover(), m1=math.nan)
+        with pytest.raises(ScenarioError, match="tip"):
+            scenario.with_overrides({"tip": {"mass": 1.0}})
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            scenario.name = "other"  # type: ignore[misc]
+        assert isinstance(Start(kind="hanging"), Configuration)
+
+    def test_the_message_names_path_value_and_what_is_right(self):
+        message: Any = str(refusal({"rover.jump_drive.efficiency": 2.0}))
+        assert message == (
+            "rover.jump_drive.efficiency = 2.0: should be a number above 0 and at most 1"
+        )
