@@ -4,18 +4,27 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from rover_sim.physics import energy_momentum, spatial_rover, tether, variable_length, vectors
+from rover_sim.physics import (
+    energy_momentum,
+    remesh,
+    spatial_rover,
+    tether,
+    variable_length,
+    vectors,
+)
 from rover_sim.physics.ancf import Array
-
-_compiled: Any = njit(nogil=True, error_model="numpy")
+from rover_sim.physics.compiled import checked
 
 PINNED, FREE, PAYING_OUT = range(3)
 TOLERANCE = 1e-11
 
 
-@_compiled  # type: ignore[untyped-decorator]
+ORIGIN = np.zeros(3)
+SPLIT_BEYOND, MERGE_BELOW = 1.5, 0.5  # of the element's length
+
+
+@checked
 def _attempt(
     cable: Any, rover: Any, spring: Any, mass: float, root: int, h: float, pay: Any,
     q: Array, v: Array, mouth: Array, body: Array, work: Any, step: Any, exit_: Any,
@@ -39,7 +48,7 @@ def _attempt(
     for k in range(3):
         step.turn[3] += h * axis[k] * (body[13 + k] - body[10 + k])
     if root == PAYING_OUT:
-        variable_length.begin_exit(np.zeros(3), mouth[0], mouth[1], q, v, exit_)
+        variable_length.begin_exit(ORIGIN, mouth[0], mouth[1], q, v, exit_)
     for _ in range(30):
         if mass > 0.0:
             for d in range(3):
@@ -82,6 +91,7 @@ class March:
     body: Array = field(default_factory=lambda: np.zeros(spatial_rover.BODY_SIZE))
     mass: float = 0.0  # at the tip, instead of a rover
     root: int = PINNED
+    room: int = 0  # elements by which the chain can grow; 0: it is never divided nor joined
     length: float = 0.0  # of the first element that pays out
     slope: Array = field(default_factory=lambda: np.zeros(3))  # at the fairlead
     slope_rate: Array = field(default_factory=lambda: np.zeros(3))
@@ -90,17 +100,22 @@ class March:
     dissipated: float = 0.0
     flowed_in: float = 0.0  # energy brought in at the fairlead [J]
     fairlead_tension: float = 0.0
+    tensions: list[float] = field(default_factory=list)  # at the fairlead, of all steps [N]
+    remeshed: list[float] = field(default_factory=list)  # changes of energy by mergers [J]
+    splits: int = 0
 
     def __post_init__(self) -> None:
         n = self.cable.elements
-        self.q, self.v = tether.to_rows(self.nodes), tether.to_rows(self.node_rates)
-        self._work = energy_momentum.make_workspace(n, 3)
+        width = tether.row_width(n + self.room, 3)
+        self.q, self.v = np.zeros((6, width)), np.zeros((6, width))
+        self.q[:, : n + 1] = tether.to_rows(self.nodes)[:, : n + 1]
+        self.v[:, : n + 1] = tether.to_rows(self.node_rates)[:, : n + 1]
+        self._work = energy_momentum.make_workspace(n + self.room, 3)
+        self._anchors = np.zeros((2 * (n + self.room), 3))
         self._step = spatial_rover.make_rover_step()
         self._exit = variable_length.make_exit(3)
         self._after = (np.zeros_like(self.q), np.zeros_like(self.v), np.zeros_like(self.body))
-        self._rover = self.rover or spatial_rover.Rover(
-            0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        )
+        self._rover = self.rover or spatial_rover.Rover(0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def run(self, duration: float, h: float, payout_acceleration: float = 0.0) -> None:
         """Step on; the payout rate changes steadily."""
@@ -113,8 +128,8 @@ class March:
             )
             mouth = np.array([self.slope, self.slope_rate, self.slope, self.slope_rate])
             loss = _attempt(
-                self.cable, self._rover, self.spring, self.mass, self.root, h, pay, self.q, self.v, mouth,
-                self.body, self._work, self._step, self._exit, *self._after,
+                self.cable, self._rover, self.spring, self.mass, self.root, h, pay, self.q,
+                self.v, mouth, self.body, self._work, self._step, self._exit, *self._after,
             )  # fmt: skip
             assert np.isfinite(loss), "the step did not converge"
             self.dissipated += loss
@@ -125,10 +140,28 @@ class March:
                 self.body[:] = self._after[2]
             self.slope, self.slope_rate = mouth[2].copy(), mouth[3].copy()
             self.length, self.payout_rate = pay.length1, rate1
+            if self.room > 0:
+                self._remesh()
+
+    def _remesh(self) -> None:
+        """Divide or join at the fairlead, as the length of the first element asks."""
+        nominal, n = self.cable.element_length, self.cable.elements
+        mouth = np.array([self.slope, self.slope_rate])
+        state = (self.length, self.payout_rate, mouth, self.q, self.v, self._anchors)
+        if self.length > SPLIT_BEYOND * nominal:
+            self.length = remesh.split_first(self.cable, *state)
+            self.cable = self.cable._replace(elements=n + 1)
+            self.splits += 1
+        elif self.length < MERGE_BELOW * nominal and n > 1:
+            self.remeshed.append(remesh.merge_first(self.cable, *state))
+            self.length += nominal
+            self.cable = self.cable._replace(elements=n - 1)
+            self.slope, self.slope_rate = mouth[0].copy(), mouth[1].copy()
 
     def _count_flow(self, h: float, rate: float, slope: Array) -> None:
         """dE/dt = R.(r' v) + v (rhoA |dr/dt|^2/2 + EA eps^2/2) at the fairlead."""
         self.fairlead_tension = float(self._exit.tension[0])
+        self.tensions.append(self.fairlead_tension)
         square = float(slope @ slope)
         strain = 0.5 * (square - 1.0)
         carried = 0.5 * self.cable.line_density * rate**2 * square
