@@ -1,0 +1,397 @@
+"""The spatial plant through the contract: what is told is held to the plant by other ways."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from msg_schemas import topics
+from msg_schemas.codecs import decode, encode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import (
+    FLOOR_SWITCH,
+    FLYWHEEL,
+    JUMP_LATCH,
+    JUMP_MOTOR,
+    JUMP_SCREW,
+    TOPICS,
+    WHEEL_DRIVE,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+    WINCH_MOTOR,
+)
+from rover_sim import build_plant
+from rover_sim.interfaces import build_interface
+from rover_sim.plant import Phase
+from rover_sim.scenario import SpatialScenario, load_spatial
+from rover_sim.sim_loop import NANO, Simulation, Tick
+from rover_sim.spatial_interface import SpatialInterface
+from rover_sim.spatial_plant import SpatialPlant
+from rover_sim.spatial_state import SpatialState
+
+TICK = 0.01
+MOON = 1.62
+PERFECT = {"sensors.quality": "perfect"}
+Told = dict[str, Any]
+
+
+def simulate(scenario: SpatialScenario, seed: int = 1) -> Simulation[SpatialState]:
+    return Simulation(build_interface(build_plant(scenario), seed), TICK)
+
+
+def plant_of(simulation: Simulation[SpatialState]) -> SpatialPlant:
+    assert isinstance(simulation.plant, SpatialPlant)
+    return simulation.plant
+
+
+def told(simulation: Simulation[SpatialState]) -> Told:
+    return dict(simulation.interface.samples(simulation.interface.topics))
+
+
+def run(
+    simulation: Simulation[SpatialState],
+    seconds: float,
+    order: Callable[[Simulation[SpatialState]], None] | None = None,
+) -> list[Told]:
+    """All that is told at each tick, with the tick itself."""
+    every: list[Told] = []
+    for _ in range(round(seconds / TICK)):
+        if order is not None:
+            order(simulation)
+        tick = simulation.tick()
+        every.append({**told(simulation), "tick": tick})
+    return every
+
+
+def happened(every: list[Told]) -> list[str]:
+    ticks: list[Tick[SpatialState]] = [each["tick"] for each in every]
+    return [happening.name for tick in ticks for happening in tick.happenings]
+
+
+def joints(sample: JointSample, name: str) -> JointValue:
+    return sample.joints[name]
+
+
+def pay_out(rate: float, brake: float = 1.0, feed_forward: float = 16.2) -> JointSample:
+    values = {
+        WINCH_DRUM: JointValue(10.0, rate, feed_forward),
+        WINCH_BRAKE: JointValue(brake),
+        WINCH_LIMIT: JointValue(effort=60.0),
+    }
+    return JointSample(0, values)
+
+
+@pytest.fixture(scope="module")
+def hanging() -> SpatialScenario:
+    """A rover that swings and turns a little, under perfect sensors."""
+    changes = {"start.swing_angle": 3.0, "start.cone_rate": 2.0, "start.tilt": [1.0, 2.0, 0.0]}
+    return load_spatial("free_hang", {**PERFECT, **changes})
+
+
+@pytest.fixture(scope="module")
+def swinging(hanging: SpatialScenario) -> list[Told]:
+    return run(simulate(hanging), 2.0)
+
+
+# ---------------------------------------------------------------------------------- what is told
+
+
+@pytest.mark.parametrize("name", ["marius_hills", "floor_rubble", "spatial_pendulum"])
+def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
+    for each in run(simulate(load_spatial(name)), 0.3)[::5]:
+        del each["tick"]
+        for topic, sample in each.items():
+            back = decode(topic, encode(topic, sample))
+            for (path, value), (told_path, told_value) in zip(
+                back.scalars(), sample.scalars(), strict=True
+            ):
+                assert (topic, path, value) == (topic, told_path, told_value)
+
+
+def test_every_timed_topic_of_the_sim_node_is_told(swinging: list[Told]):
+    timed = {
+        name for name, row in TOPICS.items() if "sim_node" in row.publisher and row.rate is not None
+    }
+    assert timed - {topics.SIM_STATUS} == {*swinging[0]} - {"tick"}
+
+
+def test_before_the_first_tick_the_truth_is_told_and_no_sensor():
+    simulation = simulate(load_spatial("free_hang"))
+    outside = simulation.interface
+    assert {*told(simulation)} == {*outside.topics} - outside.measured_over_a_tick
+    assert topics.WINCH_STATE in outside.measured_over_a_tick
+
+
+def test_without_a_rover_nothing_of_a_rover_is_told():
+    outside = build_interface(build_plant(load_spatial("spatial_pendulum")), 1)
+    assert topics.LOAD_CELL in outside.topics
+    of_a_rover = {topics.IMU, topics.TRUTH_BODY1, topics.WHEEL_STATE, topics.JUMP_MOTOR_STATE}
+    assert not of_a_rover & {*outside.topics}
+    assert outside.equipment.nut is None
+    assert outside.equipment.held_length == 5.0
+
+
+def rotation(sample: Any) -> Rotation:
+    return Rotation.from_quat(sample.orientation)
+
+
+@pytest.mark.parametrize("body", [topics.TRUTH_BODY1, topics.TRUTH_BODY2])
+def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(swinging: list[Told], body: str):
+    for a, b in itertools.pairwise(swinging):
+        before, after = a[body], b[body]
+        rate = np.subtract(after.position, before.position) / TICK
+        middle = Rotation.concatenate([rotation(before), rotation(after)]).mean()
+        twist = 0.5 * np.add(before.linear, after.linear)
+        assert middle.inv().apply(rate) == pytest.approx(twist, abs=2e-4)
+        turn = (rotation(before).inv() * rotation(after)).as_rotvec() / TICK
+        assert turn == pytest.approx(0.5 * np.add(before.angular, after.angular), abs=2e-4)
+
+
+def test_the_swing_moves_enough_to_tell_body_from_world(swinging: list[Told]):
+    last = swinging[-1][topics.TRUTH_BODY1]
+    assert np.linalg.norm(last.linear) > 0.05
+    assert np.linalg.norm(last.angular) > 0.01
+
+
+def test_body_2_stands_above_body_1_along_its_z(swinging: list[Told]):
+    for each in swinging:
+        one, two = each[topics.TRUTH_BODY1], each[topics.TRUTH_BODY2]
+        between = rotation(one).inv().apply(np.subtract(two.position, one.position))
+        assert between == pytest.approx([0.0, 0.0, each["tick"].after.s], abs=1e-9)
+
+
+def test_the_tether_runs_from_the_fairlead_to_the_rover_s_attachment(
+    hanging: SpatialScenario, swinging: list[Told]
+):
+    assert hanging.rover is not None
+    for each in swinging:
+        nodes, body = each[topics.TRUTH_TETHER].nodes, each[topics.TRUTH_BODY1]
+        assert nodes[0, :3] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+        attachment = body.position + rotation(body).apply(hanging.rover.attachment)
+        assert nodes[-1, :3] == pytest.approx(attachment, abs=1e-8)
+        assert np.linalg.norm(nodes[:, 3:6], axis=1) == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_drawn_tether_passes_through_every_node(swinging: list[Told]):
+    each = swinging[-1]
+    line = next(s for s in each[topics.MARKERS].shapes if s.kind == "line")
+    drawn = np.array(line.points)
+    for node in each[topics.TRUTH_TETHER].nodes[:, :3]:
+        assert np.min(np.linalg.norm(drawn - node, axis=1)) < 1e-12
+    steps = np.linalg.norm(np.diff(drawn, axis=0), axis=1)
+    assert steps.sum() == pytest.approx(joints(each[topics.WINCH_STATE], WINCH_DRUM)[0], rel=2e-3)
+
+
+def test_the_wheels_are_drawn_across_the_body(swinging: list[Told]):
+    each = swinging[-1]
+    body = each[topics.TRUTH_BODY1]
+    shapes = {s.namespace: s for s in each[topics.MARKERS].shapes}
+    for name, y in ((WHEEL_LEFT, 0.22), (WHEEL_RIGHT, -0.22)):
+        place = rotation(body).inv().apply(np.subtract(shapes[name].position, body.position))
+        assert place == pytest.approx([0.08, y, 0.0])
+        axis = Rotation.from_quat(shapes[name].orientation).apply([0.0, 0.0, 1.0])
+        assert abs(rotation(body).inv().apply(axis)[1]) == pytest.approx(1.0)
+        assert shapes[name].size == pytest.approx((0.3, 0.3, 0.06))
+
+
+def test_perfect_sensors_tell_the_truth(hanging: SpatialScenario, swinging: list[Told]):
+    for a, b in itertools.pairwise(swinging):
+        middle = 0.5 * np.add(a[topics.TRUTH_BODY1].angular, b[topics.TRUTH_BODY1].angular)
+        assert b[topics.IMU].angular_velocity == pytest.approx(middle, abs=2e-4)
+        tension = b[topics.TRUTH_TETHER].nodes[:, 6]
+        fairlead, rover = b[topics.LOAD_CELL].force, b[topics.ROVER_LOAD_CELL].force
+        assert fairlead == pytest.approx((0.0, 0.0, -tension[0]), abs=0.05)
+        assert rover == pytest.approx((0.0, 0.0, tension[-1]), abs=0.05)
+        assert joints(b[topics.WINCH_STATE], WINCH_DRUM).position == hanging.tether.length
+
+
+def test_a_hanging_accelerometer_reads_gravity_along_the_tether():
+    each = run(simulate(load_spatial("free_hang", PERFECT)), 0.5)[-1]
+    assert each[topics.IMU].linear_acceleration == pytest.approx((0.0, 0.0, MOON), abs=0.01)
+    assert joints(each[topics.CONTACT], FLOOR_SWITCH).position == 0.0
+    assert each["tick"].after.phase is Phase.HANGING
+
+
+def test_a_standing_rover_closes_its_switches():
+    each = run(simulate(load_spatial("floor_rubble", PERFECT)), 0.1)[-1]
+    assert each["tick"].after.phase is Phase.GROUNDED
+    for name in (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT):
+        assert joints(each[topics.CONTACT], name).position == 1.0
+    assert np.linalg.norm(each[topics.IMU].linear_acceleration) == pytest.approx(MOON, abs=1e-3)
+
+
+def test_the_same_seed_gives_the_same_readings_and_another_one_others():
+    scenario = load_spatial("free_hang")
+    one, same, other = (run(simulate(scenario, seed), 0.2)[-1] for seed in (3, 3, 4))
+    for topic in (topics.IMU, topics.LOAD_CELL, topics.MOTOR_CURRENTS):
+        assert one[topic] == same[topic]
+        assert one[topic] != other[topic]
+    assert np.array_equal(one["tick"].after.nodes, other["tick"].after.nodes)
+
+
+# --------------------------------------------------------------------------------- what is done
+
+
+def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    every = run(simulation, 2.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))
+    drum = [joints(each[topics.WINCH_STATE], WINCH_DRUM) for each in every]
+    assert drum[-1].velocity == pytest.approx(0.3, abs=0.01)
+    way = TICK * sum(value.velocity for value in drum)
+    assert drum[-1].position - 20.0 == pytest.approx(way, abs=0.005)
+    assert drum[-1].position > 20.5
+    assert joints(every[-1][topics.WINCH_STATE], WINCH_BRAKE).position == 1.0
+    # The motor holds back a part of the weight; gear and friction hold the rest.
+    assert 5.0 < drum[-1].effort < 16.5
+    depth = -every[-1][topics.TRUTH_BODY1].position[2]
+    assert depth - -every[0][topics.TRUTH_BODY1].position[2] == pytest.approx(way, abs=0.02)
+
+
+def test_silence_brakes_the_winch_within_the_contract_s_time_and_way():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    run(simulation, 2.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))
+    before = simulation.state.length
+    every = run(simulation, 1.0)
+    assert happened(every) == ["winch_silent"]
+    rates = [joints(each[topics.WINCH_STATE], WINCH_DRUM).velocity for each in every]
+    stopped = next(i for i, rate in enumerate(rates) if rate == 0.0) * TICK
+    assert stopped < 0.75
+    assert simulation.state.length - before < 0.15
+    assert rates[-1] == 0.0
+    assert simulation.peak_tension < 4.0 * 10.0 * MOON
+    last = every[-1][topics.WINCH_STATE]
+    assert joints(last, WINCH_BRAKE).position == 0.0
+    assert joints(last, WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_wheel_torque_turns_the_hanging_body_against_the_wheels():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    command = JointSample(0, {WHEEL_DRIVE: JointValue(effort=0.2)})
+    every = run(simulation, 0.3, lambda s: s.take(topics.WHEEL_TORQUE_COMMAND, command))
+    wheels = every[-1][topics.WHEEL_STATE]
+    assert joints(wheels, WHEEL_LEFT).velocity > 0.5
+    assert joints(wheels, WHEEL_RIGHT).velocity == pytest.approx(
+        joints(wheels, WHEEL_LEFT).velocity, rel=1e-6
+    )
+    assert every[-1][topics.TRUTH_BODY1].angular[1] < -0.01
+    assert joints(every[-1][topics.MOTOR_CURRENTS], WHEEL_MOTOR).effort > 0.0
+
+
+def test_backward_the_left_wheel_turns_alone():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, -2.0, 1.0)})
+    every = run(simulation, 0.5, lambda s: s.take(topics.WHEEL_COMMAND, command))
+    wheels = every[-1][topics.WHEEL_STATE]
+    assert joints(wheels, WHEEL_LEFT).velocity == pytest.approx(-2.0, abs=0.05)
+    assert joints(wheels, WHEEL_RIGHT).velocity == 0.0
+    # At first, that is: then the body swings back about its attachment.
+    assert every[10][topics.TRUTH_BODY1].angular[1] > 0.05
+
+
+def test_the_flywheel_turns_the_body_about_x_and_moves_the_nut():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    nut0 = simulation.state.nut
+    command = JointSample(0, {FLYWHEEL: JointValue(effort=0.05)})
+    every = run(simulation, 0.4, lambda s: s.take(topics.FLYWHEEL_COMMAND, command))
+    value = joints(every[-1][topics.FLYWHEEL_STATE], FLYWHEEL)
+    assert value.velocity > 5.0
+    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
+    pitch = plant_of(simulation).model.jump.pitch
+    assert screw.velocity == pytest.approx(value.velocity * pitch)
+    assert screw.position - nut0 == pytest.approx(
+        pitch * (value.position - nut0 / pitch), abs=1e-12
+    )
+    assert every[-1][topics.TRUTH_BODY1].angular[0] < -0.005
+    assert joints(every[-1][topics.MOTOR_CURRENTS], JUMP_MOTOR).effort > 0.0
+    assert joints(every[-1][topics.MOTOR_CURRENTS], WINCH_MOTOR).effort == 0.0
+
+
+def nut(position: float, latch: float = 1.0) -> JointSample:
+    values = {JUMP_SCREW: JointValue(position, 0.08, 400.0), JUMP_LATCH: JointValue(latch)}
+    return JointSample(0, values)
+
+
+def test_a_standing_rover_compresses_waits_and_jumps():
+    simulation = simulate(load_spatial("floor_rubble", {**PERFECT, "place.boulders": None}))
+    height = simulation.state.G1[2]
+
+    def to(setpoint: float, latch: float) -> Callable[[Simulation[SpatialState]], None]:
+        return lambda s: s.take(topics.JUMP_MOTOR_COMMAND, nut(setpoint, latch))
+
+    every = run(simulation, 5.0, to(0.1, 0.0))
+    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
+    assert screw.position == pytest.approx(0.1, abs=2e-4)
+    assert screw.effort == pytest.approx(824.0 * screw.position)
+    assert "latch_compressing" in happened(every)
+    # Left alone the drive holds what it has, for long, and its latch does not trip.
+    quiet = run(simulation, 2.0)
+    assert not happened(quiet)
+    assert joints(quiet[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).position == pytest.approx(
+        0.1, abs=5e-4
+    )
+    with pytest.raises(ValueError, match="driven clear first"):
+        simulation.take(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue()}))
+    flown = run(simulation, 0.5, to(0.102, 1.0))
+    names = happened(flown)
+    assert names.index("latch_released") < names.index("take_off")
+    assert joints(flown[-1][topics.CONTACT], FLOOR_SWITCH).position == 0.0
+    assert joints(flown[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).effort == 0.0
+    run(simulation, 3.0)
+    assert simulation.phase is Phase.GROUNDED
+    assert simulation.state.G1[2] == pytest.approx(height, abs=0.05)
+
+
+def test_commands_beyond_the_machine_are_refused_and_the_plant_runs_on():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    for setpoint in (-0.07, 0.21):
+        with pytest.raises(ValueError, match="must be at"):
+            simulation.take(topics.JUMP_MOTOR_COMMAND, nut(setpoint))
+    assert not happened(run(simulation, 0.1))
+
+
+# ---------------------------------------------------------------------------------- end and start
+
+
+def test_a_broken_tether_stops_all_and_the_sensors_keep_their_last_readings():
+    simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
+    every = run(simulation, 0.5)
+    assert happened(every) == ["tether_broken"]
+    assert simulation.phase is Phase.TETHER_BROKEN
+    assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
+    assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)
+    with pytest.raises(ValueError, match="tether is broken"):
+        simulation.take(topics.WINCH_COMMAND, pay_out(0.1))
+
+
+def test_after_a_reset_everything_is_as_the_first_time():
+    simulation = simulate(load_spatial("free_hang"))
+
+    def mission() -> list[Told]:
+        return run(simulation, 1.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))[-1:]
+
+    (first,) = mission()
+    simulation.reset()
+    (second,) = mission()
+    for topic, sample in first.items():
+        if topic not in (topics.TRUTH_TETHER, "tick"):
+            assert sample == second[topic], topic
+    assert np.array_equal(first[topics.TRUTH_TETHER].nodes, second[topics.TRUTH_TETHER].nodes)
+
+
+def test_numbers_of_sensors_saturate_at_the_contract_s_range():
+    simulation = simulate(load_spatial("free_hang", {**PERFECT, "place.hole": None}))
+    outside = simulation.interface
+    assert isinstance(outside, SpatialInterface)
+    run(simulation, TICK)
+    camera = told(simulation)[topics.CAMERA]
+    assert all(math.isfinite(value) for _, value in camera.scalars())
