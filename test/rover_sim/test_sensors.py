@@ -1,0 +1,353 @@
+"""Sensors: closed forms for what is true, statistics for what is added, and nothing by chance."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.places import HoleParameters, TerrainParameters
+from rover_sim.physics.ray import distance_to_ground
+from rover_sim.physics.terrain import build_terrain
+from rover_sim.sensors import (
+    BodyMotion,
+    Camera,
+    Channel,
+    Readings,
+    Sensors,
+    SensorState,
+    SensorSuite,
+    Truth,
+    image_rate,
+    mean_rate,
+    specific_force,
+    spread,
+)
+
+PERFECT = Sensors(quality="perfect")
+QUIET = Channel()
+G = 1.62
+
+
+def quaternion(vector: ArrayLike) -> tuple[float, float, float, float]:
+    turn = np.asarray(vector, dtype=np.float64)
+    angle = float(np.linalg.norm(turn))
+    x, y, z = (math.sin(angle / 2) / angle * turn).tolist() if angle else (0.0, 0.0, 0.0)
+    return math.cos(angle / 2), x, y, z
+
+
+def still(time: float, **others: object) -> Truth:
+    body = BodyMotion((0.0, 0.0, -10.0), (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
+    return dataclasses.replace(Truth(time, body), **others)  # type: ignore[arg-type]
+
+
+def only(**channels: Channel) -> Sensors:
+    """Sensors without errors but for the named channels."""
+    names = (
+        "gyro",
+        "accelerometer",
+        "flywheel_encoder",
+        "wheel_encoders",
+        "drum_encoder",
+        "currents",
+        "fairlead_load_cell",
+        "rover_load_cell",
+    )
+    camera = Camera(range_finder=channels.pop("range_finder", QUIET))
+    return Sensors(camera=camera, **{**dict.fromkeys(names, QUIET), **channels})  # type: ignore[arg-type]
+
+
+def run(suite: SensorSuite, truths: list[Truth]) -> list[Readings]:
+    state = suite.start(truths[0])
+    found = []
+    for truth in truths[1:]:
+        state, readings = suite.step(state, truth)
+        found.append(readings)
+    return found
+
+
+# ------------------------------------------------------------------------------ what is true
+
+
+def test_the_gyro_tells_the_rotation_of_the_tick_however_large() -> None:
+    start = np.array([0.3, -0.2, 0.5])
+    for turn in ([0.4, 0.0, 0.0], [1e-9, 2e-9, 0.0], [1.0, -2.0, 1.5]):
+        before = quaternion(start)
+        # body turned further by `turn` in its own axes
+        w0, v0 = before[0], np.array(before[1:])
+        w1, *rest = quaternion(turn)
+        v1 = np.array(rest)
+        after = np.array([w0 * w1 - v0 @ v1, *(w0 * v1 + w1 * v0 + np.cross(v0, v1))])
+        for sign in (1.0, -1.0):
+            assert mean_rate(before, sign * after, 0.01) == pytest.approx(
+                np.array(turn) / 0.01, rel=1e-9, abs=1e-12
+            )
+
+
+def test_at_rest_the_accelerometer_feels_the_ground_push_up_in_its_own_axes() -> None:
+    rest = BodyMotion(
+        (0.0, 0.0, 0.0), quaternion([0.0, math.radians(30.0), 0.0]), (0.0,) * 3, (0.0,) * 3
+    )
+    force = specific_force(rest, rest, (0.1, 0.2, 0.3), G, 0.01)
+    # pitched down (about +y): gravity's reaction points backward in the body
+    assert force == pytest.approx(
+        [-G * math.sin(math.radians(30)), 0.0, G * math.cos(math.radians(30))]
+    )
+
+
+def test_falling_freely_it_feels_nothing_and_circling_the_way_to_the_centre() -> None:
+    one = (1.0, 0.0, 0.0, 0.0)
+    before = BodyMotion((0.0, 0.0, 0.0), one, (1.0, 0.0, 2.0), (0.0,) * 3)
+    after = before._replace(velocity=(1.0, 0.0, 2.0 - G * 0.01))
+    assert specific_force(before, after, (0.1, 0.0, 0.0), G, 0.01) == pytest.approx(np.zeros(3))
+    # turning about z at rate w, the sensor a distance r ahead: w^2 r towards the axis
+    w, r, dt = 3.0, 0.2, 1e-3
+    spin = (0.0, 0.0, w)
+    first = BodyMotion((0.0,) * 3, quaternion([0.0, 0.0, -0.5 * w * dt]), (0.0,) * 3, spin)
+    second = first._replace(orientation=quaternion([0.0, 0.0, 0.5 * w * dt]))
+    force = specific_force(first, second, (r, 0.0, 0.0), 0.0, dt)
+    assert force == pytest.approx([-w * w * r, 0.0, 0.0], rel=1e-5, abs=1e-9)
+
+
+def test_mean_specific_force_does_not_depend_on_the_tick() -> None:
+    """The mean over 10 ms is the mean of ten means over 1 ms, for a swinging body."""
+
+    def motion(t: float) -> BodyMotion:
+        angle, rate = 0.1 * math.sin(3.0 * t), 0.3 * math.cos(3.0 * t)
+        velocity = (rate * 10.0 * math.cos(angle), 0.0, rate * 10.0 * math.sin(angle))
+        return BodyMotion((0.0,) * 3, quaternion([0.0, -angle, 0.0]), velocity, (0.0, -rate, 0.0))
+
+    whole = specific_force(motion(0.2), motion(0.21), (0.05, 0.0, 0.0), G, 0.01)
+    parts = [
+        specific_force(motion(0.2 + k * 1e-3), motion(0.201 + k * 1e-3), (0.05, 0.0, 0.0), G, 1e-3)
+        for k in range(10)
+    ]
+    assert whole == pytest.approx(np.mean(parts, axis=0), abs=1e-4)
+
+
+def test_a_perfect_suite_tells_the_truth() -> None:
+    truth = still(
+        0.01,
+        nut=0.02,
+        flywheel_angle=62.8,
+        flywheel_rate=3.0,
+        wheel_angles=(1.0, 2.0),
+        wheel_rates=(0.1, 0.2),
+        length=12.3,
+        payout_rate=0.4,
+        brake_closed=False,
+        currents=(0.1, -0.2, 0.3),
+        fairlead_tension=16.0,
+        rover_tension=15.0,
+        wheel_loads=(3.0, 0.1),
+        body_load=0.0,
+    )
+    (readings,) = run(SensorSuite(PERFECT, G, pitch=3e-4), [still(0.0), truth])
+    for name in (
+        "nut", "flywheel_angle", "flywheel_rate", "wheel_angles", "wheel_rates", "length",
+        "payout_rate", "brake_closed", "currents", "fairlead_tension", "rover_tension",
+    ):  # fmt: skip
+        assert getattr(readings, name) == getattr(truth, name), name
+    assert readings.nut_rate == pytest.approx(9e-4)
+    assert readings.gyro == (0.0, 0.0, 0.0)
+    assert readings.specific_force == pytest.approx((0.0, 0.0, G))
+    assert readings.wheel_contacts == (True, False)
+    assert readings.body_contact is False
+    assert readings.on_ground is True
+    assert readings.wall_distance == math.inf
+
+
+# ------------------------------------------------------------------------------- the camera
+
+
+def test_smear_of_a_steady_turn_is_rate_times_exposure_over_pixel() -> None:
+    """0.5 mrad pixels and 100 ms: 0.2865 deg/s smear by one pixel."""
+    rate = math.radians(0.2865)
+    truths = [
+        still(0.01 * k)
+        if k == 0
+        else Truth(
+            0.01 * k,
+            BodyMotion(
+                (0.0,) * 3, quaternion([0.0, 0.0, rate * 0.01 * k]), (0.0,) * 3, (0.0, 0.0, rate)
+            ),
+        )
+        for k in range(31)
+    ]
+    truths[0] = truths[0].__class__(0.0, truths[1].body)
+    readings = run(SensorSuite(PERFECT, G), truths)
+    assert readings[-1].smear == pytest.approx(1.0, rel=1e-3)
+    assert readings[4].smear == pytest.approx(0.5, rel=1e-3)  # the shutter has just opened
+
+
+def test_smear_does_not_depend_on_the_tick() -> None:
+    def smear(dt: float) -> float:
+        body = BodyMotion((0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0, 0.01, 0.02))
+        count = round(0.5 / dt)
+        return run(SensorSuite(PERFECT, G), [Truth(dt * k, body) for k in range(count + 1)])[
+            -1
+        ].smear
+
+    assert smear(0.01) == pytest.approx(math.hypot(0.01, 0.02) * 0.1 / 0.5e-3, rel=1e-6)
+    assert smear(0.01) == pytest.approx(smear(0.001), rel=1e-6)
+    assert smear(0.03) == pytest.approx(smear(0.001), rel=1e-6)
+
+
+def test_turning_along_with_the_sideways_motion_keeps_the_wall_still() -> None:
+    # looking along -x at a wall 3 m away, moving along +y: turning about -z follows the point
+    v, distance = 0.2, 3.0
+    body = BodyMotion((0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.5, v, 0.0), (0.0,) * 3)
+    axis = (-1.0, 0.0, 0.0)
+    assert image_rate(body, (0.0,) * 3, axis, distance) == pytest.approx([0.0, -v / distance, 0.0])
+    followed = body._replace(spin=(0.0, 0.0, v / distance))
+    assert image_rate(followed, (0.0,) * 3, axis, distance) == pytest.approx(np.zeros(3), abs=1e-15)
+    assert image_rate(body, (0.0,) * 3, axis, math.inf) == pytest.approx(np.zeros(3))
+    roll = body._replace(velocity=(0.0,) * 3, spin=(2.0, 0.0, 0.0))
+    assert image_rate(roll, (0.0,) * 3, axis, distance) == pytest.approx(np.zeros(3))
+
+
+def test_spread() -> None:
+    assert spread([]) == spread([(1.0, 1.0)]) == 0.0
+    assert spread([(0.0, 0.0), (3.0, 4.0), (1.0, 1.0)]) == pytest.approx(5.0)
+
+
+def test_the_range_finder_sees_wall_and_floor_where_they_are() -> None:
+    hole = HoleParameters(diameter=20.0, depth=30.0, wall_distance=3.0)
+    terrain = build_terrain(TerrainParameters(hole=hole))
+    # the wall stands at x = -3 m from the fairlead
+    assert distance_to_ground(terrain, (0.0, 0.0, -10.0), (-1.0, 0.0, 0.0), 50.0) == pytest.approx(
+        3.0
+    )
+    across = distance_to_ground(terrain, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0), 50.0)
+    assert across == pytest.approx(17.0)
+    assert distance_to_ground(terrain, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0), 5.0) == math.inf
+    down = distance_to_ground(terrain, (5.0, 0.0, -10.0), (0.0, 0.0, -1.0), 50.0)
+    assert down == pytest.approx(21.0)
+    oblique = distance_to_ground(terrain, (0.0, 0.0, -10.0), (-0.6, 0.0, -0.8), 50.0)
+    assert oblique == pytest.approx(5.0)
+    assert distance_to_ground(terrain, (-4.0, 0.0, -10.0), (1.0, 0.0, 0.0), 5.0) == 0.0
+    suite = SensorSuite(PERFECT, G, terrain=terrain)
+    (readings,) = run(suite, [still(0.0), still(0.01)])
+    assert readings.wall_distance == pytest.approx(3.0 - 0.16)
+
+
+# ------------------------------------------------------------------------------- the errors
+
+
+def gyro_of(sensors: Sensors, dt: float, count: int, seed: int = 5) -> Array:
+    suite = SensorSuite(sensors, G, seed=seed)
+    return np.array([r.gyro for r in run(suite, [still(dt * k) for k in range(count + 1)])])
+
+
+def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
+    sensors = only(gyro=dataclasses.replace(Sensors().gyro, bias=0.0, bias_walk=0.0))
+    read = gyro_of(sensors, 0.01, 2000)
+    assert np.degrees(read.std()) == pytest.approx(0.05, rel=0.03)
+    assert abs(read.mean()) < 4.0 * read.std() / math.sqrt(read.size)
+    # white: neighbours are unrelated
+    assert abs(np.corrcoef(read[1:, 0], read[:-1, 0])[0, 1]) < 0.1
+
+
+def test_noise_looks_the_same_however_long_the_ticks_are() -> None:
+    sensors = only(gyro=Channel(noise_density=1e-3))
+    fine, coarse = gyro_of(sensors, 0.002, 4000), gyro_of(sensors, 0.01, 800)
+    averaged = fine.reshape(800, 5, 3).mean(axis=1)
+    assert averaged.std() == pytest.approx(coarse.std(), rel=0.06)
+    assert coarse.std() == pytest.approx(1e-3 / math.sqrt(0.01), rel=0.04)
+
+
+def test_a_bias_starts_at_random_and_wanders_with_the_square_root_of_time() -> None:
+    sensors = only(gyro=Channel(bias=0.1))
+    drawn = np.array([gyro_of(sensors, 0.01, 1, seed)[0] for seed in range(400)])
+    assert drawn.std() == pytest.approx(0.1, rel=0.08)
+    walk = only(gyro=Channel(bias_walk=0.02))
+    for dt in (0.01, 0.05):
+        ends = np.array([gyro_of(walk, dt, round(1.0 / dt), seed)[-1] for seed in range(150)])
+        assert ends.std() == pytest.approx(0.02, rel=0.12)
+
+
+def test_saturation_and_resolution() -> None:
+    sensors = only(
+        fairlead_load_cell=Channel(range=500.0), rover_load_cell=Channel(resolution=0.25)
+    )
+    high = still(0.01, fairlead_tension=800.0, rover_tension=16.1)
+    (readings,) = run(SensorSuite(sensors, G), [still(0.0), high])
+    assert readings.fairlead_tension == 500.0
+    assert readings.rover_tension == 16.0
+
+
+def test_an_encoder_counts_and_its_rate_comes_from_its_counts() -> None:
+    step = 0.1
+    sensors = only(wheel_encoders=Channel(resolution=step))
+    truths = [
+        still(0.01 * k, wheel_angles=(0.012 * k, 0.0), wheel_rates=(1.2, 0.0)) for k in range(201)
+    ]
+    readings = run(SensorSuite(sensors, G), truths)
+    angles = np.array([r.wheel_angles[0] for r in readings])
+    rates = np.array([r.wheel_rates[0] for r in readings])
+    assert np.abs(angles - 0.012 * np.arange(1, 201)).max() <= 0.5 * step + 1e-12
+    assert angles / step == pytest.approx(np.round(angles / step), abs=1e-9)
+    assert set(np.round(rates, 6)) == {0.0, 10.0}
+    assert rates.mean() == pytest.approx(1.2, rel=0.03)
+
+
+def test_a_delay_is_kept_to_the_instant_whatever_the_tick() -> None:
+    sensors = only(fairlead_load_cell=Channel(delay=0.025))
+    for dt in (0.01, 0.004):
+        truths = [
+            still(dt * k, fairlead_tension=100.0 * dt * k) for k in range(round(0.4 / dt) + 1)
+        ]
+        readings = run(SensorSuite(sensors, G), truths)
+        assert readings[-1].fairlead_tension == pytest.approx(100.0 * (0.4 - 0.025))
+        assert readings[0].fairlead_tension == 0.0  # what was before the start is the start
+
+
+def test_memory_does_not_grow() -> None:
+    suite = SensorSuite(only(gyro=Channel(delay=0.05)), G)
+    state = suite.start(still(0.0))
+    for k in range(1, 500):
+        state, _ = suite.step(state, still(0.01 * k))
+    assert len(state.signals) <= 7
+    assert len(state.picture) <= 13
+
+
+# ------------------------------------------------------------------------------ determinism
+
+
+def test_equal_seeds_give_equal_readings_and_others_do_not() -> None:
+    truths = [still(0.01 * k, fairlead_tension=16.0) for k in range(20)]
+    first = run(SensorSuite(Sensors(), G, seed=3), truths)
+    assert run(SensorSuite(Sensors(), G, seed=3), truths) == first
+    assert run(SensorSuite(Sensors(seed=3), G), truths) == first
+    assert run(SensorSuite(Sensors(), G, seed=4), truths)[5].gyro != first[5].gyro
+
+
+def test_a_step_leaves_its_state_alone_and_can_be_taken_again() -> None:
+    suite = SensorSuite(Sensors(), G)
+    state = suite.start(still(0.0))
+    state, _ = suite.step(state, still(0.01))
+    kept = dataclasses.asdict(state)
+    once, twice = suite.step(state, still(0.02)), suite.step(state, still(0.02))
+    assert once[1] == twice[1]
+    after = dataclasses.asdict(state)
+    assert all(np.array_equal(np.array(after[k], dtype=object), np.array(kept[k], dtype=object))
+               for k in ("tick", "bias", "angles"))  # fmt: skip
+    assert isinstance(state, SensorState)
+
+
+def test_one_channel_s_errors_do_not_shift_another_s() -> None:
+    truths = [still(0.01 * k) for k in range(5)]
+    alone = run(SensorSuite(only(gyro=Channel(noise_density=1e-3)), G), truths)
+    both = run(
+        SensorSuite(only(gyro=Channel(noise_density=1e-3), currents=Channel(noise_density=1.0)), G),
+        truths,
+    )
+    assert [r.gyro for r in alone] == [r.gyro for r in both]
+
+
+def test_time_that_stands_still_is_refused() -> None:
+    suite = SensorSuite(PERFECT, G)
+    with pytest.raises(ValueError, match="time"):
+        suite.step(suite.start(still(1.0)), still(1.0))
