@@ -79,6 +79,8 @@ def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> d
 
 
 def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError("model", scenario.model, "should be planar for the experiment run")
     plant = build_plant(scenario)
     done = rover_sim.run(plant, plant.initial_state(), settings["duration"], tick=settings["tick"])
     final, last = done.final, done.results[-1]

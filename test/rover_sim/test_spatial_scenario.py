@@ -107,7 +107,7 @@ def np_norm(vector: tuple[float, ...]) -> float:
     return math.sqrt(sum(value * value for value in vector))
 
 
-def configurations(kind: type) -> set[type]:
+def configurations(kind: Any) -> set[Any]:
     found = {kind}
     for item in dataclasses.fields(kind):
         inner = item.metadata["rule"].kind

@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow.csv
 import pytest
 
-from rover_sim import jump, load_scenario
+from rover_sim import Scenario, jump, load_scenario
 from rover_sim.plants import build_plant
 from rover_studies.sweep import (
     DONE,
@@ -78,18 +78,16 @@ def expected() -> list[dict[str, Any]]:
 
 def test_a_row_is_the_jump_that_its_parameters_say(expected: list[dict[str, Any]]):
     row = expected[40]
-    metrics = jump(
-        build_plant(
-            load_scenario(
-                "paper_table1_high",
-                {
-                    "tether.elements": 3,
-                    **{path: row[path] for path in ("start.geometry", "start.slack")},
-                    "start.theta0": row["start.theta0"],
-                },
-            )
-        )
+    scenario = load_scenario(
+        "paper_table1_high",
+        {
+            "tether.elements": 3,
+            **{path: row[path] for path in ("start.geometry", "start.slack")},
+            "start.theta0": row["start.theta0"],
+        },
     )
+    assert isinstance(scenario, Scenario)
+    metrics = jump(build_plant(scenario))
     assert row["start.geometry"] == "+K"
     assert row["status"] == DONE
     assert row["jump_height_m"] == metrics.height

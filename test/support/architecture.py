@@ -348,7 +348,8 @@ def undeclared_requirements(root: Path, standard_library: frozenset[str]) -> lis
     extras = arguments["extras_require"]
     assert isinstance(wheels, list)
     assert isinstance(extras, dict)
-    declared = {_distribution(each) for each in [*wheels, *extras.get("bench", []), *extras.get("cluster", [])]}
+    optional = [*extras.get("bench", []), *extras.get("cluster", [])]
+    declared = {_distribution(each) for each in [*wheels, *optional]}
     manifest = ET.parse(root / "package.xml").getroot()
     keys = {element.text for element in manifest if element.tag.endswith("depend")}
     found = []
