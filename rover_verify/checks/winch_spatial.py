@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from functools import cache
@@ -14,19 +15,24 @@ from tether_winch.servo import DriveCommand
 
 WEIGHT = 16.2  # of the default rover on the Moon [N]
 _SCENARIO = "free_hang"
-_TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
+TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
 _WALL_RADIUS = 30.0  # of the hole that trials scrape along [m]
 _SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
 
 
 @cache
-def _plant(items: tuple[tuple[str, object], ...]) -> SpatialPlant:
-    return SpatialPlant(load_scenario(_SCENARIO, dict(items)))
+def _plant(overrides: str) -> SpatialPlant:
+    return SpatialPlant(load_scenario(_SCENARIO, json.loads(overrides)))
 
 
 def spatial_plant(overrides: Mapping[str, object]) -> SpatialPlant:
     """The default machine hanging, with other values by dotted path; one plant for each set."""
-    return _plant(tuple(sorted(overrides.items())))
+    return _plant(json.dumps(overrides, sort_keys=True))
+
+
+def on_floor(depth: float) -> dict[str, object]:
+    """Overrides for a bare floor of rock, which a rover reaches on so much tether [m]."""
+    return {"place.floor": {"height": -(depth + TALLEST), "material": "rock"}}
 
 
 class SpatialRig:
@@ -43,6 +49,8 @@ class SpatialRig:
         self.peak_tension = 0.0
         self.is_supported = False
         self.is_caught = False
+        self.touches = 0  # begun along the wall, while the tether carried the rover
+        self._touched = False
         self._has_lip = False
 
     def step(self, command: DriveCommand | None, dt: float) -> Readings:
@@ -69,6 +77,9 @@ class SpatialRig:
         weight = self._plant.scenario.tip_mass * self._plant.scenario.gravity
         self.is_caught = self._has_lip and touch > 0.1 * weight
         self.is_supported = not self._has_lip and forces.rover_tension < 0.5 * weight < touch * 2.0
+        touched = touch > 0.0 and not (self._has_lip or self.is_supported)
+        self.touches += touched and not self._touched
+        self._touched = touched
         drum = self.state.machines.drum
         return Readings(
             self.state.length,
@@ -96,21 +107,29 @@ class SpatialRig:
             self._has_lip = False
             return
         # A shaft too narrow for the rover, which widens below the lip like a funnel.
-        caught = {
-            "place.hole.diameter": _SHAFT,
-            "place.hole.depth": depth + 30.0,
-            "place.hole.overhang": 20.0,
-            "place.hole.overhang_from": depth - 1.0,
-            "place.hole.wall_distance": 0.5 * _SHAFT,
-            "place.hole.fairlead_height": 0.5,
-            "place.hole.rim_radius": 0.05,
+        shaft = {
+            "diameter": _SHAFT,
+            "depth": depth + 30.0,
+            "overhang": 20.0,
+            "overhang_from": depth - 1.0,
+            "wall_distance": 0.5 * _SHAFT,
+            "fairlead_height": 0.5,
+            "rim_radius": 0.05,
         }
-        self._plant = SpatialPlant(load_scenario(_SCENARIO, {**self._overrides, **caught}))
+        caught = {**self._overrides, "place.floor": {"material": "rock"}, "place.hole": shaft}
+        self._plant = SpatialPlant(load_scenario(_SCENARIO, caught))
         self._has_lip = True
 
 
 def trial_rig(plan: TrialPlan) -> SpatialRig:
-    """The spatial plant of one trial."""
+    """The spatial plant of one trial, in a hole along whose wall the rover swings."""
+    hole = {
+        "diameter": 2.0 * _WALL_RADIUS,
+        "depth": plan.floor_depth + TALLEST - 1.0,
+        "wall_distance": plan.wall_distance,
+        "fairlead_height": 1.0,
+        "rim_radius": 0.3,
+    }
     return SpatialRig(
         {
             "tether.length": round(plan.start_length, 6),
@@ -120,6 +139,7 @@ def trial_rig(plan: TrialPlan) -> SpatialRig:
             "winch.friction.coulomb": 0.05 * plan.friction,
             "winch.friction.breakaway": 0.07 * plan.friction,
             "winch.friction.viscous": 0.005 * plan.friction,
-            "place.floor.height": -(plan.floor_depth + _TALLEST),
+            "place.floor": {"material": "rock"},
+            "place.hole": hole,
         }
     )

@@ -54,6 +54,7 @@ class TrialPlan:
         swing: angle at the start [rad].
         scrapes: begin [s], end [s] and force as part of the weight, of each touch of the wall.
         floor_below: depth of the floor below the lowest leg [m].
+        wall_distance: of the plumb line from the wall, for plants that have one [m].
     """
 
     start_length: float
@@ -64,6 +65,7 @@ class TrialPlan:
     scrapes: tuple[tuple[float, float, float], ...]
     errors: SensorErrors
     floor_below: float
+    wall_distance: float
 
     @property
     def floor_depth(self) -> float:
@@ -149,6 +151,7 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
         scrapes=tuple(scrapes),
         errors=errors,
         floor_below=float(rng.uniform(0.3, 1.5)),
+        wall_distance=float(rng.uniform(0.4, 1.2)),
     )
 
 
