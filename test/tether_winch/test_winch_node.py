@@ -100,7 +100,7 @@ def make_bench(stage: Stage, hoist: Hoist) -> Iterator[Bench]:
         mother.end()
 
 
-# ------------------------------------------------------------------------------- arms and requests
+# ------------------------------------------------------------------------------ arms and requests
 
 
 def test_it_stands_disarmed_and_refuses_motion_with_the_reason(bench: Bench):
@@ -159,7 +159,7 @@ def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     assert bench.mother.last.rate == 0.0
 
 
-# -------------------------------------------------------------------------------------------- safety
+# ------------------------------------------------------------------------------------------- safety
 
 
 def silent_drum(bench: Bench) -> None:
@@ -301,26 +301,30 @@ def test_deactivated_it_brakes(bench: Bench):
 @pytest.mark.parametrize("length", [5.0, 15.0, 45.0])
 def test_killed_while_it_pays_out_the_drum_stops_in_time_and_softly(stage: Stage, length: float):
     for bench in make_bench(stage, Hoist(HoistParameters(start_length=length))):
-        bench.arm()
-        bench.ask(WINCH_TO_LENGTH, length + 8.0, 0.3)
-        mother = bench.mother
-        mother.wait(lambda mother=mother: mother.last.rate > 0.295, "the drum does not pay out")
-        bench.process.send(signal.SIGKILL)
-        bench.process.wait()
-        mother.is_alone = True
-        mother.wait(lambda mother=mother: mother.last.rate == 0.0, "the drum does not stop")
-        mother.wait_for(3.0)
-        last = next(i for i, (_, _, c) in enumerate(mother.history) if i > 100 and c is None)
-        # Silence begins with the last command, which the drive had for 0.1 s.
-        begun = max(0, last - 11)
-        after = mother.history[begun:]
-        stopped = next(t for t, r, _ in after if r.rate == 0.0)
-        assert stopped - after[0][0] < 0.75
-        assert mother.last.length - after[0][1].length < 0.15
-        assert max(r.tension for _, r, _ in after) < 4.0 * WEIGHT
+        kill_while_paying_out(bench, length)
 
 
-# ------------------------------------------------------------------------------------------ the rest
+def kill_while_paying_out(bench: Bench, length: float) -> None:
+    bench.arm()
+    bench.ask(WINCH_TO_LENGTH, length + 8.0, 0.3)
+    mother = bench.mother
+    mother.wait(lambda: mother.last.rate > 0.295, "the drum does not pay out")
+    bench.process.send(signal.SIGKILL)
+    bench.process.wait()
+    mother.is_alone = True
+    mother.wait(lambda: mother.last.rate == 0.0, "the drum does not stop")
+    mother.wait_for(3.0)
+    last = next(i for i, (_, _, c) in enumerate(mother.history) if i > 100 and c is None)
+    # Silence begins with the last command, which the drive had for 0.1 s.
+    begun = max(0, last - 11)
+    after = mother.history[begun:]
+    stopped = next(t for t, r, _ in after if r.rate == 0.0)
+    assert stopped - after[0][0] < 0.75
+    assert mother.last.length - after[0][1].length < 0.15
+    assert max(r.tension for _, r, _ in after) < 4.0 * WEIGHT
+
+
+# ----------------------------------------------------------------------------------------- the rest
 
 
 def test_touchdown_is_told_and_stops_the_payout(stage: Stage):
