@@ -49,7 +49,7 @@ class ServoParameters:
     largest_compliance: float = parameter(
         0.02, "m/N", "of the tether that the tension's gain is made for", 1e-4, 10.0
     )
-    shortest_length: float = parameter(0.1, "m", "hard end: reeled in", 0.0, MAX_LENGTH)
+    shortest_length: float = parameter(2.0, "m", "hard end: reeled in", 0.0, MAX_LENGTH)
     longest_length: float = parameter(58.0, "m", "hard end: paid out", 0.1, MAX_LENGTH)
     soft_margin: float = parameter(0.2, "m", "before a hard end, where no motion leads", 0.0, 50.0)
     end_zone: float = parameter(1.0, "m", "before a soft end, where the rate is cut", 0.0, 50.0)

@@ -207,7 +207,7 @@ class _Trial:
         winch, session = self.session.winch, self.session
         self._ready()
         sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
-        goal = max(winch.payout.length + sign * leg.way, 1.0)
+        goal = max(winch.payout.length + sign * leg.way, 2.5)
         if leg.lip_above is not None:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
         session.ask(WINCH_TO_LENGTH, goal, leg.rate)

@@ -141,7 +141,7 @@ def bad_number(message: Any) -> None:
 def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     bench.arm()
     for joint, value, code, words in (
-        (WINCH_TO_LENGTH, (59.0, 0.3, 0.0), "out_of_limits", "0.3 .. 57.8 m"),
+        (WINCH_TO_LENGTH, (59.0, 0.3, 0.0), "out_of_limits", "2.2 .. 57.8 m"),
         (WINCH_TO_LENGTH, (10.0, 0.4, 0.0), "out_of_limits", "0.35 m/s"),
         (WINCH_AT_RATE, (0.0, 0.1, 100.0), "out_of_limits", "at most 40 N"),
         (WINCH_AT_TENSION, (0.0, 0.1, 0.1), "out_of_limits", "pay out without end"),
@@ -243,7 +243,7 @@ def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
     begun = len(bench.mother.history)
     bench.mother.spoil = lambda _, message: message
     bench.mother.wait_for(0.5)
-    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
     assert case.strip() in refusal.message
     assert all(r.rate == 0.0 for _, r, _ in bench.mother.history[begun:])
@@ -251,7 +251,7 @@ def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
         bench.observer.set_parameter(NODE, "longest_length", 58.0)
     since = bench.modes()
     bench.arm()
-    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
     bench.mother.wait(lambda: bench.mother.last.rate < -0.1, "it does not reel in again")
 
 
@@ -277,7 +277,7 @@ def test_the_stop_service_brakes_at_once_and_stays_so(bench: Bench):
     assert bench.observer.call(topics.WINCH_STOP).success
     bench.observer.wait_for_text(topics.WINCH_MODE, "stop", since=since)
     bench.wait_until_braked()
-    bench.ask(WINCH_TO_LENGTH, 2.0, 0.2)
+    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
     bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
 
 

@@ -1,0 +1,322 @@
+"""The winch on the spatial plant: descent, touchdown, judgement of its load, safety, modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas.machine import (
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
+    WINCH_SLACK,
+    WINCH_TO_LENGTH,
+)
+from msg_schemas.refusal import Refusal
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
+from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
+from rover_verify.checks.winch_trials import TrialResult, draw_plan, run_trial
+from tether_winch.guard import Fault
+from tether_winch.requests import Mode
+from tether_winch.winch import Winch, WinchParameters
+
+_ERRORS = SensorErrors(cell_noise=0.1, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
+_TOP, _BOTTOM, _RATE = 2.2, 45.0, 0.3
+
+
+def session_on(rig: SpatialRig, errors: SensorErrors = _ERRORS, seed: int = 0) -> Session:
+    """An armed winch on a rig."""
+    session = Session(Winch(WinchParameters()), rig, errors, np.random.default_rng(seed))
+    session.arm()
+    session.run(0.5)
+    return session
+
+
+# --- descent ------------------------------------------------------------------------------------
+
+
+@cache
+def descent(seed: int) -> Session:
+    """From the top to 45 m and back at 0.3 m/s."""
+    session = session_on(SpatialRig({"tether.length": _TOP}), seed=seed)
+    session.ask(WINCH_TO_LENGTH, _BOTTOM, _RATE)
+    session.run_until_rest(200.0)
+    session.run(5.0)
+    session.ask(WINCH_TO_LENGTH, _TOP, _RATE)
+    session.run_until_rest(200.0)
+    session.run(2.0)
+    return session
+
+
+def length_error(batch: Batch) -> Measured:
+    """Largest distance of the drum's length from its reference."""
+    session = descent(batch.seed)
+    error = np.abs(session.column("length") - session.column("reference"))
+    return Measured(float(error.max()), f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s")
+
+
+def overshoot(batch: Batch) -> Measured:
+    """How far the drum goes beyond its setpoints."""
+    length = descent(batch.seed).column("length")
+    return Measured(float(max(length.max() - _BOTTOM, _TOP - length.min(), 0.0)))
+
+
+def ripple(batch: Batch) -> Measured:
+    """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
+    session = descent(batch.seed)
+    time, length, rate, tension = (
+        session.column(name) for name in ("time", "length", "rate", "tension")
+    )
+    worst = 0.0
+    for sign in (1.0, -1.0):
+        steady = (sign * rate > 0.99 * _RATE) & (length > 5.0) & (length < _BOTTOM - 2.0)
+        line = np.polynomial.Polynomial.fit(time[steady], tension[steady], 1)
+        rest: NDArray[np.float64] = tension[steady] - line(time[steady])
+        worst = max(worst, float(np.sqrt(np.mean(rest**2)) / np.mean(tension[steady])))
+    return Measured(worst)
+
+
+# --- judgement of the load ----------------------------------------------------------------------
+
+
+@cache
+def _trials(seed: int, runs: int) -> tuple[TrialResult, ...]:
+    results = []
+    for index in range(runs):
+        rng = np.random.default_rng([seed, index])
+        plan = draw_plan(rng)
+        results.append(run_trial(plan, trial_rig(plan), rng))
+    return tuple(results)
+
+
+def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) -> Measured:
+    results = _trials(batch.seed, batch.runs)
+    count = sum(what(result) for result in results)
+    note = (
+        f"{count} of {len(results)} descents with {sum(r.hard_stops for r in results)} hard stops "
+        f"and {sum(r.snags for r in results)} snags"
+    )
+    return Measured(count / len(results) if share else float(count), note)
+
+
+def touchdown_missed(batch: Batch) -> Measured:
+    """Descents in which a touchdown was not found."""
+    return _counted(batch, lambda result: result.touchdown_missed, share=False)
+
+
+def touchdown_false(batch: Batch) -> Measured:
+    """Share of descents in which a touchdown was told that was none."""
+    return _counted(batch, lambda result: result.touchdown_false, share=True)
+
+
+def snag_missed(batch: Batch) -> Measured:
+    """Descents in which a snag was not found."""
+    return _counted(batch, lambda result: result.snag_missed, share=False)
+
+
+def snag_false(batch: Batch) -> Measured:
+    """Share of descents in which a snag was told that was none."""
+    return _counted(batch, lambda result: result.snag_false, share=True)
+
+
+def touchdown_slack(batch: Batch) -> Measured:
+    """Most slack after touchdowns at 0.1 m/s, high, in the middle and at 46 m."""
+    slack = {}
+    for depth in (6.0, 16.0, 46.0):
+        rig = SpatialRig({"tether.length": depth - 1.0, **on_floor(depth)})
+        session = session_on(rig, seed=batch.seed)
+        session.ask(WINCH_TO_LENGTH, depth + 4.0, 0.1)
+        session.run(20.0)
+        found = session.winch.load.is_supported and session.winch.servo.rests
+        slack[f"{depth:g} m"] = rig.slack if found else math.inf
+    return Measured(max(slack.values()), details=slack)
+
+
+# --- safety -------------------------------------------------------------------------------------
+
+
+class _Case(NamedTuple):
+    """One way in which a motion becomes unsafe.
+
+    Attributes:
+        fault: what must be latched; None = the winch must be stopped.
+        spoil: what the sensors then say; None = nothing is heard.
+        act: what else happens.
+    """
+
+    fault: Fault | None
+    spoil: Callable[[Readings], Readings | None] = lambda readings: readings
+    act: Callable[[Session], None] = lambda _session: None
+
+
+class _Spoilt(Session):
+    """A session whose sensors can be spoilt."""
+
+    spoil: Callable[[Readings], Readings | None] = staticmethod(lambda readings: readings)
+
+    def _hear(self, readings: Readings) -> None:
+        said = self.spoil(readings)
+        if said is not None:
+            super()._hear(said)
+
+
+def _run_away() -> Callable[[Readings], Readings]:
+    begun: list[float] = []
+
+    def spoil(readings: Readings) -> Readings:
+        begun.append(readings.length)
+        return readings._replace(rate=1.0, length=begun[0] + 0.01 * len(begun))
+
+    return spoil
+
+
+def _end_here(session: Session) -> None:
+    winch = session.winch
+    values = winch.parameters
+    ended = _replaced(values, longest_length=winch.payout.length, soft_margin=0.0)
+    winch.retune(ended)
+
+
+def _replaced(parameters: WinchParameters, **values: float) -> WinchParameters:
+    return replace(parameters, servo=replace(parameters.servo, **values))
+
+
+def _cases() -> dict[str, _Case]:
+    return {
+        "drum silent": _Case(Fault.DRUM_LOST, lambda _: None),
+        "length NaN": _Case(
+            Fault.BAD_READING,
+            act=lambda s: s.winch.latch(Fault.BAD_READING, "length is not a number", s.now_ns),
+        ),
+        "clock jump": _Case(Fault.CLOCK_JUMP, act=lambda s: s.winch.clock_jumped(s.now_ns)),
+        "overspeed": _Case(Fault.OVERSPEED, _run_away()),
+        "over-tension": _Case(Fault.OVER_TENSION, lambda r: r._replace(tension=80.0)),
+        "tension NaN": _Case(Fault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
+        "tether end": _Case(Fault.TETHER_END, act=_end_here),
+        "node stop": _Case(None, act=lambda s: s.winch.stop("the node stops", s.now_ns)),
+        "command silence": _Case(Fault.COMMAND_SILENCE),
+    }
+
+
+def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
+    """Pay out at 0.3 m/s, let the case happen, and go on for some seconds."""
+    rig = SpatialRig({"tether.length": 10.0})
+    session = _Spoilt(Winch(WinchParameters()), rig)
+    session.arm()
+    joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
+    if case.fault is Fault.COMMAND_SILENCE:
+        joint, value = WINCH_AT_RATE, (0.0, _RATE)
+    session.ask(joint, *value)
+    session.run(0.9)
+    if joint == WINCH_AT_RATE:
+        session.ask(joint, *value)
+    session.run(0.9)
+    case.act(session)
+    session.spoil = case.spoil
+    session.run(3.0)
+    return session, rig
+
+
+def unsafe_cases(_batch: Batch) -> Measured:
+    """Cases that end otherwise than braked, without torque, in a latched fault with its reason."""
+    wrong = []
+    for name, case in _cases().items():
+        session, rig = _in_fault(case)
+        winch, drum = session.winch, rig.state.machines.drum
+        safe = (
+            winch.mode is (Mode.STOP if case.fault is None else Mode.FAULT)
+            and winch.fault is case.fault
+            and bool(session.transitions[-1][1].reason)
+            and drum.braked
+            and drum.rate == 0.0
+            and session.ticks[-1].torque == 0.0
+        )
+        if not safe:
+            wrong.append(f"{name}: {winch.mode} {winch.fault} {winch.fault_reason}")
+    return Measured(float(len(wrong)), "; ".join(wrong) or f"{len(_cases())} cases")
+
+
+def motions_after_fault(_batch: Batch) -> Measured:
+    """Requests after a fault that move the drum before it is armed again."""
+    moved = 0
+    requests = (
+        (WINCH_TO_LENGTH, 5.0, 0.2, 0.0),
+        (WINCH_AT_RATE, 0.0, -0.1, 0.0),
+        (WINCH_AT_TENSION, 0.0, 0.1, 20.0),
+        (WINCH_SLACK, 0.0, 0.1, 0.0),
+    )
+    for case in _cases().values():
+        session, rig = _in_fault(case)
+        session.spoil = lambda readings: readings
+        length = rig.state.length
+        for request in requests:
+            try:
+                session.ask(*request)
+                moved += 1
+            except Refusal:
+                pass
+            session.run(0.2)
+        moved += rig.state.length != length
+    return Measured(float(moved))
+
+
+def refusals_without_reason(_batch: Batch) -> Measured:
+    """Refused requests whose reason does not name what was wrong."""
+    session = session_on(SpatialRig({"tether.length": 10.0}))
+    asked: list[tuple[str, float, float, float, str]] = [
+        (WINCH_TO_LENGTH, 59.0, 0.2, 0.0, "59.0"),
+        (WINCH_TO_LENGTH, 20.0, 0.45, 0.0, "0.45"),
+        (WINCH_AT_RATE, 0.0, -0.45, 0.0, "-0.45"),
+        (WINCH_AT_RATE, 0.0, 0.1, 900.0, "900.0"),
+        (WINCH_AT_TENSION, 0.0, 0.1, 0.05, "without end"),
+        (WINCH_AT_TENSION, 0.0, 0.1, 2.0, "hangs"),
+        (WINCH_SLACK, 1.0, 0.1, 0.0, "must stand"),
+    ]
+    lacking = [request for request in asked if not _is_refused(session, request)]
+    session.winch.hear_jump("flight", session.now_ns)
+    if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps")):
+        lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps"))
+    session.winch.stop("a test", session.now_ns)
+    asked += [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
+    if not _is_refused(session, asked[-1]):
+        lacking.append(asked[-1])
+    return Measured(float(len(lacking)), ", ".join(str(item) for item in lacking))
+
+
+def _is_refused(session: Session, request: tuple[str, float, float, float, str]) -> bool:
+    joint, position, velocity, effort, words = request
+    try:
+        session.ask(joint, position, velocity, effort)
+    except Refusal as refusal:
+        return words in refusal.reason
+    return False
+
+
+def mode_step(batch: Batch) -> Measured:
+    """Largest step of the motor's torque from tick to tick at a change of mode, over its limit."""
+    session = session_on(SpatialRig({"tether.length": 10.0}), SensorErrors(), batch.seed)
+    winch = session.winch
+    for joint, position, velocity, effort, time in (
+        (WINCH_TO_LENGTH, 14.0, 0.2, 0.0, 3.0),
+        (WINCH_AT_RATE, 0.0, 0.1, 0.0, 0.8),
+        (WINCH_AT_TENSION, 0.0, 0.1, 16.0, 0.8),
+        (WINCH_AT_RATE, 0.0, -0.2, 0.0, 0.8),
+        (WINCH_TO_LENGTH, 9.0, 0.3, 0.0, 2.0),
+        (WINCH_AT_RATE, 0.0, 0.3, 0.0, 0.9),
+    ):
+        session.ask(joint, position, velocity, effort)
+        session.run(time)
+    winch.hold(session.now_ns)
+    session.run(3.0)
+    torque, times = session.column("torque"), session.column("time")
+    steps = np.abs(np.diff(torque)) / winch.parameters.drum.motor_torque
+    near = np.zeros(steps.shape, dtype=bool)
+    for at, _ in session.transitions:
+        near |= (times[1:] >= at - 0.005) & (times[1:] <= at + 0.05)
+    return Measured(float(steps[near].max()), f"{len(session.transitions)} changes")
