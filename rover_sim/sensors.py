@@ -19,10 +19,10 @@ Vectors are in base_link; SI units.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,9 +30,16 @@ from numpy.typing import ArrayLike
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, choice, quantity
 from rover_sim.physics.ancf import Array
+from rover_sim.physics.body_motion import (
+    BodyMotion,
+    image_rate,
+    mean_rate,
+    ray_of,
+    specific_force,
+)
 from rover_sim.physics.ray import distance_to_ground
 from rover_sim.physics.terrain import Terrain
-from rover_sim.physics.vectors import Vector, rotate, rotation_of
+from rover_sim.physics.vectors import Vector, dot
 
 Quality: TypeAlias = Literal["real", "perfect"]
 
@@ -122,15 +129,6 @@ class Sensors(Configuration):
 # ------------------------------------------------------------------------------- true and read
 
 
-class BodyMotion(NamedTuple):
-    """Body 1 at an instant."""
-
-    position: Vector  # of base_link in map [m]
-    orientation: tuple[float, float, float, float]  # (w, x, y, z), base_link to map
-    velocity: Vector  # in map [m/s]
-    spin: Vector  # angular velocity in base_link [rad/s]
-
-
 @dataclass(frozen=True)
 class Truth:
     """What there is to measure at the end of a tick."""
@@ -216,53 +214,13 @@ class SensorState:
 # ------------------------------------------------------------------------------------ measuring
 
 
-def mean_rate(before: ArrayLike, after: ArrayLike, dt: float) -> Array:
-    """Mean angular velocity in body axes [rad/s], (3,), between two orientations (w, x, y, z)."""
-    w0, v0 = _parts(before)
-    w1, v1 = _parts(after)
-    scalar = w0 * w1 + v0 @ v1
-    vector = w0 * v1 - w1 * v0 - np.cross(v0, v1)
-    if scalar < 0.0:
-        scalar, vector = -scalar, -vector
-    size = float(np.linalg.norm(vector))
-    if size < 1e-12:
-        return np.asarray(2.0 / dt * vector)
-    return np.asarray(2.0 * math.atan2(size, scalar) / (size * dt) * vector)
-
-
-def specific_force(
-    before: BodyMotion, after: BodyMotion, place: ArrayLike, gravity: float, dt: float
-) -> Array:
-    """Mean specific force at a place of Body 1, in its axes in the middle of dt [m/s^2], (3,)."""
-    acceleration = (_velocity_at(after, place) - _velocity_at(before, place)) / dt
-    acceleration[2] += gravity
-    middle = np.array(before.orientation)
-    other = np.array(after.orientation)
-    middle = middle + (other if middle @ other >= 0.0 else -other)
-    return np.asarray(_matrix(middle / np.linalg.norm(middle)).T @ acceleration)
-
-
-def image_rate(body: BodyMotion, place: ArrayLike, axis: ArrayLike, distance: float) -> Array:
-    """Rate at which what a camera sees moves past its axis [rad/s], (3,), in base_link.
-
-    A point of the wall on the axis at the distance D moves by -(W x a + v/D), v the camera's
-    velocity across the axis a.
-    """
-    look = _unit(axis)
-    spin = np.array(body.spin)
-    velocity = _matrix(np.array(body.orientation)).T @ _velocity_at(body, place)
-    across = velocity - (velocity @ look) * look
-    parallax = across / distance if math.isfinite(distance) and distance > 0.0 else 0.0
-    return np.asarray(-(np.cross(spin, look) + parallax))
-
-
-def spread(points: Iterable[tuple[float, float]]) -> float:
+def spread(points: Sequence[tuple[float, float]]) -> float:
     """Largest distance between two of some points of a plane."""
-    places = np.array(list(points))
-    if len(places) < 2:
+    if len(points) < 2:
         return 0.0
-    apart = places[:, None] - places[None]
-    return float(np.sqrt(np.max(np.sum(apart**2, axis=-1))))
+    places = np.array(points)
+    x, y = places[:, 0], places[:, 1]
+    return math.sqrt(float(np.max((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2)))
 
 
 class SensorSuite:
@@ -295,7 +253,9 @@ class SensorSuite:
         self._delay = np.zeros(_Row.SIZE)
         if parameters.quality == "real":
             self._take_over(parameters)
-        self._sides = _sides_of(parameters.camera.axis)
+        look = _unit(parameters.camera.axis)
+        self._look = _vector(look.tolist())
+        self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
 
     def _take_over(self, p: Sensors) -> None:
         screw = p.flywheel_encoder.resolution * self._pitch
@@ -392,17 +352,11 @@ class SensorSuite:
         return row
 
     def _wall_distance(self, body: BodyMotion | None) -> float:
-        camera = self.parameters.camera
         if body is None or self._terrain is None:
             return math.inf
-        turned = rotation_of(body.orientation)
-        place = np.array(body.position) + rotate(turned, camera.place)
-        look = _unit(rotate(turned, camera.axis))
-        return float(
-            distance_to_ground(
-                self._terrain, _vector(place.tolist()), _vector(look.tolist()), camera.reach
-            )
-        )
+        camera = self.parameters.camera
+        place, look = ray_of(body, camera.place, self._look)
+        return float(distance_to_ground(self._terrain, place, look, camera.reach))
 
     def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:
         """Without what is older than the longest delay needs."""
@@ -434,13 +388,11 @@ class SensorSuite:
         camera = self.parameters.camera
         if truth.body is None or state.truth.body is None:
             return state.picture, 0.0
-        rate = 0.5 * (
-            image_rate(state.truth.body, camera.place, camera.axis, distance)
-            + image_rate(truth.body, camera.place, camera.axis, distance)
-        )
+        before = image_rate(state.truth.body, camera.place, self._look, distance)
+        after = image_rate(truth.body, camera.place, self._look, distance)
         _, x, y = state.picture[-1]
-        moved = self._sides @ rate * dt
-        picture = (*state.picture, (truth.time, x + float(moved[0]), y + float(moved[1])))
+        side_x, side_y = (0.5 * dt * (dot(side, before) + dot(side, after)) for side in self._sides)
+        picture = (*state.picture, (truth.time, x + side_x, y + side_y))
         opened = truth.time - camera.exposure * (1.0 + 1e-9)
         while len(picture) > 2 and picture[1][0] <= opened:
             picture = picture[1:]
@@ -479,31 +431,13 @@ class SensorSuite:
         )
 
 
-def _parts(quaternion: ArrayLike) -> tuple[float, Array]:
-    q = np.asarray(quaternion, dtype=np.float64)
-    return float(q[0]), q[1:]
-
-
-def _matrix(quaternion: Array) -> Array:
-    """Rotation matrix, body to map."""
-    w, x, y, z = quaternion.tolist()
-    return np.column_stack(rotation_of((w, x, y, z)))
-
-
-def _velocity_at(body: BodyMotion, place: ArrayLike) -> Array:
-    """Velocity in map of a point of Body 1 [m/s]."""
-    turning = np.cross(np.array(body.spin), np.asarray(place, dtype=np.float64))
-    return np.asarray(np.array(body.velocity) + _matrix(np.array(body.orientation)) @ turning)
-
-
 def _unit(vector: ArrayLike) -> Array:
     array = np.asarray(vector, dtype=np.float64)
     return np.asarray(array / np.linalg.norm(array))
 
 
-def _sides_of(axis: ArrayLike) -> Array:
-    """Two unit vectors across an axis, (2, 3)."""
-    look = _unit(axis)
+def _sides_of(look: Array) -> Array:
+    """Two unit vectors across a unit vector, (2, 3)."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(look[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = _unit(np.cross(helper, look))
     return np.stack([first, np.cross(look, first)])

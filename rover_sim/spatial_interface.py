@@ -58,9 +58,10 @@ from rover_sim.drawing import (
 from rover_sim.machine import Rover
 from rover_sim.physics import drum as drums
 from rover_sim.physics.ancf import Array
+from rover_sim.physics.body_motion import BodyMotion
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.plant import Energies, Forces, StepResult
-from rover_sim.sensors import BodyMotion, Readings, SensorState, SensorSuite, Truth
+from rover_sim.sensors import Readings, SensorState, SensorSuite, Truth
 from rover_sim.spatial_plant import SpatialPlant
 from rover_sim.spatial_state import SpatialState
 

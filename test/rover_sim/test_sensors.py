@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import ArrayLike
 
 from rover_sim.physics.ancf import Array
+from rover_sim.physics.body_motion import BodyMotion, image_rate, mean_rate, specific_force
 from rover_sim.physics.places import HoleParameters, TerrainParameters
 from rover_sim.physics.ray import distance_to_ground
 from rover_sim.physics.terrain import build_terrain
 from rover_sim.sensors import (
-    BodyMotion,
     Camera,
     Channel,
     Readings,
@@ -20,9 +20,6 @@ from rover_sim.sensors import (
     SensorState,
     SensorSuite,
     Truth,
-    image_rate,
-    mean_rate,
-    specific_force,
     spread,
 )
 
@@ -81,7 +78,7 @@ def test_the_gyro_tells_the_rotation_of_the_tick_however_large() -> None:
         v1 = np.array(rest)
         after = np.array([w0 * w1 - v0 @ v1, *(w0 * v1 + w1 * v0 + np.cross(v0, v1))])
         for sign in (1.0, -1.0):
-            assert mean_rate(before, sign * after, 0.01) == pytest.approx(
+            assert mean_rate(before, tuple((sign * after).tolist()), 0.01) == pytest.approx(
                 np.array(turn) / 0.01, rel=1e-9, abs=1e-12
             )
 
@@ -264,8 +261,8 @@ def test_a_bias_starts_at_random_and_wanders_with_the_square_root_of_time() -> N
     assert drawn.std() == pytest.approx(0.1, rel=0.08)
     walk = only(gyro=Channel(bias_walk=0.02))
     for dt in (0.01, 0.05):
-        ends = np.array([gyro_of(walk, dt, round(1.0 / dt), seed)[-1] for seed in range(150)])
-        assert ends.std() == pytest.approx(0.02, rel=0.12)
+        ends = np.array([gyro_of(walk, dt, round(1.0 / dt), seed)[-1] for seed in range(100)])
+        assert ends.std() == pytest.approx(0.02, rel=0.15)
 
 
 def test_saturation_and_resolution() -> None:
