@@ -402,7 +402,6 @@ def attempt_step(
     ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
     if near_tether > 0:
         ground = end_tether_contact(
-            model.terrain,
             model.tether_ground,
             tether,
             h,

@@ -308,12 +308,11 @@ def _evaluate(
     anchors: Array,
     work: Workspace,
     contact: TetherContact,
-    iterating: bool,
 ) -> int:
     """Forces and tangents at the near points for the increment in `work`.
 
     Returns:
-        At how many points `_from_rest` stands in; none unless iterating.
+        At how many points `_from_rest` stands in.
     """
     overshot = 0
     count = contact.near_count[0]
@@ -339,7 +338,7 @@ def _evaluate(
         here = _law_at(law, weight, rock)
         along = ux * nx + uy * ny + uz * nz
         wx, wy, wz = ux - along * nx, uy - along * ny, uz - along * nz
-        if iterating and _overshoots(contact, s, (wx, wy, wz), h * here.slip_speed):
+        if _overshoots(contact, s, (wx, wy, wz), h * here.slip_speed):
             overshot += 1
             force, tangent = _from_rest(here, depth0, depth1, (nx, ny, nz), (wx, wy, wz), h)
         else:
@@ -393,7 +392,7 @@ def add_tether_contact(
     """
     if contact.near_count[0] == 0:
         return 0
-    overshot = _evaluate(terrain, law, tether, h, anchors, work, contact, True)
+    overshot = _evaluate(terrain, law, tether, h, anchors, work, contact)
     for s in range(contact.near_count[0]):
         if contact.touches[s] != 0:
             _spread(tether, contact.near[s], s, contact.force, work.blocks)
@@ -431,7 +430,6 @@ def _subtract(tag: Any, blocks: Array, e: int, side: int, column: int, change: A
 
 @kernel
 def end_tether_contact(
-    terrain: Terrain,
     law: TetherContactLaw,
     tether: Tether,
     h: float,
@@ -439,8 +437,11 @@ def end_tether_contact(
     work: Workspace,
     contact: TetherContact,
 ) -> TetherContactTotals:
-    """Carry the anchors on, once, after an accepted step; the increment in `work` is the step's."""
-    _evaluate(terrain, law, tether, h, anchors, work, contact, False)
+    """Carry the anchors on, once, after an accepted step; the increment in `work` is the step's.
+
+    The forces are those that the last iteration's equations held, its own with the tangent over
+    what it moved: with these the motion is in balance.
+    """
     weight = tether.element_length / POINTS
     stored_change = 0.0
     received = 0.0
@@ -448,18 +449,22 @@ def end_tether_contact(
     touching = 0
     for s in range(contact.near_count[0]):
         p = contact.near[s]
+        depth = contact.ground[s, 0]
+        for d in range(3):
+            travel = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
+            contact.place[s, d] = travel - contact.travel[s, d]  # what the last iteration moved
+            contact.travel[s, d] = travel
+            depth -= contact.place[s, d] * contact.ground[s, 1 + d]
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
         before = _law_at(law, weight, contact.rock[p])
         stored_change -= contact_energy(before, contact.depth[p], bristle)
         after = _law_at(law, weight, contact.ground[s, 4])
-        depth = contact.ground[s, 0]
-        travel = (contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2])
         bristle = advance_bristle(
             after,
             contact.depth[p],
             depth,
             (contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]),
-            travel,
+            (contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2]),
             h,
             bristle,
         )
@@ -469,7 +474,10 @@ def end_tether_contact(
             touching += 1
             normal_force += contact.load[s]
             for d in range(3):
-                received -= contact.force[s, 3, d] * travel[d]
+                force = contact.force[s, 3, d]
+                for c in range(3):
+                    force += contact.force[s, c, d] * contact.place[s, c]
+                received -= force * contact.travel[s, d]
     return TetherContactTotals(received - stored_change, stored_change, normal_force, touching)
 
 

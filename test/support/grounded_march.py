@@ -66,7 +66,7 @@ def _attempt(
     if not done:
         return False
     log[TETHER_HEAT] += end_step(cable, h, q, v, work, q1, v1)[0]
-    ground = end_tether_contact(terrain, law, cable, h, anchors, work, contact)
+    ground = end_tether_contact(law, cable, h, anchors, work, contact)
     log[GROUND_HEAT] += ground.dissipated
     log[GROUND_STORED] += ground.stored_change
     log[NORMAL], log[TOUCHING] = ground.normal_force, ground.touching
