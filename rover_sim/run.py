@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Generic
+from typing import Generic, TypeAlias
 
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Command, Event, Outcome, Plant, S, StepResult
 from rover_sim.scenario import Scenario
 
 _NO_COMMAND = Command()
+
+Policy: TypeAlias = Callable[[S], Command]
 
 
 class RunError(RuntimeError):
@@ -81,7 +83,7 @@ def run(
     *,
     tick: float = 0.01,
     until: str | None = None,
-    command: Command = _NO_COMMAND,
+    command: Command | Policy[S] = _NO_COMMAND,
 ) -> Run[S]:
     """Step a plant for a duration, or up to the tick in which an event happens.
 
@@ -91,7 +93,7 @@ def run(
         duration: [s], above 0.
         tick: [s], above 0; the last tick is shorter if the duration is no multiple of it.
         until: name of an event that ends the run, besides divergence and a broken tether.
-        command: given in every tick.
+        command: given in every tick, or what makes one of the state at its start.
 
     Raises:
         ValueError: duration or tick is not finite or not above 0.
@@ -105,13 +107,66 @@ def run(
     ticks = max(1, math.ceil(duration / tick - 1e-9))
     for index in range(ticks):
         dt = tick if index < ticks - 1 else duration - tick * (ticks - 1)
-        state, result = plant.step(state, command, dt)
+        told = command if isinstance(command, Command) else command(state)
+        state, result = plant.step(state, told, dt)
         states.append(state)
         results.append(result)
         events.extend(result.events)
         if state.phase.final or any(event.name == until for event in result.events):
             break
     return Run(tuple(states), tuple(results), tuple(events))
+
+
+def roll_out(
+    plant: Plant[S],
+    states: Sequence[S],
+    commands: Sequence[Command | Policy[S]],
+    duration: float,
+    *,
+    tick: float = 0.01,
+    until: str | None = None,
+    workers: int = 2,
+) -> list[Run[S]]:
+    """Run a plant from each state with each command, side by side.
+
+    The runs share the plant and, as a step releases the interpreter's lock, the processor's cores.
+    What they give does not depend on the number of workers.
+
+    Args:
+        plant: the plant.
+        states: where to start; one state serves all commands.
+        commands: as in `run`; one command serves all states.
+        duration: of each [s], above 0.
+        tick: [s], above 0.
+        until: name of an event that ends a run.
+        workers: threads, at least 1.
+
+    Returns:
+        One run for each pair, in their order.
+
+    Raises:
+        ValueError: there are several states and several commands, but not as many of both; or a
+            number is out of its range.
+    """
+    if workers < 1:
+        raise ValueError(f"workers = {workers}: must be at least 1")
+    count = max(len(states), len(commands))
+    for name, given in (("states", len(states)), ("commands", len(commands))):
+        if given not in (1, count):
+            raise ValueError(f"{name}: there are {given}, must be 1 or {count}")
+
+    def one(index: int) -> Run[S]:
+        return run(
+            plant,
+            states[index % len(states)],
+            duration,
+            tick=tick,
+            until=until,
+            command=commands[index % len(commands)],
+        )
+
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(one, range(count)))
 
 
 def jump(

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rover_sim.physics import drum as drums
-from rover_sim.physics import jump_drive, spatial, spatial_rover, wheel_drive
+from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.spatial import Machines, Orders
@@ -29,10 +29,10 @@ from rover_sim.spatial_state import (
 )
 
 _OUTCOME_OF = {
-    spatial.OUTCOME_CONVERGED: Outcome.CONVERGED,
-    spatial.OUTCOME_HALVED: Outcome.HALVED,
-    spatial.OUTCOME_DIVERGED: Outcome.DIVERGED,
-    spatial.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
+    spatial_book.OUTCOME_CONVERGED: Outcome.CONVERGED,
+    spatial_book.OUTCOME_HALVED: Outcome.HALVED,
+    spatial_book.OUTCOME_DIVERGED: Outcome.DIVERGED,
+    spatial_book.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
 }
 _IDLE = Command()
 # A tether that carries more than this share of the rover's weight carries the rover.
@@ -134,10 +134,10 @@ class SpatialPlant:
             wheel_drive.WheelState()._replace(body_rate=spin_y),
         )
         elements = len(pose.nodes) - 1
-        book = np.zeros(spatial.BOOK_SIZE)
-        book[spatial.ELEMENTS] = elements
-        book[spatial.TENSION] = pose.tension
-        book[spatial.AIRBORNE] = 1.0
+        book = np.zeros(spatial_book.BOOK_SIZE)
+        book[spatial_book.ELEMENTS] = elements
+        book[spatial_book.TENSION] = pose.tension
+        book[spatial_book.AIRBORNE] = 1.0
         state = SpatialState(
             phase=Phase.HANGING,
             nodes=pose.nodes,
@@ -162,35 +162,35 @@ class SpatialPlant:
 
     def _started(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
         """The state with its clock and ledgers at zero, the tether twisted by `twist` [rad]."""
-        book = np.zeros(spatial.BOOK_SIZE)
+        book = np.zeros(spatial_book.BOOK_SIZE)
         for entry in (
-            spatial.ELEMENTS,
-            spatial.TENSION,
-            spatial.LEFT_TORQUE,
-            spatial.LEFT_SLOPE,
-            spatial.RIGHT_TORQUE,
-            spatial.RIGHT_SLOPE,
-            spatial.AIRBORNE,
+            spatial_book.ELEMENTS,
+            spatial_book.TENSION,
+            spatial_book.LEFT_TORQUE,
+            spatial_book.LEFT_SLOPE,
+            spatial_book.RIGHT_TORQUE,
+            spatial_book.RIGHT_SLOPE,
+            spatial_book.AIRBORNE,
         ):
             book[entry] = state.book[entry]
-        book[spatial.TAKE_OFF_X : spatial.TAKE_OFF_Z + 1] = state.G1
+        book[spatial_book.TAKE_OFF_X : spatial_book.TAKE_OFF_Z + 1] = state.G1
         if self._model.has_rover:
             slope = state.mouth[0] if self._model.has_winch else state.nodes[0, 1]
             quaternion = state.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
-            book[spatial.TWIST] = twist_angle(
+            book[spatial_book.TWIST] = twist_angle(
                 state.elements,
                 tuple(slope.tolist()),
                 to_rows(state.nodes),
                 tuple(quaternion.tolist()),
                 0.0,
             )
-            book[spatial.SLIP] = book[spatial.TWIST] - twist
+            book[spatial_book.SLIP] = book[spatial_book.TWIST] - twist
             spin = state.omega
-            book[spatial.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
-            book[spatial.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
+            book[spatial_book.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
+            book[spatial_book.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
         fresh = replace(state, book=book, phase=phase)
         book = fresh.book.copy()
-        book[spatial.REFERENCE] = self.energies(fresh).stored
+        book[spatial_book.REFERENCE] = self.energies(fresh).stored
         return replace(fresh, book=book)
 
     def _at_rest(self, state: SpatialState) -> SpatialState:
@@ -234,20 +234,20 @@ class SpatialPlant:
         self, model: Model, state: SpatialState, orders: Orders, dt: float
     ) -> tuple[SpatialState, StepResult]:
         motion, book = arrays_of(state, self._capacity)
-        events = np.zeros((spatial.MAX_EVENTS, spatial.EVENT_SIZE))
-        report = np.zeros(spatial.REPORT_SIZE)
+        events = np.zeros((spatial_book.MAX_EVENTS, spatial_book.EVENT_SIZE))
+        report = np.zeros(spatial_book.REPORT_SIZE)
         outcome_code, count, machines = spatial.advance(
             model, motion, state.machines, orders, book, dt, events, report, self._solver()
         )
         outcome = _OUTCOME_OF[outcome_code]
         after = state_of(motion, _plain(machines), book, self._phase(outcome, book, report))
-        peak = float(report[spatial.PEAK_TENSION])
+        peak = float(report[spatial_book.PEAK_TENSION])
         result = StepResult(
             outcome=outcome,
             energies=_energies_of(report, after.book),
-            constraint_drift=float(report[spatial.CONSTRAINT_DRIFT]),
-            newton_iterations=int(report[spatial.ITERATIONS]),
-            smallest_step=float(report[spatial.SMALLEST_STEP]),
+            constraint_drift=float(report[spatial_book.CONSTRAINT_DRIFT]),
+            newton_iterations=int(report[spatial_book.ITERATIONS]),
+            smallest_step=float(report[spatial_book.SMALLEST_STEP]),
             events=tuple(_event_of(row) for row in events[:count]),
             peak_tension=peak if math.isfinite(peak) else 0.0,
             forces=_forces_of(report, after.book),
@@ -259,9 +259,9 @@ class SpatialPlant:
             return Phase.DIVERGED
         if outcome is Outcome.TETHER_BROKEN:
             return Phase.TETHER_BROKEN
-        if book[spatial.AIRBORNE] == 0.0 and self._model.has_rover:
+        if book[spatial_book.AIRBORNE] == 0.0 and self._model.has_rover:
             return Phase.GROUNDED
-        return self._carried(float(report[spatial.TIP_TENSION]))
+        return self._carried(float(report[spatial_book.TIP_TENSION]))
 
     # -------------------------------------------------------------------------------- looking
 
@@ -269,8 +269,8 @@ class SpatialPlant:
         """Energies of the state, with the balance since the start of the run."""
         motion, book = arrays_of(state, self._capacity)
         parts = spatial.energies(self._model, motion, state.machines, book, self._solver())
-        report = np.zeros(spatial.REPORT_SIZE)
-        report[spatial.KINETIC : spatial.TORSION + 1] = parts
+        report = np.zeros(spatial_book.REPORT_SIZE)
+        report[spatial_book.KINETIC : spatial_book.TORSION + 1] = parts
         return _energies_of(report, state.book)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
@@ -379,59 +379,62 @@ def _slowed(state: SpatialState, factor: float) -> SpatialState:
 
 def _energies_of(report: Array, book: Array) -> Energies:
     came, went = ledger_sums(book)
-    rotors = float(book[spatial.DRIVE_KINETIC])
+    rotors = float(book[spatial_book.DRIVE_KINETIC])
     return Energies(
-        kinetic=float(report[spatial.KINETIC]) - rotors,
-        gravity=float(report[spatial.GRAVITY]),
-        axial=float(report[spatial.AXIAL]),
-        bending=float(report[spatial.BENDING]),
-        spring=float(report[spatial.SPRING]),
+        kinetic=float(report[spatial_book.KINETIC]) - rotors,
+        gravity=float(report[spatial_book.GRAVITY]),
+        axial=float(report[spatial_book.AXIAL]),
+        bending=float(report[spatial_book.BENDING]),
+        spring=float(report[spatial_book.SPRING]),
         input=came,
         dissipated=went,
-        initial=float(book[spatial.REFERENCE]),
+        initial=float(book[spatial_book.REFERENCE]),
         rotors=rotors,
-        contact=float(report[spatial.CONTACT]),
-        twist=float(report[spatial.TORSION]),
+        contact=float(report[spatial_book.CONTACT]),
+        twist=float(report[spatial_book.TORSION]),
     )
 
 
 def _forces_of(report: Array, book: Array) -> Forces:
-    x, y, z = report[spatial.FAIRLEAD_X : spatial.FAIRLEAD_Z + 1].tolist()
+    x, y, z = report[spatial_book.FAIRLEAD_X : spatial_book.FAIRLEAD_Z + 1].tolist()
     return Forces(
         fairlead=(x, y, z),
-        fairlead_tension=float(book[spatial.TENSION]),
-        rover_tension=float(report[spatial.TIP_TENSION]),
-        left_wheel=float(report[spatial.LEFT_LOAD]),
-        right_wheel=float(report[spatial.RIGHT_LOAD]),
-        body=float(report[spatial.BODY_LOAD]),
-        grounded_points=int(report[spatial.TETHER_GROUNDED]),
-        nut=float(report[spatial.NUT_FORCE]),
-        jump_torque=float(report[spatial.JUMP_TORQUE]),
-        wheel_torque=float(report[spatial.WHEEL_TORQUE]),
-        winch_torque=float(report[spatial.WINCH_TORQUE]),
-        jump_current=float(report[spatial.JUMP_CURRENT]),
-        wheel_current=float(report[spatial.WHEEL_CURRENT]),
-        winch_current=float(report[spatial.WINCH_CURRENT]),
-        flywheel_saturated=bool(report[spatial.FLYWHEEL_SATURATED]),
-        screw_soft_limit=int(report[spatial.SCREW_SOFT_LIMIT]),
-        screw_hard_limit=int(report[spatial.SCREW_HARD_LIMIT]),
-        ratchet=int(report[spatial.RATCHET]),
-        drum_stuck=bool(report[spatial.DRUM_STUCK]),
-        drum_stop=int(report[spatial.DRUM_STOP]),
+        fairlead_tension=float(book[spatial_book.TENSION]),
+        rover_tension=float(report[spatial_book.TIP_TENSION]),
+        left_wheel=float(report[spatial_book.LEFT_LOAD]),
+        right_wheel=float(report[spatial_book.RIGHT_LOAD]),
+        body=float(report[spatial_book.BODY_LOAD]),
+        grounded_points=int(report[spatial_book.TETHER_GROUNDED]),
+        nut=float(report[spatial_book.NUT_FORCE]),
+        jump_torque=float(report[spatial_book.JUMP_TORQUE]),
+        wheel_torque=float(report[spatial_book.WHEEL_TORQUE]),
+        winch_torque=float(report[spatial_book.WINCH_TORQUE]),
+        jump_current=float(report[spatial_book.JUMP_CURRENT]),
+        wheel_current=float(report[spatial_book.WHEEL_CURRENT]),
+        winch_current=float(report[spatial_book.WINCH_CURRENT]),
+        flywheel_saturated=bool(report[spatial_book.FLYWHEEL_SATURATED]),
+        screw_soft_limit=int(report[spatial_book.SCREW_SOFT_LIMIT]),
+        screw_hard_limit=int(report[spatial_book.SCREW_HARD_LIMIT]),
+        ratchet=int(report[spatial_book.RATCHET]),
+        drum_stuck=bool(report[spatial_book.DRUM_STUCK]),
+        drum_stop=int(report[spatial_book.DRUM_STOP]),
     )
 
 
 def _event_of(row: Array) -> Event:
     kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
     place = {"x": x, "y": y, "z": z}
-    if int(kind) == spatial.EVENT_LATCH:
+    if int(kind) == spatial_book.EVENT_LATCH:
         return Event(f"latch_{Latch(int(value)).name.lower()}", time, {**place, "speed": speed})
     name, values = {
-        spatial.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
-        spatial.EVENT_APEX: ("apex", {"height": value}),
-        spatial.EVENT_TOUCHDOWN: ("touchdown", {"height": rise, "speed": speed, "load": value}),
-        spatial.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
-        spatial.EVENT_DIVERGED: ("diverged", {}),
-        spatial.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
+        spatial_book.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
+        spatial_book.EVENT_APEX: ("apex", {"height": value}),
+        spatial_book.EVENT_TOUCHDOWN: (
+            "touchdown",
+            {"height": rise, "speed": speed, "load": value},
+        ),
+        spatial_book.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
+        spatial_book.EVENT_DIVERGED: ("diverged", {}),
+        spatial_book.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
     }[int(kind)]
     return Event(name, time, {**place, **values})

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rover_sim.physics import spatial, spatial_rover
+from rover_sim.physics import spatial_book, spatial_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.spatial import Machines
@@ -17,19 +17,19 @@ from rover_sim.physics.tether import row_width, to_nodes
 from rover_sim.plant import Phase
 
 _LEDGER = {
-    "input_jump_motor": spatial.INPUT_JUMP,
-    "input_wheel_motor": spatial.INPUT_WHEELS,
-    "input_winch_motor": spatial.INPUT_WINCH,
-    "input_tether_paid_out": spatial.INPUT_TETHER,
-    "input_remeshing": spatial.REMESHED,
-    "heat_tether": spatial.HEAT_TETHER,
-    "heat_slider": spatial.HEAT_SLIDER,
-    "heat_jump_drive": spatial.HEAT_JUMP,
-    "heat_wheel_drive": spatial.HEAT_WHEELS,
-    "heat_winch": spatial.HEAT_WINCH,
-    "heat_rover_on_ground": spatial.HEAT_ROVER_GROUND,
-    "heat_tether_on_ground": spatial.HEAT_TETHER_GROUND,
-    "heat_swivel": spatial.HEAT_SWIVEL,
+    "input_jump_motor": spatial_book.INPUT_JUMP,
+    "input_wheel_motor": spatial_book.INPUT_WHEELS,
+    "input_winch_motor": spatial_book.INPUT_WINCH,
+    "input_tether_paid_out": spatial_book.INPUT_TETHER,
+    "input_remeshing": spatial_book.REMESHED,
+    "heat_tether": spatial_book.HEAT_TETHER,
+    "heat_slider": spatial_book.HEAT_SLIDER,
+    "heat_jump_drive": spatial_book.HEAT_JUMP,
+    "heat_wheel_drive": spatial_book.HEAT_WHEELS,
+    "heat_winch": spatial_book.HEAT_WINCH,
+    "heat_rover_on_ground": spatial_book.HEAT_ROVER_GROUND,
+    "heat_tether_on_ground": spatial_book.HEAT_TETHER_GROUND,
+    "heat_swivel": spatial_book.HEAT_SWIVEL,
 }
 
 
@@ -69,7 +69,7 @@ class SpatialState:
     @property
     def time(self) -> float:
         """[s]."""
-        return float(self.book[spatial.TIME])
+        return float(self.book[spatial_book.TIME])
 
     # ---------------------------------------------------------------------------------- bodies
 
@@ -177,12 +177,12 @@ class SpatialState:
     @property
     def twist(self) -> float:
         """Angle by which the tether is twisted [rad]."""
-        return float(self.book[spatial.TWIST] - self.book[spatial.SLIP])
+        return float(self.book[spatial_book.TWIST] - self.book[spatial_book.SLIP])
 
     @property
     def start_height(self) -> float:
         """Height of G1 at the last take-off [m]."""
-        return float(self.book[spatial.TAKE_OFF_Z])
+        return float(self.book[spatial_book.TAKE_OFF_Z])
 
     @property
     def ledger(self) -> Mapping[str, float]:
@@ -224,7 +224,7 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
 
 def state_of(motion: Motion, machines: Machines, book: Array, phase: Phase) -> SpatialState:
     """The state that the arrays hold."""
-    elements = int(book[spatial.ELEMENTS])
+    elements = int(book[spatial_book.ELEMENTS])
     return SpatialState(
         phase=phase,
         nodes=to_nodes(motion.q, elements),

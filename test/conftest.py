@@ -77,6 +77,21 @@ def compiled() -> None:
         build_plant(load_scenario("paper_table1_low")).warm_up()
 
 
+@pytest.fixture(scope="session")
+def compiled_in_space() -> None:
+    """As `compiled`, for the spatial plant and its sensors."""
+    from rover_sim.interfaces import build_interface
+    from rover_sim.plants import build_plant
+    from rover_sim.scenario import load_spatial
+    from rover_sim.sim_loop import Simulation
+    from rover_verify.stage.ros_domain import locked
+
+    with locked("compiling"):
+        plant = build_plant(load_spatial("free_hang"))
+        plant.warm_up()
+        Simulation(build_interface(plant, 1), 0.01).tick()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _shared_memory() -> Iterator[None]:
     """Remove what killed processes have left in shared memory."""

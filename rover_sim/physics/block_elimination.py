@@ -22,7 +22,7 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import allocating, kernel
-from rover_sim.physics.packets import lane, load, stack, store, with_lane
+from rover_sim.physics.packets import fill, lane, load, stack, store, with_lane
 
 
 @allocating
@@ -50,8 +50,8 @@ def _eliminate(
         (D - C G) x + C' x_after = R - C y,
 
     D and R being sums of the sides of the elements before and after, C and C' their couplings.
-    Gauss and Jordan's method on (D - C G | R - C y | C') leaves y and G, stored as the columns
-    (G, y) at factor[node].
+    Gauss and Jordan's method on (D - C G | R - C y | C'), rows scaled last, leaves y and G, stored
+    as the columns (G, y) at factor[node].
     """
     m = 2 * len(tag)
     columns = stack(tag, 13)
@@ -65,16 +65,16 @@ def _eliminate(
         for k in range(m):
             column -= coupling[k] * factor[previous, c, k]
         columns[c] = column
+    inverses = fill(tag, 1.0)
     for k in range(m):
-        pivot = columns[k]
-        inverse = 1.0 / lane(pivot, k)
+        inverse = 1.0 / lane(columns[k], k)
+        inverses = with_lane(inverses, k, inverse)
+        others = with_lane(columns[k] * inverse, k, 0.0)
         for c in range(k + 1, 2 * m + 1):
-            column = columns[c]
-            multiple = lane(column, k) * inverse
-            columns[c] = with_lane(column - pivot * multiple, k, multiple)
-    store(factor, (node, m, 0), columns[m])
+            columns[c] = columns[c] - others * lane(columns[c], k)
+    store(factor, (node, m, 0), columns[m] * inverses)
     for k in range(m):
-        store(factor, (node, k, 0), columns[m + 1 + k])
+        store(factor, (node, k, 0), columns[m + 1 + k] * inverses)
 
 
 @kernel

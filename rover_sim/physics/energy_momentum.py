@@ -26,9 +26,8 @@ The slope at a quadrature point depends on three vectors only, the element's cho
 its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes,
 for 4 (plane) or 8 (space) elements at once, side by side in packets. What sits at the tether's two
 ends (a support, a mass, a rover) adds its own block there before the elimination; this module
-knows nothing more of it.
-
-The number of directions is that of the gravity vector; arrays are laid out as in `tether`.
+knows nothing more of it. The number of directions is that of the gravity vector; arrays are laid
+out as in `tether`.
 """
 
 from typing import Any, NamedTuple
@@ -130,9 +129,7 @@ def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
 @kernel
 def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
     """Prepare a step of length h from (q0, v0): everything that the increment does not change."""
-    tag = tether.gravity
-    dim = len(tag)
-    length = tether.element_length
+    tag, dim, length = tether.gravity, len(tether.gravity), tether.element_length
     mass = mass_coefficients(tether)
     bending = bending_coefficients(tether)
     inverse = 1.0 / length
@@ -549,11 +546,8 @@ def end_step(
         N |r'| over an element at mid-step, damping included; and the largest change of a node's
         slope, the turn during the step [rad] where the tether is not strained much.
     """
-    tag = tether.gravity
-    dim = len(tag)
-    n = tether.elements
-    length = tether.element_length
-    increment = work.increment
+    tag, dim, n = tether.gravity, len(tether.gravity), tether.elements
+    length, increment = tether.element_length, work.increment
     lanes = lane_count(tag)
     for k in range(2 * dim):
         for i in range(0, n + 1, lanes):

@@ -24,6 +24,81 @@ from rover_sim.physics.newton import distrust
 from rover_sim.physics.predictor import remember
 from rover_sim.physics.remesh import merge_first, split_first
 from rover_sim.physics.slider import slider_energy
+from rover_sim.physics.spatial_book import (
+    AIRBORNE,
+    AXIAL,
+    BENDING,
+    CONSTRAINT_DRIFT,
+    CONTACT,
+    CONTACT_TIME,
+    DRIVE_KINETIC,
+    DRUM_STOP,
+    DRUM_STUCK,
+    ELAPSED,
+    ELEMENTS,
+    EVENT_APEX,
+    EVENT_BROKEN,
+    EVENT_DIVERGED,
+    EVENT_DRUM_STOP,
+    EVENT_LATCH,
+    EVENT_TAKE_OFF,
+    EVENT_TOUCHDOWN,
+    FAIRLEAD_X,
+    FLYWHEEL_SATURATED,
+    GRAVITY,
+    GROUND_STORED,
+    HALVINGS,
+    HEAT_JUMP,
+    HEAT_SLIDER,
+    HEAT_SWIVEL,
+    HEAT_WHEELS,
+    HEAT_WINCH,
+    HIGHEST,
+    INPUT_JUMP,
+    INPUT_TETHER,
+    INPUT_WHEELS,
+    INPUT_WINCH,
+    JUMP_CURRENT,
+    JUMP_TORQUE,
+    KINETIC,
+    LEFT_SLOPE,
+    LEFT_TORQUE,
+    NUT_FORCE,
+    OUTCOME_BROKEN,
+    OUTCOME_CONVERGED,
+    OUTCOME_DIVERGED,
+    OUTCOME_HALVED,
+    PEAK_TENSION,
+    RATCHET,
+    REMESHED,
+    REMESHES,
+    REPORT_SIZE,
+    RIGHT_SLOPE,
+    RIGHT_TORQUE,
+    SCREW_HARD_LIMIT,
+    SCREW_SOFT_LIMIT,
+    SLIP,
+    SMALLEST_STEP,
+    SPRING,
+    TAKE_OFF_TIME,
+    TAKE_OFF_X,
+    TAKE_OFF_Y,
+    TAKE_OFF_Z,
+    TENSION,
+    TETHER_GROUNDED,
+    TIME,
+    TIP_TENSION,
+    TORSION,
+    TWIST,
+    WHEEL_CURRENT,
+    WHEEL_TORQUE,
+    WINCH_CURRENT,
+    WINCH_TORQUE,
+    book_losses,
+    record_event,
+    remember_torques,
+    report_loads,
+)
 from rover_sim.physics.spatial_rover import (
     BODY_SIZE,
     POSITION,
@@ -37,7 +112,6 @@ from rover_sim.physics.spatial_rover import (
 )
 from rover_sim.physics.spatial_step import (
     Actions,
-    Losses,
     Model,
     Motion,
     Solver,
@@ -48,100 +122,6 @@ from rover_sim.physics.tether import Tether, row_width, tether_energies
 from rover_sim.physics.twist import swivel_torque, twist_angle, twist_axis, twist_energy
 from rover_sim.physics.variable_length import Payout, begin_exit, exit_energies
 from rover_sim.physics.vectors import Vector, dot, scale
-
-# Entries of the array `book`: what is remembered besides motion and machines.
-(
-    TIME,  # [s]
-    ELEMENTS,  # of the tether's chain
-    TENSION,  # at the fairlead in the last step [N]
-    LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
-    LEFT_SLOPE,  # its fall with the wheel's rate [N m s]
-    RIGHT_TORQUE,
-    RIGHT_SLOPE,
-    TWIST,  # of the rover against the tether's natural frame [rad]
-    SLIP,  # of the swivel [rad]
-    CONTACT_TIME,  # when something of the rover last touched the ground [s]
-    AIRBORNE,  # 1 after it has not for a while
-    TAKE_OFF_TIME,  # [s]
-    TAKE_OFF_X,  # of G1 [m]
-    TAKE_OFF_Y,
-    TAKE_OFF_Z,
-    HIGHEST,  # largest rise of G1 since take-off [m]
-    DRIVE_KINETIC,  # of drum, flywheel and wheels [J]
-    GROUND_STORED,  # by contacts, relative to the start [J]
-    INPUT_JUMP,  # work of the motors since the start [J]
-    INPUT_WHEELS,
-    INPUT_WINCH,
-    INPUT_TETHER,  # energy of the tether that came through the fairlead [J]
-    HEAT_TETHER,  # dissipated since the start [J]
-    HEAT_SLIDER,
-    HEAT_JUMP,
-    HEAT_WHEELS,
-    HEAT_WINCH,
-    HEAT_ROVER_GROUND,
-    HEAT_TETHER_GROUND,
-    HEAT_SWIVEL,
-    REMESHED,  # change of energy by joining elements [J]
-    REFERENCE,  # energy stored at the start [J]
-) = range(32)
-BOOK_SIZE = 32
-
-# Outcomes of `advance`.
-OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
-
-# Rows of the event array: kind, time [s], place of G1 [m], its speed [m/s], its rise since the last
-# take-off [m], tension [N], and a value of the event's own: the latch's or the drum stop's state.
-(
-    EVENT_TAKE_OFF,
-    EVENT_APEX,
-    EVENT_TOUCHDOWN,
-    EVENT_BROKEN,
-    EVENT_DIVERGED,
-    EVENT_LATCH,
-    EVENT_DRUM_STOP,
-) = range(7)
-EVENT_SIZE = 9
-MAX_EVENTS = 64
-
-# Entries of the array `report`; forces, currents and flags are those of the last step.
-(
-    ITERATIONS,
-    SMALLEST_STEP,  # [s]
-    HALVINGS,
-    ELAPSED,  # [s]
-    PEAK_TENSION,  # [N]
-    KINETIC,  # [J], as the next six at the end
-    GRAVITY,
-    AXIAL,
-    BENDING,
-    SPRING,
-    CONTACT,
-    TORSION,
-    CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
-    TIP_TENSION,  # [N]
-    FAIRLEAD_X,  # force of the tether on the fairlead [N]
-    FAIRLEAD_Y,
-    FAIRLEAD_Z,
-    LEFT_LOAD,  # normal force of the ground on the left wheel [N]
-    RIGHT_LOAD,
-    BODY_LOAD,  # on the corners of both bodies
-    TETHER_GROUNDED,  # number of the tether's points that touch the ground
-    JUMP_TORQUE,  # of the motor [N m]
-    JUMP_CURRENT,  # [A]
-    NUT_FORCE,  # [N]
-    FLYWHEEL_SATURATED,  # 0 or 1
-    SCREW_SOFT_LIMIT,  # -1, 0, 1
-    SCREW_HARD_LIMIT,
-    WHEEL_TORQUE,  # of the motor [N m]
-    WHEEL_CURRENT,
-    RATCHET,  # wheel_drive.Ratchet
-    WINCH_TORQUE,  # of the motor [N m]
-    WINCH_CURRENT,
-    DRUM_STUCK,  # 0 or 1
-    DRUM_STOP,  # -1, 0, 1
-    REMESHES,
-) = range(35)
-REPORT_SIZE = 35
 
 # Without contact for so long [s] the rover counts as airborne: bounces are part of a landing.
 _AIRBORNE_AFTER = 0.02
@@ -246,58 +226,6 @@ def energies(
 
 
 @inner
-def _record(
-    kind: int, time: float, value: float, tension: float, body: Array, book: Array,
-    events: Array, count: int,
-) -> int:  # fmt: skip
-    """Append an event if there is room; returns the new number of events."""
-    if count < events.shape[0]:
-        row = events[count]
-        velocity = vector_at(body, VELOCITY1)
-        row[0] = kind
-        row[1] = time
-        for d in range(3):
-            row[2 + d] = body[POSITION + d]
-        row[5] = np.sqrt(dot(velocity, velocity))
-        row[6] = book[HIGHEST]
-        row[7] = tension
-        row[8] = value
-        count += 1
-    return count
-
-
-@inner
-def _loads(model: Model, solver: Solver, near: bool, report: Array) -> float:
-    """Report the normal forces on the rover; returns their sum [N]."""
-    feet = solver.feet
-    corners = model.feet.corners.shape[0]
-    report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
-    if not near:
-        return 0.0
-    for k in range(corners + 4):
-        if feet.near[k] == 0.0:
-            continue
-        load = dot(vector_at(feet.force[k], 0), vector_at(feet.normal[k], 0))
-        if k < corners:
-            report[BODY_LOAD] += load
-        elif k < corners + 2:
-            report[LEFT_LOAD] += load
-        else:
-            report[RIGHT_LOAD] += load
-    return report[LEFT_LOAD] + report[RIGHT_LOAD] + report[BODY_LOAD]
-
-
-@inner
-def _ground_torques(solver: Solver, book: Array) -> None:
-    """Remember the ground's torques on the wheels for the next step."""
-    torque = solver.feet.torque
-    book[LEFT_TORQUE] = -(torque[0, 0] + torque[1, 0])
-    book[LEFT_SLOPE] = max(torque[0, 1] + torque[1, 1], 0.0)
-    book[RIGHT_TORQUE] = -(torque[2, 0] + torque[3, 0])
-    book[RIGHT_SLOPE] = max(torque[2, 1] + torque[3, 1], 0.0)
-
-
-@inner
 def _keep(model: Model, n: int, motion: Motion, after: Motion) -> None:
     """Make the attempted step's end the state."""
     width = row_width(n, 3)
@@ -315,15 +243,6 @@ def _keep(model: Model, n: int, motion: Motion, after: Motion) -> None:
         for k in range(motion.feet_anchors.shape[0]):
             for d in range(3):
                 motion.feet_anchors[k, d] = after.feet_anchors[k, d]
-
-
-@inner
-def _book_losses(losses: Losses, book: Array) -> None:
-    book[HEAT_TETHER] += losses.tether
-    book[HEAT_SLIDER] += losses.slider
-    book[HEAT_ROVER_GROUND] += losses.rover_ground
-    book[HEAT_TETHER_GROUND] += losses.tether_ground
-    book[GROUND_STORED] += losses.rover_stored + losses.tether_stored
 
 
 @inner
@@ -409,7 +328,7 @@ def advance(
         if model.has_rover:
             h = jump_out.elapsed
         if h == 0.0:
-            count = _record(
+            count = record_event(
                 EVENT_LATCH, start + elapsed, jump1.latch, 0.0, body, book, events, count
             )
             jump = jump1
@@ -475,7 +394,9 @@ def advance(
             distrust(solver.control)
             if 0.5 * h < shortest:
                 outcome = OUTCOME_DIVERGED
-                count = _record(EVENT_DIVERGED, start + elapsed, h, 0.0, body, book, events, count)
+                count = record_event(
+                    EVENT_DIVERGED, start + elapsed, h, 0.0, body, book, events, count
+                )
                 break
             report[HALVINGS] += 1.0
             longest = 0.5 * h
@@ -487,7 +408,7 @@ def advance(
         now = start + elapsed
 
         # the books
-        _book_losses(losses, book)
+        book_losses(losses, book)
         report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
         report[PEAK_TENSION] = max(report[PEAK_TENSION], losses.peak_tension)
         report[TIP_TENSION] = solver.work.tension[n - 1]
@@ -509,7 +430,7 @@ def advance(
             book[HEAT_SLIDER] += slider_energy(model.slider, was, jump1.nut, body[SLIDE])
             book[HEAT_SLIDER] -= slider_energy(model.slider, is_, jump1.nut, body[SLIDE])
             if jump1.latch != jump.latch:
-                count = _record(EVENT_LATCH, now, jump1.latch, 0.0, body, book, events, count)
+                count = record_event(EVENT_LATCH, now, jump1.latch, 0.0, body, book, events, count)
             report[JUMP_TORQUE] = jump_out.motor_torque
             report[JUMP_CURRENT] = jump_out.current
             report[NUT_FORCE] = jump_out.nut_force
@@ -541,7 +462,7 @@ def advance(
             report[DRUM_STUCK] = 1.0 if drum_out.stuck else 0.0
             report[DRUM_STOP] = drum_out.stop
             if drum_out.stop != 0 and stop_before == 0.0:
-                count = _record(
+                count = record_event(
                     EVENT_DRUM_STOP, now, drum_out.stop, book[TENSION], body, book, events, count
                 )
             stop_before = drum_out.stop
@@ -565,11 +486,11 @@ def advance(
         # touching, taking off, flying, landing
         if model.has_ground and model.has_rover:
             near = losses.near_ground
-            load = _loads(model, solver, near, report)
-            _ground_torques(solver, book)
+            load = report_loads(model, solver, near, report)
+            remember_torques(solver, book)
             if load > 0.0:
                 if book[AIRBORNE] != 0.0:
-                    count = _record(
+                    count = record_event(
                         EVENT_TOUCHDOWN, now, load, losses.peak_tension, body, book, events, count
                     )
                 book[AIRBORNE] = 0.0
@@ -590,19 +511,19 @@ def advance(
                 book[HIGHEST] = max(book[HIGHEST], rise)
                 if book[AIRBORNE] == 0.0 and now - book[CONTACT_TIME] > _AIRBORNE_AFTER:
                     book[AIRBORNE] = 1.0
-                    count = _record(
+                    count = record_event(
                         EVENT_TAKE_OFF, book[TAKE_OFF_TIME], now - book[TAKE_OFF_TIME],
                         losses.peak_tension, body, book, events, count,
                     )  # fmt: skip
                 if apex and higher and book[AIRBORNE] != 0.0:
-                    count = _record(
+                    count = record_event(
                         EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, book,
                         events, count,
                     )  # fmt: skip
 
         if losses.peak_tension > model.breaking_load:
             outcome = OUTCOME_BROKEN
-            count = _record(
+            count = record_event(
                 EVENT_BROKEN, now, losses.peak_tension, losses.peak_tension, body, book, events,
                 count,
             )  # fmt: skip

@@ -1,14 +1,39 @@
-"""Commands as a controller would send them: streamed at 20 Hz of simulated time."""
+"""Commands as a controller would send them: streamed in simulated time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from msg_schemas import topics
-from msg_schemas.table import JUMP_SCREW
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_verify.stage import Observer
 
-PERIOD_NS = 50_000_000
+
+def drive(
+    observer: Observer,
+    topic: str,
+    joints: Mapping[str, JointValue],
+    until: Callable[[], bool],
+    limit: float = 60.0,
+) -> None:
+    """Command a drive at its contract's rate until a condition holds, looked at before each one.
+
+    Args:
+        observer: who commands.
+        topic: of the command.
+        joints: what it says.
+        until: the condition.
+        limit: AssertionError after this much simulated time [s].
+    """
+    rate = TOPICS[topic].rate
+    assert rate is not None
+    period_ns = round(1e9 / rate)
+    begin = now = observer.wait_for_time(1)
+    while not until():
+        assert now - begin < limit * 1e9, f"not reached within {limit:g} s of simulated time"
+        observer.send(topic, JointSample(observer.time_ns(), joints))
+        now = observer.wait_for_time(observer.time_ns() + period_ns)
 
 
 def drive_nut(
@@ -18,20 +43,9 @@ def drive_nut(
     until: Callable[[], bool],
     limit: float = 60.0,
 ) -> None:
-    """Drive the nut until a condition holds, looked at before each command.
-
-    Args:
-        observer: who commands.
-        compression: setpoint [m].
-        speed: nut speed [m/s].
-        until: the condition.
-        limit: AssertionError after this much simulated time [s].
-    """
-    begin = now = observer.wait_for_time(1)
-    while not until():
-        assert now - begin < limit * 1e9, f"not reached within {limit:g} s of simulated time"
-        observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, compression, speed, 400.0)
-        now = observer.wait_for_time(observer.time_ns() + PERIOD_NS)
+    """Drive the nut to a compression [m] at a speed [m/s] until a condition holds; see `drive`."""
+    joints = {JUMP_SCREW: JointValue(compression, speed, 400.0)}
+    drive(observer, topics.JUMP_MOTOR_COMMAND, joints, until, limit)
 
 
 def has_event(observer: Observer, name: str, since: int = 0) -> Callable[[], bool]:

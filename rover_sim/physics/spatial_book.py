@@ -1,0 +1,169 @@
+"""What the plant in space remembers and reports besides its motion: indices, and who fills them.
+
+Arrays of floats with named entries, as compiled functions want them: `book` is kept from call to
+call, `report` tells of one call, rows of `events` of what happened in it.
+"""
+
+import numpy as np
+
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.compiled import inner
+from rover_sim.physics.spatial_rover import POSITION, VELOCITY1, vector_at
+from rover_sim.physics.spatial_step import Losses, Model, Solver
+from rover_sim.physics.vectors import dot
+
+# Entries of the array `book`: what is remembered besides motion and machines.
+(
+    TIME,  # [s]
+    ELEMENTS,  # of the tether's chain
+    TENSION,  # at the fairlead in the last step [N]
+    LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
+    LEFT_SLOPE,  # its fall with the wheel's rate [N m s]
+    RIGHT_TORQUE,
+    RIGHT_SLOPE,
+    TWIST,  # of the rover against the tether's natural frame [rad]
+    SLIP,  # of the swivel [rad]
+    CONTACT_TIME,  # when something of the rover last touched the ground [s]
+    AIRBORNE,  # 1 after it has not for a while
+    TAKE_OFF_TIME,  # [s]
+    TAKE_OFF_X,  # of G1 [m]
+    TAKE_OFF_Y,
+    TAKE_OFF_Z,
+    HIGHEST,  # largest rise of G1 since take-off [m]
+    DRIVE_KINETIC,  # of drum, flywheel and wheels [J]
+    GROUND_STORED,  # by contacts, relative to the start [J]
+    INPUT_JUMP,  # work of the motors since the start [J]
+    INPUT_WHEELS,
+    INPUT_WINCH,
+    INPUT_TETHER,  # energy of the tether that came through the fairlead [J]
+    HEAT_TETHER,  # dissipated since the start [J]
+    HEAT_SLIDER,
+    HEAT_JUMP,
+    HEAT_WHEELS,
+    HEAT_WINCH,
+    HEAT_ROVER_GROUND,
+    HEAT_TETHER_GROUND,
+    HEAT_SWIVEL,
+    REMESHED,  # change of energy by joining elements [J]
+    REFERENCE,  # energy stored at the start [J]
+) = range(32)
+BOOK_SIZE = 32
+
+# Outcomes of `advance`.
+OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
+
+# Rows of the event array: kind, time [s], place of G1 [m], its speed [m/s], its rise since the last
+# take-off [m], tension [N], and a value of the event's own: the latch's or the drum stop's state.
+(
+    EVENT_TAKE_OFF,
+    EVENT_APEX,
+    EVENT_TOUCHDOWN,
+    EVENT_BROKEN,
+    EVENT_DIVERGED,
+    EVENT_LATCH,
+    EVENT_DRUM_STOP,
+) = range(7)
+EVENT_SIZE = 9
+MAX_EVENTS = 64
+
+# Entries of the array `report`; forces, currents and flags are those of the last step.
+(
+    ITERATIONS,
+    SMALLEST_STEP,  # [s]
+    HALVINGS,
+    ELAPSED,  # [s]
+    PEAK_TENSION,  # [N]
+    KINETIC,  # [J], as the next six at the end
+    GRAVITY,
+    AXIAL,
+    BENDING,
+    SPRING,
+    CONTACT,
+    TORSION,
+    CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
+    TIP_TENSION,  # [N]
+    FAIRLEAD_X,  # force of the tether on the fairlead [N]
+    FAIRLEAD_Y,
+    FAIRLEAD_Z,
+    LEFT_LOAD,  # normal force of the ground on the left wheel [N]
+    RIGHT_LOAD,
+    BODY_LOAD,  # on the corners of both bodies
+    TETHER_GROUNDED,  # number of the tether's points that touch the ground
+    JUMP_TORQUE,  # of the motor [N m]
+    JUMP_CURRENT,  # [A]
+    NUT_FORCE,  # [N]
+    FLYWHEEL_SATURATED,  # 0 or 1
+    SCREW_SOFT_LIMIT,  # -1, 0, 1
+    SCREW_HARD_LIMIT,
+    WHEEL_TORQUE,  # of the motor [N m]
+    WHEEL_CURRENT,
+    RATCHET,  # wheel_drive.Ratchet
+    WINCH_TORQUE,  # of the motor [N m]
+    WINCH_CURRENT,
+    DRUM_STUCK,  # 0 or 1
+    DRUM_STOP,  # -1, 0, 1
+    REMESHES,
+) = range(35)
+REPORT_SIZE = 35
+
+
+@inner
+def record_event(
+    kind: int, time: float, value: float, tension: float, body: Array, book: Array,
+    events: Array, count: int,
+) -> int:  # fmt: skip
+    """Append an event if there is room; returns the new number of events."""
+    if count < events.shape[0]:
+        row = events[count]
+        velocity = vector_at(body, VELOCITY1)
+        row[0] = kind
+        row[1] = time
+        for d in range(3):
+            row[2 + d] = body[POSITION + d]
+        row[5] = np.sqrt(dot(velocity, velocity))
+        row[6] = book[HIGHEST]
+        row[7] = tension
+        row[8] = value
+        count += 1
+    return count
+
+
+@inner
+def report_loads(model: Model, solver: Solver, near: bool, report: Array) -> float:
+    """Report the normal forces on the rover; returns their sum [N]."""
+    feet = solver.feet
+    corners = model.feet.corners.shape[0]
+    report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
+    if not near:
+        return 0.0
+    for k in range(corners + 4):
+        if feet.near[k] == 0.0:
+            continue
+        load = dot(vector_at(feet.force[k], 0), vector_at(feet.normal[k], 0))
+        if k < corners:
+            report[BODY_LOAD] += load
+        elif k < corners + 2:
+            report[LEFT_LOAD] += load
+        else:
+            report[RIGHT_LOAD] += load
+    return report[LEFT_LOAD] + report[RIGHT_LOAD] + report[BODY_LOAD]
+
+
+@inner
+def remember_torques(solver: Solver, book: Array) -> None:
+    """Remember the ground's torques on the wheels for the next step."""
+    torque = solver.feet.torque
+    book[LEFT_TORQUE] = -(torque[0, 0] + torque[1, 0])
+    book[LEFT_SLOPE] = max(torque[0, 1] + torque[1, 1], 0.0)
+    book[RIGHT_TORQUE] = -(torque[2, 0] + torque[3, 0])
+    book[RIGHT_SLOPE] = max(torque[2, 1] + torque[3, 1], 0.0)
+
+
+@inner
+def book_losses(losses: Losses, book: Array) -> None:
+    """Add a step's losses to the books."""
+    book[HEAT_TETHER] += losses.tether
+    book[HEAT_SLIDER] += losses.slider
+    book[HEAT_ROVER_GROUND] += losses.rover_ground
+    book[HEAT_TETHER_GROUND] += losses.tether_ground
+    book[GROUND_STORED] += losses.rover_stored + losses.tether_stored

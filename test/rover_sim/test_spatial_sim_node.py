@@ -1,0 +1,315 @@
+"""sim_node with the spatial plant: a process of its own, heard and commanded over DDS."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from driving import drive
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample, JointValue, Level, StatusSample
+from msg_schemas.table import (
+    FLOOR_SWITCH,
+    FLYWHEEL,
+    JUMP_SCREW,
+    TOPICS,
+    WHEEL_DRIVE,
+    WHEEL_LEFT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Process, Stage
+
+    Sim = tuple[Process, Observer]
+
+pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled_in_space")]
+
+MODULE = "rover_sim.sim_node"
+NODE = "sim_node"
+NANO = 1_000_000_000
+TICK_NS = 10_000_000
+PERFECT = '{"sensors.quality": "perfect"}'
+# Slow, so that on a busy machine a winch that moves is not braked for want of commands.
+SLOW = 0.2
+
+
+def start(stage: Stage, **parameters: object) -> Sim:
+    given = {"scenario": "free_hang", "overrides": PERFECT, **parameters}
+    process = stage.processes.start(MODULE, given)
+    observer = stage.observer()
+    observer.listen(topics.CLOCK)
+    observer.wait_until_ready(NODE)
+    return process, observer
+
+
+def winch(rate: float, brake: float = 1.0, limit: float = 60.0) -> dict[str, JointValue]:
+    return {
+        WINCH_DRUM: JointValue(20.0, rate, 16.2),
+        WINCH_BRAKE: JointValue(brake),
+        WINCH_LIMIT: JointValue(effort=limit),
+    }
+
+
+COMMANDS: Mapping[str, dict[str, JointValue]] = {
+    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.03, 0.05, 400.0)},
+    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(effort=0.05)},
+    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)},
+    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(effort=0.2)},
+    topics.WINCH_COMMAND: winch(0.3),
+}
+
+
+def drum(observer: Observer) -> JointValue:
+    value = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM]
+    assert isinstance(value, JointValue)
+    return value
+
+
+# ------------------------------------------------------------------------------------ it is heard
+
+
+def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(stage: Stage):
+    process, observer = start(stage)
+    process.wait_for_output("scenario free_hang: compiling")
+    process.wait_for_output(r"compiled and at rest after \d+\.\d s")
+    observer.wait_for_text(topics.TRUTH_PHASE, "hanging")
+    content = json.loads(observer.listen(topics.CONFIG).wait().text)
+    assert content["scenario"]["model"] == "spatial"
+    assert content["scenario"]["winch"]["brake_torque"] == 2.0
+    assert content["parameters"]["model"] == "scenario"
+
+
+def test_every_topic_of_the_plant_is_heard_at_its_rate(stage: Stage):
+    _, observer = start(stage)
+    rows = [
+        row
+        for row in TOPICS.values()
+        if "sim_node" in row.publisher and row.rate and row.name != topics.SIM_STATUS
+    ]
+    feeds = {row.name: observer.listen(row.name) for row in rows}
+    for row in rows:
+        assert row.rate is not None
+        stamps = [sample.stamp_ns for sample in feeds[row.name].wait_for_count(12)]
+        assert set(np.diff(stamps[1:])) == {round(NANO / row.rate)}, row.name
+    switch = feeds[topics.CONTACT].last.joints[FLOOR_SWITCH]
+    assert switch.position == 0.0
+
+
+def test_a_scenario_of_the_other_model_is_refused(stage: Stage):
+    process = stage.processes.start(MODULE, {"scenario": "free_hang", "model": "planar"})
+    assert process.wait() == 2
+    assert "free_hang is spatial: should be spatial" in process.output
+    assert "Traceback" not in process.output
+
+
+# ------------------------------------------------------------------------------------- it is moved
+
+
+def test_the_winch_pays_out_until_silence_closes_its_brake(stage: Stage):
+    _, observer = start(stage, real_time_factor=SLOW)
+    states = observer.listen(topics.WINCH_STATE)
+    states.wait()
+    drive(observer, topics.WINCH_COMMAND, winch(0.3), lambda: drum(observer).position > 20.3)
+    assert drum(observer).velocity == pytest.approx(0.3, abs=0.02)
+    lengths = [sample.joints[WINCH_DRUM].position for sample in states.samples]
+    assert lengths == sorted(lengths)
+    silent = observer.wait_for_event("winch_silent")
+    assert silent.level is Level.WARN
+    assert float(silent.values["silence"]) <= 0.1
+    states.wait(lambda s: s.joints[WINCH_BRAKE].position == 0.0, since=len(lengths))
+    stopped = states.wait(lambda s: s.joints[WINCH_DRUM].velocity == 0.0, since=len(lengths))
+    run_on = stopped.joints[WINCH_DRUM].position - float(silent.values["length"])
+    assert 0.0 < run_on < 0.1
+    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: winch_silent")
+
+
+def test_a_wheel_torque_turns_the_hanging_body_about_its_axle(stage: Stage):
+    _, observer = start(stage, real_time_factor=SLOW)
+    bodies, wheels = observer.listen(topics.TRUTH_BODY1), observer.listen(topics.WHEEL_STATE)
+    for feed in (bodies, wheels):
+        feed.wait()
+    drive(
+        observer,
+        topics.WHEEL_TORQUE_COMMAND,
+        COMMANDS[topics.WHEEL_TORQUE_COMMAND],
+        lambda: wheels.last.joints[WHEEL_LEFT].velocity > 1.0,
+    )
+    assert min(sample.angular[1] for sample in bodies.samples) < -0.02
+
+
+def test_the_flywheel_turns_the_hanging_body_about_x(stage: Stage):
+    _, observer = start(stage, real_time_factor=SLOW)
+    bodies, flywheel = observer.listen(topics.TRUTH_BODY1), observer.listen(topics.FLYWHEEL_STATE)
+    for feed in (bodies, flywheel):
+        feed.wait()
+    drive(
+        observer,
+        topics.FLYWHEEL_COMMAND,
+        COMMANDS[topics.FLYWHEEL_COMMAND],
+        lambda: flywheel.last.joints[FLYWHEEL].velocity > 5.0,
+    )
+    assert min(sample.angular[0] for sample in bodies.samples) < -0.01
+
+
+# ------------------------------------------------------------------------- bad commands are refused
+
+
+@pytest.fixture(scope="module")
+def sim(shared_stage: Stage) -> Sim:
+    """A running simulation, for tests that move nothing."""
+    running = start(shared_stage, real_time_factor=SLOW)
+    running[1].listen(topics.WINCH_STATE).wait()
+    return running
+
+
+def nan(message: Any) -> None:
+    message.effort[0] = math.nan
+
+
+def infinite(message: Any) -> None:
+    message.velocity[-1] = -math.inf
+
+
+def wrong_joint(message: Any) -> None:
+    message.name[0] = "propeller"
+
+
+def too_short(message: Any) -> None:
+    message.position.pop()
+
+
+def too_much(message: Any) -> None:
+    message.effort[-1] = 1e9
+
+
+def late(message: Any) -> None:
+    message.header.stamp.sec -= 1
+
+
+def unstamped(message: Any) -> None:
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+BAD: list[tuple[Callable[[Any], None], str]] = [
+    (nan, "not_finite"),
+    (infinite, "not_finite"),
+    (wrong_joint, "wrong_name"),
+    (too_short, "wrong_length"),
+    (too_much, "out_of_limits"),
+    (late, "stale"),
+    (unstamped, "unstamped"),
+]
+
+
+@pytest.mark.parametrize("topic", COMMANDS)
+@pytest.mark.parametrize(("change", "code"), BAD)
+def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
+    sim: Sim, topic: str, change: Callable[[Any], None], code: str
+):
+    process, observer = sim
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    before = drum(observer)
+    message = encode(topic, JointSample(observer.wait_for_time(2 * NANO), COMMANDS[topic]))
+    change(message)
+    observer.publisher(topic).publish(message)
+    refusal = observer.wait_for_refusal(topic, code, heard)
+    assert refusal.level is Level.WARN
+    assert len(refusal.message) > 20
+    assert drum(observer) == before
+    assert process.is_running
+
+
+@pytest.mark.parametrize(
+    ("topic", "joints", "words"),
+    [
+        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.25, 0.05, 400.0)}, "stroke is 0.2 m"),
+        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(-0.08, 0.05, 400.0)}, "free travel"),
+        (topics.WINCH_COMMAND, winch(0.0, brake=0.5), "1 (release) or 0 (close)"),
+    ],
+)
+def test_what_the_drives_cannot_do_is_refused_with_the_reason(
+    sim: Sim, topic: str, joints: dict[str, JointValue], words: str
+):
+    _, observer = sim
+    heard = len(observer.listen(topics.DIAGNOSTICS))
+    observer.send(topic, JointSample(observer.wait_for_time(1), joints))
+    assert words in observer.wait_for_refusal(topic, "out_of_limits", heard).message
+
+
+# ------------------------------------------------------------------------------ reset and lockstep
+
+
+def test_resets_put_tether_and_rover_back_and_only_one_of_them_the_clock(stage: Stage):
+    _, observer = start(stage, real_time_factor=SLOW)
+    bodies = observer.listen(topics.TRUTH_BODY1)
+    begin = bodies.wait().position
+    for service in (topics.SIM_RESET_PLANT, topics.SIM_RESET):
+        drive(observer, topics.WINCH_COMMAND, winch(0.3), lambda: bodies.last.position[2] < -20.5)
+        stamp, count = observer.time_ns(), len(bodies)
+        assert observer.call(service).success
+        back = bodies.wait(lambda s: s.position == begin, count)
+        if service == topics.SIM_RESET:
+            assert back.stamp_ns == 0
+        else:
+            assert back.stamp_ns >= stamp
+    observer.wait_for_text(topics.TRUTH_PHASE, "hanging")
+
+
+TOLD = (
+    topics.TRUTH_BODY1,
+    topics.TRUTH_TETHER,
+    topics.TRUTH_ENERGY,
+    topics.IMU,
+    topics.LOAD_CELL,
+    topics.WINCH_STATE,
+    topics.WHEEL_STATE,
+)
+
+
+def has_taken(commands: int, sample: StatusSample) -> bool:
+    return sample.statuses[0].values["commands"] == str(commands)
+
+
+def is_stamped(stamp_ns: int, sample: Any) -> bool:
+    return bool(sample.stamp_ns == stamp_ns)
+
+
+def lockstep_run(stage: Stage, ticks: int) -> dict[str, list[Any]]:
+    """What a simulation tells that is stepped tick by tick, commands being heard before each."""
+    process, observer = start(stage, start_paused=True, overrides="", seed=7)
+    feeds = {name: observer.listen(name) for name in TOLD}
+    status = observer.listen(topics.SIM_STATUS)
+    # Before anything counts: everything that is told at the start has arrived.
+    for name in (topics.TRUTH_BODY1, topics.TRUTH_TETHER, topics.TRUTH_ENERGY):
+        feeds[name].wait()
+    for tick in range(1, ticks + 1):
+        if tick > 1:
+            for topic in (topics.WINCH_COMMAND, topics.WHEEL_TORQUE_COMMAND):
+                observer.send(topic, JointSample((tick - 1) * TICK_NS, COMMANDS[topic]))
+            status.wait(partial(has_taken, 2 * (tick - 1)))
+        assert observer.call(topics.SIM_STEP).success
+        observer.wait_for_time(tick * TICK_NS)
+    for name in TOLD:
+        last = ticks * TICK_NS if name != topics.TRUTH_TETHER else ticks // 2 * 2 * TICK_NS
+        feeds[name].wait(partial(is_stamped, last))
+    process.stop()
+    return {name: [s for s in feed.samples if s.stamp_ns > 0] for name, feed in feeds.items()}
+
+
+def test_two_runs_in_lockstep_are_the_same_to_the_last_bit(stage: Stage):
+    one, two = (lockstep_run(stage, 12) for _ in range(2))
+    for name in TOLD:
+        assert len(one[name]) == len(two[name]) >= 6
+        for a, b in zip(one[name], two[name], strict=True):
+            assert encode(name, a) == encode(name, b), name
+    assert one[topics.WINCH_STATE][-1].joints[WINCH_BRAKE].position == 1.0
