@@ -38,7 +38,10 @@ def _commands() -> list[Topic]:
 
 def _good(row: Topic, generator: np.random.Generator) -> JointSample:
     values = {}
-    for joint in row.joints:
+    joints = row.joints
+    if row.one_joint:
+        joints = (joints[int(generator.integers(len(joints)))],)
+    for joint in joints:
         numbers = []
         for part in _PARTS:
             field = row.by_path[f"{joint}.{part}"]
@@ -85,7 +88,7 @@ def bad_commands(batch: Batch) -> Measured:
 def _spoil(row: Topic, message: Any, generator: np.random.Generator) -> tuple[RefusalCode, str]:
     """Make a good message bad; returns the code and a word that the refusal must hold."""
     part = _PARTS[int(generator.integers(3))]
-    joint = row.joints[0]
+    joint = message.name[0]
     field = row.by_path[f"{joint}.{part}"]
     kind = int(generator.integers(6))
     if kind == 0:

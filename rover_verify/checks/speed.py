@@ -8,7 +8,7 @@ from rover_verify import bench, exudyn_peer
 from rover_verify.bench_cases import Case, cases
 from rover_verify.checks import Batch, Measured, NotPossible
 
-_REPETITIONS = 3
+_REPETITIONS = 5
 
 
 @cache

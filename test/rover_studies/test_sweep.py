@@ -64,6 +64,20 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
+def assert_same(found: Sequence[Mapping[str, Any]], expected: Sequence[Mapping[str, Any]]) -> None:
+    """Equal but for the last digits of measured numbers.
+
+    A process that compiles the plant runs functions of its own library where one that loads it from
+    the cache runs the copies in their callers, in which sums may be ordered otherwise.
+    """
+    assert len(found) == len(expected)
+    for row, wanted in zip(found, expected, strict=True):
+        assert row == {
+            key: pytest.approx(value, rel=1e-7, abs=1e-10) if isinstance(value, float) else value
+            for key, value in wanted.items()
+        }
+
+
 def write(plan: Path, content: Mapping[str, Any]) -> Path:
     plan.write_text(json.dumps(content), encoding="utf-8")
     return plan
@@ -100,7 +114,7 @@ def test_results_do_not_depend_on_the_number_of_workers(
     tmp_path: Path, expected: list[dict[str, Any]], workers: int
 ):
     sweep(make_plan(CONTENT), tmp_path / "out", workers=workers, show_progress=False).close()
-    assert rows(tmp_path / "out") == expected
+    assert_same(rows(tmp_path / "out"), expected)
 
 
 @pytest.mark.process
@@ -115,7 +129,7 @@ def test_a_dask_cluster_gives_the_same_results(tmp_path: Path, expected: list[di
             scheduler=cluster.scheduler_address,
             show_progress=False,
         ).close()
-    assert rows(tmp_path / "out") == expected
+    assert_same(rows(tmp_path / "out"), expected)
 
 
 def test_a_cluster_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch):
@@ -154,7 +168,7 @@ def test_killed_at_any_moment_it_goes_on_and_does_nothing_twice(
     assert resumed.returncode == 0, resumed.stderr
     # It began with what was there.
     assert f"{len(kept)}/{whole.count}" in resumed.stderr
-    assert rows(out) == [dict(run_one(whole, number)) for number in range(whole.count)]
+    assert_same(rows(out), [dict(run_one(whole, number)) for number in range(whole.count)])
     assert not (out / "parts").exists()
 
 
@@ -307,7 +321,7 @@ def test_a_damaged_part_is_made_again(tmp_path: Path, expected: list[dict[str, A
     with in_threads(1).executor as pool:
         run_sweep(plan, store, Workers(pool, 1, ""), nothing)
     store.finish()
-    assert rows(out) == expected
+    assert_same(rows(out), expected)
 
 
 def test_batches_never_hold_a_run_twice(tmp_path: Path):
@@ -335,10 +349,10 @@ def test_the_command_runs_a_plan_and_tells_what_came_of_it(
     told = json.loads(capsys.readouterr().out)
     heights = [row["jump_height_m"] for row in expected]
     assert told["runs"] == 60
-    assert told["results"]["jump_height_m"]["mean"] == pytest.approx(sum(heights) / 60, rel=1e-12)
+    assert told["results"]["jump_height_m"]["mean"] == pytest.approx(sum(heights) / 60, rel=1e-9)
     assert json.loads((out / "summary.json").read_text()) == told
     table = pyarrow.csv.read_csv(out / "results.csv")
-    assert table.column("jump_height_m").to_pylist() == heights
+    assert table.column("jump_height_m").to_pylist() == pytest.approx(heights, rel=1e-9)
     # Done: asked again it only tells.
     assert main([str(plan), "--out", str(out)]) == 0
     assert "jump_height_m" in capsys.readouterr().out

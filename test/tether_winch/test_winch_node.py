@@ -351,7 +351,7 @@ def test_it_hears_no_truth_of_the_simulator(bench: Bench):
 
 
 def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
-    result = bench.observer.set_parameter(NODE, "snag_above", 1.15)
+    result = bench.observer.set_parameter(NODE, "snag_above", 1.1)
     assert result.successful
     result = bench.observer.set_parameter(NODE, "touchdown_below", 0.9)
     assert not result.successful
