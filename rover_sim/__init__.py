@@ -55,6 +55,8 @@ from rover_sim.scenario import (
     parse_override,
     scenario_from_mapping,
 )
+from rover_sim.spatial_plant import SettlingError, SpatialPlant
+from rover_sim.spatial_state import SpatialState
 
 __all__ = [
     "AnyScenario",
@@ -73,7 +75,10 @@ __all__ = [
     "RunError",
     "Scenario",
     "ScenarioError",
+    "SettlingError",
+    "SpatialPlant",
     "SpatialScenario",
+    "SpatialState",
     "State",
     "StaticsError",
     "StepResult",

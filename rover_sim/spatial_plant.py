@@ -7,6 +7,7 @@ import threading
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
@@ -105,7 +106,63 @@ class SpatialPlant:
             self._settled = self._at_rest(lying)
         return self._settled
 
-    def _state_from(self, pose: Pose) -> SpatialState:
+    def state_at(
+        self,
+        nodes: ArrayLike,
+        node_rates: ArrayLike | None = None,
+        *,
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        slide: float | None = None,
+    ) -> SpatialState:
+        """Tether and rover in a given place and motion; clock, books and drives as at a start.
+
+        Both bodies move with the tether's tip and with the angular velocity, the slider rests.
+
+        Args:
+            nodes: of all the tether, as `to_full_nodes` gives them: positions [m] and slopes [-],
+                (m + 1, 2, 3); the first is the fairlead.
+            node_rates: the same per second; None: all at rest.
+            orientation: quaternion (x, y, z, w), base_link to map.
+            angular_velocity: in base_link [rad/s], (3,).
+            slide: s [m]; None: the spring's free length.
+
+        Raises:
+            ValueError: the shape does not fit the scenario, or a value is not finite.
+        """
+        chain, first = self.scenario.chain
+        count = chain + (2 if first > 0.0 else 1)
+        whole = _finite_array("nodes", nodes, (count, 2, 3))
+        if np.any(whole[0, 0] != 0.0):
+            raise ValueError(
+                f"nodes[0, 0] = {whole[0, 0].tolist()}: must be the fairlead, (0, 0, 0)"
+            )
+        rates = np.zeros_like(whole)
+        if node_rates is not None:
+            rates = _finite_array("node_rates", node_rates, (count, 2, 3))
+        x, y, z, w = _finite_array("orientation", orientation, (4,))
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        if not abs(norm - 1.0) < 1e-6:
+            raise ValueError(f"orientation: its norm is {norm:.6g}, must be 1")
+        rover, section = self.scenario.rover, self.scenario.tether.section
+        rest = 0.0 if rover is None else rover.slider.free_length
+        square = float(whole[0, 1] @ whole[0, 1])
+        tension = 0.5 * section.axial_stiffness * (square - 1.0) * math.sqrt(square)
+        own = slice(1, None) if first > 0.0 else slice(None)
+        return self._state_from(
+            Pose(
+                nodes=whole[own],
+                node_rates=rates[own],
+                mouth=np.array([whole[0, 1], rates[0, 1]]),
+                tension=tension,
+                orientation=np.array([w, x, y, z]) / norm,
+                spin=_finite_array("angular_velocity", angular_velocity, (3,)),
+                slide=rest if slide is None else float(_finite_array("slide", slide, ())),
+            ),
+            0.0,
+        )
+
+    def _state_from(self, pose: Pose, twist: float | None = None) -> SpatialState:
         body = np.zeros(spatial_rover.BODY_SIZE)
         turned = rotation_matrix(pose.orientation)
         spin_x, spin_y = float(pose.spin[0]), float(pose.spin[1])
@@ -128,9 +185,14 @@ class SpatialPlant:
             body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
         length = self.scenario.tether.length
         drum_length = min(max(length, self._model.drum.min_length), self._model.drum.max_length)
+        drum = drums.initial_state(self._model.drum, drum_length)
+        if pose.payout_rate != 0.0:
+            turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
+            radius = drums.radius_at(self._model.drum, turns)
+            drum = drum._replace(rate=pose.payout_rate / radius, braked=False)
         machines = Machines(
             jump_drive.initial_state(self._model.jump)._replace(body_rate=spin_x),
-            drums.initial_state(self._model.drum, drum_length),
+            drum,
             wheel_drive.WheelState()._replace(body_rate=spin_y),
         )
         elements = len(pose.nodes) - 1
@@ -149,7 +211,8 @@ class SpatialPlant:
             machines=machines,
             book=book,
         )
-        twist = math.radians(self.scenario.start.twist)
+        if twist is None:
+            twist = math.radians(self.scenario.start.twist)
         return self._started(state, twist, self._carried(float(self.tension(state)[-1])))
 
     def _carried(self, tension: float) -> Phase:
@@ -188,6 +251,8 @@ class SpatialPlant:
             spin = state.omega
             book[spatial_book.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
             book[spatial_book.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
+        if self._model.has_winch:
+            book[spatial_book.DRIVE_KINETIC] += 0.5 * self._model.drum.inertia * state.drum_rate**2
         fresh = replace(state, book=book, phase=phase)
         book = fresh.book.copy()
         book[spatial_book.REFERENCE] = self.energies(fresh).stored
@@ -337,6 +402,15 @@ class SpatialPlant:
         self._advance(self._model, state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
+
+
+def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} have the shape {array.shape}, must be {shape}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name}: every value must be finite")
+    return array
 
 
 def _plain(machines: Machines) -> Machines:

@@ -97,7 +97,7 @@ class Start(Configuration):
         towards `swing_heading` and moving as a whole with `swing_rate` (in that vertical plane)
         and `cone_rate` (about the vertical). base_link's x points to `heading`; `tilt` turns the
         rover further and `body_rate` is added to its angular velocity. The tether is twisted by
-        `twist`.
+        `twist`, and already being paid out at `payout_rate`, the brake open.
     ``standing``
         on the floor at `position`, facing `heading`, the tether slack: from the fairlead down and
         along the floor. Rover and tether are settled by simulating them for up to `settling`.
@@ -134,6 +134,9 @@ class Start(Configuration):
         "rad", "rotation vector, base_link to map", (0.0, 0.0, 0.0), length=3
     )
     angular_velocity: Vector = quantity("rad/s", "in map", (0.0, 0.0, 0.0), length=3)
+    payout_rate: float = quantity(
+        "m/s", "of the winch, that turns already; > 0 lengthens", 0.0, minimum=-10.0, maximum=10.0
+    )
 
     def check(self) -> None:
         """Refuse what would silently be left unused, and a direction that is none."""
@@ -152,7 +155,7 @@ class Start(Configuration):
 _USED_BY: dict[str, set[str]] = {
     "hanging": {
         "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
-        "body_rate", "twist",
+        "body_rate", "twist", "payout_rate",
     },
     "standing": {"kind", "position", "heading", "settling"},
     "straight": {"kind", "direction", "tip_velocity", "attitude", "angular_velocity"},
@@ -193,6 +196,10 @@ class SpatialScenario(Configuration):
         tether, winch = self.tether, self.winch
         nominal = tether.nominal_length
         if winch is None:
+            if self.start.payout_rate != 0.0:
+                raise ScenarioError(
+                    "start.payout_rate", self.start.payout_rate, "should be 0 without a winch"
+                )
             if tether.max_length is not None:
                 raise ScenarioError(
                     "tether.max_length", tether.max_length, "should be null without a winch"

@@ -40,6 +40,7 @@ class Pose:
     orientation: Array  # (w, x, y, z)
     spin: Array  # in base_link [rad/s], (3,)
     slide: float  # s [m]
+    payout_rate: float = 0.0  # [m/s]
 
 
 def arc_lengths(scenario: SpatialScenario) -> Array:
@@ -75,14 +76,17 @@ def hanging(scenario: SpatialScenario) -> Pose:
             axis = rotation_matrix(orientation)[:, 2]
             slide = rest_slide(scenario.rover, scenario.rover.m2 * pull * float(-axis @ direction))
         spin = rotation_matrix(orientation).T @ rate + np.radians(start.body_rate)
+    node_rates = np.cross(rate, nodes)
+    node_rates[:, 0] += start.payout_rate * mouth
     return Pose(
         nodes=nodes,
-        node_rates=np.cross(rate, nodes),
+        node_rates=node_rates,
         mouth=np.array([mouth, np.cross(rate, mouth)]),
         tension=tension,
         orientation=orientation,
         spin=spin,
         slide=slide,
+        payout_rate=start.payout_rate,
     )
 
 

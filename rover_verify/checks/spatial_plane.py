@@ -1,0 +1,165 @@
+"""Jumps in one vertical plane of space against the planar plant, whichever way the plane stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from rover_sim import (
+    Command,
+    PlanarPlant,
+    Scenario,
+    SpatialPlant,
+    SpatialState,
+    jump,
+    load_planar,
+)
+from rover_sim.physics import rep103
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.locate import apex_instant, crossing_instant, hermite
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.jumps import random_jump
+from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state
+
+_TOLERANCE = 1.0e-12
+_DURATION = 0.4  # most of a flight [s]
+_TICK = 0.02  # [s]
+_IDLE = Command()
+
+
+def _jumps(batch: Batch, h: float) -> Iterator[tuple[str, Scenario]]:
+    """The taut jump, then jumps at random; they fly on where they would land."""
+    fixed = {
+        "after_landing": "fly_on",
+        "integration.h": h,
+        "integration.tolerance": _TOLERANCE,
+    }
+    yield "taut_jump", load_planar("taut_jump", fixed)
+    for index, generator in enumerate(batch.generators()):
+        damping = float(10.0 ** generator.uniform(-4.0, -2.0))
+        yield (
+            f"run {index}",
+            random_jump(generator, **{**fixed, "tether.axial_damping_time": damping}),
+        )
+
+
+def _place(state: SpatialState) -> Array:
+    """Attachment, Body 1 and theta in the x-z plane."""
+    theta = rep103.planar_angle(state.orientation)
+    return np.array([*rep103.planar_vector(state.tip), *rep103.planar_vector(state.G1), theta])
+
+
+def same_as_planar(batch: Batch) -> Measured:
+    """Largest difference of attachment, Body 1 and theta from the planar plant at each tick."""
+    worst, details = 0.0, {}
+    for name, scenario in _jumps(batch, 2.5e-4):
+        planar = PlanarPlant(scenario)
+        flat = taken_off(planar)
+        plant = spatial_twin(scenario)
+        state = twin_state(plant, flat, 0.0)
+        largest = 0.0
+        for _ in range(round(_DURATION / _TICK)):
+            flat, _ = planar.step(flat, _IDLE, _TICK)
+            state, _ = plant.step(state, _IDLE, _TICK)
+            difference = _place(state) - np.array([*flat.nodes[-1, 0], *flat.G1, flat.theta])
+            difference[-1] = math.remainder(difference[-1], 2.0 * math.pi)
+            largest = max(largest, float(np.max(np.abs(difference))))
+        details[f"{name}, n = {scenario.tether.elements}"] = largest
+        worst = max(worst, largest)
+    return Measured(worst, f"taut jump and {batch.runs} random ones, {_DURATION} s", details)
+
+
+def order(batch: Batch) -> Measured:
+    """Least order at which jumps in space come to the planar jump of a far finer step."""
+    del batch
+    worst, details = math.inf, {}
+    for theta0 in (0.0, -10.0, 15.0):
+        overrides = {
+            "start.theta0": theta0,
+            "after_landing": "fly_on",
+            "integration.h": 1.0e-3 / 16.0,
+            "integration.tolerance": _TOLERANCE,
+        }
+        fine = load_planar("taut_jump", overrides)
+        planar = PlanarPlant(fine)
+        flat, _ = planar.step(taken_off(planar), _IDLE, _DURATION)
+        wanted = np.array([*flat.nodes[-1, 0], *flat.G1, flat.theta])
+        errors = []
+        for h in (1.0e-3, 5.0e-4, 2.5e-4):
+            plant = spatial_twin(replace(fine, integration=replace(fine.integration, h=h)))
+            start = twin_state(plant, taken_off(planar), 0.0)
+            state, _ = plant.step(start, _IDLE, _DURATION)
+            errors.append(float(np.linalg.norm(_place(state) - wanted)))
+            details[f"theta0 = {theta0:g} deg, h = {h * 1e3:g} ms"] = errors[-1]
+        found = min(math.log2(errors[0] / errors[1]), math.log2(errors[1] / errors[2]))
+        worst = min(worst, found)
+    return Measured(
+        worst, "jumps at 1, 0.5, 0.25 ms against the planar one at 1/16 ms", details
+    )
+
+
+def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Array]:
+    """Height and travel of G1 up to where it falls through its start, and all places on the way.
+
+    Raises:
+        RuntimeError: it does not come down within 3 s.
+    """
+    tick = plant.scenario.integration.h
+    start, level, height = state.G1, float(state.G1[2]), 0.0
+    places = []
+    for _ in range(round(3.0 / tick)):
+        before = state
+        state, _ = plant.step(state, _IDLE, tick)
+        places.append(np.concatenate([state.nodes[:, 0], [state.G1, state.G2]]))
+        ends = (
+            float(before.G1[2]), float(before.G1_rate[2]),
+            float(state.G1[2]), float(state.G1_rate[2]),
+        )  # fmt: skip
+        if ends[1] > 0.0 >= ends[3]:
+            height = max(height, hermite(apex_instant(tick, *ends), tick, *ends) - level)
+        if height > 0.0 and ends[2] <= level:
+            instant = crossing_instant(0.0, tick, tick, *ends, level)
+            way = [
+                hermite(instant, tick, before.G1[d], before.G1_rate[d], state.G1[d],
+                        state.G1_rate[d])
+                for d in range(2)
+            ]  # fmt: skip
+            return height, float(np.hypot(*(np.array(way) - start[:2]))), np.concatenate(places)
+    raise RuntimeError(f"{plant.scenario.name}: G1 does not come down")
+
+
+def _turned_jumps(batch: Batch) -> Iterator[tuple[float, float, float]]:
+    """Azimuth [rad], relative deviation of height and travel, and distance off the plane [m]."""
+    generators = batch.generators(min(batch.runs, 8))
+    for index, generator in enumerate(generators):
+        azimuth = float(generator.uniform(-math.pi, math.pi))
+        overrides = {
+            "start.theta0": float(generator.uniform(-15.0, 15.0)),
+            "integration.tolerance": _TOLERANCE,
+            "take_off.velocity": [float(generator.uniform(0.5, 1.5)), 2.0],
+        }
+        if index == 0:
+            overrides = {"integration.tolerance": _TOLERANCE}
+        scenario = load_planar("taut_jump", overrides)
+        planar = PlanarPlant(scenario)
+        metrics = jump(planar)
+        plant = spatial_twin(scenario)
+        height, travel, places = _flight(plant, twin_state(plant, taken_off(planar), azimuth))
+        off = max(abs(height / metrics.height - 1.0), abs(travel / abs(metrics.travel) - 1.0))
+        across = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        yield azimuth, off, float(np.max(np.abs(places @ across)))
+
+
+def turned(batch: Batch) -> Measured:
+    """Largest relative deviation of height and travel from the planar jump's, in turned planes."""
+    details = {f"at {math.degrees(a):.1f} deg": off for a, off, _ in _turned_jumps(batch)}
+    return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)
+
+
+def stays_in_plane(batch: Batch) -> Measured:
+    """Largest distance of a node or a body from the plane of the jump."""
+    details = {f"at {math.degrees(a):.1f} deg": off for a, _, off in _turned_jumps(batch)}
+    return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)

@@ -1,0 +1,86 @@
+"""The spatial plant by its Python face: held to the planar plant, and what it starts from."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rover_sim import Command, PlanarPlant, ScenarioError, load_planar, load_spatial
+from rover_sim.physics import rep103
+from rover_verify.checks.spatial_cases import make_plant, spatial_twin, taken_off, twin_state
+
+PENDULUM = {"tip": {"mass": 10.0}, "rover": None, "integration.tolerance": 1e-9}
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 2.0])
+def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
+    scenario = load_planar("taut_jump", {"tether.elements": 5, "integration.tolerance": 1e-12})
+    planar = PlanarPlant(scenario)
+    plant = spatial_twin(scenario)
+    state = twin_state(plant, taken_off(planar), azimuth)
+    end, _ = planar.step(taken_off(planar), Command(), 0.3)
+    state, result = plant.step(state, Command(), 0.3)
+    east = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    for place, wanted in ((state.tip, end.nodes[-1, 0]), (state.G1, end.G1), (state.G2, end.G2)):
+        np.testing.assert_allclose([place @ east, place[2]], wanted, rtol=0.0, atol=1e-9)
+    if azimuth == 0.0:
+        assert rep103.planar_angle(state.orientation) == pytest.approx(end.theta, abs=1e-9)
+    assert abs(result.energies.drift) < 1e-8
+
+
+def test_a_state_that_is_placed_is_the_state_it_was_taken_from():
+    plant = make_plant({"start.swing_angle": 20.0, "start.tilt": [1.0, 2.0, 3.0]})
+    wanted = plant.initial_state()
+    rates = np.concatenate([[[np.zeros(3), wanted.mouth[1]]], wanted.node_rates])
+    state = plant.state_at(
+        plant.to_full_nodes(wanted), rates, orientation=wanted.orientation, slide=wanted.s
+    )
+    for name in ("nodes", "node_rates", "mouth", "body"):
+        np.testing.assert_allclose(getattr(state, name), getattr(wanted, name), atol=1e-12)
+    assert plant.energies(state).stored == pytest.approx(plant.energies(wanted).stored)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"nodes": np.zeros((3, 2, 3))}, "shape"),
+        ({"orientation": (0.0, 0.0, 0.0, 2.0)}, "norm"),
+        ({"angular_velocity": (0.0, math.nan, 0.0)}, "finite"),
+        ({"slide": math.inf}, "finite"),
+    ],
+)
+def test_places_that_make_no_sense_are_refused(change: dict[str, Any], reason: str):
+    plant = make_plant({})
+    nodes = plant.to_full_nodes(plant.initial_state())
+    with pytest.raises(ValueError, match=reason):
+        plant.state_at(**{"nodes": nodes, **change})
+
+
+def test_a_tether_that_does_not_begin_at_the_fairlead_is_refused():
+    plant = make_plant({})
+    nodes = plant.to_full_nodes(plant.initial_state()).copy()
+    nodes[0, 0, 0] = 0.1
+    with pytest.raises(ValueError, match="fairlead"):
+        plant.state_at(nodes)
+
+
+@pytest.mark.parametrize("rate", [0.3, -0.3])
+def test_a_winch_that_turns_at_the_start_pays_out_at_that_rate(rate: float):
+    plant = make_plant(PENDULUM, {"start.payout_rate": rate})
+    state = plant.initial_state()
+    assert plant.payout_rate(state) == pytest.approx(rate)
+    assert not state.braked
+    assert state.node_rates[-1, 0, 2] == pytest.approx(-rate, rel=1e-2)
+    energies = plant.energies(state)
+    inertia = plant.model.drum.inertia
+    assert energies.rotors == pytest.approx(0.5 * inertia * (rate / 0.05) ** 2)
+    assert energies.drift == pytest.approx(0.0, abs=1e-12)
+
+
+def test_without_a_winch_nothing_can_turn_at_the_start():
+    overrides = {"winch": None, "tether.max_length": None, "start.payout_rate": 0.1}
+    with pytest.raises(ScenarioError, match="without a winch"):
+        load_spatial("free_hang", overrides)
