@@ -62,7 +62,7 @@ setup(
         "numba>=0.59",
         "numpy>=1.26",
         "pillow>=9.4",
-        "pyarrow>=14.0",
+        "pyarrow>=14.0,<26",  # 26 refuses numpy 1.26, which Ubuntu 24.04 has
         "pyyaml>=6.0",
         "rosbags>=0.11",
         "scipy>=1.11",

@@ -277,14 +277,15 @@ def test_thrown_on_rubble_it_never_gains_energy(
     tether.v[:3, :7] = speed * (direction / np.linalg.norm(direction))[:, None]
     tether.v[1, :7] += spin * np.linspace(-1.0, 1.0, 7)
     start = last = tether.energy
+    rounding = 1e-10  # of a step solved to the tolerance, where hardly any energy is there [J]
     for _ in range(20):
         tether.run(0.02, 1e-3)
         assert np.isfinite(tether.q).all()
         energy = tether.energy
-        assert energy < last + 1e-9 * start
-        assert energy + tether.dissipated == pytest.approx(start, abs=1e-7 * start)
+        assert energy < last + 1e-9 * start + rounding
+        assert energy + tether.dissipated == pytest.approx(start, abs=1e-7 * start + rounding)
         last = energy
-    assert tether.log[grounded_march.LEAST_HEAT] > -1e-9 * start
+    assert tether.log[grounded_march.LEAST_HEAT] > -1e-9 * start - rounding
 
 
 @pytest.mark.parametrize(
