@@ -40,6 +40,7 @@ from rover_sim.physics.vectors import (
     add,
     axpy,
     cayley,
+    cayley_change,
     cayley_spin,
     cross,
     dot,
@@ -132,8 +133,11 @@ class Pose(NamedTuple):
     attachment1: Vector  # R_1 p
     axis0: Vector  # R_0 e
     axis1: Vector  # R_1 e
+    attachment_change: Vector  # R_1 p - R_0 p
+    axis_change: Vector
     s0: float
     s1: float
+    ds: float
 
 
 @kernel
@@ -141,16 +145,22 @@ def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
     """The pose that belongs to the increments th and ds."""
     start = rotation_of(orientation(body))
     th = vector_at(turn, 0)
-    s0 = body[SLIDE]
+    s0, ds = body[SLIDE], turn[3]
+    attachment0 = rotate(start, rover.attachment)
+    attachment_change = rotate(start, cayley_change(th, rover.attachment))
+    axis_change = rotate(start, cayley_change(th, (0.0, 0.0, 1.0)))
     return Pose(
         start,
         th,
-        rotate(start, rover.attachment),
-        rotate(start, cayley(th, rover.attachment)),
+        attachment0,
+        add(attachment0, attachment_change),
         start[2],
-        rotate(start, cayley(th, (0.0, 0.0, 1.0))),
+        add(start[2], axis_change),
+        attachment_change,
+        axis_change,
         s0,
-        s0 + turn[3],
+        s0 + ds,
+        ds,
     )
 
 
@@ -163,9 +173,13 @@ def _tip_move(n: int, work: Workspace) -> Vector:
 
 @kernel
 def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
-    """Displacements of the centres of both bodies when the last node moves by dr."""
-    first = add(dr, sub(pose.attachment0, pose.attachment1))
-    return first, add(first, sub(scale(pose.s1, pose.axis1), scale(pose.s0, pose.axis0)))
+    """Displacements of the centres of both bodies when the last node moves by dr.
+
+    Of changes alone: differences of the levers would leave rounding errors that 2 m/h^2 makes
+    forces of.
+    """
+    first = sub(dr, pose.attachment_change)
+    return first, add(first, axpy(pose.s0, pose.axis_change, scale(pose.ds, pose.axis1)))
 
 
 @kernel

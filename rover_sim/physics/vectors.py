@@ -108,10 +108,14 @@ def cayley_shrink(th: Vector) -> float:
 @checked
 def cayley(th: Vector, u: Vector) -> Vector:
     """C u."""
+    return add(u, cayley_change(th, u))
+
+
+@checked
+def cayley_change(th: Vector, u: Vector) -> Vector:
+    """C u - u, to the last digit however small th is."""
     first = cross(th, u)
-    second = cross(th, first)
-    s = cayley_shrink(th)
-    return axpy(s, axpy(0.5, second, first), u)
+    return scale(cayley_shrink(th), axpy(0.5, cross(th, first), first))
 
 
 @checked
