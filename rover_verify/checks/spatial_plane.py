@@ -96,9 +96,7 @@ def order(batch: Batch) -> Measured:
             details[f"theta0 = {theta0:g} deg, h = {h * 1e3:g} ms"] = errors[-1]
         found = min(math.log2(errors[0] / errors[1]), math.log2(errors[1] / errors[2]))
         worst = min(worst, found)
-    return Measured(
-        worst, "jumps at 1, 0.5, 0.25 ms against the planar one at 1/16 ms", details
-    )
+    return Measured(worst, "jumps at 1, 0.5, 0.25 ms against the planar one at 1/16 ms", details)
 
 
 def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from rover_sim import Command, PlanarPlant, ScenarioError, load_planar, load_spatial
 from rover_sim.physics import rep103
+from rover_verify.checks import Batch, Check, spatial_body
 from rover_verify.checks.spatial_cases import make_plant, spatial_twin, taken_off, twin_state
 
 PENDULUM = {"tip": {"mass": 10.0}, "rover": None, "integration.tolerance": 1e-9}
@@ -84,3 +86,16 @@ def test_without_a_winch_nothing_can_turn_at_the_start():
     overrides = {"winch": None, "tether.max_length": None, "start.payout_rate": 0.1}
     with pytest.raises(ScenarioError, match="without a winch"):
         load_spatial("free_hang", overrides)
+
+
+@pytest.mark.parametrize(
+    ("check", "limit"),
+    [
+        (spatial_body.conical, 1e-6),
+        (spatial_body.spherical, 1e-5),
+        (spatial_body.gyrostat_energy, 1e-10),
+        (spatial_body.gyrostat_momentum, 1e-12),
+    ],
+)
+def test_bodies_in_space_keep_to_their_closed_forms(check: Check, limit: float, tmp_path: Path):
+    assert check(Batch(1, 3, tmp_path)).value < limit

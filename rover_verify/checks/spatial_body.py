@@ -1,0 +1,440 @@
+"""A body in space: on the tether, on a pivot, and free; against other codes and closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+from rover_sim import (
+    Command,
+    FlywheelCommand,
+    SpatialPlant,
+    SpatialState,
+    WheelTorqueCommand,
+)
+from rover_sim.physics import spatial_rover
+from rover_sim.physics.ancf import Array
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.spatial_cases import (
+    ENDLESS_SLIDER,
+    NO_ROTORS,
+    make_plant,
+    without_winch,
+)
+
+_IDLE = Command()
+_WEIGHTLESS = 1.0e-6  # mass of a body that is not to count [kg]
+
+# Tether of Table 1 with one body of 5 kg, converged to 1e-5 by two codes: t [s] -> attachment [m]
+# and rotation vector [rad], body to map.
+_SWUNG = {
+    0.5: (2.42096, 0.49079, -5.39337, 0.08939, -0.47007, 0.02575),
+    1.0: (1.46705, 0.76093, -6.62295, 0.11497, -0.25946, 0.03871),
+    1.5: (-0.49081, 0.52346, -5.74523, 0.10413, 0.02897, 0.05226),
+    2.0: (-2.38286, 0.08565, -5.15715, 0.02568, 0.50837, 0.07983),
+}
+
+
+def one_body(
+    mass: float, inertia: tuple[float, float, float], attachment: float
+) -> dict[str, object]:
+    """A rover that is one rigid body, the tether so far above its centre of mass [m]."""
+    return {
+        **NO_ROTORS,
+        **ENDLESS_SLIDER,
+        "rover.m1": mass - _WEIGHTLESS,
+        "rover.m2": _WEIGHTLESS,
+        "rover.inertia1": list(inertia),
+        "rover.inertia2": [1.0e-9] * 3,
+        "rover.attachment": [0.0, 0.0, attachment],
+        "rover.slider.free_length": 0.0,
+        "rover.slider.spring_rate": 1.0,
+        "rover.slider.damping": 0.0,
+    }
+
+
+def swung_body(_batch: Batch) -> Measured:
+    """Largest deviation of attachment and attitude from two other codes."""
+    tilt = math.pi / 6.0
+    direction = np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+    plant = make_plant(
+        one_body(5.0, (0.05, 0.06, 0.04), 0.1),
+        without_winch(
+            5.0, 40, youngs_modulus=0.5e9, radius=3.45e-4, density=1.0e4, axial_damping_time=2.0e-3
+        ),
+        {
+            "place.gravity": 9.81,
+            "start": {
+                "kind": "straight",
+                "direction": direction.tolist(),
+                "tip_velocity": [0.0, 1.0, 0.0],
+                "attitude": [0.0, -tilt, 0.0],
+                "angular_velocity": (np.cross(direction, [0.0, 1.0, 0.0]) / 5.0).tolist(),
+            },
+            "integration.h": 2.5e-4,
+            "integration.tolerance": 1.0e-9,
+        },
+    )
+    state, details = plant.initial_state(), {}
+    for time, wanted in _SWUNG.items():
+        state, _ = plant.step(state, _IDLE, time - state.time)
+        attitude = Rotation.from_quat(state.orientation).as_rotvec()
+        off = np.abs(np.concatenate([state.tip, attitude]) - np.array(wanted))
+        details[f"attachment at {time:g} s [m]"] = float(np.max(off[:3]))
+        details[f"attitude at {time:g} s [rad]"] = float(np.max(off[3:]))
+    return Measured(max(details.values()), "40 elements, 0.25 ms", details)
+
+
+# --------------------------------------------------------------------------- pendulums in space
+
+# A rope that hardly stretches and hardly weighs anything, and damps what its tension rings.
+_ROPE = {
+    "axial_stiffness": 1.0e9,
+    "bending_stiffness": 1.0e-9,
+    "line_density": 1.0e-6,
+    "axial_damping_time": 1.0e-3,
+    "bending_damping_time": 1.0e-3,
+}
+
+
+def _bob(length: float, gravity: float, mass: float, h: float, **start: object) -> SpatialPlant:
+    return make_plant(
+        {"rover": None, "tip": {"mass": mass}},
+        without_winch(length, 4, **_ROPE),
+        {
+            "place.gravity": gravity,
+            "start": {"kind": "hanging", **start},
+            "integration.h": h,
+            "integration.tolerance": 1.0e-10,
+        },
+    )
+
+
+def _azimuths(places: Array) -> Array:
+    return np.unwrap(np.arctan2(places[:, 1], places[:, 0]))
+
+
+def conical(batch: Batch) -> Measured:
+    """Largest relative deviation of a conical pendulum's phase rate from sqrt(g/(l cos a))."""
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
+        angle = math.radians(float(generator.uniform(10.0, 70.0)))
+        length, gravity = float(generator.uniform(3.0, 20.0)), float(generator.choice([1.62, 9.81]))
+        mass = float(generator.uniform(5.0, 20.0))
+        tension = mass * gravity / math.cos(angle)
+        stretched = length * (1.0 + tension / _ROPE["axial_stiffness"])
+        share = _ROPE["line_density"] * length / mass  # a straight rod of that weight
+        rate = math.sqrt(gravity / (stretched * math.cos(angle)))
+        rate *= math.sqrt((1.0 + share / 2.0) / (1.0 + share / 3.0))
+        sense = float(generator.choice([-1.0, 1.0]))
+        plant = _bob(
+            length, gravity, mass, 5.0e-4,
+            swing_angle=math.degrees(angle), cone_rate=sense * math.degrees(rate),
+            swing_heading=float(generator.uniform(0.0, 360.0)),
+        )  # fmt: skip
+        state = plant.initial_state()
+        places = [state.tip]
+        turn = 2.0 * math.pi / rate
+        for _ in range(80):
+            state, _ = plant.step(state, _IDLE, turn / 8.0)
+            places.append(state.tip)
+        swept = _azimuths(np.array(places))
+        off = abs(sense * float(swept[-1] - swept[0]) / (20.0 * math.pi) - 1.0)
+        details[f"run {index}: {math.degrees(angle):.1f} deg, {length:.1f} m"] = off
+        worst = max(worst, off)
+    return Measured(worst, "ten turns each, masses, lengths and angles at random", details)
+
+
+def _cone_rate(length: float, gravity: float, lowest: float, highest: float) -> float:
+    """Azimuth's rate at the highest point of a spherical pendulum [rad/s]."""
+    u1, u2 = math.cos(highest), math.cos(lowest)
+    energy = (1.0 - u1**2 - u2**2 - u1 * u2) / (u1 + u2)  # over m g l
+    return math.sqrt(2.0 * gravity / length * (energy + u1) / (1.0 - u1**2))
+
+
+def _apsidal_angle(length: float, gravity: float, lowest: float, highest: float) -> float:
+    """Azimuth swept from the lowest to the highest point of a spherical pendulum [rad].
+
+    By u = cos of the angle from the vertical downwards, between u1 (highest point) and u2 (lowest):
+    u'^2 = 2 g/l (u - u1)(u2 - u)(u + (1 + u1 u2)/(u1 + u2)) and the azimuth's rate is
+    K/(1 - u^2) (Whittaker 1937, Analytical Dynamics, 55), integrated with u = mean + half cos p.
+    """
+    u1, u2 = math.cos(highest), math.cos(lowest)
+    third = (1.0 + u1 * u2) / (u1 + u2)
+    spin = (1.0 - u1**2) * _cone_rate(length, gravity, lowest, highest)
+
+    def rate(p: float) -> float:
+        u = 0.5 * (u1 + u2) - 0.5 * (u2 - u1) * math.cos(p)
+        return 1.0 / (1.0 - u * u) / math.sqrt(u + third)
+
+    swept, _ = quad(rate, 0.0, math.pi, epsabs=1e-13, epsrel=1e-13)
+    return float(spin / math.sqrt(2.0 * gravity / length) * swept)
+
+
+def spherical(batch: Batch) -> Measured:
+    """Largest relative deviation of a spherical pendulum's precession from the closed form."""
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
+        length, gravity = float(generator.uniform(5.0, 20.0)), 1.62
+        highest = math.radians(float(generator.uniform(30.0, 70.0)))
+        lowest = math.radians(float(generator.uniform(8.0, 25.0)))
+        cone = _cone_rate(length, gravity, lowest, highest)
+        plant = _bob(
+            length, gravity, 10.0, 5.0e-4,
+            swing_angle=math.degrees(highest), cone_rate=math.degrees(cone),
+        )  # fmt: skip
+        state = plant.initial_state()
+        tops = [0.0]
+        before = state
+        while len(tops) < 7:
+            state, _ = plant.step(before, _IDLE, 0.02)
+            rates = [float(s.node_rates[-1, 0, 2]) for s in (before, state)]
+            if rates[0] > 0.0 >= rates[1]:
+                tops.append(_azimuth_at_top(plant, before))
+            before = state
+        # From one top to the next: half a turn, and what the ellipse has precessed.
+        found = float(np.mean(np.mod(np.diff(tops), 2.0 * math.pi))) - math.pi
+        wanted = 2.0 * _apsidal_angle(length, gravity, lowest, highest) - math.pi
+        off = abs(found / wanted - 1.0)
+        details[f"run {index}: {wanted:.4f} rad a swing"] = off
+        worst = max(worst, off)
+    return Measured(worst, "six swings each, lengths and ellipses at random", details)
+
+
+def _azimuth_at_top(plant: SpatialPlant, before: SpatialState) -> float:
+    """Azimuth of the tip where its vertical rate crosses zero within the next 0.02 s."""
+    low, high = 1.0e-6, 0.02
+    place = before.tip
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        state, _ = plant.step(before, _IDLE, middle)
+        place = state.tip
+        if float(state.node_rates[-1, 0, 2]) > 0.0:
+            low = middle
+        else:
+            high = middle
+        if high - low < 1.0e-9:
+            break
+    return math.atan2(float(place[1]), float(place[0]))
+
+
+# ------------------------------------------------------------------------------- the gyrostat
+
+
+def _gyrostat(generator: np.random.Generator) -> tuple[SpatialPlant, SpatialState]:
+    """A rover that nothing holds, turning at random, its rotors spun up.
+
+    The tether is there, as every scenario has one, but it weighs and pulls nothing.
+    """
+    inertia = generator.uniform(0.15, 0.25, 3)
+    masses = generator.uniform(3.0, 7.0, 2)
+    nothing = {
+        "axial_stiffness": 1.0e-16, "bending_stiffness": 1.0e-18, "line_density": 1.0e-16,
+    }  # fmt: skip
+    free = {**NO_ROTORS, **ENDLESS_SLIDER}
+    free["rover.jump_drive.inertia"] = 1.0e-3
+    free["rover.wheel_drive.wheel_inertia"] = 6.0e-3
+    plant = make_plant(
+        free,
+        without_winch(0.5, 2, **nothing),
+        {
+            "place.gravity": 0.0,
+            "rover.m1": float(masses[0]),
+            "rover.m2": float(masses[1]),
+            "rover.inertia1": inertia.tolist(),
+            "rover.attachment": generator.uniform(-0.2, 0.2, 3).tolist(),
+            "rover.slider.damping": 0.0,
+            "start": {"kind": "straight", "direction": [1.0, 0.0, 0.0]},
+            "integration.tolerance": 1.0e-15,
+        },
+    )
+    direction = generator.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    s = np.linspace(0.0, 0.5, 3)[:, None]
+    nodes = np.stack([s * direction, np.broadcast_to(direction, (3, 3))], axis=1)
+    quaternion = generator.normal(size=4)
+    state = plant.state_at(
+        nodes,
+        orientation=quaternion / np.linalg.norm(quaternion),
+        angular_velocity=generator.uniform(-1.0, 1.0, 3),
+        slide=0.21,
+    )
+    spin_up = Command(
+        jump=FlywheelCommand(float(generator.uniform(0.03, 0.08))),
+        # Forward, in which the ratchet lets both wheels run freely.
+        wheel=WheelTorqueCommand(float(generator.uniform(0.05, 0.1))),
+    )
+    state, _ = plant.step(state, spin_up, 1.0)
+    return plant, state
+
+
+def _angular_momentum(plant: SpatialPlant, state: SpatialState) -> Array:
+    """Angular momentum of the rover about its centre of mass, rotors included."""
+    rover = plant.model.rover
+    masses = (rover.m1, rover.m2)
+    middle = (rover.m1 * state.G1 + rover.m2 * state.G2) / sum(masses)
+    angular = np.zeros(3)
+    for mass, place, rate in zip(
+        masses, (state.G1, state.G2), (state.G1_rate, state.G2_rate), strict=True
+    ):
+        angular = angular + mass * np.cross(place - middle, rate)
+    rotors = state.body[spatial_rover.ROTORS : spatial_rover.ROTORS + 3]
+    inside = np.array(rover.inertia) * state.omega + rotors
+    return angular + state.rotation @ inside
+
+
+def _coast(batch: Batch, look: Callable[[SpatialPlant, SpatialState], Array]) -> Measured:
+    """Largest change of what `look` sees, over 20 s of coasting."""
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators(min(batch.runs, 5))):
+        plant, state = _gyrostat(generator)
+        before, largest = look(plant, state), 0.0
+        rate = float(np.linalg.norm(state.omega))
+        for _ in range(20):
+            state, _ = plant.step(state, _IDLE, 1.0)
+            largest = max(largest, float(np.max(np.abs(look(plant, state) - before))))
+        details[f"run {index}: turning at {rate:.2f} rad/s"] = largest
+        worst = max(worst, largest)
+    return Measured(worst, "rotors and slider free, 20 s at 1 ms", details)
+
+
+def gyrostat_energy(batch: Batch) -> Measured:
+    """Largest change of a free gyrostat's energy."""
+    return _coast(batch, lambda plant, state: np.array([plant.energies(state).stored]))
+
+
+def gyrostat_momentum(batch: Batch) -> Measured:
+    """Largest change of a free gyrostat's angular momentum about its centre of mass."""
+    return _coast(batch, _angular_momentum)
+
+
+# ----------------------------------------------------------------------------------- coning
+
+_STRONG_MOTOR = {
+    "max_torque": 10.0, "stall_torque": 1.0e3, "no_load_rate": 1.0e5, "torque_constant": 1.0,
+    "servo_bandwidth": 10.0,
+}  # fmt: skip
+_PIVOT = {
+    "axial_stiffness": 1.0e5, "bending_stiffness": 1.0e-9, "line_density": 1.0e-3,
+    "axial_damping_time": 1.0e-3,
+}  # fmt: skip
+_ARAMID = {
+    "axial_stiffness": 2.0e4, "bending_stiffness": 1.0e-4, "line_density": 5.0e-3,
+    "axial_damping_time": 15.0e-3, "bending_damping_time": 50.0e-3,
+}  # fmt: skip
+_LEVER, _MASS, _MOON = 0.2, 10.0, 1.62  # attachment above the centre of mass [m], [kg], [m/s^2]
+_RAMP, _TURNS, _CONING_TICK = 60.0, 16, 0.01  # [s], turns that are measured, [s]
+
+
+def _coning_plant(
+    length: float, elements: int, inertia: float, about_z: float, **tether: object
+) -> SpatialPlant:
+    return make_plant(
+        one_body(_MASS, (inertia, inertia, about_z), _LEVER),
+        without_winch(length, elements, **tether),
+        {
+            "place.gravity": _MOON,
+            "rover.jump_drive.inertia": 1.0e-3,
+            "rover.jump_drive.motor": _STRONG_MOTOR,
+            "rover.wheel_drive.wheel_inertia": 6.0e-3,
+            "rover.wheel_drive.efficiency": 1.0,
+            "rover.wheel_drive.back_efficiency": 1.0,
+            "rover.wheel_drive.motor": _STRONG_MOTOR,
+            "start": {"kind": "hanging"},
+            "integration.tolerance": 1.0e-8,
+        },
+    )
+
+
+def _cone(plant: SpatialPlant, momentum: float, rate: float) -> tuple[float, float]:
+    """Tilt from the vertical [rad], rms, and yaw rate about +z [rad/s] of a rover that cones.
+
+    The momenta h (cos Wt, sin Wt) about x and y are run up smoothly, then kept.
+    """
+
+    def wanted(time: float) -> Array:
+        part = min(time / _RAMP, 1.0)
+        size = momentum * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        return size * np.array([math.cos(rate * time), math.sin(rate * time)])
+
+    state = plant.initial_state()
+    measured = round(_TURNS * 2.0 * math.pi / abs(rate) / _CONING_TICK)
+    first = round((_RAMP + 20.0) / _CONING_TICK)
+    tilts: list[float] = []
+    twists: list[float] = []
+    for k in range(first + measured):
+        now = k * _CONING_TICK
+        torque = (wanted(now + _CONING_TICK) - wanted(now)) / _CONING_TICK
+        command = Command(
+            jump=FlywheelCommand(float(torque[0])), wheel=WheelTorqueCommand(float(torque[1]))
+        )
+        state, _ = plant.step(state, command, _CONING_TICK)
+        if k >= first:
+            tilts.append(float(1.0 - state.rotation[2, 2]))
+            twists.append(state.twist)
+    # 1 - cos is half the square; the twist counts about -z.
+    tilt = math.sqrt(2.0 * float(np.mean(tilts)))
+    time = _CONING_TICK * np.arange(len(twists))
+    return tilt, -float(np.polyfit(time, twists, 1)[0])
+
+
+def _coned(
+    length: float, inertia: float, about_z: float, momentum: float, rate: float
+) -> tuple[float, float]:
+    """Closed form of tilt th [rad] and yaw rate [rad/s] on a massless tether, to second order.
+
+    A cone of the rate O in the world, O = W + yaw, has its centre of mass at the radius k d th with
+    k = 1/(1 - O^2 l/g), and the tether inclined by O^2 k d th/g. From the moments about the centre
+    of mass and, as all comes from rest, no angular momentum about the vertical,
+
+        th = h O/(q - I O^2),     q = m g d (1 - O^2 k d/g),
+        yaw = th^2 [O/2 - (q + m k^2 d^2 O^2)/(I_z O)].
+
+    The yaw is the swing-twist angle's rate, of which O th^2/2 is kinematic. Where O^2 I_z is small
+    beside m g d it is -(I/I_z) th^2 w_b^2/W with w_b^2 = m g d/I; on a pivot (l = 0) the tilt is
+    h W/(I_p |w_p^2 - W^2|) with the moment I_p and the frequency w_p about the pivot.
+    """
+    tilt, yaw = 0.0, 0.0
+    for _ in range(50):
+        cone = rate + yaw
+        k = 1.0 / (1.0 - cone**2 * length / _MOON)
+        q = _MASS * _MOON * _LEVER * (1.0 - cone**2 * k * _LEVER / _MOON)
+        tilt = momentum * cone / (q - inertia * cone**2)
+        moved = q + _MASS * (k * _LEVER * cone) ** 2
+        yaw = tilt**2 * (0.5 * cone - moved / (about_z * cone))
+    return tilt, yaw
+
+
+def coning(batch: Batch) -> Measured:
+    """Largest relative deviation of the yaw rate by coning from its closed form."""
+    worst, details = 0.0, {}
+    count = min(batch.runs, 3)
+    for index, generator in enumerate(batch.generators(count)):
+        inertia, about_z, momentum, rate = 0.2, 0.2, 0.05, 1.0
+        if index > 0:
+            inertia = float(generator.uniform(0.15, 0.3))
+            about_z = float(generator.uniform(0.8, 1.5)) * inertia
+            momentum = float(generator.uniform(0.03, 0.06))
+            rate = float(generator.choice([-1.0, 1.0]) * generator.uniform(0.8, 1.2))
+        for name, length, elements, tether in (
+            ("pivot", 1.0e-3, 1, _PIVOT),
+            ("tether", 10.0, 5, _ARAMID),
+        ):
+            plant = _coning_plant(length, elements, inertia, about_z, **tether)
+            tilt, yaw = _cone(plant, momentum, rate)
+            wanted_tilt, wanted = _coned(length, inertia, about_z, momentum, rate)
+            leading = -_MASS * _MOON * _LEVER * tilt**2 / (about_z * rate)
+            what = f"run {index}, {name}: "
+            details[what + "tilt [deg]"] = math.degrees(tilt)
+            details[what + "tilt of the closed form [deg]"] = math.degrees(abs(wanted_tilt))
+            details[what + "yaw rate [deg/s]"] = math.degrees(yaw)
+            details[what + "yaw rate of the closed form [deg/s]"] = math.degrees(wanted)
+            details[what + "yaw rate of its leading term at this tilt [deg/s]"] = math.degrees(
+                leading
+            )
+            worst = max(worst, abs(yaw / wanted - 1.0))
+    return Measured(worst, f"{count} rovers, {_TURNS} turns of the cone each", details)
