@@ -246,11 +246,15 @@ def _keep(model: Model, n: int, motion: Motion, after: Motion) -> None:
 
 
 @inner
-def _came_through(model: Model, pay: Payout, slope0: Vector, motion: Motion) -> float:
+def _came_through(
+    model: Model, pay: Payout, tension: float, slope0: Vector, motion: Motion
+) -> float:
     """Energy of the tether that came through the fairlead in a step [J], beside the tension's work.
 
-    The drum's books take the tension times the way; the tether that comes has its own motion and
-    strain, dE = v_pay (rho A |dr/dt|^2/2 + EA eps^2/2) dt.
+    The drum's books take what the tension does along the unstretched way, v_pay T, but stretched
+    tether passes the fairlead at r' v_pay; and it has its own motion and strain,
+
+        dE = v_pay (T (1 - |r'|) + rho A |dr/dt|^2/2 + EA eps^2/2) dt.
     """
     way = pay.length1 - pay.length0
     square = 0.0
@@ -259,7 +263,8 @@ def _came_through(model: Model, pay: Payout, slope0: Vector, motion: Motion) -> 
     strain = 0.5 * (square - 1.0)
     rate = 0.5 * (pay.rate0 + pay.rate1)
     carried = 0.5 * model.tether.line_density * rate * rate * square
-    return way * (carried + 0.5 * model.tether.axial_stiffness * strain * strain)
+    stored = 0.5 * model.tether.axial_stiffness * strain * strain
+    return way * (tension * (1.0 - np.sqrt(square)) + carried + stored)
 
 
 @checked
@@ -451,7 +456,7 @@ def advance(
                 + drum_books.brake_heat
                 + drum_books.stop_heat
             )
-            book[INPUT_TETHER] += _came_through(model, pay, slope0, motion)
+            book[INPUT_TETHER] += _came_through(model, pay, solver.exit.tension[0], slope0, motion)
             kinetic += drum_books.kinetic
             drum = drum1
             book[TENSION] = solver.exit.tension[0]
