@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rover_sim import Command, PlanarPlant, ScenarioError, load_planar, load_spatial
+from rover_sim import Command, PlanarPlant, ScenarioError, WinchCommand, load_planar, load_spatial
 from rover_sim.physics import rep103
-from rover_verify.checks import Batch, Check, spatial_body
-from rover_verify.checks.spatial_cases import make_plant, spatial_twin, taken_off, twin_state
+from rover_verify.checks import Batch, Check, spatial_body, spatial_tether
+from rover_verify.checks.spatial_cases import (
+    IDEAL_WINCH,
+    make_plant,
+    spatial_twin,
+    taken_off,
+    twin_state,
+)
 
 PENDULUM = {"tip": {"mass": 10.0}, "rover": None, "integration.tolerance": 1e-9}
 
@@ -95,7 +101,27 @@ def test_without_a_winch_nothing_can_turn_at_the_start():
         (spatial_body.spherical, 1e-5),
         (spatial_body.gyrostat_energy, 1e-10),
         (spatial_body.gyrostat_momentum, 1e-12),
+        (spatial_tether.stiff_cable, 3e-3),
+        (spatial_tether.vertical_tension, 1e-2),
     ],
 )
-def test_bodies_in_space_keep_to_their_closed_forms(check: Check, limit: float, tmp_path: Path):
+def test_what_moves_in_space_keeps_to_its_closed_form(check: Check, limit: float, tmp_path: Path):
     assert check(Batch(1, 3, tmp_path)).value < limit
+
+
+@pytest.mark.parametrize("rate", [0.5, -0.5])
+def test_the_books_know_that_stretched_tether_passes_the_fairlead(rate: float):
+    length = 3.0 if rate > 0.0 else 13.0
+    soft = {"axial_stiffness": 2e3, "bending_stiffness": 1e-4, "line_density": 5e-3}
+    damped = {"axial_damping_time": 0.02, "bending_damping_time": 0.05}
+    plant = make_plant(
+        PENDULUM,
+        IDEAL_WINCH,
+        {"tether": {"length": length, "max_length": 20.0, "element_length": 1.0, **soft, **damped}},
+        {"start.payout_rate": rate},
+    )
+    command = Command(winch=WinchCommand(length, rate, feed_forward=16.2))
+    state, result = plant.step(plant.initial_state(), command, 20.0)
+    assert state.length == pytest.approx(length + 20.0 * rate, abs=1e-3)
+    # 16.2 N along 10 m, at a stretch of 0.8 %: 1.3 J would be missing.
+    assert abs(result.energies.drift) < 0.02
