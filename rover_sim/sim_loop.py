@@ -15,6 +15,7 @@ from rover_sim.interface import PlantInterface
 from rover_sim.plant import Outcome, Phase, S, StepResult
 
 NANO = 1_000_000_000
+_RUSH = 2.0  # times the factor at which a delay is caught up
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,9 @@ def _count(stamp_ns: int, rate: float) -> int:
 class Pacer:
     """Holds simulated time to wall time by absolute deadlines.
 
-    A delay is caught up as long as it is short; a longer one is given up, and
-    counted, so that the simulation does not rush afterwards.
+    A delay is caught up as long as it is short, at no more than twice the factor: controllers
+    must be able to answer each tick, or the drives would take the rush for their silence. A
+    longer delay is given up, and counted.
 
     Args:
         factor: simulated seconds per wall second; 0 = as fast as possible.
@@ -72,6 +74,7 @@ class Pacer:
         # Simulated per wall seconds over the last two wall seconds; None = not yet known.
         self.measured: float | None = None
         self._anchor: tuple[float, int] | None = None
+        self._before: tuple[float, int] | None = None  # when and where the last tick began
         self._marks: deque[tuple[float, int]] = deque()
         self._late_until = -math.inf
 
@@ -82,7 +85,7 @@ class Pacer:
 
     def restart(self) -> None:
         """Start anew from the next tick on: after a pause, a reset or another factor."""
-        self._anchor = None
+        self._anchor = self._before = None
         self.measured = None
         self._marks.clear()
         self._late_until = -math.inf
@@ -106,7 +109,11 @@ class Pacer:
             self.given_up += late
             self._late_until = wall + self.WINDOW
             self._anchor = (wall, stamp_ns)
-        return max(0.0, -late)
+        begun, begun_ns = self._before or (wall, stamp_ns)
+        soonest = begun + (stamp_ns - begun_ns) / NANO / (_RUSH * self.factor)
+        wait = max(0.0, -late, soonest - wall)
+        self._before = (wall + wait, stamp_ns)
+        return wait
 
     def _mark(self, wall: float, stamp_ns: int) -> None:
         self._marks.append((wall, stamp_ns))

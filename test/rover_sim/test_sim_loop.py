@@ -85,6 +85,21 @@ def test_ticks_fall_due_by_absolute_deadlines():
     assert pacer.keeps_up(100.035)
 
 
+def test_a_short_delay_is_caught_up_at_no_more_than_twice_the_factor():
+    pacer = Pacer(1.0)
+    pacer.wait(0.0, 0)
+    wall = 0.1  # nine ticks late
+    waits = []
+    for tick in range(1, 25):
+        waits.append(pacer.wait(wall, tick * 10_000_000))
+        wall += waits[-1]
+    assert waits[0] == 0.0
+    assert waits[1:18] == pytest.approx([0.005] * 17)
+    assert waits[20:] == pytest.approx([0.01] * 4)
+    assert wall == pytest.approx(0.24)
+    assert pacer.given_up == 0.0
+
+
 @pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
 def test_the_factor_scales_the_deadlines(factor: float):
     pacer = Pacer(factor)
