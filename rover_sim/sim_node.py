@@ -64,7 +64,7 @@ class SimParameters:
         read_only=True,
     )
     tick: float = parameter(
-        0.01, "s", "control tick: commands take effect at ticks", 1e-4, 0.1, read_only=True
+        0.01, "s", "control tick: commands take effect at ticks", 1e-4, 0.05, read_only=True
     )
     real_time_factor: float = parameter(
         1.0, "-", "simulated seconds per second; 0 = as fast as possible", 0.0, 1000.0
