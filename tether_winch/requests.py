@@ -45,7 +45,7 @@ class RequestParameters:
     """What requests may leave to the winch."""
 
     slack_rate: float = parameter(0.2, "m/s", "at which slack is given", 1e-3, 0.5)
-    take_up_rate: float = parameter(0.1, "m/s", "at which slack is taken up", 1e-3, 0.5)
+    take_up_rate: float = parameter(0.05, "m/s", "at which slack is taken up", 1e-3, 0.5)
     take_up_tension: float = parameter(
         1.0, "N", "beyond the tether's own weight, at which it is taut", 0.05, 100.0
     )

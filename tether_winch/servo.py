@@ -49,6 +49,9 @@ class ServoParameters:
     largest_compliance: float = parameter(
         0.02, "m/N", "of the tether that the tension's gain is made for", 1e-4, 10.0
     )
+    relief_acceleration: float = parameter(
+        3.0, "m/s^2", "by which the tension loop gives way to too much tension", 0.01, 20.0
+    )
     shortest_length: float = parameter(2.0, "m", "hard end: reeled in", 0.0, MAX_LENGTH)
     longest_length: float = parameter(58.0, "m", "hard end: paid out", 0.1, MAX_LENGTH)
     soft_margin: float = parameter(0.2, "m", "before a hard end, where no motion leads", 0.0, 50.0)
@@ -367,21 +370,34 @@ class WinchServo:
     def _move_by_tension(self, sensed: Sensed, h: float) -> None:
         p, goal = self.parameters, self.goal
         limits = self._limits(sensed)
+        error = 0.0 if math.isnan(sensed.tension) else sensed.tension - goal.tension
+        low, high = self._rate_range(sensed, limits)
+        if goal.pays_out:
+            rate = self._held_rate(sensed, error, low, high, h)
+        else:
+            # Slack is taken up at the goal's rate until the tether pulls; then to a stop.
+            pull = max(goal.tension - self._drum.hanging_weight(sensed.length), 1e-3)
+            rate = low * min(max(-error / (0.5 * pull), 0.0), 1.0)
+        change = limits.acceleration * h
+        # A tether that comes taut on a moving drum must not wait for the S-curve.
+        way_out = p.relief_acceleration * h if error > -0.5 * goal.tension else change
+        rate = min(max(rate, self.motion.rate - change), self.motion.rate + max(way_out, change))
+        self.motion = Motion(sensed.length - self.trim_offset, rate, 0.0)
+
+    def _held_rate(self, sensed: Sensed, error: float, low: float, high: float, h: float) -> float:
+        """Rate that brings the tension's error down, within its range [m/s]."""
+        p = self.parameters
         compliance = min(
             max(sensed.length, 1.0) / self._drum.parameters.axial_stiffness, p.largest_compliance
         )
         gain = p.tension_bandwidth * compliance
-        error = 0.0 if math.isnan(sensed.tension) else sensed.tension - goal.tension
-        low, high = self._rate_range(sensed, limits)
         wanted = gain * error + self._integral
         rate = min(max(wanted, low), high)
         # Near the set tension the integral follows a driving rover; at a limit it rests.
         if (wanted - rate) * error <= 0.0:
             self._integral += 0.25 * p.tension_bandwidth * gain * error * h
         self._integral = min(max(self._integral, low), high)
-        change = limits.acceleration * h
-        rate = min(max(rate, self.motion.rate - change), self.motion.rate + change)
-        self.motion = Motion(sensed.length - self.trim_offset, rate, 0.0)
+        return rate
 
     def _rate_range(self, sensed: Sensed, limits: MotionLimits) -> tuple[float, float]:
         """Rates that the goal, and a stop before the soft ends, leave to the tension loop."""

@@ -52,6 +52,7 @@ _NANO = 1e9
 _OPEN = 0.5  # a brake's position from here on means released
 _MOVING = 0.02  # from this rate on the drum moves [m/s]
 _JUMPING = frozenset({"compressing", "flight", "landed"})
+_BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
 _TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
 
@@ -101,6 +102,7 @@ class Winch:
         )
         self._goal = REST
         self._in_mode_since = 0.0
+        self._driven = 0  # steps of the servo since the mode began
         self._renewed = 0.0
         self._trimmed: float | None = None
         self._jump = ""
@@ -396,7 +398,8 @@ class Winch:
             self._enter(Mode.HOLD, f"{done}: {tension:.3g} N", REST, now)
 
     def _has_ended(self, now: float) -> bool:
-        begun = now - self._in_mode_since > 0.05
+        # By time alone a stalled node would take a motion that has not begun for one that is over.
+        begun = self._driven >= _BEGINNING and now - self._in_mode_since > 0.05
         return begun and self._trimmed is None and self.servo.rests
 
     def _pays_out(self) -> bool:
@@ -421,6 +424,7 @@ class Winch:
         )
         if not self.mode.is_armed and not slows:
             return self.servo.close_at_once(sensed)
+        self._driven += 1
         return self.servo.step(sensed, self._allowed_tension(), h)
 
     # --- helpers ---------------------------------------------------------------------------------
@@ -507,6 +511,7 @@ class Winch:
             self.servo.trim(None)
         self.mode = mode
         self._in_mode_since = now
+        self._driven = 0
         self._transitions.append(Transition(f"winch_{mode}", reason, level, values or {}))
 
     def _tell_alarm(self, name: str, is_on: bool, tension: float) -> None:
