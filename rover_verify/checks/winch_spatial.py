@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from functools import cache
 
-from rover_sim import Command, Outcome, WinchCommand, load_scenario
+from rover_sim import Command, Event, JumpMotorCommand, Outcome, WinchCommand, load_scenario
 from rover_sim.spatial_plant import SpatialPlant
 from rover_verify.checks.winch_rig import Readings
 from rover_verify.checks.winch_trials import TrialPlan
@@ -40,6 +40,10 @@ class SpatialRig:
 
     Args:
         overrides: values of the scenario by dotted path.
+
+    Attributes:
+        jump: what the jump motor is told.
+        events: of the plant, since the start.
     """
 
     def __init__(self, overrides: Mapping[str, object] | None = None) -> None:
@@ -47,6 +51,8 @@ class SpatialRig:
         self._plant = spatial_plant(self._overrides)
         self.state = self._plant.initial_state()
         self.peak_tension = 0.0
+        self.jump: JumpMotorCommand | None = None
+        self.events: list[Event] = []
         self.is_supported = False
         self.is_caught = False
         self.touches = 0  # begun along the wall, while the tether carried the rover
@@ -68,9 +74,10 @@ class SpatialRig:
                 command.release_brake,
                 command.limit,
             )
-        self.state, result = self._plant.step(self.state, Command(winch=told), dt)
+        self.state, result = self._plant.step(self.state, Command(self.jump, told), dt)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.state.time:.3g} s")
+        self.events += result.events
         forces = result.forces
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         touch = forces.left_wheel + forces.right_wheel + forces.body

@@ -1,0 +1,174 @@
+"""The winch node killed at work: real sim_node and winch_node as processes, over DDS."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
+from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.winch_spatial import WEIGHT, spatial_plant
+from rover_verify.stage import Observer, Process, open_stage
+
+_SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
+_LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
+_RATE = 0.3  # [m/s]
+_RUN_UP = 1.5  # way in which the rate is reached [m]
+_AFTER = 3.0  # time watched after it stands [s]
+_NANO = 1_000_000_000
+
+
+class Killed(NamedTuple):
+    """How the drum stopped after the node's death.
+
+    Attributes:
+        length: at the death [m].
+        time: from the death to a standing drum [s].
+        way: from the death to where it stands [m].
+        peak_tension: from the death on, over the weight.
+        silence: from the last command that the drive heard until it let the brake go [s].
+        braked_after: from that command to the closed brake [s].
+    """
+
+    length: float
+    time: float
+    way: float
+    peak_tension: float
+    silence: float
+    braked_after: float
+
+
+@contextmanager
+def winch_and_sim(
+    folder: Path, length: float, seed: int = 1, **parameters: object
+) -> Iterator[tuple[Process, Observer]]:
+    """An armed winch_node and a sim_node with the rover hanging, as processes."""
+    overrides = {"tether.length": length, "sensors.quality": "real"}
+    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
+    with open_stage(folder) as stage:
+        given = {
+            "scenario": "free_hang",
+            "overrides": json.dumps(overrides),
+            "seed": seed,
+            "real_time_factor": 1.0,
+            **parameters,
+        }
+        stage.processes.start(_SIM, given)
+        winch = stage.processes.start(_WINCH, {"use_sim_time": True})
+        observer = stage.observer()
+        for name in (
+            topics.CLOCK,
+            topics.EVENTS,
+            topics.DIAGNOSTICS,
+            topics.WINCH_MODE,
+            topics.WINCH_STATE,
+            topics.WINCH_COMMAND,
+            topics.WINCH_ESTIMATE,
+            topics.LOAD_CELL,
+        ):
+            observer.listen(name)
+        for node in ("sim_node", "winch_node"):
+            observer.wait_until_ready(node)
+        answer = observer.call(topics.WINCH_REARM)
+        if not answer.success:
+            raise RuntimeError(f"the winch cannot be armed: {answer.message}")
+        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        yield winch, observer
+
+
+def ask(
+    observer: Observer, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0
+) -> None:
+    """Send a request to the winch."""
+    value = JointValue(position, velocity, effort)
+    observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), {joint: value}))
+
+
+@cache
+def _killed(folder: Path, length: float, seed: int) -> Killed:
+    """Pay out, kill the node, watch the drum."""
+    with winch_and_sim(folder, length - _RUN_UP, seed) as (winch, observer):
+        states, loads = observer.listen(topics.WINCH_STATE), observer.listen(topics.LOAD_CELL)
+        commands = observer.listen(topics.WINCH_COMMAND)
+        ask(observer, WINCH_TO_LENGTH, length + 8.0, _RATE)
+        states.wait(
+            lambda s: (
+                s.joints[WINCH_DRUM].position >= length
+                and s.joints[WINCH_DRUM].velocity > 0.98 * _RATE
+            )
+        )
+        winch.send(signal.SIGKILL)
+        winch.wait()
+        death = commands.last.stamp_ns  # what is heard later is the drive's own doing
+        let_go, silence = _let_go(observer, death)
+        states.wait(lambda s: s.stamp_ns > let_go and s.joints[WINCH_BRAKE].position == 0.0)
+        # It closes right after the last sample in which it was open.
+        opened = [s for s in states.samples if s.joints[WINCH_BRAKE].position == 1.0]
+        stood = states.wait(lambda s: s.stamp_ns > death and s.joints[WINCH_DRUM].velocity == 0.0)
+        end = stood.stamp_ns + round(_AFTER * _NANO)
+        states.wait(lambda s: s.stamp_ns >= end)
+        begun = next(s for s in states.samples if s.stamp_ns >= death)
+        last = states.last
+        peak = max(math.hypot(*s.force) for s in loads.samples if s.stamp_ns >= death)
+        return Killed(
+            begun.joints[WINCH_DRUM].position,
+            (stood.stamp_ns - death) / _NANO,
+            last.joints[WINCH_DRUM].position - begun.joints[WINCH_DRUM].position,
+            peak / WEIGHT,
+            silence,
+            silence + (opened[-1].stamp_ns - let_go) / _NANO,
+        )
+
+
+def _let_go(observer: Observer, death: int) -> tuple[int, float]:
+    """When the drive let the brake go [ns], and how long it had then heard nothing [s]."""
+
+    def tells(sample: StatusSample) -> list[Status]:
+        return [status for status in sample.statuses if status.name == "winch_silent"]
+
+    feed = observer.listen(topics.EVENTS)
+    sample = feed.wait(lambda s: s.stamp_ns >= death and bool(tells(s)))
+    return sample.stamp_ns, float(tells(sample)[0].values["silence"])
+
+
+def _worst(batch: Batch, figure: str) -> Measured:
+    details: dict[str, float | str] = {}
+    values = []
+    for index, length in enumerate(_LENGTHS):
+        killed = _killed(batch.folder.parent, length, batch.seed)
+        values.append(float(getattr(killed, figure)))
+        details[f"{length:g} m"] = (
+            f"stood after {killed.time:.3f} s and {killed.way:.4f} m, peak tension "
+            f"{killed.peak_tension:.2f} weights; the drive let the brake go after "
+            f"{killed.silence:.3f} s of silence, it was closed after {killed.braked_after:.3f} s"
+        )
+        batch.progress(index + 1, len(_LENGTHS))
+    return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
+
+
+def time_to_stop(batch: Batch) -> Measured:
+    """Longest time [s] from the node's last command until the drum stands."""
+    return _worst(batch, "time")
+
+
+def way_to_stop(batch: Batch) -> Measured:
+    """Longest way [m] of the tether from the node's last command on."""
+    return _worst(batch, "way")
+
+
+def peak_tension(batch: Batch) -> Measured:
+    """Largest tension from the node's last command on, over the rover's weight."""
+    return _worst(batch, "peak_tension")
+
+
+def time_to_brake(batch: Batch) -> Measured:
+    """Longest time [s] from the last command that the drive heard until its brake is closed."""
+    return _worst(batch, "braked_after")
