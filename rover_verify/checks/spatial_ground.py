@@ -1,0 +1,249 @@
+"""The ground under the rover in space: parked on a slope, a block that slides, restitution."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rover_sim import (
+    Command,
+    SpatialPlant,
+    SpatialState,
+    WheelRateCommand,
+    load_spatial,
+)
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.contact import ContactParameters, restitution
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.spatial_cases import NO_ROTORS, make_plant, without_winch
+
+_IDLE = Command()
+
+# ------------------------------------------------------------------------------------- parked
+
+_PARKED = 60.0  # [s]
+_SLOPE = 15.0  # [deg]
+
+
+def parked(batch: Batch) -> Measured:
+    """How far a rover parked on a slope moves within a minute [m].
+
+    The ratchets hold a rover that faces uphill to within 90 degrees; facing downhill, its right
+    wheel is free to roll. Every other run drives there over regolith and keeps its motor at rest;
+    the others have settled, on regolith or on rock, with the motor off.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        downhill = float(generator.uniform(0.0, 360.0))
+        off = float(generator.uniform(-80.0, 80.0))
+        drives = index % 2 == 1
+        material = "regolith" if drives else str(generator.choice(["regolith", "rock"]))
+        plant = _on_slope(downhill, downhill + 180.0 + off, material)
+        state = plant.initial_state()
+        brake = _IDLE
+        if drives:
+            brake = Command(wheel=WheelRateCommand(0.0))
+            state = _driven(plant, state, float(generator.uniform(0.5, 2.0)), brake)
+        moved = _moved_when_left(plant, state, brake)
+        how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
+        details[f"run {index}, {how}"] = moved
+        worst = max(worst, moved)
+    note = f"{batch.runs} slopes of {_SLOPE:g} deg in random directions, {_PARKED:g} s"
+    return Measured(worst, note, details)
+
+
+def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
+    fall = math.radians(downhill)
+    floor = {"height": -4.0, "slope": _SLOPE, "downhill": downhill % 360.0, "material": material}
+    overrides = {
+        "place.floor": floor,
+        "tether.length": 8.0,
+        "start.position": [-2.0 * math.cos(fall), -2.0 * math.sin(fall)],
+        "start.heading": math.remainder(heading, 360.0),
+    }
+    return SpatialPlant(load_spatial("slope_15deg", overrides))
+
+
+def _driven(plant: SpatialPlant, state: SpatialState, rate: float, brake: Command) -> SpatialState:
+    """Forward for 2 s at a wheel rate [rad/s], then 3 s to come to rest."""
+    state, _ = plant.step(state, Command(wheel=WheelRateCommand(rate)), 2.0)
+    return plant.step(state, brake, 3.0)[0]
+
+
+def _moved_when_left(plant: SpatialPlant, state: SpatialState, brake: Command) -> float:
+    start, moved = state, 0.0
+    for _ in range(round(_PARKED)):
+        state, _ = plant.step(state, brake, 1.0)
+        moved = max(moved, float(np.linalg.norm(state.G1 - start.G1)))
+    return moved
+
+
+# -------------------------------------------------------------------------------------- block
+
+# A block: the rover's box on its belly, its wheels drawn in, Body 2 a grain. Its tether weighs
+# nothing, hangs through the ground and has slack wherever the block goes.
+_BLOCK: dict[str, object] = {
+    **NO_ROTORS,
+    "rover.tail": None,
+    "rover.body1_centre": [0.0, 0.0, 0.0],
+    "rover.wheels.radius": 0.01,
+    "rover.wheels.grouser_height": 0.0,
+    "rover.wheels.axle_z": 0.05,
+    "rover.m1": 10.0,
+    "rover.m2": 0.01,
+    "rover.inertia2": [1.0e-4, 1.0e-4, 1.0e-4],
+    "rover.slider.damping": 5.0,
+}
+_MASS = 10.01  # [kg]
+_HALF_HEIGHT = 0.075  # [m]
+_ATTACHMENT = 0.28  # above its centre [m]
+_THREAD = {"line_density": 1.0e-4, "axial_stiffness": 100.0, "bending_stiffness": 1.0e-4}
+# Friction knows nothing of the contact's damping; this much keeps the block from rocking [s/m].
+_QUIET = 30.0
+_OFFSETS = (-0.1, -0.01, 0.01, 0.1, 0.3)  # of tan(alpha) from mu
+# Before and while its acceleration is taken, on the Moon; elsewhere shorter for the same way [s].
+_SETTLED, _WATCHED = 1.2, 0.8
+_MOON = 1.62  # [m/s^2]
+
+
+def block(batch: Batch) -> Measured:
+    """Error in mu by which a block holds or slides, from its acceleration below and above mu.
+
+    It should be 0 while tan(alpha) < mu and g (sin(alpha) - mu cos(alpha)) above; what is off,
+    over g cos(alpha), is an error in mu.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        mu = float(generator.uniform(0.15, 0.9))
+        gravity = float(generator.choice([1.62, 3.71, 9.81]))
+        material = str(generator.choice(["regolith", "rock"]))
+        downhill = float(generator.uniform(-math.pi, math.pi))
+        largest = 0.0
+        for offset in _OFFSETS:
+            alpha = math.atan(mu + offset)
+            found = _acceleration(mu, alpha, downhill, gravity, material)
+            scale = gravity * math.cos(alpha)
+            largest = max(largest, abs(found / scale - max(offset, 0.0)))
+        details[f"run {index}, mu = {mu:.3f}, {gravity:g} m/s^2, {material}"] = largest
+        worst = max(worst, largest)
+    return Measured(worst, f"{batch.runs} blocks, tan(alpha) - mu = {_OFFSETS}", details)
+
+
+def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, material: str) -> float:
+    """Of a block down the slope, once it has settled on it [m/s^2]."""
+    flat = np.array([math.cos(downhill), math.sin(downhill), 0.0])
+    along = math.cos(alpha) * flat - np.array([0.0, 0.0, math.sin(alpha)])
+    turn = Rotation.from_rotvec(alpha * np.cross([0.0, 0.0, 1.0], flat))
+    # Put down 3 m uphill of the fairlead's plumb line, so that it slides towards the fairlead.
+    stiffness = 1.0e5 if material == "rock" else 2.0e4
+    depth = (0.25 * _MASS * gravity * math.cos(alpha) / stiffness) ** (2.0 / 3.0)
+    foot = np.array([*(-3.0 * flat[:2]), -1.0])
+    law = {
+        "stiffness": stiffness,
+        "damping": _QUIET,
+        "static_friction": mu,
+        "kinetic_friction": mu,
+    }
+    plant, state = _placed_block(
+        {
+            "place.gravity": gravity,
+            "place.floor": {
+                "height": -1.0 - 3.0 * math.tan(alpha),
+                "slope": math.degrees(alpha),
+                "downhill": math.degrees(downhill),
+                "material": material,
+            },
+            f"place.{material}": law,
+        },
+        foot + (_HALF_HEIGHT - depth) * turn.as_matrix()[:, 2],
+        turn,
+        np.zeros(3),
+    )
+    pace = math.sqrt(_MOON / gravity)
+    state, _ = plant.step(state, _IDLE, _SETTLED * pace)
+    before = float(state.G1_rate @ along)
+    state, _ = plant.step(state, _IDLE, _WATCHED * pace)
+    return (float(state.G1_rate @ along) - before) / (_WATCHED * pace)
+
+
+def _placed_block(
+    overrides: dict[str, object], centre: Array, turn: Rotation, velocity: Array
+) -> tuple[SpatialPlant, SpatialState]:
+    """A block at a place, moving without turning; its tether is straight."""
+    tip = centre + _ATTACHMENT * turn.as_matrix()[:, 2]
+    start = {
+        "kind": "straight",
+        "direction": tip.tolist(),
+        "attitude": turn.as_rotvec().tolist(),
+        "tip_velocity": velocity.tolist(),
+    }
+    tether = without_winch(float(np.linalg.norm(tip)), 4, **_THREAD)
+    plant = make_plant(_BLOCK, tether, overrides, {"start": start})
+    return plant, plant.initial_state()
+
+
+# -------------------------------------------------------------------------------- restitution
+
+_CORNER_STIFFNESS = 1.0e10  # so that a corner's impact is over before the block has turned
+_CORNER_STEP = 2.0e-5  # [s]
+
+
+def bounce(batch: Batch) -> Measured:
+    """Largest error of the speed after an impact, flat on four corners or on one, relative.
+
+    Hunt and Crossley's law gives a restitution by the speed alone, whatever mass and inertia stand
+    behind the point that hits.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        damping = float(generator.uniform(0.2, 1.2))
+        speed = float(generator.uniform(0.1, 1.0))
+        yaw = float(generator.uniform(-180.0, 180.0))
+        for kind in ("flat", "corner"):
+            stiffness, step = float(generator.choice([1.0e5, 2.0e4])), 1.0e-3
+            turn = Rotation.from_euler("z", yaw, degrees=True)
+            if kind == "corner":
+                stiffness, step = _CORNER_STIFFNESS, _CORNER_STEP
+                sides = generator.choice([-1.0, 1.0], 2)
+                lean = sides * generator.uniform(20.0, 40.0, 2)
+                turn = turn * Rotation.from_euler("xy", lean, degrees=True)
+            law = ContactParameters(stiffness, damping, 0.0, 0.0, anchor_stiffness=0.0)
+            found = _rebound(law, turn, speed, step)
+            error = abs(found / restitution(law.law(), speed) - 1.0)
+            details[f"run {index}, {kind}, {speed:.2f} m/s, c = {damping:.2f} s/m"] = error
+            worst = max(worst, error)
+    return Measured(worst, f"{batch.runs} impacts each, flat at 1 ms and on one corner", details)
+
+
+def _rebound(law: ContactParameters, turn: Rotation, speed: float, step: float) -> float:
+    """Speed of the lowest corner after the impact over that before."""
+    corners = np.array([[x, y, -_HALF_HEIGHT] for x in (-0.15, 0.15) for y in (-0.12, 0.12)])
+    low = corners[int(np.argmin(turn.apply(corners)[:, 2]))]
+    height = 2.0 * step * speed - float(turn.apply(low)[2])
+    plant, state = _placed_block(
+        {
+            "place.gravity": 0.0,
+            "place.floor": {"height": 0.0, "material": "rock"},
+            "place.rock": {
+                "stiffness": law.stiffness,
+                "damping": law.damping,
+                "static_friction": 0.0,
+                "kinetic_friction": 0.0,
+                "anchor_stiffness": 0.0,
+            },
+            "integration.h": step,
+        },
+        np.array([3.0, 0.0, height]),
+        turn,
+        np.array([0.0, 0.0, -speed]),
+    )
+    touched = False
+    for _ in range(round(0.5 / step)):
+        state, result = plant.step(state, _IDLE, step)
+        if touched and result.forces.body == 0.0:
+            break
+        touched = touched or result.forces.body > 0.0
+    rate = state.G1_rate + state.rotation @ np.cross(state.omega, low)
+    return float(rate[2]) / speed

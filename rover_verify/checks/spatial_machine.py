@@ -1,0 +1,291 @@
+"""The machine in space: jumps from the floor, the screw's work, the flywheel's friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from scipy.integrate import quad
+
+from rover_sim import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    SpatialPlant,
+    SpatialState,
+    load_spatial,
+)
+from rover_sim.machine import Friction, Rover, jump_height
+from rover_verify.checks import Batch, Measured
+
+_IDLE = Command()
+_MOON = 1.62  # [m/s^2]
+
+# A bare level floor, the rover standing on it, slack tether about.
+_STANDING: dict[str, object] = {
+    "place.relief": None,
+    "place.boulders": None,
+    "start.position": [1.5, 0.0],
+    "tether.length": 8.0,
+}
+
+
+def _standing(overrides: Mapping[str, object], material: str = "rock") -> SpatialPlant:
+    floor = {"height": -4.0, "material": material}
+    return SpatialPlant(
+        load_spatial("floor_rubble", {**_STANDING, "place.floor": floor, **overrides})
+    )
+
+
+# --------------------------------------------------------------------------------------- jump
+
+# The closed form's floor does not give way, and its slider has no friction. A light Body 2 meets
+# the end stop within a fraction of a millisecond.
+_UNYIELDING: dict[str, object] = {
+    "place.rock": {"stiffness": 1.0e8, "damping": 1.0e3},
+    "rover.slider.damping": 0.0,
+    "rover.slider.friction": 0.0,
+    "integration.h": 1.0e-4,
+}
+_NUT_RATE = 0.09  # a little below the flywheel's saturation [m/s]
+# Bodies 1 and 2 [kg] and compression [m] of the heights that the literature and the default
+# rover stand for.
+_KNOWN = ((6.0, 4.0, 0.20), (3.0, 2.0, 0.20), (10.0, 0.5, 0.20), (10.0, 0.05, 0.20))
+
+
+def jump_heights(batch: Batch) -> Measured:
+    """Largest deviation of a jump's height from the closed form, full cycle on a floor, relative.
+
+    The nut comes down, hooks, compresses to the stroke, the latch trips, Body 2 takes Body 1
+    along. The height is the rise of the common centre of mass over that of the rover that stands
+    with its spring relaxed.
+    """
+    worst, details = 0.0, {}
+    for name, (m1, m2, compression) in _jumps(batch):
+        overrides = {"rover.m1": m1, "rover.m2": m2}
+        rover, found = _jump(_standing({**_UNYIELDING, **overrides}), compression)
+        error = abs(found / jump_height(rover, _MOON, compression) - 1.0)
+        details[f"{name}: {m1:.3g} + {m2:.3g} kg, {compression:.3f} m"] = error
+        worst = max(worst, error)
+    for material in ("rock", "regolith"):
+        rover, found = _jump(_standing({}, material), 0.20)
+        ratio = found / jump_height(rover, _MOON, 0.20)
+        details[f"default rover on a yielding floor of {material}, height over closed form"] = ratio
+    note = "unyielding floor, slider without friction, 0.1 ms"
+    return Measured(worst, f"{len(_KNOWN)} known and {batch.runs} random cycles, {note}", details)
+
+
+def _jumps(batch: Batch) -> Iterator[tuple[str, tuple[float, float, float]]]:
+    for case in _KNOWN:
+        yield "known", case
+    for index, generator in enumerate(batch.generators()):
+        mass = float(generator.uniform(4.0, 15.0))
+        share = float(generator.uniform(0.1, 0.5))
+        compression = float(generator.uniform(0.12, 0.20))
+        yield f"run {index}", ((1.0 - share) * mass, share * mass, compression)
+
+
+def _jump(plant: SpatialPlant, compression: float) -> tuple[Rover, float]:
+    """The rover, and the rise of its centre of mass in a jump [m]."""
+    rover = plant.scenario.rover
+    assert rover is not None
+    state = plant.initial_state()
+    start = float(state.G1[2])
+    charge = Command(jump=JumpMotorCommand(compression, _NUT_RATE))
+    released = False
+    while not released:
+        state, result = plant.step(state, charge, 0.01)
+        released = any(event.name == "latch_released" for event in result.events)
+        if state.time > 30.0:
+            raise RuntimeError(f"the latch is {state.latch.name} after {state.time:.3g} s")
+    best, until = -math.inf, state.time + 3.0
+    while state.time < until:
+        state, result = plant.step(state, _IDLE, 0.002)
+        slide = state.s * float(state.rotation[2, 2]) - rover.slider.free_length
+        rise = float(state.G1[2]) - start + rover.m2 / rover.mass * slide
+        if rise < best - 1.0e-3:
+            break
+        best = max(best, rise)
+    return rover, best
+
+
+# -------------------------------------------------------------------------------------- screw
+
+_FINE = 1.0e-3  # [s]
+
+
+class _Stroke(NamedTuple):
+    """What a stroke of the nut cost, and what it should have."""
+
+    motor: float  # work of the motor [J]
+    expected: float
+
+
+def screw(batch: Batch) -> Measured:
+    """Largest miss of the screw's work balance, of what compressing costs the motor.
+
+    Compressing costs the motor the load's work over the efficiency, letting down it gets back the
+    load's work times 2 - 1/efficiency; the shaft's friction is paid both ways. The load's work is
+    what spring, gravity and slider show.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        efficiency = float(generator.uniform(0.6, 0.95))
+        lead = float(generator.uniform(1.5e-3, 3.0e-3))
+        depth = float(generator.uniform(0.08, 0.19))
+        rate = float(generator.uniform(0.02, 0.05))
+        plant = _standing(
+            {"rover.jump_drive.efficiency": efficiency, "rover.jump_drive.lead": lead}
+        )
+        down, up = _strokes(plant, depth, rate)
+        name = f"run {index}, efficiency {efficiency:.2f}, lead {lead * 1e3:.2f} mm"
+        for way, stroke in (("compressing", down), ("letting down", up)):
+            error = abs(stroke.motor - stroke.expected) / down.expected
+            details[f"{name}, {way} {stroke.motor:+.3f} J"] = error
+            worst = max(worst, error)
+    return Measured(worst, f"{batch.runs} strokes down and up again, latch held", details)
+
+
+def _strokes(plant: SpatialPlant, depth: float, rate: float) -> tuple[_Stroke, _Stroke]:
+    state = plant.initial_state()
+    hooked, _ = _sent(plant, state, 0.015, rate)
+    pressed, down = _sent(plant, hooked, depth, rate)
+    _, up = _sent(plant, pressed, 0.015, rate)
+    return down, up
+
+
+def _sent(
+    plant: SpatialPlant, state: SpatialState, position: float, rate: float
+) -> tuple[SpatialState, _Stroke]:
+    """Send the nut to a position and wait until all is at rest."""
+    rover = plant.scenario.rover
+    assert rover is not None
+    drive = rover.jump_drive
+    order = Command(jump=JumpMotorCommand(position, rate, trips=False))
+    begin, start = state, plant.energies(state)
+    friction, before = 0.0, state.flywheel_rate
+    for _ in range(round((abs(position - state.nut) / rate + 4.0) / _FINE)):
+        state, _ = plant.step(state, order, _FINE)
+        mean = 0.5 * (before + state.flywheel_rate)
+        before = state.flywheel_rate
+        friction += abs(mean) * _friction(drive.friction, mean) * _FINE
+    end = plant.energies(state)
+    spent = {name: value - begin.ledger[name] for name, value in state.ledger.items()}
+    # What the nut gave: all that is stored beyond the drive, and what got lost there.
+    load = end.stored - start.stored
+    load += sum(
+        value
+        for name, value in spent.items()
+        if name.startswith("heat") and name != "heat_jump_drive"
+    )
+    share = 1.0 / drive.efficiency if load > 0.0 else 2.0 - 1.0 / drive.efficiency
+    return state, _Stroke(spent["input_jump_motor"], load * share + friction)
+
+
+def _friction(law: Friction, rate: float) -> float:
+    """Friction torque of a shaft that turns, Stribeck's curve and a viscous part [N m]."""
+    ratio = rate / law.stribeck_rate
+    dry = law.coulomb + (law.breakaway - law.coulomb) * math.exp(-ratio * ratio)
+    return dry + law.viscous * abs(rate)
+
+
+# ----------------------------------------------------------------------------------- flywheel
+
+_HEAVY = 1.0e3  # moments of inertia of a rover that hardly turns [kg m^2]
+_SPIN_TORQUE = 0.1  # at the shaft [N m]
+
+
+def flywheel(batch: Batch) -> Measured:
+    """Largest error of the flywheel: its coast-down, its momentum, its reaction, relative.
+
+    Under a rover that hardly turns it stops after the integral of J dv / friction(v). Under the
+    default rover, hanging, its absolute momentum falls by the friction's impulse, and while it is
+    spun up the rover takes as much momentum the other way.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        coulomb = float(generator.uniform(4.0e-3, 8.0e-3))
+        law = {
+            "coulomb": coulomb,
+            "breakaway": coulomb * float(generator.uniform(1.05, 1.6)),
+            "stribeck_rate": float(generator.uniform(2.0, 10.0)),
+            "viscous": float(10.0 ** generator.uniform(-5.0, -4.0)),
+        }
+        spin = float(generator.uniform(15.0, 35.0))
+        inertia = float(generator.uniform(0.8e-3, 1.2e-3))
+        parts: dict[str, object] = {
+            "rover.jump_drive.friction": law,
+            "rover.jump_drive.inertia": inertia,
+        }
+        heavy = {"rover.inertia1": [_HEAVY, _HEAVY, _HEAVY]}
+        errors = {
+            "stop": _coast_error(_hanging({**parts, **heavy}), spin),
+            "momentum": _momentum_error(_hanging(parts), spin),
+            "reaction": _reaction_error(_hanging(parts)),
+        }
+        for name, error in errors.items():
+            details[f"run {index}, from {spin:.0f} rad/s, {name}"] = error
+        worst = max(worst, *errors.values())
+    return Measured(worst, f"{batch.runs} flywheels spun up and left to coast", details)
+
+
+def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:
+    return SpatialPlant(load_spatial("free_hang", dict(overrides)))
+
+
+def _spun_up(plant: SpatialPlant, rate: float) -> SpatialState:
+    """The nut near its upper end, the flywheel turning downwards at about that rate [rad/s]."""
+    state = plant.initial_state()
+    up = Command(jump=JumpMotorCommand(-0.056, 0.02))
+    state, _ = plant.step(state, up, 3.0)
+    while state.flywheel_rate < rate:
+        state, _ = plant.step(state, Command(jump=FlywheelCommand(_SPIN_TORQUE)), _FINE)
+    return state
+
+
+def _coast_error(plant: SpatialPlant, spin: float) -> float:
+    """Of the time to the standstill."""
+    rover = plant.scenario.rover
+    assert rover is not None
+    drive = rover.jump_drive
+    state = _spun_up(plant, spin)
+    begin, before = state.time, state
+    first = state.flywheel_rate
+    wanted, _ = quad(lambda v: drive.inertia / _friction(drive.friction, v), 0.0, first)
+    while state.flywheel_rate > 0.0:
+        before = state
+        state, _ = plant.step(state, _IDLE, _FINE)
+        if state.time > begin + 3.0 * wanted:
+            return math.inf
+    # Within the last step the friction is that of rest.
+    rest = before.flywheel_rate * drive.inertia / drive.friction.breakaway
+    return abs((before.time + rest - begin) / wanted - 1.0)
+
+
+def _momentum_error(plant: SpatialPlant, spin: float) -> float:
+    """Of the momentum lost against the friction's impulse, down to a quarter of the rate."""
+    rover = plant.scenario.rover
+    assert rover is not None
+    drive = rover.jump_drive
+    state = _spun_up(plant, spin)
+    start, impulse = state, 0.0
+    before = state.flywheel_rate
+    while state.flywheel_rate > 0.25 * spin:
+        state, _ = plant.step(state, _IDLE, _FINE)
+        impulse += _FINE * _friction(drive.friction, 0.5 * (before + state.flywheel_rate))
+        before = state.flywheel_rate
+    lost = start.flywheel_rate + start.omega[0] - state.flywheel_rate - state.omega[0]
+    return abs(drive.inertia * float(lost) / impulse - 1.0)
+
+
+def _reaction_error(plant: SpatialPlant) -> float:
+    """Of the momentum that the rover takes within 20 ms of torque."""
+    rover = plant.scenario.rover
+    assert rover is not None
+    state = plant.initial_state()
+    state, _ = plant.step(state, Command(jump=FlywheelCommand(_SPIN_TORQUE)), 0.02)
+    # On a long tether it turns about its centre of mass.
+    across = rover.inertia[0] + rover.m1 * rover.m2 / rover.mass * state.s**2
+    rotor = rover.jump_drive.inertia * (state.flywheel_rate + float(state.omega[0]))
+    return abs(-across * float(state.omega[0]) / rotor - 1.0)
