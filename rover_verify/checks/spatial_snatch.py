@@ -1,0 +1,223 @@
+"""Hard use of the tether in space: thrown slack, snatched, whipped, torn."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from msg_schemas import topics
+from rover_sim import Command, Outcome, Phase, SpatialPlant, SpatialState, StepResult
+from rover_sim.physics.ancf import Array
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.nodes import SIM
+from rover_verify.checks.spatial_cases import make_plant, without_winch
+from rover_verify.stage import open_stage
+
+_IDLE = Command()
+_RADIUS = 3.45e-4  # of the source paper's tether [m]
+_TICK = 0.02  # [s]
+_STIFFEST = 70.0e9  # [Pa]
+
+
+def _direction(generator: np.random.Generator) -> Array:
+    """Anywhere from 60 deg above to 60 deg below level."""
+    up, around = generator.uniform(-1.0, 1.0) * math.pi / 3.0, generator.uniform(0.0, 2.0 * math.pi)
+    return np.array(
+        [math.cos(up) * math.cos(around), math.cos(up) * math.sin(around), math.sin(up)]
+    )
+
+
+def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[SpatialPlant, str]:
+    """A tether that starts straight, with the rover, a weight or nothing, thrown to the fairlead.
+
+    Ranges: 2 to 100 elements, E from 10 MPa to 70 GPa, 2 to 10 m, axial damping time 0 or 0.1 to 10 ms,
+    1.62 or 9.81 m/s^2, thrown with up to 4 m/s; a `whip` has a free end and is let go at rest.
+    """
+    elements = int(generator.integers(2, 101))
+    modulus = float(10.0 ** generator.uniform(7.0, math.log10(_STIFFEST)))
+    if generator.uniform() < 0.3:
+        elements, modulus = 100, _STIFFEST
+    length = float(generator.uniform(2.0, 10.0))
+    damping = float(generator.choice([0.0, 10.0 ** generator.uniform(-4.0, -2.0)], p=[0.2, 0.8]))
+    direction = _direction(generator)
+    aside = generator.normal(size=3)
+    speed = float(generator.uniform(0.5, 4.0))
+    velocity = speed * (0.3 * aside / np.linalg.norm(aside) - direction)
+    start: dict[str, object] = {"kind": "straight", "direction": direction.tolist()}
+    overrides: dict[str, object] = {"place.gravity": float(generator.choice([1.62, 9.81]))}
+    if kind != "whip":
+        start["tip_velocity"] = velocity.tolist()
+    if kind != "rover":
+        overrides["rover"] = None
+        overrides["tip"] = {"mass": 0.0 if kind == "whip" else float(generator.uniform(1.0, 20.0))}
+    plant = make_plant(
+        without_winch(
+            length,
+            elements,
+            youngs_modulus=modulus,
+            radius=_RADIUS,
+            density=float(generator.choice([1.0e3, 2.7e3, 1.0e4])),
+            axial_damping_time=damping,
+            bending_damping_time=float(10.0 ** generator.uniform(-3.0, -1.0)),
+        ),
+        overrides,
+        {"start": start},
+        fixed,
+    )
+    name = (
+        f"{kind}, n = {elements}, {modulus / 1e9:.3g} GPa, {length:.1f} m, {damping * 1e3:.2g} ms"
+    )
+    return plant, name
+
+
+def is_finite(state: SpatialState) -> bool:
+    """Whether every number of the state is finite, but for those that say never."""
+    arrays = (state.nodes, state.node_rates, state.mouth, state.body, state.book)
+    return all(bool(np.all(np.isfinite(array))) for array in arrays)
+
+
+def fault(result: StepResult, state: SpatialState, scale: float, gain: float, loss: float) -> str:
+    """What is wrong with a tick, or nothing.
+
+    Of the energy in play, `scale` [J], the books may miss the shares `gain` and `loss`. Losses are
+    larger: rotors that friction holds follow the body's rate one step later, which takes energy
+    away, in proportion to the step.
+    """
+    if not is_finite(state):
+        return "not finite"
+    if result.outcome is Outcome.DIVERGED:
+        return "diverged"
+    drift = result.energies.drift
+    if not -loss * scale <= drift <= gain * scale:
+        return f"energy drift {drift:.2g} of {scale:.2g} J"
+    if not result.constraint_drift < 1e-6:
+        return f"the tether is {result.constraint_drift:.2g} m off the rover"
+    return ""
+
+
+def _energy_scale(plant: SpatialPlant, state: SpatialState) -> float:
+    """Energy that is in play [J]: of the throw, and of a fall by the tether's length."""
+    scenario = plant.scenario
+    weight = scenario.tip_mass + 0.5 * scenario.tether.section.line_density * scenario.tether.length
+    energies = plant.energies(state)
+    return energies.kinetic + 2.0 * weight * scenario.gravity * scenario.tether.length
+
+
+def snatch(batch: Batch) -> Measured:
+    """How many throws and whips at 1 ms diverge, gain energy, or are not finite."""
+    details: dict[str, float | str] = {}
+    bad, most, least = 0, 0.0, 0.0
+    for index, generator in enumerate(batch.generators()):
+        plant, name = thrown(generator, ("rover", "weight", "whip")[index % 3])
+        state = plant.initial_state()
+        scale = _energy_scale(plant, state)
+        wrong, peak, halved, smallest = "", 0.0, 0, math.inf
+        for _ in range(round(3.0 / _TICK)):
+            state, result = plant.step(state, _IDLE, _TICK)
+            wrong = fault(result, state, scale, gain=1e-5, loss=1e-2)
+            peak = max(peak, result.peak_tension)
+            halved += result.outcome is Outcome.HALVED
+            smallest = min(smallest, result.smallest_step)
+            most = max(most, result.energies.drift / scale)
+            least = min(least, result.energies.drift / scale)
+            if wrong:
+                break
+        bad += bool(wrong)
+        told = f"peak {peak:.3g} N, {halved} ticks halved, to {smallest * 1e3:.3g} ms"
+        details[f"run {index}: {name}"] = wrong or told
+    details["energy that the books miss, largest gain, relative"] = most
+    details["largest loss, relative"] = least
+    return Measured(bad, f"of {batch.runs} runs of 3 s at 1 ms, n to 100, E to 70 GPa", details)
+
+
+def _torn(generator: np.random.Generator, details: dict[str, float | str], name: str) -> int:
+    """Tear a thrown tether at a part of the tension that it would come to; promises not kept."""
+    elements = int(generator.integers(5, 60))
+    seed = int(generator.integers(2**31))
+    fixed: dict[str, object] = {"tether.elements": elements}
+
+    def throw(load: float) -> tuple[SpatialPlant, SpatialState, list[StepResult]]:
+        plant, _ = thrown(
+            np.random.default_rng(seed), "weight", **fixed, **{"tether.breaking_load": load}
+        )
+        state, results = plant.initial_state(), []
+        for _ in range(round(3.0 / _TICK)):
+            state, result = plant.step(state, _IDLE, _TICK)
+            results.append(result)
+            if state.phase.final:
+                break
+        return plant, state, results
+
+    _, whole, results = throw(math.inf)
+    peak = max(result.peak_tension for result in results)
+    load = float(generator.uniform(0.2, 0.9)) * peak
+    plant, state, results = throw(load)
+    last = results[-1]
+    events = [event for result in results for event in result.events]
+    again, after = plant.step(state, _IDLE, _TICK)
+    fresh, _ = plant.step(plant.initial_state(), _IDLE, 0.5 * state.time)
+    _, unbroken, _ = throw(1.001 * peak)
+    promises = {
+        "an event, once": [event.name for event in events] == ["tether_broken"],
+        "with the tension that tore it": bool(events) and events[-1].values["tension"] > load,
+        "at the instant where the state stands": bool(events)
+        and abs(events[-1].time - state.time) < 1e-9,
+        "a state": state.phase is Phase.TETHER_BROKEN and is_finite(state),
+        "told as the outcome": last.outcome is Outcome.TETHER_BROKEN,
+        "no tension above it before": all(r.peak_tension <= load for r in results[:-1]),
+        "further steps leave it": again is state and after.outcome is Outcome.TETHER_BROKEN,
+        "the plant starts anew": fresh.phase is not Phase.TETHER_BROKEN,
+        "a stronger one holds": unbroken.phase is not Phase.TETHER_BROKEN
+        and np.array_equal(unbroken.nodes, whole.nodes),
+    }
+    for promise, kept in promises.items():
+        if not kept:
+            details[f"{name}: {promise}"] = "NOT KEPT"
+    details[f"{name}, n = {elements}"] = f"torn at {load:.4g} N of {peak:.4g} N, {state.time:.2f} s"
+    return sum(not kept for kept in promises.values())
+
+
+_WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle": 60.0}
+
+
+def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
+    """Tear the tether in a running sim_node; promises not kept."""
+    make_plant(_WEAK).warm_up()
+    parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
+    with open_stage(batch.folder) as stage:
+        process = stage.processes.start(SIM, parameters)
+        observer = stage.observer()
+        for name in (topics.EVENTS, topics.TRUTH_PHASE, topics.CLOCK):
+            observer.listen(name)
+        observer.wait_for_text(topics.TRUTH_PHASE, "tether_broken")
+        event = observer.wait_for_event("tether_broken")
+        clock = observer.listen(topics.CLOCK)
+        count, stamp = len(clock), observer.time_ns()
+        clock.wait(lambda sample: sample.stamp_ns > stamp + 200_000_000, count)
+        told = len(observer.listen(topics.TRUTH_PHASE))
+        answer = observer.call(topics.SIM_RESET_PLANT)
+        observer.wait_for_text(topics.TRUTH_PHASE, "hanging", since=told)
+        promises = {
+            "the event tells the tension": float(event.values["tension"]) > 20.0,
+            "it is reset": answer.success,
+            "it ends well": process.stop() == 0,
+        }
+    details["sim_node"] = f"{event.message}; time runs on, reset, hangs again"
+    for promise, kept in promises.items():
+        if not kept:
+            details[f"sim_node: {promise}"] = "NOT KEPT"
+    return sum(not kept for kept in promises.values())
+
+
+def tear(batch: Batch) -> Measured:
+    """How many promises about a broken tether are not kept, by the plant and by sim_node."""
+    details: dict[str, float | str] = {}
+    failures = 0
+    count = min(batch.runs, 10)
+    for index, generator in enumerate(batch.generators(count)):
+        failures += _torn(generator, details, f"run {index}")
+    failures += _simulator_lives_on(batch, details)
+    return Measured(failures, f"{count} throws of nine promises each, and sim_node's", details)
