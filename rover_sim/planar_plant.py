@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -138,11 +139,18 @@ class PlanarPlant:
         self.section = tether.section
         self._elements = tether.elements
         self._model = make_model(scenario)
+        self._threads = threading.local()
 
     @property
     def model(self) -> planar.Model:
         """The constants handed to the compiled functions."""
         return self._model
+
+    def _solver(self) -> planar.Solver:
+        solver: planar.Solver | None = getattr(self._threads, "solver", None)
+        if solver is None:
+            solver = self._threads.solver = planar.make_solver(self._elements)
+        return solver
 
     def initial_state(self) -> PlanarState:
         """The state at the scenario's start: all at rest, the rover held.
@@ -224,7 +232,7 @@ class PlanarPlant:
             outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
-        report = np.zeros(planar.REPORT_SIZE)
+        solver = self._solver()
         outcome_code, phase_code, count = planar.advance(
             self._model,
             *motion,
@@ -233,8 +241,9 @@ class PlanarPlant:
             float(dt),
             stop_at_touchdown,
             events,
-            report,
+            solver,
         )
+        report = solver.report
         after = _state_of(motion, self._elements, _PHASE_OF[phase_code])
         peak = float(report[planar.PEAK_TENSION])
         result = StepResult(
@@ -268,10 +277,9 @@ class PlanarPlant:
         """Compile everything a step needs, or load it from the cache."""
         motion = _motion_of(self.state_at_rest(_straight(self.scenario)))
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
-        report = np.zeros(planar.REPORT_SIZE)
         phase = planar.FREE if self.scenario.rover is None else planar.HELD
         planar.advance(
-            self._model, *motion, phase, (0.0, 0.0), self._model.step, False, events, report
+            self._model, *motion, phase, (0.0, 0.0), self._model.step, False, events, self._solver()
         )
         planar.energies(self._model, motion.q, motion.v, motion.body)
         element_tensions(self._model.tether, motion.q, motion.v, np.empty(self._elements))

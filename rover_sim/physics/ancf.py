@@ -120,9 +120,9 @@ def axial_tangent(e: Array, axial_stiffness: float, length: float) -> Array:
     functions = slope_functions(GAUSS_POINTS, length)
     slopes = functions @ e
     strain = 0.5 * (np.sum(slopes**2, axis=-1) - 1.0)
-    tensor = strain[..., None, None] * np.eye(e.shape[-1]) + slopes[..., :, None] * slopes[
-        ..., None, :
-    ]
+    tensor = (
+        strain[..., None, None] * np.eye(e.shape[-1]) + slopes[..., :, None] * slopes[..., None, :]
+    )
     weights = axial_stiffness * length * GAUSS_WEIGHTS
     return np.asarray(
         np.einsum("g,ga,gb,...gij->...aibj", weights, functions, functions, tensor, optimize=True)

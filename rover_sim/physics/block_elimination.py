@@ -21,17 +21,16 @@ from typing import Any
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.packets import fill, lane, load, stack, store, with_lane
 
 
-@allocating
 def make_factor(nodes: int, columns: int, lanes: int) -> Array:
     """Scratch array (nodes + 2, m + 1, lanes) of `solve_blocks`; see `_eliminate`."""
     return np.zeros((nodes + 2, columns, lanes))
 
 
-@kernel
+@inner
 def _eliminate(
     tag: tuple[float, ...],
     blocks: Array,
@@ -77,7 +76,7 @@ def _eliminate(
         store(factor, (node, k, 0), columns[m + 1 + k] * inverses)
 
 
-@kernel
+@inner
 def _fold(
     tag: tuple[float, ...], blocks: Array, element: int, side: int, previous: int, factor: Array
 ) -> None:
@@ -90,7 +89,7 @@ def _fold(
         store(blocks, (element, side, c, 0), column)
 
 
-@kernel
+@inner
 def _substitute(
     tag: tuple[float, ...], node: int, known: int, factor: Array, solution: Array
 ) -> None:
@@ -102,7 +101,7 @@ def _substitute(
     store(solution, (node, 0), result)
 
 
-@kernel
+@inner
 def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array) -> None:
     """Solve for all nodes.
 

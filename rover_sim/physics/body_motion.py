@@ -6,7 +6,7 @@ Vectors are tuples of three floats; body axes are base_link's.
 import math
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked, checked_inner
 from rover_sim.physics.vectors import (
     Quaternion,
     Vector,
@@ -31,7 +31,7 @@ class BodyMotion(NamedTuple):
     spin: Vector  # angular velocity in base_link [rad/s]
 
 
-@checked
+@checked_inner
 def velocity_at(body: BodyMotion, place: Vector) -> Vector:
     """Velocity in map [m/s] of a point of the body."""
     return add(body.velocity, rotate(rotation_of(body.orientation), cross(body.spin, place)))

@@ -2,12 +2,14 @@
 
 import functools
 import hashlib
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from numba import njit
+from numba import njit, types
+from numba.core.registry import CPUDispatcher
 
 # Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
 FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
@@ -42,17 +44,41 @@ def source_stamp(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _decorator(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+class _Compiled(CPUDispatcher):
+    """Not compiled anew for every constant that a caller writes in place of a number."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        unliteral: Any = types.unliteral
+        return super().get_call_template(tuple(unliteral(arg) for arg in args), kws)
+
+
+class _Inner(_Compiled):
+    """Without an entry from Python; gets one when tests or people at the prompt call it."""
+
+    _entry: Callable[..., Any] | None = None
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if self._entry is None:
+            inner = self
+            self._entry = njit(**_ALWAYS)(lambda *given: inner(*given))  # noqa: PLW0108 - numba compiles the lambda
+        return self._entry(*inspect.signature(self.py_func).bind(*args, **kwargs).args)
+
+
+_ALWAYS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
+def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`njit` with a cache on disk that knows what a function is compiled from.
 
     numba takes a cached function as fresh as long as its own file is unchanged, though it holds
     the functions that it calls in other files as well: after a change of these it would go on with
     the old ones. So the stamp that it compares is replaced by that of all sources.
     """
-    compile_later: Any = njit(cache=True, nogil=True, error_model="numpy", **options)
+    compile_later: Any = njit(cache=True, **_ALWAYS, **options)
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = compile_later(function)
+        dispatcher.__class__ = kind
         dispatcher._cache._cache_file._source_stamp = source_stamp(
             Path(function.__code__.co_filename)
         )
@@ -61,26 +87,34 @@ def _decorator(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-kernel = _decorator(_nrt=False, fastmath=set(FAST_MATH))
+def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`kernel` with further options of numba."""
+    return _decorator(_Compiled, _nrt=False, fastmath=set(FAST_MATH), **options)
+
+
+def inner_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`inner` with further options of numba."""
+    return _decorator(
+        _Inner, _nrt=False, fastmath=set(FAST_MATH), no_cpython_wrapper=True, **options
+    )
+
+
+kernel = kernel_with()
 """For arithmetic: products feed additions, sums may be reordered.
 
-Neither these functions nor the `checked` ones can allocate, and they do not count references to
-the arrays that they are given, which would cost more than a small tether's step.
+None of these functions can allocate, and they do not count references to the arrays that they are
+given, which would cost more than a small tether's step.
 """
 
-checked = _decorator(_nrt=False)
-"""For control flow that tests for convergence and finiteness: arithmetic as written."""
-
-allocating = _decorator()
-"""For what makes arrays."""
-
-inner = _decorator(
-    _nrt=False, fastmath=set(FAST_MATH), no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
+inner = inner_with()
 """As `kernel`, for what compiled functions alone call.
 
-Without its entry from Python, which takes seconds to compile for arguments of many numbers.
+The entry from Python, which unpacks all that is in the arguments, takes as long to compile as many
+a function.
 """
 
-checked_inner = _decorator(_nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+checked = _decorator(_Compiled, _nrt=False)
+"""For control flow that tests for convergence and finiteness: arithmetic as written."""
+
+checked_inner = _decorator(_Inner, _nrt=False, no_cpython_wrapper=True)
 """As `checked`, for what compiled functions alone call."""

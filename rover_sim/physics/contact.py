@@ -40,7 +40,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner
 
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]  # rows
@@ -117,7 +117,7 @@ ROCK = ContactParameters(stiffness=1.0e5)
 REGOLITH = ContactParameters(stiffness=2.0e4)
 
 
-@kernel
+@inner
 def blend_laws(first: ContactLaw, second: ContactLaw, weight: float) -> ContactLaw:
     """The law between two materials: `first` at weight 0, `second` at weight 1, linear between."""
     w0 = 1.0 - weight
@@ -133,7 +133,7 @@ def blend_laws(first: ContactLaw, second: ContactLaw, weight: float) -> ContactL
     )
 
 
-@kernel
+@inner
 def damping_factor(damping: float, rate: float) -> tuple[float, float]:
     """Factor max(0, 1 + 3/2 c d'), rounded at 0, and its derivative with respect to d' [s/m].
 
@@ -153,7 +153,7 @@ def damping_factor(damping: float, rate: float) -> tuple[float, float]:
     return t * t * (0.25 / FACTOR_ROUNDING), t * (0.5 / FACTOR_ROUNDING) * slope
 
 
-@kernel
+@inner
 def normal_force(law: ContactLaw, depth0: float, depth1: float, h: float) -> tuple[float, float]:
     """Normal force N [N] averaged over a step, and dN/dd1 [N/m].
 
@@ -190,7 +190,7 @@ def normal_force(law: ContactLaw, depth0: float, depth1: float, h: float) -> tup
     return elastic * factor, tangent * factor + elastic * slope / h
 
 
-@kernel
+@inner
 def friction_coefficient(law: ContactLaw, speed_squared: float) -> tuple[float, float]:
     """Coefficient mu(v) [-] and d mu / d(v^2) [s^2/m^2]."""
     unit = 1.0 / (law.stribeck_speed * law.stribeck_speed)
@@ -199,7 +199,7 @@ def friction_coefficient(law: ContactLaw, speed_squared: float) -> tuple[float, 
     return law.kinetic_friction + excess, -excess * fall * unit
 
 
-@kernel
+@inner
 def capped(ratio: float) -> tuple[float, float]:
     """min(ratio, 1), rounded at 1 from below, and its derivative; ratio >= 0."""
     if ratio <= 1.0 - LIMIT_ROUNDING:
@@ -210,7 +210,7 @@ def capped(ratio: float) -> tuple[float, float]:
     return ratio - t * t * (0.25 / LIMIT_ROUNDING), 1.0 - t * (0.5 / LIMIT_ROUNDING)
 
 
-@kernel
+@inner
 def friction_force(
     limit: float,
     anchor_stiffness: float,
@@ -295,7 +295,7 @@ def friction_force(
     return force, by_limit, tangent
 
 
-@kernel
+@inner
 def _tangential(vector: Vector, normal: Vector) -> Vector:
     """The part of a vector in the tangent plane."""
     along = vector[0] * normal[0] + vector[1] * normal[1] + vector[2] * normal[2]
@@ -306,7 +306,7 @@ def _tangential(vector: Vector, normal: Vector) -> Vector:
     )
 
 
-@kernel
+@inner
 def contact_force(
     law: ContactLaw,
     depth0: float,
@@ -386,7 +386,7 @@ def contact_force(
     )
 
 
-@kernel
+@inner
 def advance_anchor(limit: float, anchor_stiffness: float, slip: Vector, bristle: Vector) -> Vector:
     """Deflection e1 [m] of an anchor after a step with the slip w; beyond the limit it yields."""
     ex = bristle[0] + slip[0]
@@ -402,7 +402,7 @@ def advance_anchor(limit: float, anchor_stiffness: float, slip: Vector, bristle:
     return scale * ex, scale * ey, scale * ez
 
 
-@kernel
+@inner
 def advance_bristle(
     law: ContactLaw,
     depth0: float,
@@ -425,7 +425,7 @@ def advance_bristle(
     return advance_anchor(mu * load, law.anchor_stiffness, slip, _tangential(bristle, normal))
 
 
-@kernel
+@inner
 def contact_energy(law: ContactLaw, depth: float, bristle: Vector) -> float:
     """Energy that a contact stores [J]: 2/5 k d^(5/2) + 1/2 k_a e^2.
 

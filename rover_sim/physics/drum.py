@@ -27,7 +27,7 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked, checked_inner
 from rover_sim.physics.motor import (
     RATE,
     TORQUE,
@@ -248,13 +248,13 @@ def wound_length(drum: Drum, turns: float) -> float:
     return _TURN * (drum.radius * turns + drum.layer_pitch * (layers + current))
 
 
-@checked
+@checked_inner
 def length_at(drum: Drum, angle: float) -> float:
     """Length paid out [m] at a drum angle [rad], in closed form."""
     return drum.max_length - wound_length(drum, drum.full_turns - angle / _TURN)
 
 
-@checked
+@checked_inner
 def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool, float]:
     """Whether the brake is closed during the step, and its clock after it."""
     if release != state.braked:  # as asked for
@@ -265,7 +265,7 @@ def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool,
     return state.braked, state.brake_clock + h
 
 
-@checked
+@checked_inner
 def advance(
     drum: Drum, state: DrumState, command: DrumCommand, tension: float, h: float
 ) -> tuple[DrumState, DrumOutputs, DrumBooks]:

@@ -36,7 +36,7 @@ import numpy as np
 
 from rover_sim.physics.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.block_elimination import make_factor, solve_blocks
-from rover_sim.physics.compiled import allocating, checked, kernel
+from rover_sim.physics.compiled import checked_inner, inner
 from rover_sim.physics.packets import (
     fill,
     lane,
@@ -92,7 +92,6 @@ class Workspace(NamedTuple):
     loss: Array  # what each element dissipated during the step [J], (width,)
 
 
-@allocating
 def make_workspace(elements: int, dim: int) -> Workspace:
     """Allocate the arrays for a tether of n elements."""
     m = 2 * dim
@@ -114,7 +113,7 @@ def make_workspace(elements: int, dim: int) -> Workspace:
     )
 
 
-@kernel
+@inner
 def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
     """Direction d of (r1, r1', r2, r2') of the elements from e on, as packets."""
     dim = len(tag)
@@ -126,7 +125,7 @@ def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
     )
 
 
-@kernel
+@inner
 def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
     """Prepare a step of length h from (q0, v0): everything that the increment does not change."""
     tag, dim, length = tether.gravity, len(tether.gravity), tether.element_length
@@ -173,7 +172,7 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
                     store(work.curving, (g * dim + d, e), curving * inverse)
 
 
-@kernel
+@inner
 def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -> None:
     """Increments of (chord, r1', r2') of the elements from e on; direction d from 3 d on."""
     for d in range(len(tag)):
@@ -183,7 +182,7 @@ def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -
         basis[3 * d + 2] = s2
 
 
-@kernel
+@inner
 def _axial_points(
     tether: Tether, average: float, e: int, work: Workspace, basis: Any, force: Any, tensor: Any
 ) -> None:
@@ -221,7 +220,7 @@ def _axial_points(
                 tensor[(g * dim + d) * dim + c] = entry
 
 
-@kernel
+@inner
 def _curvature_change(
     tether: Tether, e: int, g: int, work: Workspace, basis: Any, bend: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -271,7 +270,7 @@ def _curvature_change(
     return shrink, along, cross, change
 
 
-@kernel
+@inner
 def _add_bending_damping(
     tether: Tether, h: float, e: int, work: Workspace, basis: Any, force: Any, tangent: Any
 ) -> None:
@@ -307,7 +306,7 @@ def _add_bending_damping(
                     tangent[index] = tangent[index] + _CURVING_PAIRS[pair, g] * entry
 
 
-@kernel
+@inner
 def assemble(tether: Tether, h: float, work: Workspace) -> None:
     """Write tangent and residual of all elements to work.blocks, to which others may then add."""
     tag = tether.gravity
@@ -347,7 +346,7 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
         _store_residual(tag, linear, inverse, e, force, work)
 
 
-@kernel
+@inner
 def _store_tangent(
     tag: Any, linear: tuple[float, ...], e: int, tangent: Any, blocks: Array
 ) -> None:
@@ -372,7 +371,7 @@ def _store_tangent(
     _store_columns(tag, e, 1, couple + dim, 1, 1.0, -c[4], 4, 1.0, c[5], tangent, blocks)
 
 
-@kernel
+@inner
 def _store_columns(
     tag: Any,
     e: int,
@@ -407,7 +406,7 @@ def _store_columns(
             store(blocks, (e + 1 + w, side, column + c, 0), rows[w])
 
 
-@kernel
+@inner
 def _store_residual(
     tag: Any, linear: tuple[float, ...], inverse: float, e: int, force: Any, work: Workspace
 ) -> None:
@@ -436,7 +435,7 @@ def _store_residual(
         store(work.blocks, (e + 1 + w, 1, m, 0), second[w])
 
 
-@kernel
+@inner
 def begin_ends(tether: Tether, work: Workspace) -> None:
     """Clear what sits at the ends and hold there what work.end_fixed says.
 
@@ -459,7 +458,7 @@ def begin_ends(tether: Tether, work: Workspace) -> None:
                 set_end(work, end, r, r, 1.0)
 
 
-@kernel
+@inner
 def set_end(work: Workspace, end: int, column: int, row: int, value: float) -> None:
     """Say what the root (0) or tip (1) adds to its node's equations.
 
@@ -471,7 +470,7 @@ def set_end(work: Workspace, end: int, column: int, row: int, value: float) -> N
         work.blocks[work.blocks.shape[0] - 1, 0, column, row] = value
 
 
-@kernel
+@inner
 def _mask_ends(tether: Tether, work: Workspace) -> None:
     """Clear the rows of held coordinates in the blocks of the first and the last element."""
     tag = tether.gravity
@@ -483,7 +482,7 @@ def _mask_ends(tether: Tether, work: Workspace) -> None:
             store(work.blocks, (element, end, c, 0), column * mask)
 
 
-@kernel
+@inner
 def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
     """Subtract the solution from the increment.
 
@@ -515,7 +514,7 @@ def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
     return greatest, magnitudes
 
 
-@checked
+@checked_inner
 def solve_increment(tether: Tether, work: Workspace) -> float:
     """Solve what stands in work.blocks and apply the Newton increment to work.increment.
 
@@ -528,14 +527,14 @@ def solve_increment(tether: Tether, work: Workspace) -> float:
     return largest if np.isfinite(total) else np.nan
 
 
-@checked
+@checked_inner
 def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
     """Assemble, solve and apply one Newton increment; see `solve_increment`."""
     assemble(tether, h, work)
     return float(solve_increment(tether, work))
 
 
-@kernel
+@inner
 def end_step(
     tether: Tether, h: float, q0: Array, v0: Array, work: Workspace, q1: Array, v1: Array
 ) -> tuple[float, float, float]:

@@ -54,7 +54,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 from rover_sim.physics.motor import (
     POSITION,
     RATE,
@@ -266,7 +266,7 @@ def initial_state(drive: JumpDrive, nut: float | None = None) -> JumpState:
     return JumpState(_FREE, position, 0.0, 0.0, 0.0, _INFINITE, 0.0)
 
 
-@checked
+@checked_inner
 def _motor_torque(
     drive: JumpDrive, state: JumpState, command: JumpCommand, h: float
 ) -> tuple[float, float]:
@@ -300,7 +300,7 @@ def _motor_torque(
     return 0.0, 0.0
 
 
-@checked
+@checked_inner
 def _holding_force(drive: JumpDrive, state: JumpState, h: float) -> float:
     """Mean force [N] over h of a latch that lets go; it falls linearly from the trip's."""
     left = drive.release_time - state.released_for
@@ -310,7 +310,7 @@ def _holding_force(drive: JumpDrive, state: JumpState, h: float) -> float:
     return state.trip_force * (left - 0.5 * covered) / drive.release_time * covered / h
 
 
-@checked
+@checked_inner
 def _next_latch(drive: JumpDrive, latch: int, gap: float, gap_rate: float, rate: float) -> int:
     """The state that the latch goes to; `gap` is g, `rate` the screw's. Not the trip."""
     if latch in (_RELEASED, _HOOKING):
@@ -324,7 +324,7 @@ def _next_latch(drive: JumpDrive, latch: int, gap: float, gap_rate: float, rate:
     return _COMPRESSING if rate > 0.0 else _ENGAGED
 
 
-@checked
+@checked_inner
 def _screw_torques(drive: JumpDrive, load: float) -> tuple[float, float]:
     """What a load F p/(2 pi) [N m] costs the shaft when the nut goes down, and when it goes up."""
     if load >= 0.0:
@@ -332,7 +332,7 @@ def _screw_torques(drive: JumpDrive, load: float) -> tuple[float, float]:
     return load * drive.back_efficiency, load / drive.efficiency
 
 
-@checked
+@checked_inner
 def _turn(
     drive: JumpDrive,
     state: JumpState,
@@ -360,7 +360,7 @@ def _turn(
     return motion, sliding
 
 
-@checked
+@checked_inner
 def _time_to(motion: Motion, start: float, angle: float) -> float:
     """When a motion that ends forward reaches an angle within it [s]; `start` is its first rate."""
     if motion.first > 0.0 and motion.first >= angle:
@@ -373,7 +373,7 @@ def _time_to(motion: Motion, start: float, angle: float) -> float:
     return motion.first_time + motion.second_time * math.sqrt(left / motion.second)
 
 
-@checked
+@checked_inner
 def advance(
     drive: JumpDrive,
     slider: Slider,

@@ -4,7 +4,7 @@ Between the step's ends the quantity is taken as the cubic through its values an
 which differs from a smooth motion by the fourth power of the step.
 """
 
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner, kernel
 
 
 @kernel
@@ -19,7 +19,7 @@ def hermite(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) ->
     )
 
 
-@kernel
+@inner
 def hermite_rate(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
     """Derivative of `hermite` by t."""
     u = t / h

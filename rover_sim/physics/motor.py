@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 from rover_sim.physics.ranges import check_ranges
 
 
@@ -69,7 +69,7 @@ def make_motor(parameters: MotorParameters) -> Motor:
     )
 
 
-@checked
+@checked_inner
 def limited_torque(motor: Motor, wanted: float, rate: float, limit: float) -> float:
     """The torque [N m] that the motor gives at a rate when `wanted` is asked for.
 
@@ -90,7 +90,7 @@ def limited_torque(motor: Motor, wanted: float, rate: float, limit: float) -> fl
     return 0.0
 
 
-@checked
+@checked_inner
 def rate_servo(
     motor: Motor,
     inertia: float,

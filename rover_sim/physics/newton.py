@@ -8,7 +8,7 @@ iteration without it. After so many steps that ended on its word C is measured a
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 
 GO_ON, CONVERGED, FAILED = range(3)
 
@@ -23,13 +23,13 @@ _TRUSTED_STEPS = 8.0
 _TRUST_MARGIN = 0.1
 
 
-@checked
+@checked_inner
 def distrust(control: Array) -> None:
     """Have C measured in the next step."""
     control[STEPS] = _TRUSTED_STEPS
 
 
-@checked
+@checked_inner
 def verdict(
     iteration: int, change: float, previous: float, tolerance: float, control: Array
 ) -> int:

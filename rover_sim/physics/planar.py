@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, checked, kernel
+from rover_sim.physics.compiled import checked, checked_inner, inner, kernel
 from rover_sim.physics.energy_momentum import (
     Workspace,
     begin_ends,
@@ -116,7 +116,7 @@ class Model(NamedTuple):
 
 
 class Solver(NamedTuple):
-    """Arrays of one call of `advance`."""
+    """Work arrays of `advance`; but for the report nothing in them outlives a call."""
 
     work: Workspace
     q1: Array  # (4, width), the state after an attempted step
@@ -127,19 +127,12 @@ class Solver(NamedTuple):
     history: History
     control: Array  # (CONTROL_SIZE,), see `newton`
     search: Array  # (4,): of the touchdown's instant, see `_seek_touchdown`
-    report: Array  # (REPORT_SIZE,)
+    report: Array  # of the last call, (REPORT_SIZE,)
 
 
-@allocating
-def make_solver(elements: int, report: Array) -> Solver:
-    """Allocate the arrays for a tether of n elements, reporting to `report`."""
-    for k in range(REPORT_SIZE):
-        report[k] = 0.0
-    report[SMALLEST_STEP] = np.inf
-    report[PEAK_TENSION] = -np.inf
+def make_solver(elements: int) -> Solver:
+    """Allocate the arrays for a tether of n elements."""
     width = row_width(elements, 2)
-    control = np.zeros(CONTROL_SIZE)
-    distrust(control)
     return Solver(
         make_workspace(elements, 2),
         np.zeros((4, width)),
@@ -148,9 +141,9 @@ def make_solver(elements: int, report: Array) -> Solver:
         np.zeros(2),
         np.zeros((2, 3)),
         make_history(4, width, 2),
-        control,
+        np.zeros(CONTROL_SIZE),
         np.zeros(4),
-        report,
+        np.zeros(REPORT_SIZE),
     )
 
 
@@ -174,14 +167,14 @@ def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]
     return kinetic, gravity, axial, bending, spring
 
 
-@kernel
+@inner
 def stored_energy(model: Model, q: Array, v: Array, body: Array) -> float:
     """Sum of `energies` [J]."""
     kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
     return kinetic + gravity + axial + bending + spring
 
 
-@kernel
+@inner
 def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
     n = model.tether.elements
@@ -192,7 +185,7 @@ def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
         set_end(work, 1, d, d, 2.0 * mass / h**2)
 
 
-@kernel
+@inner
 def _predict(
     n: int, h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver
 ) -> None:
@@ -221,7 +214,7 @@ def _predict(
         solver.turn[1] = 0.0
 
 
-@checked
+@checked_inner
 def attempt_step(
     model: Model,
     h: float,
@@ -309,7 +302,7 @@ def take_off(
     book[HIGHEST] = 0.0
 
 
-@kernel
+@inner
 def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> None:
     """Stop the rover where it is; its energy of motion is booked as dissipated."""
     before = stored_energy(model, q, v, body)
@@ -320,7 +313,7 @@ def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> N
     book[DISSIPATED] += before - stored_energy(model, q, v, body)
 
 
-@kernel
+@inner
 def _record(
     kind: int,
     time: float,
@@ -346,7 +339,7 @@ def _record(
     return count
 
 
-@kernel
+@inner
 def _comes_down(body: Array, body1: Array, level: float, accuracy: float) -> bool:
     """Whether G1 falls through the level between two states, having been above it.
 
@@ -358,7 +351,7 @@ def _comes_down(body: Array, body1: Array, level: float, accuracy: float) -> boo
     return above and body1[Y1] <= level and body1[VY1] < 0.0
 
 
-@kernel
+@inner
 def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
     """Look at a step of length h that may end at the level; if not, say which length to try next.
 
@@ -389,7 +382,7 @@ def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver
     return False
 
 
-@kernel
+@inner
 def _keep(solver: Solver, q: Array, v: Array, body: Array) -> None:
     """Make the attempted step's end the state."""
     for k in range(q.shape[0]):
@@ -400,7 +393,7 @@ def _keep(solver: Solver, q: Array, v: Array, body: Array) -> None:
         body[k] = solver.body1[k]
 
 
-@kernel
+@inner
 def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) -> None:
     """Report the energies and how far the rover's own position has drifted from the tether's."""
     kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
@@ -418,7 +411,7 @@ def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) ->
         )
 
 
-@allocating
+@checked
 def advance(
     model: Model,
     q: Array,
@@ -430,7 +423,7 @@ def advance(
     dt: float,
     stop_at_touchdown: bool,
     events: Array,
-    report: Array,
+    solver: Solver,
 ) -> tuple[int, int, int]:
     """Step the planar tether and rover by dt in place, with all that happens on the way.
 
@@ -445,14 +438,18 @@ def advance(
         dt: [s].
         stop_at_touchdown: return at the touchdown instead of at dt.
         events: (m, EVENT_SIZE), filled in order; apexes lower than an earlier one are left out.
-        report: (REPORT_SIZE,), filled.
+        solver: work arrays of one thread; its report is filled.
 
     Returns:
         Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last good
         state, after OUTCOME_BROKEN that at the end of the step in which the tether broke.
     """
-    elements = model.tether.elements
-    solver = make_solver(elements, report)
+    report = solver.report
+    for k in range(REPORT_SIZE):
+        report[k] = 0.0
+    report[SMALLEST_STEP] = np.inf
+    report[PEAK_TENSION] = -np.inf
+    distrust(solver.control)
     count = 0
     depth, known = 0, 0
     elapsed = 0.0

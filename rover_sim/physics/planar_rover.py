@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.energy_momentum import Workspace, set_end
 from rover_sim.physics.tether import Tether
 
@@ -50,7 +50,7 @@ class Rover(NamedTuple):
 NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
 
 
-@kernel
+@inner
 def rover_energies(
     rover: Rover, pull: tuple[float, ...], body: Array
 ) -> tuple[float, float, float]:
@@ -71,7 +71,7 @@ def rover_energies(
     return kinetic, gravity, spring
 
 
-@kernel
+@inner
 def add_rover(
     tether: Tether, rover: Rover, h: float, body: Array, turn: Array, z: Array, work: Workspace
 ) -> None:
@@ -177,7 +177,7 @@ def add_rover(
     set_end(work, 1, 1, 1, i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2])
 
 
-@kernel
+@inner
 def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
     """Apply Newton's increment of th and ds, from that of node n; returns the sum of their sizes.
 
@@ -191,7 +191,7 @@ def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
     return size
 
 
-@kernel
+@inner
 def end_rover_step(
     n: int, rover: Rover, h: float, body: Array, turn: Array, work: Workspace, body1: Array
 ) -> float:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import inner
 
 
 class History(NamedTuple):
@@ -20,13 +20,12 @@ class History(NamedTuple):
     times: Array  # their instants relative to the start of the coming step [s], (3,)
 
 
-@allocating
 def make_history(rows: int, width: int, turns: int) -> History:
     """Allocate for a tether's rows and so many further increments."""
     return History(np.zeros((3, rows, width)), np.zeros((3, turns)), np.zeros(3))
 
 
-@kernel
+@inner
 def extrapolate(history: History, h: float, depth: int, increment: Array, turn: Array) -> None:
     """Set the increments of a step of length h by Lagrange's polynomial through 1 to 3 steps."""
     rates, turns, times = history
@@ -51,7 +50,7 @@ def extrapolate(history: History, h: float, depth: int, increment: Array, turn: 
         turn[k] = first * turns[0, k] + second * turns[1, k] + third * turns[2, k]
 
 
-@kernel
+@inner
 def remember(
     history: History, h: float, known: int, length: float, increment: Array, turn: Array
 ) -> int:

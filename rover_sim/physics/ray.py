@@ -2,7 +2,7 @@
 
 import math
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked, checked_inner
 from rover_sim.physics.contact import Vector
 from rover_sim.physics.terrain import Terrain, depth_and_normal
 
@@ -11,7 +11,7 @@ _SHORTEST_STEP = 0.01
 _BISECTIONS = 30
 
 
-@checked
+@checked_inner
 def _depth(terrain: Terrain, origin: Vector, direction: Vector, way: float) -> float:
     return depth_and_normal(
         terrain,

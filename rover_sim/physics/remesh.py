@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from rover_sim.physics.ancf import GAUSS_POINTS, GAUSS_WEIGHTS, Array, curvature_functions
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.tether import Tether
 from rover_sim.physics.variable_length import Coordinates, field_at
 
@@ -39,7 +39,7 @@ class _Span(NamedTuple):
     rate: Coordinates
 
 
-@kernel
+@inner
 def _exit_span(
     length: float, payout_rate: float, slope: float, rate: float, q: Array, v: Array, i: int, d: int
 ) -> _Span:
@@ -52,7 +52,7 @@ def _exit_span(
     )
 
 
-@kernel
+@inner
 def _chain_span(length: float, q: Array, v: Array, d: int) -> _Span:
     """Direction d of the chain's first element."""
     return _Span(
@@ -63,13 +63,13 @@ def _chain_span(length: float, q: Array, v: Array, d: int) -> _Span:
     )
 
 
-@kernel
+@inner
 def _field(span: _Span, place: float) -> tuple[float, float, float, float]:
     """Place, slope, velocity and its slope at a distance from the span's first node."""
     return field_at(span.length, place, span.payout_rate, span.e, span.rate)
 
 
-@kernel
+@inner
 def split_first(
     tether: Tether,
     length: float,
@@ -108,7 +108,7 @@ def split_first(
     return left
 
 
-@kernel
+@inner
 def _point(length: float, nominal: float, k: int) -> tuple[float, float]:
     """Distance from the fairlead and weight [m] of quadrature point k of both elements."""
     g = k % _POINTS
@@ -117,7 +117,7 @@ def _point(length: float, nominal: float, k: int) -> tuple[float, float]:
     return length + nominal * GAUSS_POINTS[g], nominal * GAUSS_WEIGHTS[g]
 
 
-@kernel
+@inner
 def _old(first: _Span, second: _Span, place: float) -> tuple[float, float, float, float]:
     """The field of the two elements to be merged."""
     if place < first.length:
@@ -125,14 +125,14 @@ def _old(first: _Span, second: _Span, place: float) -> tuple[float, float, float
     return _field(second, place - first.length)
 
 
-@kernel
+@inner
 def _exit_shape(length: float, place: float) -> tuple[float, float]:
     """Shape function of an element's first slope, and its derivative."""
     xi = place / length
     return length * xi * (1.0 - xi) ** 2, (1.0 - xi) * (1.0 - 3.0 * xi)
 
 
-@kernel
+@inner
 def _closest_slope(first: _Span, second: _Span, held: _Span) -> float:
     """Exit slope of the merged element that leaves the shape closest; `held` has slope 0."""
     wanted, size = 0.0, 0.0
@@ -144,7 +144,7 @@ def _closest_slope(first: _Span, second: _Span, held: _Span) -> float:
     return wanted / size
 
 
-@kernel
+@inner
 def _closest_rate(first: _Span, second: _Span, held: _Span) -> float:
     """Exit slope's rate that leaves the velocities closest; `held` has rate 0."""
     wanted, size = 0.0, 0.0
@@ -156,7 +156,7 @@ def _closest_rate(first: _Span, second: _Span, held: _Span) -> float:
     return wanted / size
 
 
-@kernel
+@inner
 def _stretching(first: _Span, second: _Span, merged: _Span) -> tuple[float, float, float]:
     """One direction's part in the integral of r'.r': excess of the new, its slope and curvature.
 
@@ -173,7 +173,7 @@ def _stretching(first: _Span, second: _Span, merged: _Span) -> tuple[float, floa
     return excess, way, size
 
 
-@kernel
+@inner
 def _keep_stretch(
     excess: float, way: tuple[float, float, float], size: float
 ) -> tuple[float, float, float]:
@@ -185,7 +185,7 @@ def _keep_stretch(
     return move * way[0] / steep, move * way[1] / steep, move * way[2] / steep
 
 
-@kernel
+@inner
 def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
     """Energy of an element [J], by quadrature that is exact."""
     length = spans[0].length
@@ -207,7 +207,7 @@ def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
     return total
 
 
-@kernel
+@inner
 def merge_first(
     tether: Tether,
     length: float,

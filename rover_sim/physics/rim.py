@@ -9,7 +9,7 @@ which their union would not be.
 import math
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.contact import NO_VECTOR, Vector
 from rover_sim.physics.terrain import (
     Terrain,
@@ -31,7 +31,7 @@ class RimContact(NamedTuple):
 _CLEAR = -1.0  # depth reported where nothing is near [m]
 
 
-@kernel
+@inner
 def _forward(axle: Vector, normal: Vector) -> Vector:
     """Unit vector a x n / |a x n|; zero for a wheel lying flat on the ground."""
     x = axle[1] * normal[2] - axle[2] * normal[1]
@@ -43,7 +43,7 @@ def _forward(axle: Vector, normal: Vector) -> Vector:
     return x / length, y / length, z / length
 
 
-@kernel
+@inner
 def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
     """From the centre to the rim's point farthest in a direction; none if that is the axle's."""
     along = axle[0] * towards[0] + axle[1] * towards[1] + axle[2] * towards[2]
@@ -55,7 +55,7 @@ def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
     return scale * x, scale * y, scale * z
 
 
-@kernel
+@inner
 def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
     """The rim's deepest point in the floor, boulders and wall apart.
 
@@ -75,7 +75,7 @@ def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) 
     return RimContact(depth, normal, _forward(axle, normal), arm)
 
 
-@kernel
+@inner
 def rim_on_rock(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
     """The disc's deepest point in a boulder, the hole's wall or the ground around it.
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, inner
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.contact import (
     NO_VECTOR,
     ContactLaw,
@@ -82,7 +82,6 @@ class FeetStep(NamedTuple):
     spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
 
 
-@allocating
 def make_feet_step(corners: int) -> FeetStep:
     """Allocate the arrays."""
     c = corners + 4

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 from rover_sim.physics.ranges import check_ranges
 
 
@@ -76,7 +76,7 @@ def make_friction(parameters: FrictionParameters) -> Friction:
     )
 
 
-@checked
+@checked_inner
 def sliding_torque(friction: Friction, rate: float) -> float:
     """Dry friction F(w) [N m] by Stribeck's curve."""
     if friction.breakaway == friction.coulomb:
@@ -85,7 +85,7 @@ def sliding_torque(friction: Friction, rate: float) -> float:
     return friction.coulomb + (friction.breakaway - friction.coulomb) * math.exp(-ratio * ratio)
 
 
-@checked
+@checked_inner
 def geared(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
     """Torque behind a lossy gear, for forward and for backward motion [N m].
 
@@ -98,7 +98,7 @@ def geared(torque: float, efficiency: float, back_efficiency: float) -> tuple[fl
     return torque / back_efficiency, torque * efficiency
 
 
-@checked
+@checked_inner
 def advance_shaft(
     inertia: float,
     rate: float,
@@ -147,7 +147,7 @@ def advance_shaft(
     return Motion(end, first, first_time, 0.5 * end * left, left)
 
 
-@checked
+@checked_inner
 def stopped(motion: Motion, allowed: float) -> Motion:
     """A motion cut where its angle reaches a stop, each piece keeping its mean rate."""
     if motion.first * allowed > 0.0 and abs(motion.first) >= abs(allowed):
@@ -159,7 +159,7 @@ def stopped(motion: Motion, allowed: float) -> Motion:
     return Motion(0.0, motion.first, motion.first_time, second, time)
 
 
-@checked
+@checked_inner
 def by_direction(motion: Motion, forward: float, backward: float) -> float:
     """Work [J] of a torque with one value for forward and one for backward motion."""
     first = forward if motion.first > 0.0 else backward
@@ -167,13 +167,13 @@ def by_direction(motion: Motion, forward: float, backward: float) -> float:
     return first * motion.first + second * motion.second
 
 
-@checked
+@checked_inner
 def dry_heat(motion: Motion, sliding: float, breakaway: float) -> float:
     """Heat [J] of dry friction: the first piece slides, the second leaves rest."""
     return sliding * abs(motion.first) + breakaway * abs(motion.second)
 
 
-@checked
+@checked_inner
 def viscous_heat(motion: Motion, viscous: float) -> float:
     """Heat [J] of viscous friction, at the mean rate of each piece."""
     heat = 0.0
@@ -184,14 +184,14 @@ def viscous_heat(motion: Motion, viscous: float) -> float:
     return heat
 
 
-@checked
+@checked_inner
 def slope_heat(motion: Motion, load_slope: float) -> float:
     """What the load's slope takes [J]: slope times end rate times angle of the last piece."""
     last = motion.second if motion.second != 0.0 else motion.first
     return load_slope * motion.rate * last
 
 
-@checked
+@checked_inner
 def carried_work(
     inertia: float, rate: float, end: float, angle: float, base: float, base_end: float, h: float
 ) -> float:

@@ -25,7 +25,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 from rover_sim.physics.ranges import check_ranges
 
 
@@ -106,7 +106,7 @@ def make_slider(parameters: SliderParameters) -> Slider:
     return Slider(*(float(getattr(parameters, name)) for name in Slider._fields))
 
 
-@checked
+@checked_inner
 def pad(stiffness: float, damping: float, depth: float, rate: float) -> tuple[float, float, float]:
     """One-sided contact: force k d max(0, 1 + a d') and its derivatives by d and d'."""
     if depth <= 0.0:
@@ -117,7 +117,7 @@ def pad(stiffness: float, damping: float, depth: float, rate: float) -> tuple[fl
     return stiffness * depth * factor, stiffness * factor, stiffness * depth * damping
 
 
-@checked
+@checked_inner
 def nut_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> float:
     """Force [N] of the nut on Body 2, > 0 compresses the spring."""
     force = nut.holding_force - nut.lifting_force
@@ -127,7 +127,7 @@ def nut_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> float:
     return force
 
 
-@checked
+@checked_inner
 def slider_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> SliderForce:
     """Force between the bodies at (s, s') with its tangents.
 
@@ -158,7 +158,7 @@ def slider_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> Sli
     return SliderForce(force - on_body2, by_position, by_rate, on_body2)
 
 
-@checked
+@checked_inner
 def slider_energy(slider: Slider, pressing: bool, nut_position: float, s: float) -> float:
     """Elastic energy [J] of spring and pads and, if it may press, of the nut at `nut_position`."""
     compression = slider.free_length - s

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.energy_momentum import Workspace, set_end
 from rover_sim.physics.vectors import (
     Rotation,
@@ -78,7 +78,6 @@ class RoverStep(NamedTuple):
     rotors_after: Array  # (3,): H_1
 
 
-@allocating
 def make_rover_step() -> RoverStep:
     """Allocate the arrays of the rover's part."""
     return RoverStep(
@@ -92,32 +91,32 @@ def make_rover_step() -> RoverStep:
     )
 
 
-@kernel
+@inner
 def vector_at(array: Array, start: int) -> Vector:
     """Three consecutive entries."""
     return (array[start], array[start + 1], array[start + 2])
 
 
-@kernel
+@inner
 def put(array: Array, start: int, value: Vector) -> None:
     """Write three consecutive entries."""
     array[start], array[start + 1], array[start + 2] = value
 
 
-@kernel
+@inner
 def orientation(body: Array) -> tuple[float, float, float, float]:
     """The quaternion (w, x, y, z)."""
     q = ORIENTATION
     return (body[q], body[q + 1], body[q + 2], body[q + 3])
 
 
-@kernel
+@inner
 def _times(inertia: Vector, u: Vector) -> Vector:
     """J u for principal moments J."""
     return (inertia[0] * u[0], inertia[1] * u[1], inertia[2] * u[2])
 
 
-@kernel
+@inner
 def _column(matrix: Array, row: int, column: int, value: Vector) -> None:
     """Write a vector down a column."""
     for d in range(3):
@@ -140,7 +139,7 @@ class Pose(NamedTuple):
     ds: float
 
 
-@kernel
+@inner
 def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
     """The pose that belongs to the increments th and ds."""
     start = rotation_of(orientation(body))
@@ -164,14 +163,14 @@ def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
     )
 
 
-@kernel
+@inner
 def _tip_move(n: int, work: Workspace) -> Vector:
     """Increment of the last node's position."""
     increment = work.increment
     return (increment[0, n], increment[1, n], increment[2, n])
 
 
-@kernel
+@inner
 def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
     """Displacements of the centres of both bodies when the last node moves by dr.
 
@@ -182,13 +181,13 @@ def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
     return first, add(first, axpy(pose.s0, pose.axis_change, scale(pose.ds, pose.axis1)))
 
 
-@kernel
+@inner
 def _slider_direction(pose: Pose, th: Vector) -> Vector:
     """R_0 (e + th x e/2), along which the slider's forces work exactly."""
     return axpy(0.5, rotate(pose.start, cross(th, (0.0, 0.0, 1.0))), pose.axis0)
 
 
-@kernel
+@inner
 def clear_loads(step: RoverStep) -> None:
     """Take away everything that acts from outside."""
     for r in range(7):
@@ -197,7 +196,7 @@ def clear_loads(step: RoverStep) -> None:
             step.load_tangent[r, c] = 0.0
 
 
-@kernel
+@inner
 def point_travel(
     pose: Pose, dr: Vector, point: Vector, attachment: Vector, sliding: bool
 ) -> tuple[Vector, Vector]:
@@ -217,7 +216,7 @@ def point_travel(
     return lever1, add(dr, sub(lever1, lever0))
 
 
-@kernel
+@inner
 def _levers(pose: Pose, point: Vector, attachment: Vector, sliding: bool) -> tuple[Vector, Vector]:
     """Levers from the last node to a point at the step's start and end."""
     rigid = sub(point, attachment)
@@ -229,7 +228,7 @@ def _levers(pose: Pose, point: Vector, attachment: Vector, sliding: bool) -> tup
     return lever0, lever1
 
 
-@kernel
+@inner
 def add_point_load(
     step: RoverStep,
     pose: Pose,
@@ -294,13 +293,13 @@ def add_point_load(
             step.load_tangent[6, c] += along
 
 
-@kernel
+@inner
 def _inertia_force(mass: float, h: float, change: Vector, rate: Vector, gravity: Vector) -> Vector:
     """F = m (2/h)(dG/h - V0) - m g."""
     return axpy(-mass, gravity, scale(2.0 * mass / h, axpy(-1.0, rate, scale(1.0 / h, change))))
 
 
-@kernel
+@inner
 def add_rover(
     rover: Rover, gravity: Vector, h: float, n: int, body: Array, work: Workspace, step: RoverStep
 ) -> None:
@@ -374,7 +373,7 @@ def add_rover(
             set_end(work, 1, c, r, entry)
 
 
-@kernel
+@inner
 def _solve_rows(rows: Array) -> None:
     """Gauss-Jordan with row pivoting on the first four of eight columns, in place."""
     for k in range(4):
@@ -395,7 +394,7 @@ def _solve_rows(rows: Array) -> None:
                     rows[r, c] -= multiplier * rows[k, c]
 
 
-@kernel
+@inner
 def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
     """Newton increment of th and ds from that of the last node; returns its entries' sum."""
     largest = 0.0
@@ -408,7 +407,7 @@ def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
     return largest
 
 
-@kernel
+@inner
 def end_rover_step(
     rover: Rover, h: float, n: int, body: Array, work: Workspace, step: RoverStep, after: Array
 ) -> None:
@@ -427,7 +426,7 @@ def end_rover_step(
     put(after, ROTORS, vector_at(step.rotors_after, 0))
 
 
-@kernel
+@inner
 def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float]:
     """Kinetic (rotors' own spin left out) and gravity energy of the rover [J]."""
     centre1 = vector_at(body, POSITION)

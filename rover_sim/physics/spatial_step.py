@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, checked_inner, inner
+from rover_sim.physics.compiled import checked_inner, inner
 from rover_sim.physics.drum import Drum
 from rover_sim.physics.energy_momentum import (
     Workspace,
@@ -29,7 +29,6 @@ from rover_sim.physics.newton import (
     FAILED,
     GO_ON,
     MAX_TURN,
-    distrust,
     verdict,
 )
 from rover_sim.physics.predictor import History, extrapolate, make_history
@@ -160,12 +159,9 @@ class Solver(NamedTuple):
     control: Array  # see `newton`
 
 
-@allocating
 def make_solver(capacity: int, corners: int) -> Solver:
     """Allocate for a tether of at most `capacity` elements and so many corners of the rover."""
     width = row_width(capacity, 3)
-    control = np.zeros(CONTROL_SIZE)
-    distrust(control)
     return Solver(
         make_workspace(capacity, 3),
         make_rover_step(),
@@ -184,7 +180,7 @@ def make_solver(capacity: int, corners: int) -> Solver:
         np.zeros(4),
         np.zeros(7),
         make_history(6, width, 7),
-        control,
+        np.zeros(CONTROL_SIZE),
     )
 
 

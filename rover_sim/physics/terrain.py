@@ -23,14 +23,13 @@ from 0 (regolith: floor and ground) to 1 (rock: boulders and wall).
 
 import math
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rover_sim.physics.boulders import BoulderParameters, cap_radius, scatter, uniform
-from rover_sim.physics.compiled import FAST_MATH
+from rover_sim.physics.compiled import inner_with, kernel_with
 from rover_sim.physics.places import HoleParameters, ReliefParameters, TerrainParameters
 
 Array = NDArray[np.float64]
@@ -38,10 +37,8 @@ Array = NDArray[np.float64]
 # A query is too short to be a call: the terrain's many numbers would be passed on the stack. The
 # whole is inlined into its caller by the compiler, its parts before compilation. Without reference
 # counts (_nrt), which the terrain's array would be put through at each query.
-_jit: Any = njit
-_SHARED = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
-query: Any = _jit(**_SHARED, fastmath=set(FAST_MATH), forceinline=True)
-part: Any = _jit(**_SHARED, fastmath=set(FAST_MATH), inline="always")
+query = inner_with(forceinline=True)
+part = kernel_with(inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]

@@ -12,7 +12,7 @@ import numpy as np
 
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import GAUSS_WEIGHTS, Array
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner, kernel
 from rover_sim.physics.section import TetherSection
 
 GAUSS = len(GAUSS_WEIGHTS)
@@ -86,7 +86,7 @@ def row_width(elements: int, dim: int) -> int:
     return (elements + lanes - 1) // lanes * lanes + lanes
 
 
-@kernel
+@inner
 def mass_coefficients(tether: Tether) -> tuple[float, ...]:
     """Entries (0,0), (0,1), (1,1), (0,2), (0,3), (1,3) of the element's mass matrix.
 
@@ -104,7 +104,7 @@ def mass_coefficients(tether: Tether) -> tuple[float, ...]:
     )
 
 
-@kernel
+@inner
 def bending_coefficients(tether: Tether) -> tuple[float, ...]:
     """The same entries of the bending matrix K_t, which has the same symmetries."""
     length = tether.element_length
@@ -119,7 +119,7 @@ def bending_coefficients(tether: Tether) -> tuple[float, ...]:
     )
 
 
-@kernel
+@inner
 def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> tuple[float, ...]:
     """A x + b y for two sets of six coefficients."""
     return (
@@ -132,7 +132,7 @@ def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> t
     )
 
 
-@kernel
+@inner
 def apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
     """Product of the element matrix with coefficients c and (r1, r1', r2, r2') of a direction."""
     return (
@@ -143,7 +143,7 @@ def apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any
     )
 
 
-@kernel
+@inner
 def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, float, float]:
     """Kinetic, gravity (zero at the origin's level), axial and bending energy [J]."""
     dim = len(tether.gravity)

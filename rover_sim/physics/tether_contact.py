@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_sim.physics.ancf import Array, shape_functions
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.contact import (
     NO_VECTOR,
     TOUCH,
@@ -147,7 +147,6 @@ class TetherContactTotals(NamedTuple):
     touching: int  # number of points with a force
 
 
-@allocating
 def make_tether_contact(elements: int) -> TetherContact:
     """Allocate the arrays for a tether of at most so many elements."""
     points = POINTS * elements
@@ -167,7 +166,7 @@ def make_tether_contact(elements: int) -> TetherContact:
     )
 
 
-@kernel
+@inner
 def _at_point(rows: Array, length: float, e: int, g: int, d: int) -> float:
     """Direction d of S e at point g of element e."""
     return (
@@ -177,7 +176,7 @@ def _at_point(rows: Array, length: float, e: int, g: int, d: int) -> float:
     )
 
 
-@kernel
+@inner
 def _look(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
     """Depth, normal and rock at the first places: the one query of the terrain in this module."""
     for s in range(count):
@@ -189,7 +188,7 @@ def _look(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
         ground[s, 4] = rock
 
 
-@kernel
+@inner
 def _look_everywhere(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
     """Places of all points and what the ground is there, by point."""
     for e in range(tether.elements):
@@ -199,7 +198,7 @@ def _look_everywhere(terrain: Terrain, tether: Tether, q: Array, contact: Tether
     _look(terrain, contact.place, POINTS * tether.elements, contact.ground)
 
 
-@kernel
+@inner
 def begin_tether_contact(
     terrain: Terrain,
     tether: Tether,
@@ -237,7 +236,7 @@ def begin_tether_contact(
     return count
 
 
-@kernel
+@inner
 def _law_at(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
     """The law of a point that stands for `weight` metres of tether."""
     a, b = law.regolith, law.rock
@@ -252,7 +251,7 @@ def _law_at(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
     )
 
 
-@kernel
+@inner
 def _overshoots(contact: TetherContact, s: int, slip: Vector, width: float) -> bool:
     """Whether the slip has turned round since the last iteration; remembers it.
 
@@ -268,7 +267,7 @@ def _overshoots(contact: TetherContact, s: int, slip: Vector, width: float) -> b
     return False
 
 
-@kernel
+@inner
 def _from_rest(
     law: ContactLaw, depth0: float, depth1: float, normal: Vector, slip: Vector, h: float
 ) -> tuple[Vector, Matrix]:
@@ -299,7 +298,7 @@ def _from_rest(
     )
 
 
-@kernel
+@inner
 def _evaluate(
     terrain: Terrain,
     law: TetherContactLaw,
@@ -374,7 +373,7 @@ def _evaluate(
     return overshot
 
 
-@kernel
+@inner
 def add_tether_contact(
     terrain: Terrain,
     law: TetherContactLaw,
@@ -399,7 +398,7 @@ def add_tether_contact(
     return int(overshot)
 
 
-@kernel
+@inner
 def _spread(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
     """Take a point's force and tangent off its element's blocks, see `block_elimination`."""
     tag = tether.gravity
@@ -422,13 +421,13 @@ def _spread(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None
         _subtract(tag, blocks, e, side, 6, rows * load(tag, force, (s, 3, 0)))
 
 
-@kernel
+@inner
 def _subtract(tag: Any, blocks: Array, e: int, side: int, column: int, change: Any) -> None:
     """Take a packet off a column of an element's side."""
     store(blocks, (e, side, column, 0), load(tag, blocks, (e, side, column, 0)) - change)
 
 
-@kernel
+@inner
 def end_tether_contact(
     law: TetherContactLaw,
     tether: Tether,
@@ -481,7 +480,7 @@ def end_tether_contact(
     return TetherContactTotals(received - stored_change, stored_change, normal_force, touching)
 
 
-@kernel
+@inner
 def tether_contact_energy(
     terrain: Terrain,
     law: TetherContactLaw,

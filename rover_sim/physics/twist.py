@@ -27,7 +27,7 @@ twisted, above it slips.
 import math
 
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked, checked_inner
 from rover_sim.physics.vectors import (
     Quaternion,
     Vector,
@@ -45,7 +45,7 @@ _DOWN: Vector = (0.0, 0.0, -1.0)
 _FORWARD: Vector = (1.0, 0.0, 0.0)
 
 
-@checked
+@checked_inner
 def direction_of(slope: Vector, otherwise: Vector) -> Vector:
     """Unit vector along a slope; `otherwise` for one that is too small or not finite."""
     square = dot(slope, slope)
@@ -54,7 +54,7 @@ def direction_of(slope: Vector, otherwise: Vector) -> Vector:
     return scale(1.0 / math.sqrt(square), slope)
 
 
-@checked
+@checked_inner
 def carried(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
     """d, normal to t1, turned by the smallest rotation from t1 to t2; False if there is none."""
     room = 1.0 + dot(t1, t2)
@@ -63,14 +63,14 @@ def carried(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
     return axpy(-dot(d, t2) / room, add(t1, t2), d), True
 
 
-@checked
+@checked_inner
 def tip_direction(elements: int, q: Array) -> Vector:
     """Unit tangent at the last node of a tether with rows q (6, width)."""
     n = elements
     return direction_of((q[3, n], q[4, n], q[5, n]), _DOWN)
 
 
-@checked
+@checked_inner
 def twist_axis(elements: int, q: Array, orientation: Quaternion) -> Vector:
     """The vector a (3,) such that the twist changes at the rate w.a; zero where folded."""
     t = tip_direction(elements, q)
@@ -116,7 +116,7 @@ def twist_angle(
     return before + turn
 
 
-@checked
+@checked_inner
 def swivel_torque(
     stiffness: float, friction: float, twist: float, slip: float
 ) -> tuple[float, float, float]:
@@ -139,7 +139,7 @@ def swivel_torque(
     return -limit, after, friction * abs(after - slip)
 
 
-@checked
+@checked_inner
 def twist_energy(stiffness: float, twist: float, slip: float) -> float:
     """Energy of the twisted tether [J]."""
     return 0.5 * stiffness * (twist - slip) ** 2

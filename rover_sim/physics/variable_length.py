@@ -27,7 +27,7 @@ import numpy as np
 
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import allocating, kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.energy_momentum import Workspace, set_end
 from rover_sim.physics.tether import Tether
 
@@ -100,7 +100,6 @@ class Payout(NamedTuple):
     rate1: float
 
 
-@allocating
 def make_exit(dim: int) -> Exit:
     """Allocate the arrays."""
     return Exit(
@@ -116,13 +115,13 @@ def make_exit(dim: int) -> Exit:
     )
 
 
-@kernel
+@inner
 def _scale(i: int, length: float) -> float:
     """l^p of shape function i."""
     return length if i % 2 == 1 else 1.0
 
 
-@kernel
+@inner
 def begin_exit(
     fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_: Exit
 ) -> None:
@@ -144,7 +143,7 @@ def begin_exit(
         exit_.start[3, d], exit_.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
 
 
-@kernel
+@inner
 def _clear(exit_: Exit) -> None:
     """Empty residual and tangent."""
     dim = exit_.increment.shape[0]
@@ -156,7 +155,7 @@ def _clear(exit_: Exit) -> None:
                     exit_.tangent[i, j, d, c] = 0.0
 
 
-@kernel
+@inner
 def _linear_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
     """Inertia, weight and bending: residual and the isotropic part of the tangent."""
     dim = len(tether.gravity)
@@ -185,7 +184,7 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
             exit_.residual[i, d] -= load * tether.gravity[d]
 
 
-@kernel
+@inner
 def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
     """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
     dim = len(tether.gravity)
@@ -236,7 +235,7 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
                         )
 
 
-@kernel
+@inner
 def add_exit(tether: Tether, h: float, pay: Payout, work: Workspace, exit_: Exit) -> None:
     """Add the first element to the chain's root, its exit slope condensed into the second node."""
     dim = len(tether.gravity)
@@ -281,7 +280,7 @@ def add_exit(tether: Tether, h: float, pay: Payout, work: Workspace, exit_: Exit
                     set_end(work, 0, b * dim + c, r, entry)
 
 
-@kernel
+@inner
 def exit_increment(length: float, work: Workspace, exit_: Exit) -> float:
     """Newton increment of the exit slope from that of the second node; largest entry [m]."""
     dim = exit_.increment.shape[0]
@@ -296,7 +295,7 @@ def exit_increment(length: float, work: Workspace, exit_: Exit) -> float:
     return largest
 
 
-@kernel
+@inner
 def end_exit_step(
     tether: Tether, h: float, pay: Payout, exit_: Exit, slope1: Array, slope_rate1: Array
 ) -> float:
@@ -337,7 +336,7 @@ def end_exit_step(
     return damping * tether.axial_stiffness * length * loss
 
 
-@kernel
+@inner
 def exit_energies(
     tether: Tether, length: float, payout_rate: float, e: Array, rate: Array
 ) -> tuple[float, float, float, float]:
@@ -382,21 +381,21 @@ def exit_energies(
     return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
 
 
-@kernel
+@inner
 def _cubic(coefficients: Array, xi: float, i: int) -> float:
     """Value of cubic i at xi."""
     c = coefficients
     return c[0, i] + xi * (c[1, i] + xi * (c[2, i] + xi * c[3, i]))
 
 
-@kernel
+@inner
 def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
     """Derivative by xi of cubic i."""
     c = coefficients
     return c[1, i] + xi * (2.0 * c[2, i] + 3.0 * xi * c[3, i])
 
 
-@kernel
+@inner
 def field_at(
     length: float, place: float, payout_rate: float, e: Coordinates, rate: Coordinates
 ) -> tuple[float, float, float, float]:
@@ -423,7 +422,7 @@ def field_at(
     return here, slope, speed, slope_speed
 
 
-@kernel
+@inner
 def split(
     length: float,
     cut: float,

@@ -13,50 +13,50 @@ matrix,
 
 import numpy as np
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
 Quaternion = tuple[float, float, float, float]
 
 
-@checked
+@checked_inner
 def add(a: Vector, b: Vector) -> Vector:
     """Sum a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@checked
+@checked_inner
 def sub(a: Vector, b: Vector) -> Vector:
     """Difference a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@checked
+@checked_inner
 def scale(k: float, a: Vector) -> Vector:
     """Product k a."""
     return (k * a[0], k * a[1], k * a[2])
 
 
-@checked
+@checked_inner
 def axpy(k: float, a: Vector, b: Vector) -> Vector:
     """Sum k a + b."""
     return (k * a[0] + b[0], k * a[1] + b[1], k * a[2] + b[2])
 
 
-@checked
+@checked_inner
 def dot(a: Vector, b: Vector) -> float:
     """Inner product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@checked
+@checked_inner
 def cross(a: Vector, b: Vector) -> Vector:
     """Outer product a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@checked
+@checked_inner
 def rotate(columns: Rotation, u: Vector) -> Vector:
     """R u, from the body's axes to the world's."""
     x, y, z = columns
@@ -67,13 +67,13 @@ def rotate(columns: Rotation, u: Vector) -> Vector:
     )
 
 
-@checked
+@checked_inner
 def unrotate(columns: Rotation, u: Vector) -> Vector:
     """R^T u, from the world's axes to the body's."""
     return (dot(columns[0], u), dot(columns[1], u), dot(columns[2], u))
 
 
-@checked
+@checked_inner
 def rotation_of(q: Quaternion) -> Rotation:
     """Columns of the rotation of a unit quaternion."""
     w, x, y, z = q
@@ -84,7 +84,7 @@ def rotation_of(q: Quaternion) -> Rotation:
     )
 
 
-@checked
+@checked_inner
 def turned(q: Quaternion, th: Vector) -> Quaternion:
     """Quaternion after the turn by the Cayley vector th, given in the body's axes; unit again."""
     w, x, y, z = q
@@ -99,13 +99,13 @@ def turned(q: Quaternion, th: Vector) -> Quaternion:
     return (k * p[0], k * p[1], k * p[2], k * p[3])
 
 
-@checked
+@checked_inner
 def cayley_shrink(th: Vector) -> float:
     """Factor s = 1 / (1 + th.th / 4)."""
     return 1.0 / (1.0 + 0.25 * dot(th, th))
 
 
-@checked
+@checked_inner
 def cayley(th: Vector, u: Vector) -> Vector:
     """C u."""
     return add(u, cayley_change(th, u))
@@ -118,7 +118,7 @@ def cayley_change(th: Vector, u: Vector) -> Vector:
     return scale(cayley_shrink(th), axpy(0.5, cross(th, first), first))
 
 
-@checked
+@checked_inner
 def cayley_spin(th: Vector, u: Vector) -> Vector:
     """A u: the spin of C that belongs to the change u of th."""
     return scale(cayley_shrink(th), axpy(0.5, cross(th, u), u))

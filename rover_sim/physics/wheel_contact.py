@@ -32,7 +32,7 @@ On regolith, with the sinkage z at mid-step and v_x, v_y the centre's mean speed
 import math
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner
 from rover_sim.physics.contact import (
     NO_MATRIX,
     NO_VECTOR,
@@ -68,7 +68,7 @@ class WheelForce(NamedTuple):
     torque_slope: float  # dM/dw at constant load [N m s], for a drive stepped implicitly
 
 
-@kernel
+@inner
 def wheel_moment(arm: Vector, axle: Vector, force: Vector, torque: float) -> Vector:
     """Moment of the ground on a wheel about its centre [N m]: arm x F, but -M about the axle.
 
@@ -85,7 +85,7 @@ def wheel_moment(arm: Vector, axle: Vector, force: Vector, torque: float) -> Vec
     return x - excess * axle[0], y - excess * axle[1], z - excess * axle[2]
 
 
-@kernel
+@inner
 def rock_force(
     law: ContactLaw,
     radius: float,
@@ -123,7 +123,7 @@ def rock_force(
     )
 
 
-@kernel
+@inner
 def advance_rock_bristle(
     law: ContactLaw,
     radius: float,
@@ -142,7 +142,7 @@ def advance_rock_bristle(
     )
 
 
-@kernel
+@inner
 def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
     """Travel of the rim's point over the ground."""
     return (
@@ -152,7 +152,7 @@ def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
     )
 
 
-@kernel
+@inner
 def _twice(m: Matrix, v: Vector) -> float:
     """Quadratic form v . m v."""
     return (
@@ -162,7 +162,7 @@ def _twice(m: Matrix, v: Vector) -> float:
     )
 
 
-@kernel
+@inner
 def _positive(x: float, width: float) -> tuple[float, float]:
     """max(x, 0) rounded over +-width, and its derivative."""
     if x >= width:
@@ -173,7 +173,7 @@ def _positive(x: float, width: float) -> tuple[float, float]:
     return 0.25 * t * t / width, 0.5 * t / width
 
 
-@kernel
+@inner
 def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, float, float]:
     """Slip s of a wheel that travels forward, and its derivatives by speed and rim speed [s/m].
 
@@ -193,7 +193,7 @@ def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, flo
     return slip, by_v * dv, by_w * dw
 
 
-@kernel
+@inner
 def rolling_force(
     law: WheelLaw, sinkage: float, speed: float, rim_speed: float
 ) -> tuple[float, ...]:
@@ -241,7 +241,7 @@ def rolling_force(
     return x, xz, xv, xw, f, fz, fv, fw, m, mz, mv, mw
 
 
-@kernel
+@inner
 def _side(normal: Vector, forward: Vector) -> Vector:
     """Unit vector to the left, n x t."""
     return (
@@ -251,7 +251,7 @@ def _side(normal: Vector, forward: Vector) -> Vector:
     )
 
 
-@kernel
+@inner
 def _parked(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
     """Share of the parking friction, and its derivative by the speed squared."""
     unit = 1.0 / (law.parking_speed * law.parking_speed)
@@ -261,7 +261,7 @@ def _parked(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
     return rest * rest, -2.0 * rest * unit
 
 
-@kernel
+@inner
 def soil_force(
     law: WheelLaw,
     depth0: float,
@@ -386,7 +386,7 @@ def soil_force(
     )
 
 
-@kernel
+@inner
 def _in_plane(vector: Vector, normal: Vector) -> Vector:
     """The part of a vector in the tangent plane."""
     along = vector[0] * normal[0] + vector[1] * normal[1] + vector[2] * normal[2]
@@ -397,7 +397,7 @@ def _in_plane(vector: Vector, normal: Vector) -> Vector:
     )
 
 
-@kernel
+@inner
 def _combine(
     a: float, p: Vector, b: float, q: Vector, c: float, r: Vector, d: float, s: Vector
 ) -> Vector:
@@ -409,7 +409,7 @@ def _combine(
     )
 
 
-@kernel
+@inner
 def advance_soil_bristle(
     law: WheelLaw,
     depth0: float,

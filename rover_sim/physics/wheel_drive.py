@@ -52,7 +52,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.compiled import checked_inner
 from rover_sim.physics.motor import (
     RATE,
     TORQUE,
@@ -239,7 +239,7 @@ class _Side(NamedTuple):
     slope: float
 
 
-@checked
+@checked_inner
 def _alone(inertia: float, side: _Side, rate: float, may_reverse: bool, h: float) -> Motion:
     """Motion of one wheel that the other does not touch."""
     return advance_shaft(
@@ -255,20 +255,20 @@ def _alone(inertia: float, side: _Side, rate: float, may_reverse: bool, h: float
     )
 
 
-@checked
+@checked_inner
 def _heat(motion: Motion, side: _Side) -> float:
     """Friction heat [J] of one wheel's motion."""
     return dry_heat(motion, side.sliding, side.breakaway) + viscous_heat(motion, side.viscous)
 
 
-@checked
+@checked_inner
 def _load_impulse(motion: Motion, load: float, slope: float, span: float) -> float:
     """Impulse [N m s] of a ground torque over the span of a motion."""
     last_time = motion.second_time if motion.second != 0.0 else motion.first_time
     return load * span - slope * motion.rate * last_time
 
 
-@checked
+@checked_inner
 def _together(drive: WheelDrive, left: _Side, right: _Side, rate: float, h: float) -> Motion:
     """Motion of both wheels as one shaft that turns forward, until it comes to rest."""
     torque = left.drive_forward + right.drive_forward
@@ -286,7 +286,7 @@ def _together(drive: WheelDrive, left: _Side, right: _Side, rate: float, h: floa
     )
 
 
-@checked
+@checked_inner
 def advance(
     drive: WheelDrive, state: WheelState, command: WheelCommand, loads: WheelLoads, h: float
 ) -> tuple[WheelState, WheelOutputs, WheelBooks]:

@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from rover_sim.physics.compiled import kernel
+from rover_sim.physics.compiled import inner, kernel
 
 Array = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
     )
 
 
-@kernel
+@inner
 def _rolling(slip: float) -> float:
     """Travel over spin v / (w r_s): 1 - s driven, 1 / (1 + s) braked.
 
@@ -390,7 +390,7 @@ def _table_error(system: WheelOnSoil, nodes: Array) -> float:
     return worst
 
 
-@kernel
+@inner
 def look_up(nodes: Array, entry: float, slip: float) -> tuple[float, ...]:
     """Interpolate a table.
 
@@ -437,7 +437,7 @@ def look_up(nodes: Array, entry: float, slip: float) -> tuple[float, ...]:
     )
 
 
-@kernel
+@inner
 def _channel(
     t: Array,
     near: int,

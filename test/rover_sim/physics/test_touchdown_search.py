@@ -20,7 +20,7 @@ def tries_until_found(
     after: Callable[[float], tuple[float, float]], accuracy: float = 1e-12
 ) -> tuple[int, float]:
     """Search for level 0 from 1 mm above it, falling at 1 m/s; returns tries and the length."""
-    solver = planar.make_solver(1, np.zeros(planar.REPORT_SIZE))
+    solver = planar.make_solver(1)
     body = np.zeros(BODY_SIZE)
     body[Y1], body[VY1] = 1e-3, -1.0
     length = STEP
