@@ -33,7 +33,7 @@ def _direction(generator: np.random.Generator) -> Array:
 def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[SpatialPlant, str]:
     """A tether that starts straight, with the rover, a weight or nothing, thrown to the fairlead.
 
-    Ranges: 2 to 100 elements, E from 10 MPa to 70 GPa, 2 to 10 m, axial damping time 0 or 0.1 to 10 ms,
+    Ranges: 2 to 100 elements, E from 10 MPa to 70 GPa, 2 to 10 m, axial damping 0 or 0.1 to 10 ms,
     1.62 or 9.81 m/s^2, thrown with up to 4 m/s; a `whip` has a free end and is let go at rest.
     """
     elements = int(generator.integers(2, 101))
