@@ -111,7 +111,7 @@ def cayley(th: Vector, u: Vector) -> Vector:
     return add(u, cayley_change(th, u))
 
 
-@checked
+@checked_inner
 def cayley_change(th: Vector, u: Vector) -> Vector:
     """C u - u, to the last digit however small th is."""
     first = cross(th, u)
