@@ -2,10 +2,11 @@
 
     (J_d + N^2 J_m) w' = R T + N tau_m (through the gear) - friction(w) - brake,    v_pay = R w
 
-with all torques at the drum and w > 0 paying out. T is the tether's pull at the drum; a tether
-cannot push, so a negative T counts as zero. The wound tether's own inertia is left out (5 g/m on
-a drum of 0.05 m radius: 100 m add 5 % to the default drum's). Standstill is exact (module
-`shaft`): braked, the rate is zero to the last bit as long as brake and friction carry the load.
+with all torques at the drum and w > 0 paying out. T is the tether's pull at the drum. It may be
+negative: until it buckles a tether pushes, and what it pushes with when its end is paid out faster
+than it falls is work of the drum. The wound tether's own inertia is left out (5 g/m on a drum of
+0.05 m radius: 100 m add 5 % to the default drum's). Standstill is exact (module `shaft`): braked,
+the rate is zero to the last bit as long as brake and friction carry the load.
 
 Brake. It is open only while powered. `release_brake` starts to open it after `release_delay`, its
 withdrawal closes it after `engage_delay`; a change of mind starts the delay anew. Closed, it is
@@ -302,7 +303,7 @@ def advance(
             h,
         )
 
-    pull = radius * max(tension, 0.0)
+    pull = radius * tension
     at_drum = drum.gear_ratio * shaft_torque
     forward, backward = geared(at_drum, drum.efficiency, drum.back_efficiency)
     brake = drum.brake_torque if braked else 0.0

@@ -162,11 +162,13 @@ def test_the_brake_opens_and_closes_after_its_delays_and_forgets_a_change_of_min
     assert state.rate == 0.0
 
 
-def test_a_tether_cannot_push_the_drum() -> None:
+def test_a_tether_pressed_at_the_fairlead_pushes_the_drum() -> None:
     drum = make_drum(DrumParameters(friction=SMOOTH))
-    state, _, books = advance(drum, opened(drum, 5.0), COAST, -50.0, H)
-    assert state.rate == 0.0
-    assert books.tension_work == 0.0
+    start = opened(drum, 5.0)
+    state, outputs, books = advance(drum, start, COAST, -50.0, H)
+    assert state.rate == pytest.approx(-50.0 * drum.radius / drum.inertia * H, rel=1e-6)
+    assert books.tension_work == pytest.approx(-50.0 * outputs.payout_rate * H, rel=1e-9)
+    assert residual(drum, start, books) == pytest.approx(0.0, abs=1e-14)
 
 
 @pytest.mark.parametrize(("length", "rate", "stop"), [(59.9999, 6.0, 1), (2.0001, -6.0, -1)])
