@@ -2,7 +2,8 @@
 
 A process that compiles numba functions itself links them otherwise than one that loads them from
 the cache on disk: the last bits of its results differ from those of all later processes. So the
-first process on a machine lets a child compile, and then loads as the others do.
+first process on a machine lets a child compile, a second one beside it what the first comes to
+last, and then loads as the others do.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Final
 
 import llvmlite.binding
@@ -24,8 +27,10 @@ from rover_sim.physics import planar
 from rover_sim.physics.compiled import source_stamp
 from rover_sim.plants import build_plant
 from rover_sim.scenario import AnyScenario, scenario_from_mapping
+from rover_sim.spatial_plant import SpatialPlant
 
 _LONGEST: Final = 900.0  # [s]
+_PARTS: Final = "--parts"
 _IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
 
 
@@ -48,20 +53,43 @@ def compile_ahead(scenario: AnyScenario) -> bool:
         _IN_CHILD: "1",
         "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
     }
+    given = json.dumps(scenario.to_mapping())
+    command = [sys.executable, "-m", __name__]
     try:
-        subprocess.run(
-            [sys.executable, "-m", __name__],
-            input=json.dumps(scenario.to_mapping()),
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=_LONGEST,
-            check=True,
-        )
+        with _at_work([*command, _PARTS], given, environment):
+            subprocess.run(
+                command,
+                input=given,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=_LONGEST,
+                check=True,
+            )
         marker.touch()
     except (OSError, subprocess.SubprocessError):
         return False
     return True
+
+
+@contextmanager
+def _at_work(command: list[str], given: str, environment: dict[str, str]) -> Iterator[None]:
+    """Have a process at work meanwhile, on the machine's second core; if it fails, it fails."""
+    with TemporaryFile("w+") as source:
+        source.write(given)
+        source.seek(0)
+        process = subprocess.Popen(
+            command,
+            stdin=source,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            yield
+        finally:
+            process.kill()
+            process.wait()
 
 
 def _marker(model: str) -> Path:
@@ -78,9 +106,13 @@ def _marker(model: str) -> Path:
 
 
 def main() -> int:
-    """The child: read a scenario's values, compile its plant."""
+    """The child: read a scenario's values, compile its plant, or the parts that come last."""
     gc.disable()  # a sixth of the compiler's time would go into looking for garbage
     plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
+    if _PARTS in sys.argv:
+        if isinstance(plant, SpatialPlant):
+            plant.compile_parts()
+        return 0
     plant.warm_up()
     plant.initial_state()
     return 0

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import replace
+from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,7 +16,7 @@ from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.spatial import Machines, Orders
-from rover_sim.physics.spatial_step import Model, Solver, make_solver
+from rover_sim.physics.spatial_step import Model, Solver, make_solver, parts
 from rover_sim.physics.tether import element_tensions, to_rows
 from rover_sim.physics.twist import twist_angle
 from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
@@ -392,12 +394,21 @@ class SpatialPlant:
         turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
         return float(drums.radius_at(self._model.drum, turns)) * drum.rate
 
+    def _some_state(self) -> SpatialState:
+        """A state that is found without simulating."""
+        is_straight = self.scenario.start.kind == "straight"
+        return self._state_from((straight if is_straight else hanging)(self.scenario))
+
+    def compile_parts(self) -> None:
+        """Compile what `warm_up` comes to last, beside another process that calls `warm_up`."""
+        motion, _ = arrays_of(self._some_state(), self._capacity)
+        typeof: Any = numba.typeof
+        for function, arguments in parts(self._model, motion, self._solver()):
+            function.compile(tuple(typeof(argument) for argument in arguments))
+
     def warm_up(self) -> None:
         """Compile everything a step needs, or load it from the cache."""
-        start = self.scenario.start
-        state = self._state_from(
-            hanging(self.scenario) if start.kind != "straight" else straight(self.scenario)
-        )
+        state = self._some_state()
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
         self._advance(self._model, state, orders, self._model.step)
         self.tension(state)
