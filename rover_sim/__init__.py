@@ -18,10 +18,36 @@ The same by hand, tick by tick; a state is a value, so keeping or reusing one is
 >>> state, result = plant.step(state, command, 0.2)
 >>> state.phase.value, [event.name for event in result.events], result.outcome.value
 ('flight', ['take_off'], 'converged')
+
+In space, on a floor with rubble, with winch, drives and sensors. Runs side by side use all cores:
+
+>>> from rover_sim import roll_out
+>>> plant = build_plant(load_scenario("floor_rubble"))
+>>> standing = plant.initial_state()
+>>> jumps = [Command(jump=JumpMotorCommand(stroke, rate=0.05)) for stroke in (0.10, 0.15, 0.20)]
+>>> for flown in roll_out(plant, [standing], jumps, duration=12.0):
+...     print(f"{flown.event('apex').values['height']:.2f} m high, {flown.peak_tension:.1f} N")
+0.09 m high, 0.8 N
+0.21 m high, 0.8 N
+0.38 m high, 1.0 N
+
+What the sensors make of a state, with noise, bias and delay as the scenario has them, and whatever
+else a plant shows on the contract's topics:
+
+>>> from msg_schemas import topics
+>>> from rover_sim import build_interface
+>>> outside = build_interface(plant, seed=1)
+>>> outside.restart(standing, stamp_ns=0)
+>>> state, result = plant.step(standing, Command(), 0.01)
+>>> outside.measure(state, 10_000_000, result)
+>>> imu = dict(outside.samples([topics.IMU]))[topics.IMU]
+>>> print(f"{imu.linear_acceleration[2]:.1f} m/s2")
+1.6 m/s2
 """
 
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.ahead_of_time import compile_ahead
+from rover_sim.interfaces import build_interface
 from rover_sim.physics.section import TetherSection
 from rover_sim.physics.statics import StaticsError, static_equilibrium
 from rover_sim.planar_plant import PlanarPlant, PlanarState
@@ -41,7 +67,7 @@ from rover_sim.plant import (
     WinchCommand,
 )
 from rover_sim.plants import build_plant
-from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, run
+from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
 from rover_sim.scenario import (
     AnyScenario,
     Scenario,
@@ -86,6 +112,7 @@ __all__ = [
     "WheelRateCommand",
     "WheelTorqueCommand",
     "WinchCommand",
+    "build_interface",
     "build_plant",
     "compile_ahead",
     "dump_scenario",
@@ -97,6 +124,7 @@ __all__ = [
     "load_spatial",
     "parse_override",
     "read_yaml",
+    "roll_out",
     "run",
     "scenario_from_mapping",
     "static_equilibrium",
