@@ -1,0 +1,262 @@
+"""Random machines, places and commands in space: what must never happen, whatever is asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rover_sim import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    Outcome,
+    Phase,
+    SettlingError,
+    SpatialPlant,
+    SpatialState,
+    WheelRateCommand,
+    WheelTorqueCommand,
+    WinchCommand,
+    load_spatial,
+)
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.spatial_snatch import fault
+
+# Ranges from which all is drawn, by dotted path; (low, high), the logarithm where `LOGARITHMIC`.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "tether.axial_stiffness": (2.0e3, 1.0e5),  # [N]
+    "tether.bending_stiffness": (1.0e-6, 1.0e-2),  # [N m^2]
+    "tether.line_density": (1.0e-3, 5.0e-2),  # [kg/m]
+    "tether.axial_damping_time": (1.0e-3, 5.0e-2),  # [s]
+    "tether.bending_damping_time": (1.0e-3, 0.2),  # [s]
+    "tether.element_length": (0.3, 1.2),  # [m]
+    "tether.twist_stiffness": (1.0e-6, 1.0e-2),  # [N m^2]
+    "tether.swivel_friction": (1.0e-7, 1.0e-2),  # [N m]
+    "place.gravity": (0.5, 10.0),  # [m/s^2]
+    "rover.m1": (4.0, 12.0),  # [kg]
+    "rover.m2": (0.5, 6.0),  # [kg]
+    "rover.slider.spring_rate": (300.0, 2.0e3),  # [N/m]
+    "winch.friction.viscous": (1.0e-3, 2.0e-2),  # [N m s/rad]
+    "integration.h": (2.5e-4, 1.0e-3),  # [s]
+}
+LOGARITHMIC = frozenset(RANGES) - {"rover.m1", "rover.m2", "place.gravity"}
+STARTS: Mapping[str, tuple[float, float]] = {
+    "start.swing_angle": (-60.0, 60.0),  # [deg]
+    "start.swing_heading": (-180.0, 180.0),
+    "start.swing_rate": (-20.0, 20.0),  # [deg/s]
+    "start.cone_rate": (-20.0, 20.0),
+    "start.heading": (-180.0, 180.0),
+    "start.twist": (-180.0, 180.0),
+    "start.payout_rate": (-0.5, 0.5),  # [m/s]
+}
+# Commands, redrawn at every tick of 0.2 s or kept: rates and torques within what the contract lets.
+PAYOUT_RATE, WHEEL_RATE, WHEEL_TORQUE, FLYWHEEL_TORQUE = 0.5, 8.0, 2.0, 0.15
+DURATION, TICK = 5.0, 0.2  # [s]
+# More of the energy in play than this from nowhere, or to nowhere, is a fault. Less is what it
+# costs that drum and wheels take the tension and the ground's torques of the step before; how much
+# that is has a requirement of its own.
+GAIN, LOSS = 1.0e-2, 5.0e-2
+
+
+class Chance(Protocol):
+    """Where random values come from: numpy's generators, or a property test's strategies."""
+
+    def uniform(self, low: float, high: float) -> float:
+        """A number from low to high."""
+
+    def choice(self, options: Sequence[str]) -> str:
+        """One of them."""
+
+    def integers(self, high: int) -> int:
+        """From 0 to high - 1."""
+
+
+class Dice:
+    """Chance by a generator."""
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self._generator = generator
+
+    def uniform(self, low: float, high: float) -> float:
+        """A number from low to high."""
+        return float(self._generator.uniform(low, high))
+
+    def choice(self, options: Sequence[str]) -> str:
+        """One of them."""
+        return options[int(self._generator.integers(len(options)))]
+
+    def integers(self, high: int) -> int:
+        """From 0 to high - 1."""
+        return int(self._generator.integers(high))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A scenario by name and overrides, and the seed of its commands."""
+
+    scenario: str
+    overrides: Mapping[str, object]
+    seed: int
+
+    def __str__(self) -> str:
+        """One line to reproduce it by."""
+        values = ", ".join(
+            f"{path}: {value:.6g}" if isinstance(value, float) else f"{path}: {value}"
+            for path, value in self.overrides.items()
+        )
+        return f"{self.scenario} seed {self.seed} {{{values}}}"
+
+
+def random_trial(chance: Chance) -> Trial:
+    """A trial from the stated ranges: the rover hangs free, over a floor, or stands in rubble."""
+    overrides: dict[str, object] = {}
+    for path, (low, high) in RANGES.items():
+        if path in LOGARITHMIC:
+            overrides[path] = math.exp(chance.uniform(math.log(low), math.log(high)))
+        else:
+            overrides[path] = chance.uniform(low, high)
+    kind = chance.choice(["free", "floor", "rubble"])
+    if kind == "rubble":
+        overrides["place.seed"] = chance.integers(1000)
+        overrides["start.heading"] = chance.uniform(-180.0, 180.0)
+        return Trial("floor_rubble", overrides, chance.integers(2**31))
+    for path, bounds in STARTS.items():
+        overrides[path] = chance.uniform(*bounds)
+    overrides["start.tilt"] = [chance.uniform(-30.0, 30.0) for _ in range(3)]
+    overrides["start.body_rate"] = [chance.uniform(-60.0, 60.0) for _ in range(3)]
+    length = chance.uniform(3.0, 20.0)
+    overrides["tether.length"] = length
+    if kind == "floor":
+        # Near enough to be struck, and swung into.
+        overrides["place.floor"] = {
+            "height": -length - chance.uniform(0.8, 2.0),
+            "slope": chance.uniform(0.0, 20.0),
+            "material": chance.choice(["rock", "regolith"]),
+        }
+        overrides["start.swing_angle"] = chance.uniform(-20.0, 20.0)
+    return Trial("free_hang", overrides, chance.integers(2**31))
+
+
+def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Command:
+    """A command to all drives, or to some, from the stated ranges."""
+
+    def drawn(limit: float) -> float:
+        return float(generator.uniform(-limit, limit))
+
+    jump: JumpMotorCommand | FlywheelCommand | None = None
+    wheel: WheelRateCommand | WheelTorqueCommand | None = None
+    winch = None
+    if generator.uniform() < 0.8:
+        weight = plant.scenario.tip_mass * plant.scenario.gravity
+        winch = WinchCommand(
+            10.0,
+            drawn(PAYOUT_RATE),
+            feed_forward=float(generator.uniform(0.0, 1.5)) * weight,
+            brake_released=bool(generator.uniform() < 0.9),
+        )
+    choice = generator.uniform()
+    if choice < 0.4:
+        jump = FlywheelCommand(drawn(FLYWHEEL_TORQUE))
+    elif choice < 0.8:
+        jump = JumpMotorCommand(float(generator.uniform(-0.05, 0.15)), 0.1)
+    choice = generator.uniform()
+    if choice < 0.4:
+        wheel = WheelRateCommand(drawn(WHEEL_RATE))
+    elif choice < 0.8:
+        wheel = WheelTorqueCommand(drawn(WHEEL_TORQUE))
+    return Command(jump=jump, winch=winch, wheel=wheel)
+
+
+def _implausible(plant: SpatialPlant, state: SpatialState) -> str:
+    """What a state has that no tether can, or nothing."""
+    nodes = plant.to_full_nodes(state)
+    stretch = np.linalg.norm(nodes[:, 1], axis=1)
+    if not np.all((stretch > 0.3) & (stretch < 2.0)):
+        return f"a slope of {stretch.min():.3f} to {stretch.max():.3f}"
+    gaps = np.linalg.norm(np.diff(nodes[:, 0], axis=0), axis=1)
+    arcs = np.diff(plant.to_arc_lengths(state))
+    if not np.all(gaps < 1.5 * arcs):
+        return f"an element stretched to {np.max(gaps / arcs):.3f}"
+    return ""
+
+
+def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, float]]:
+    """Run a trial for so long [s]; what went wrong, or nothing, and figures of the run."""
+    plant = SpatialPlant(load_spatial(trial.scenario, trial.overrides))
+    figures = {"gain": 0.0, "loss": 0.0, "halved": 0.0, "touched": 0.0}
+    try:
+        state = plant.initial_state()
+    except SettlingError as error:
+        # Said aloud, and no state given: not a silent failure.
+        figures["unsettled"] = 1.0
+        return ("" if str(error) else "a silent refusal"), figures
+    generator = np.random.default_rng(trial.seed)
+    start = plant.energies(state)
+    mass, gravity = plant.scenario.tip_mass, plant.scenario.gravity
+    scale = start.kinetic + start.rotors + mass * gravity * 0.5 * plant.scenario.tether.length
+    command, heats = Command(), dict(state.ledger)
+    for _ in range(round(duration / TICK)):
+        if generator.uniform() < 0.5:
+            command = random_command(generator, plant)
+        before = state
+        state, result = plant.step(state, command, TICK)
+        energies = result.energies
+        scale = max(scale, energies.kinetic + energies.rotors, energies.dissipated)
+        figures["gain"] = max(figures["gain"], energies.drift / scale)
+        figures["loss"] = min(figures["loss"], energies.drift / scale)
+        figures["halved"] += result.outcome is Outcome.HALVED
+        figures["touched"] += state.phase is Phase.GROUNDED
+        if state.phase is Phase.TETHER_BROKEN:
+            told = any(event.name == "tether_broken" for event in result.events)
+            return ("" if told else "broken without an event"), figures
+        wrong = fault(result, state, scale, GAIN, LOSS) or _implausible(plant, state)
+        if not wrong and not math.isclose(state.time, before.time + TICK, abs_tol=1e-9):
+            wrong = f"the tick ended at {state.time - before.time:.6f} s"
+        for name, heat in state.ledger.items():
+            if name.startswith("heat") and heat < heats[name] - 1e-3 * scale:
+                wrong = wrong or f"{name} fell by {heats[name] - heat:.2g} J"
+        heats = dict(state.ledger)
+        if wrong:
+            return f"{wrong} at {state.time:.2f} s", figures
+    return "", figures
+
+
+def random_machines(batch: Batch) -> Measured:
+    """How many random runs give NaN, energy without input, or fail, aloud or in silence."""
+    bad, touched, halved, unsettled = 0, 0, 0, 0
+    most, least = 0.0, 0.0
+    details: dict[str, float | str] = {}
+    for index, generator in enumerate(batch.generators()):
+        trial = random_trial(Dice(generator))
+        wrong, figures = faults(trial)
+        bad += bool(wrong)
+        touched += figures["touched"] > 0.0
+        halved += figures["halved"] > 0.0
+        unsettled += "unsettled" in figures
+        most, least = max(most, figures["gain"]), min(least, figures["loss"])
+        if wrong:
+            details[f"run {index}: {trial}"] = wrong
+    details["runs that touched ground"] = float(touched)
+    details["runs with halved steps"] = float(halved)
+    details["runs refused as they find no rest"] = float(unsettled)
+    details["energy that the books miss, largest gain, relative"] = most
+    details["largest loss, relative"] = least
+    return Measured(bad, f"of {batch.runs} machines, {DURATION:g} s of random commands", details)
+
+
+def book_gap(batch: Batch) -> Measured:
+    """Largest share of the energy in play that the books of random runs miss."""
+    details: dict[str, float | str] = {}
+    worst = 0.0
+    for index, generator in enumerate(batch.generators()):
+        trial = random_trial(Dice(generator))
+        _, figures = faults(trial)
+        gap = max(figures["gain"], -figures["loss"])
+        if gap > 1e-3:
+            details[f"run {index}: {trial}"] = gap
+        worst = max(worst, gap)
+    return Measured(worst, f"{batch.runs} machines, {DURATION:g} s of random commands", details)

@@ -1,0 +1,33 @@
+"""Whatever machine, place and commands: no NaN, no energy from nowhere, no failure in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_verify.checks.spatial_robust import faults, random_trial
+
+
+class Drawn:
+    """Chance by hypothesis, which looks for the simplest trial that fails."""
+
+    def __init__(self, data: st.DataObject) -> None:
+        self._data = data
+
+    def uniform(self, low: float, high: float) -> float:
+        return self._data.draw(st.floats(low, high))
+
+    def choice(self, options: Sequence[str]) -> str:
+        return self._data.draw(st.sampled_from(options))
+
+    def integers(self, high: int) -> int:
+        return self._data.draw(st.integers(0, high - 1))
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.data())
+def test_no_random_machine_fails_or_makes_energy(data: st.DataObject):
+    wrong, _ = faults(random_trial(Drawn(data)), duration=2.0)
+    assert not wrong
