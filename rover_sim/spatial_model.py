@@ -107,10 +107,18 @@ def damped(model: Model, axial: float, bending: float) -> Model:
     )
 
 
-def make_orders(scenario: SpatialScenario, model: Model, command: Command, *, free: bool) -> Orders:
+def make_orders(
+    scenario: SpatialScenario,
+    model: Model,
+    command: Command,
+    *,
+    free: bool,
+    drum_radius: float | None = None,
+) -> Orders:
     """What the drives are asked to do during a tick.
 
     The flywheel's drive is interlocked with the latch: unless the nut is `free` its torque is cut.
+    The winch's drive knows at which radius [m] its tether runs off (None: of the innermost layer).
 
     Raises:
         ValueError: a command for a motor that the scenario lacks, or a number that is not finite
@@ -124,7 +132,9 @@ def make_orders(scenario: SpatialScenario, model: Model, command: Command, *, fr
         raise ValueError("winch: the scenario has no winch; must be None")
     return Orders(
         jump=_jump_order(model, command.jump, free=free),
-        drum=_NO_WINCH if command.winch is None else _drum_order(model, command.winch),
+        drum=_NO_WINCH
+        if command.winch is None
+        else _drum_order(model, command.winch, drum_radius or model.drum.radius),
         wheels=_wheel_order(model, command.wheel),
     )
 
@@ -157,7 +167,7 @@ def _jump_order(
     )
 
 
-def _drum_order(model: Model, command: WinchCommand) -> drums.DrumCommand:
+def _drum_order(model: Model, command: WinchCommand, radius: float) -> drums.DrumCommand:
     drum = model.drum
     if not (math.isfinite(command.length) and command.length >= 0.0):
         raise ValueError(f"length = {command.length}: must be finite and not below 0 m")
@@ -165,7 +175,7 @@ def _drum_order(model: Model, command: WinchCommand) -> drums.DrumCommand:
     if feed_forward < 0.0:
         raise ValueError(f"feed_forward = {feed_forward}: must not be below 0 N")
     largest = _limit("largest_tension", command.largest_tension, "N")
-    per_newton = drum.radius / drum.gear_ratio
+    per_newton = radius / drum.gear_ratio
     return drums.DrumCommand(
         int(MotorMode.RATE),
         -feed_forward * per_newton,

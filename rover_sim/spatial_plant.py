@@ -291,7 +291,8 @@ class SpatialPlant:
         """Advance by one control tick; see `rover_sim.plant.Plant.step`."""
         tick = check_tick(dt)
         free = state.machines.jump.latch == Latch.FREE
-        orders = make_orders(self.scenario, self._model, command, free=free)
+        radius = self._drum_radius(state)
+        orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
         if state.phase.final:
             outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
@@ -390,9 +391,12 @@ class SpatialPlant:
         """Rate of the tether at the drum [m/s], > 0 lengthens it."""
         if not self._model.has_winch:
             return 0.0
-        drum = state.machines.drum
-        turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
-        return float(drums.radius_at(self._model.drum, turns)) * drum.rate
+        return self._drum_radius(state) * state.machines.drum.rate
+
+    def _drum_radius(self, state: SpatialState) -> float:
+        """Where the tether runs off the drum [m]."""
+        turns = self._model.drum.full_turns - state.machines.drum.angle / (2.0 * math.pi)
+        return float(drums.radius_at(self._model.drum, turns))
 
     def _some_state(self) -> SpatialState:
         """A state that is found without simulating."""
