@@ -5,11 +5,12 @@ tension. Above it:
 
 length    an S-curve is followed; its rate plus a gain on the length's error
 rate      the S-curve's rate alone, whose length is followed too, so that nothing drifts
-tension   a rate from the tension's error, by the tether's stiffness at its present length
+tension   the motor's pull alone, corrected by the tension's error: the drum gives way by itself
+          as fast as its inertia allows, which no rate loop can on a stiff tether; between two rates
 
 What is commanded is one motion throughout: a change of goal starts from the present rate and
 acceleration. Where the drum cannot follow, because the motor is at its limit, the S-curve waits
-for it, and the tension's integral rests: nothing winds up.
+for it: nothing winds up.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ class ServoParameters:
     following_limit: float = parameter(
         0.04, "m", "lead of the S-curve over the drum beyond which it waits", 1e-3, 1.0
     )
-    tension_bandwidth: float = parameter(
-        6.0, "1/s", "how fast a tension's error is brought down", 0.01, 20.0
+    tension_gain: float = parameter(
+        1.0, "-", "part of the tension's error that the motor adds to its pull", 0.0, 10.0
     )
-    largest_compliance: float = parameter(
-        0.02, "m/N", "of the tether that the tension's gain is made for", 1e-4, 10.0
+    friction_reversal: float = parameter(
+        0.02, "m/s/N", "rate by the tension's error, for whose friction the pull makes up", 0.0, 1.0
     )
     relief_acceleration: float = parameter(
-        3.0, "m/s^2", "by which the tension loop gives way to too much tension", 0.01, 20.0
+        3.0, "m/s^2", "by which taking up slack ends when the tether pulls", 0.01, 20.0
     )
     shortest_length: float = parameter(2.0, "m", "hard end: reeled in", 0.0, MAX_LENGTH)
     longest_length: float = parameter(58.0, "m", "hard end: paid out", 0.1, MAX_LENGTH)
@@ -146,6 +147,15 @@ class DriveCommand(NamedTuple):
     limit: float  # largest tension that the motor may use [N]
 
 
+class _Pull(NamedTuple):
+    """The motor holds a tension by its pull while the drum runs between two rates."""
+
+    tension: float  # of the motor [N]; below 0 it drives the tether out
+    low: float  # [m/s]
+    high: float
+    rate: float  # now [m/s]
+
+
 class BrakePhase(Enum):
     """Who carries the load, and who is about to."""
 
@@ -179,10 +189,10 @@ class WinchServo:
         self._rate = 0.0  # commanded, trim included [m/s]
         self._trim_wanted: float | None = None
         self._trim = 0.0  # [m/s]
-        self._integral = 0.0  # of the tension loop [m/s]
         self._load = math.nan  # low-passed [N]
         self._in_phase = 0.0  # [s]
         self._at_rest = 0.0  # [s]
+        self._pull: _Pull | None = None  # where a tension is held
 
     @property
     def reference(self) -> Motion:
@@ -215,8 +225,6 @@ class WinchServo:
 
     def aim(self, goal: Goal) -> None:
         """Take a new goal; the motion goes on from where it is."""
-        if goal.kind is GoalKind.TENSION and self.goal.kind is not GoalKind.TENSION:
-            self._integral = self.motion.rate
         self.goal = goal
         self._at_rest = 0.0
 
@@ -252,6 +260,8 @@ class WinchServo:
         limit = min(self.goal.limit, allowed_tension)
         if math.isinf(limit):
             limit = self.parameters.tension_limit
+        if self._pull is not None:
+            return self._pulling(self._pull, limit)
         release = self.phase in (BrakePhase.OPENING, BrakePhase.OPEN)
         return DriveCommand(
             self._told_length(),
@@ -325,23 +335,21 @@ class WinchServo:
 
     def _stand(self, sensed: Sensed) -> None:
         """The brake holds: the motion is that of the drum."""
+        self._pull = None
         self.motion = Motion(sensed.length, 0.0, 0.0)
         self.trim_offset = 0.0
-        self._trim = self._rate = self._integral = 0.0
+        self._trim = self._rate = 0.0
         self.waits = False
 
     def _move(self, sensed: Sensed, h: float) -> None:
         p, goal = self.parameters, self.goal
+        self._pull = None
         self._step_trim(h)
         if goal.kind is GoalKind.TENSION:
             self._move_by_tension(sensed, h)
         else:
-            limits = self._limits(sensed)
-            if goal.kind is GoalKind.LENGTH:
-                after = toward_length(self.motion, self._bounded(goal.length), limits, h)
-            else:
-                rate = goal.rate if goal.kind is GoalKind.RATE else 0.0
-                after = toward_rate(self.motion, rate, limits, h, self._soft_ends())
+            limits = self._limits()
+            after = self._toward_goal(limits, h)
             if (after.rate < 0.0 and not goal.reels_in) or (after.rate > 0.0 and not goal.pays_out):
                 after = toward_rate(self.motion, 0.0, limits, h)
             self.motion = self._waiting(after, sensed)
@@ -354,6 +362,21 @@ class WinchServo:
         self._rate = min(max(rate, -largest), largest)
         resting = self.motion.rate == 0.0 and self._trim == 0.0 and abs(sensed.rate) < 0.01
         self._at_rest = self._at_rest + h if resting else 0.0
+
+    def _toward_goal(self, limits: MotionLimits, h: float) -> Motion:
+        """The next point of the S-curve; a rate above the limit comes down to it smoothly."""
+        goal, motion, ends = self.goal, self.motion, self._soft_ends()
+        wide = replace(limits, rate=max(limits.rate, abs(motion.rate)))
+        if goal.kind is not GoalKind.LENGTH:
+            rate = goal.rate if goal.kind is GoalKind.RATE else 0.0
+            rate = min(max(rate, -limits.rate), limits.rate)
+            return toward_rate(motion, rate, wide, h, ends)
+        to_stop = toward_length(motion, self._bounded(goal.length), wide, h)
+        if wide.rate == limits.rate:
+            return to_stop
+        side = math.copysign(1.0, motion.rate)
+        slower = toward_rate(motion, side * limits.rate, wide, h, ends)
+        return min(to_stop, slower, key=lambda after: side * after.rate)
 
     def _waiting(self, after: Motion, sensed: Sensed) -> Motion:
         """The S-curve, held back where the drum does not follow."""
@@ -369,35 +392,41 @@ class WinchServo:
 
     def _move_by_tension(self, sensed: Sensed, h: float) -> None:
         p, goal = self.parameters, self.goal
-        limits = self._limits(sensed)
+        limits = self._limits()
         error = 0.0 if math.isnan(sensed.tension) else sensed.tension - goal.tension
+        self.waits = False
         low, high = self._rate_range(sensed, limits)
         if goal.pays_out:
-            rate = self._held_rate(sensed, error, low, high, h)
-        else:
-            # Slack is taken up at the goal's rate until the tether pulls; then to a stop.
-            pull = max(goal.tension - self._drum.hanging_weight(sensed.length), 1e-3)
-            rate = low * min(max(-error / (0.5 * pull), 0.0), 1.0)
+            self._hold_tension(sensed, error, low, high)
+            return
+        # Slack is taken up at the goal's rate until the tether pulls; then to a stop.
+        pull = max(goal.tension - self._drum.hanging_weight(sensed.length), 1e-3)
+        rate = low * min(max(-error / (0.5 * pull), 0.0), 1.0)
         change = limits.acceleration * h
         # A tether that comes taut on a moving drum must not wait for the S-curve.
         way_out = p.relief_acceleration * h if error > -0.5 * goal.tension else change
         rate = min(max(rate, self.motion.rate - change), self.motion.rate + max(way_out, change))
         self.motion = Motion(sensed.length - self.trim_offset, rate, 0.0)
 
-    def _held_rate(self, sensed: Sensed, error: float, low: float, high: float, h: float) -> float:
-        """Rate that brings the tension's error down, within its range [m/s]."""
+    def _hold_tension(self, sensed: Sensed, error: float, low: float, high: float) -> None:
         p = self.parameters
-        compliance = min(
-            max(sensed.length, 1.0) / self._drum.parameters.axial_stiffness, p.largest_compliance
-        )
-        gain = p.tension_bandwidth * compliance
-        wanted = gain * error + self._integral
-        rate = min(max(wanted, low), high)
-        # Near the set tension the integral follows a driving rover; at a limit it rests.
-        if (wanted - rate) * error <= 0.0:
-            self._integral += 0.25 * p.tension_bandwidth * gain * error * h
-        self._integral = min(max(self._integral, low), high)
-        return rate
+        self.motion = Motion(sensed.length - self.trim_offset, sensed.rate, 0.0)
+        # Dry friction is made up for by where the drum should go, before it goes there.
+        rate = sensed.rate + p.friction_reversal * error
+        pull = self._drum.motor_tension(self.goal.tension, sensed.length, rate, 0.0)
+        self._pull = _Pull(pull - p.tension_gain * error, low, high, sensed.rate)
+
+    def _pulling(self, pull: _Pull, limit: float) -> DriveCommand:
+        """A rate loop at its torque limit gives that torque; at an end of its range, the rate."""
+        within = pull.low <= pull.rate <= pull.high
+        if within:
+            rate = pull.low if pull.tension > 0.0 else pull.high
+            # The drive takes its limit for a motor that drives.
+            most = min(abs(pull.tension) * self._drum.parameters.gear_efficiency, limit)
+        else:
+            rate, most = min(max(pull.rate, pull.low), pull.high), limit
+        carried = min(max(pull.tension, 0.0), limit)
+        return DriveCommand(self._told_length(), rate, carried, True, max(most, SMALLEST_LIMIT))
 
     def _rate_range(self, sensed: Sensed, limits: MotionLimits) -> tuple[float, float]:
         """Rates that the goal, and a stop before the soft ends, leave to the tension loop."""
@@ -412,21 +441,29 @@ class WinchServo:
         low = -min(limits.rate, reach(sensed.length - low_end)) if goal.reels_in else 0.0
         return low, high
 
-    def _limits(self, sensed: Sensed) -> MotionLimits:
+    def _limits(self) -> MotionLimits:
         p, goal = self.parameters, self.goal
         if goal.quick or goal.kind is GoalKind.REST:
             return MotionLimits(p.largest_rate, p.quick_acceleration, p.quick_jerk)
         named = abs(goal.rate)
         rate = min(named, p.largest_rate) if named > 0.0 else p.largest_rate
+        if self._nears_an_end():
+            rate = min(rate, p.end_rate)
+        return MotionLimits(rate, p.acceleration, p.jerk)
+
+    def _nears_an_end(self) -> bool:
+        """Whether it must have the end's rate now, or slow down to it, before a soft end."""
+        p, goal, motion = self.parameters, self.goal, self.motion
         low, high = self._soft_ends()
-        outward = self.motion.rate
-        if goal.kind is GoalKind.LENGTH:
-            outward = goal.length - sensed.length
-        way = high - sensed.length if outward > 0.0 else sensed.length - low
-        # From the zone's border on, half of the acceleration brings the rate down to the end's.
-        room = max(way - p.end_zone, 0.0)
-        end = math.hypot(min(p.end_rate, rate), math.sqrt(p.acceleration * room))
-        return MotionLimits(min(rate, end), p.acceleration, p.jerk)
+        outward = goal.length - motion.length if goal.kind is GoalKind.LENGTH else goal.rate
+        if motion.rate != 0.0:
+            outward = motion.rate
+        way = high - motion.length if outward > 0.0 else motion.length - low
+        excess = max(abs(motion.rate) - p.end_rate, 0.0)
+        # To the end's rate: a ramp of the acceleration at either side.
+        time = excess / p.acceleration + p.acceleration / p.jerk
+        slowing = time * (p.end_rate + 0.5 * excess) if excess > 0.0 else 0.0
+        return way <= p.end_zone + slowing
 
     def _step_trim(self, h: float) -> None:
         p = self.parameters
@@ -443,6 +480,7 @@ class WinchServo:
         change = p.trim_acceleration * h
         self._trim = min(max(wanted, self._trim - change), self._trim + change)
         self.trim_offset += self._trim * h
+        self.trim_offset = min(max(self.trim_offset, -p.trim_length), p.trim_length)
         if self._trim_wanted is None and self._trim == 0.0 and self.trim_offset != 0.0:
             # What the trim has added becomes a way for the S-curve.
             self.motion = self.motion._replace(length=self.motion.length + self.trim_offset)
