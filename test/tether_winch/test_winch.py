@@ -1,0 +1,191 @@
+"""The winch without ROS, on a reduced hoist: modes, refusals, trim, tension, stalls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from winch_hoist import Hoist, HoistParameters
+
+from msg_schemas.machine import (
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
+    WINCH_SLACK,
+    WINCH_TO_LENGTH,
+)
+from msg_schemas.refusal import Refusal, RefusalCode
+from rover_verify.checks.winch_rig import TICK_NS, Session
+from tether_winch.guard import Fault
+from tether_winch.requests import Mode
+from tether_winch.winch import Winch, WinchParameters
+
+
+def session(length: float = 10.0, floor_depth: float = math.inf) -> Session:
+    hoist = HoistParameters(start_length=length, floor_depth=floor_depth)
+    made = Session(Winch(WinchParameters()), Hoist(hoist))
+    made.arm()
+    made.run(0.5)
+    return made
+
+
+def standing(slack: float = 0.5) -> Session:
+    """The rover on a floor, the tether longer than its way."""
+    made = session(10.0 + slack, floor_depth=10.0)
+    made.run(2.5)
+    assert made.winch.load.is_supported
+    return made
+
+
+def refused(made: Session, *request: object) -> Refusal:
+    with pytest.raises(Refusal) as caught:
+        made.ask(*request)  # type: ignore[arg-type]
+    return caught.value
+
+
+def test_a_length_is_reached_without_overshoot_and_braked():
+    made = session()
+    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.run_until_rest(30.0)
+    made.run(0.5)
+    lengths = made.column("length")
+    assert made.winch.mode is Mode.HOLD
+    assert lengths[-1] == pytest.approx(14.0, abs=0.003)
+    assert lengths.max() < 14.003
+    assert np.abs(made.column("length") - made.column("reference")).max() < 0.01
+    assert made.ticks[-1].torque == 0.0
+
+
+def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
+    made = session()
+    made.ask(WINCH_TO_LENGTH, 11.0, 0.3)
+    made.now_ns += 14 * TICK_NS  # it is not stepped for so long
+    made.run(0.3)
+    assert made.winch.mode is Mode.LENGTH
+    made.run_until_rest(20.0)
+    assert made.ticks[-1].length == pytest.approx(11.0, abs=0.003)
+
+
+def test_holding_less_than_the_hanging_tether_weighs_is_refused():
+    made = standing()
+    own = made.winch.drum.hanging_weight(10.5)
+    refusal = refused(made, WINCH_AT_TENSION, 0.0, 0.1, own)
+    assert refusal.code is RefusalCode.OUT_OF_LIMITS
+    assert "without end" in refusal.reason
+    made.ask(WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
+    assert made.winch.mode is Mode.TENSION
+
+
+def test_a_held_tension_never_runs_faster_than_asked():
+    made = session()
+    for tension, sign in ((12.0, 1.0), (22.0, -1.0)):
+        begun = len(made.ticks)
+        for _ in range(10):
+            made.ask(WINCH_AT_TENSION, 0.0, 0.1, tension)
+            made.run(0.5)
+        rates = made.column("rate")[begun:]
+        assert np.abs(rates[200:] - sign * 0.1).max() < 0.02
+    made.run(2.5)
+    assert made.winch.fault is Fault.COMMAND_SILENCE
+    assert made.ticks[-1].rate == 0.0
+
+
+def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
+    made = standing()
+    made.ask(WINCH_SLACK, 0.0)
+    made.run(20.0)
+    assert made.transitions[-1][1].name == "winch_hold"
+    taut = made.ticks[-1].length
+    assert taut == pytest.approx(10.0, abs=0.01)
+    assert made.column("tension")[300:].max() < 16.0
+    made.ask(WINCH_SLACK, 0.4)
+    made.run(6.0)
+    assert made.ticks[-1].length == pytest.approx(taut + 0.4, abs=0.01)
+    assert made.winch.mode is Mode.SLACK
+
+
+def test_nothing_is_reeled_in_while_the_rover_jumps():
+    made = standing()
+    made.ask(WINCH_SLACK, 0.0)
+    made.run(1.0)
+    made.winch.hear_jump("compressing", made.now_ns)
+    made.run(0.5)
+    before = made.ticks[-1].length
+    made.winch.hear_jump("flight", made.now_ns)
+    made.run(3.0)
+    assert made.ticks[-1].length >= before - 1e-6
+    assert "jumps" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
+
+
+def test_a_trim_is_bounded_ends_by_itself_and_is_refused_elsewhere():
+    made = session(20.0)
+    with pytest.raises(Refusal, match="a trim adds to"):
+        made.winch.trim(0.05, made.now_ns)
+    made.ask(WINCH_TO_LENGTH, 20.003, 0.3)
+    p = made.winch.parameters.servo
+    for _ in range(400):
+        made.winch.trim(0.4, made.now_ns)
+        made.run(0.05)
+        assert abs(made.winch.servo.trim_offset) <= p.trim_length
+        assert made.winch.servo.reference.rate <= p.trim_rate + p.largest_rate
+    assert made.winch.servo.trim_offset == pytest.approx(p.trim_length, abs=0.01)
+    assert np.abs(made.column("reference_rate")).max() < p.trim_rate * 1.1
+    made.run(25.0)
+    assert made.winch.mode is Mode.HOLD
+    assert made.ticks[-1].length == pytest.approx(20.003, abs=0.01)
+
+
+def test_before_its_ends_it_slows_down_smoothly():
+    made = session(6.0)
+    for _ in range(50):
+        made.ask(WINCH_AT_RATE, 0.0, -0.35)
+        made.run(0.5)
+    references = made.column("reference_rate")
+    lengths = made.column("length")
+    assert lengths.min() > 2.19
+    near = lengths < 3.15
+    assert np.abs(references[near]).max() < 0.12
+    # Monotone: no chatter where the zone begins.
+    braking = references[(lengths < 4.5) & (lengths > 3.2)]
+    assert np.diff(braking).min() > -1e-6
+
+
+def test_a_lower_rate_is_taken_over_smoothly():
+    made = session()
+    made.ask(WINCH_TO_LENGTH, 20.0, 0.3)
+    made.run(5.0)
+    made.ask(WINCH_TO_LENGTH, 20.0, 0.1)
+    begun = len(made.ticks)
+    made.run(5.0)
+    rates = made.column("reference_rate")[begun:]
+    assert np.diff(rates).max() < 1e-5
+    assert rates.min() == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_hot_motor_brakes_before_it_takes_harm():
+    drum = replace(WinchParameters().drum, motor_continuous_torque=0.01, motor_thermal_time=5.0)
+    made = Session(Winch(replace(WinchParameters(), drum=drum)), Hoist(HoistParameters()))
+    made.arm()
+    made.run(0.5)
+    made.ask(WINCH_TO_LENGTH, 40.0, 0.3)
+    made.run(5.0)
+    made.winch.stop("enough", made.now_ns)
+    made.run(1.0)
+    made.winch.rearm(made.now_ns)
+    made.ask(WINCH_TO_LENGTH, 2.3, 0.3)
+    hottest = 0.0
+    for _ in range(2000):
+        made.tick()
+        hottest = max(hottest, made.winch.heat.heat)
+    assert made.winch.fault is Fault.OVERHEATED
+    assert hottest <= 1.0
+    assert made.ticks[-1].rate == 0.0
+
+
+def test_nothing_is_known_before_the_drum_has_spoken():
+    winch = Winch(WinchParameters())
+    assert winch.step(1_000_000_000) is None
+    with pytest.raises(Refusal, match="never heard"):
+        winch.rearm(1_000_000_000)
+    assert math.isnan(winch.tension_now(1_000_000_000)[0])
