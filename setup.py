@@ -18,6 +18,7 @@ EXECUTABLES = {
     "demo": "rover_verify.demo:main",
     "verify": "rover_verify.matrix:main",
     "bench": "rover_verify.bench:main",
+    "winch_report": "rover_verify.winch_report:main",
 }
 
 TOP_LEVEL = [

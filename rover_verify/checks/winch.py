@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from msg_schemas.refusal import Refusal
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
-from rover_verify.checks.winch_trials import TrialResult, draw_plan, run_trial
+from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, run_trial
 from tether_winch.guard import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -85,24 +85,110 @@ def ripple(batch: Batch) -> Measured:
 # --- judgement of the load ----------------------------------------------------------------------
 
 
+class Trial(NamedTuple):
+    """One descent, drawn and flown."""
+
+    plan: TrialPlan
+    result: TrialResult
+    touches: int  # of the wall
+
+
 @cache
-def _trials(seed: int, runs: int) -> tuple[TrialResult, ...]:
-    results = []
-    for index in range(runs):
-        rng = np.random.default_rng([seed, index])
-        plan = draw_plan(rng)
-        results.append(run_trial(plan, trial_rig(plan), rng))
-    return tuple(results)
+def trial(seed: int, index: int) -> Trial:
+    """One descent of a batch."""
+    rng = np.random.default_rng([seed, index])
+    plan = draw_plan(rng)
+    rig = trial_rig(plan)
+    try:
+        return Trial(plan, run_trial(plan, rig, rng), rig.touches)
+    except RuntimeError as error:
+        raise RuntimeError(f"descent {index} of seed {seed}: {error}") from error
+
+
+def trials(batch: Batch) -> list[Trial]:
+    """The batch's descents."""
+    flown = []
+    for index in range(batch.runs):
+        flown.append(trial(batch.seed, index))
+        batch.progress(index + 1, batch.runs)
+    return flown
+
+
+# Lines of the table: what the descents of a line have in common.
+_GROUPS: Mapping[str, Callable[[Trial], bool]] = {
+    "all": lambda _: True,
+    "hard stops": lambda t: t.result.hard_stops > 0,
+    "the wall touched": lambda t: t.touches > 0,
+    "swing above 5 deg": lambda t: t.plan.swing > math.radians(5.0),
+    "load cell noise above 0.2 N": lambda t: t.plan.errors.cell_noise > 0.2,
+    "payload below 0.85": lambda t: t.plan.payload < 0.85,
+    "payload above 1.15": lambda t: t.plan.payload > 1.15,
+    "friction below 0.8": lambda t: t.plan.friction < 0.8,
+    "friction above 1.5": lambda t: t.plan.friction > 1.5,
+    "floor deeper than 30 m": lambda t: t.plan.floor_depth > 30.0,
+}
+
+
+class Tally(NamedTuple):
+    """A line of the table: descents that had something to bear, and errors of the judgement."""
+
+    name: str
+    descents: int
+    hard_stops: int
+    touches: int  # of the wall
+    snags: int
+    touchdowns_missed: int  # descents, as the rest
+    touchdowns_false: int
+    snags_missed: int
+    snags_false: int
+    slack_false: int
+
+    def __str__(self) -> str:
+        """One line of text."""
+        return (
+            f"{self.name}: {self.descents} descents, {self.hard_stops} hard stops, {self.touches} "
+            f"touches of the wall, {self.snags} snags: touchdowns missed {self.touchdowns_missed}, "
+            f"false {self.touchdowns_false}; snags missed {self.snags_missed}, false "
+            f"{self.snags_false}; slack false {self.slack_false}"
+        )
+
+
+def tally(trials: Sequence[Trial]) -> list[Tally]:
+    """Errors of the judgement by what a descent had to bear."""
+    lines = []
+    for name, belongs in _GROUPS.items():
+        chosen = [trial for trial in trials if belongs(trial)]
+        results = [trial.result for trial in chosen]
+        lines.append(
+            Tally(
+                name,
+                len(results),
+                sum(r.hard_stops for r in results),
+                sum(trial.touches for trial in chosen),
+                sum(r.snags for r in results),
+                sum(r.touchdown_missed for r in results),
+                sum(r.touchdown_false for r in results),
+                sum(r.snag_missed for r in results),
+                sum(r.snag_false for r in results),
+                sum(r.slack_false for r in results),
+            )
+        )
+    return lines
 
 
 def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) -> Measured:
-    results = _trials(batch.seed, batch.runs)
-    count = sum(what(result) for result in results)
+    flown = trials(batch)
+    wrong = [index for index, one in enumerate(flown) if what(one.result)]
+    lines = tally(flown)
+    every = lines[0]
     note = (
-        f"{count} of {len(results)} descents with {sum(r.hard_stops for r in results)} hard stops "
-        f"and {sum(r.snags for r in results)} snags"
+        f"{len(wrong)} of {len(flown)} descents with {every.hard_stops} hard stops, "
+        f"{every.touches} touches of the wall and {every.snags} snags"
     )
-    return Measured(count / len(results) if share else float(count), note)
+    if wrong:
+        note += f"; descents {', '.join(map(str, wrong))}"
+    value = len(wrong) / len(flown) if share else float(len(wrong))
+    return Measured(value, note, {line.name: str(line) for line in lines})
 
 
 def touchdown_missed(batch: Batch) -> Measured:

@@ -7,7 +7,15 @@ import math
 from collections.abc import Mapping
 from functools import cache
 
-from rover_sim import Command, Event, JumpMotorCommand, Outcome, WinchCommand, load_scenario
+from rover_sim import (
+    Command,
+    Event,
+    JumpMotorCommand,
+    Outcome,
+    WheelRateCommand,
+    WinchCommand,
+    load_scenario,
+)
 from rover_sim.spatial_plant import SpatialPlant
 from rover_verify.checks.winch_rig import Readings
 from rover_verify.checks.winch_trials import TrialPlan
@@ -43,6 +51,7 @@ class SpatialRig:
 
     Attributes:
         jump: what the jump motor is told.
+        wheel: what the wheel motor is told.
         events: of the plant, since the start.
     """
 
@@ -52,6 +61,7 @@ class SpatialRig:
         self.state = self._plant.initial_state()
         self.peak_tension = 0.0
         self.jump: JumpMotorCommand | None = None
+        self.wheel: WheelRateCommand | None = None
         self.events: list[Event] = []
         self.is_supported = False
         self.is_caught = False
@@ -74,7 +84,7 @@ class SpatialRig:
                 command.release_brake,
                 command.limit,
             )
-        self.state, result = self._plant.step(self.state, Command(self.jump, told), dt)
+        self.state, result = self._plant.step(self.state, Command(self.jump, told, self.wheel), dt)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.state.time:.3g} s")
         self.events += result.events
@@ -108,11 +118,18 @@ class SpatialRig:
         return max(0.0, self.state.length - math.sqrt(x * x + y * y + z * z))
 
     def place_lip(self, depth: float) -> None:
-        """Put a lip at a depth [m], under which the rover is caught; far above: take it away."""
+        """Put a lip at a depth [m], under which the rover is caught; far above: take it away.
+
+        Raises:
+            RuntimeError: the tether swings too far for it.
+        """
         if depth < 0.0:
             self._plant = spatial_plant(self._overrides)
             self._has_lip = False
             return
+        aside = float(math.hypot(*self.state.nodes[-1, 0, :2]))
+        if aside > 0.4 * _SHAFT:
+            raise RuntimeError(f"the tether swings by {aside:.3g} m, a lip would cut through it")
         # A shaft too narrow for the rover, which widens below the lip like a funnel.
         shaft = {
             "diameter": _SHAFT,

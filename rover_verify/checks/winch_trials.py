@@ -8,6 +8,7 @@ nor its load cell's errors. What it tells is held against what the plant knows.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,6 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas.refusal import Refusal
 from rover_verify.checks.winch_rig import TICK, Rig, SensorErrors, Session
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -142,11 +144,16 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
         rate_noise=float(rng.uniform(0.001, 0.004)),
         current_noise=0.01,
     )
+    start_length = float(rng.uniform(3.0, 40.0))
+    payload = float(rng.uniform(0.7, 1.3))
+    friction = float(rng.uniform(0.5, 2.0))
+    swing = float(rng.uniform(0.0, np.radians(10.0)))
     return TrialPlan(
-        start_length=float(rng.uniform(3.0, 40.0)),
-        payload=float(rng.uniform(0.7, 1.3)),
-        friction=float(rng.uniform(0.5, 2.0)),
-        swing=float(rng.uniform(0.0, np.radians(10.0))),
+        start_length=start_length,
+        payload=payload,
+        friction=friction,
+        # A lip is a narrow shaft about the tether, which must hang there when it appears.
+        swing=0.0 if any(leg.lip_above is not None for leg in legs) else swing,
         legs=tuple(legs),
         scrapes=tuple(scrapes),
         errors=errors,
@@ -208,9 +215,12 @@ class _Trial:
         self._ready()
         sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
         goal = max(winch.payout.length + sign * leg.way, 2.5)
+        try:
+            session.ask(WINCH_TO_LENGTH, goal, leg.rate)
+        except Refusal:  # it takes the rover for standing: true or not is in the tally
+            return
         if leg.lip_above is not None:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
-        session.ask(WINCH_TO_LENGTH, goal, leg.rate)
 
         def done() -> bool:
             return winch.mode is not Mode.LENGTH and winch.servo.rests
@@ -230,7 +240,8 @@ class _Trial:
         """Go down to the floor and stop there."""
         winch, session = self.session.winch, self.session
         self._ready()
-        session.ask(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
+        with contextlib.suppress(Refusal):
+            session.ask(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
         self.go(140.0, lambda: winch.mode is not Mode.LENGTH and winch.servo.rests)
         self.go(_SETTLE)
 
