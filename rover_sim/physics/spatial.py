@@ -408,6 +408,8 @@ def advance(
             continue
         longest = min(2.0 * longest, model.step)
         z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
+        if model.has_ground and model.has_rover:
+            remember_torques(model, solver, body, solver.after.body, book)
         _keep(model, n, motion, solver.after)
         elapsed += h
         now = start + elapsed
@@ -492,7 +494,6 @@ def advance(
         if model.has_ground and model.has_rover:
             near = losses.near_ground
             load = report_loads(model, solver, near, report)
-            remember_torques(solver, book)
             if load > 0.0:
                 if book[AIRBORNE] != 0.0:
                     count = record_event(

@@ -8,9 +8,9 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import inner
-from rover_sim.physics.spatial_rover import POSITION, VELOCITY1, vector_at
+from rover_sim.physics.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
 from rover_sim.physics.spatial_step import Losses, Model, Solver
-from rover_sim.physics.vectors import dot
+from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
 
 # Entries of the array `book`: what is remembered besides motion and machines.
 (
@@ -150,13 +150,35 @@ def report_loads(model: Model, solver: Solver, near: bool, report: Array) -> flo
 
 
 @inner
-def remember_torques(solver: Solver, book: Array) -> None:
-    """Remember the ground's torques on the wheels for the next step."""
-    torque = solver.feet.torque
-    book[LEFT_TORQUE] = -(torque[0, 0] + torque[1, 0])
-    book[LEFT_SLOPE] = max(torque[0, 1] + torque[1, 1], 0.0)
-    book[RIGHT_TORQUE] = -(torque[2, 0] + torque[3, 0])
-    book[RIGHT_SLOPE] = max(torque[2, 1] + torque[3, 1], 0.0)
+def _hub_velocity(body: Array, hub: Vector) -> Vector:
+    """Velocity of a point of Body 1 [m/s]."""
+    swung = rotate(rotation_of(orientation(body)), cross(vector_at(body, SPIN), hub))
+    return add(vector_at(body, VELOCITY1), swung)
+
+
+@inner
+def remember_torques(
+    model: Model, solver: Solver, before: Array, after: Array, book: Array
+) -> None:
+    """Remember the ground's torques on the wheels, as the next step will find them.
+
+    The torques are those of this step's slip; until the next one Body 1 turns and moves on, by the
+    changes of its rates in this step, and so does the slip of a wheel that keeps its own rate.
+    """
+    feet = solver.feet
+    swung = after[SPIN + 1] - before[SPIN + 1]
+    for wheel in range(2):
+        hub = model.feet.left_wheel if wheel == 0 else model.feet.right_wheel
+        change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
+        torque, slope = 0.0, 0.0
+        for kind in range(2):
+            w = 2 * wheel + kind
+            steep = max(feet.torque[w, 1], 0.0)
+            rolled = dot(vector_at(feet.forward[w], 0), change) / model.feet.tip_radius
+            torque -= feet.torque[w, 0] + steep * (swung - rolled)
+            slope += steep
+        entry = LEFT_TORQUE + 2 * wheel
+        book[entry], book[entry + 1] = torque, slope
 
 
 @inner
