@@ -1,4 +1,4 @@
-"""The machine in space: jumps from the floor, the screw's work, the flywheel's friction."""
+"""The machine in space: jumps from the floor, screw, flywheel, and a whole mission's energy."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.machine import Friction, Rover, jump_height
+from rover_verify import scripted_mission
 from rover_verify.checks import Batch, Measured
 
 _IDLE = Command()
@@ -289,3 +290,30 @@ def _reaction_error(plant: SpatialPlant) -> float:
     across = rover.inertia[0] + rover.m1 * rover.m2 / rover.mass * state.s**2
     rotor = rover.jump_drive.inertia * (state.flywheel_rate + float(state.omega[0]))
     return abs(-across * float(state.omega[0]) / rotor - 1.0)
+
+
+# --------------------------------------------------------------------------------------- energy
+
+_HAPPENS = {"touchdown", "take_off", "apex", "latch_released"}
+
+
+def energy_audit(batch: Batch) -> Measured:
+    """Largest miss of the energy balance at any leg of scripted missions, over the heat by the end.
+
+    Raises:
+        RuntimeError: a mission did not come to its end, or was none.
+    """
+    worst, details = 0.0, {}
+    for index, generator in enumerate(batch.generators()):
+        seed = int(generator.integers(2**31))
+        mission = scripted_mission.Mission(scripted_mission.make_plant(seed))
+        scripted_mission.fly(mission)
+        lacking = _HAPPENS - {name for leg in mission.legs for name in leg.events}
+        changes = [leg.splits for leg in mission.legs]
+        if lacking or min(changes) >= 0 or max(changes) <= 0:
+            raise RuntimeError(f"no whole mission: lacks {lacking}, chain changed by {changes}")
+        heat = mission.legs[-1].energies.dissipated
+        missed = max(abs(leg.energies.drift) for leg in mission.legs)
+        details[f"run {index}, rubble {seed}, {heat:.1f} J of heat"] = missed / heat
+        worst = max(worst, missed / heat)
+    return Measured(worst, f"{batch.runs} missions on random rubble", details)
