@@ -25,7 +25,8 @@ _TRUST_MARGIN = 0.1
 
 @checked_inner
 def distrust(control: Array) -> None:
-    """Have C measured in the next step."""
+    """Have C measured in the next step, and forget what it was."""
+    control[CONSTANT] = 0.0
     control[STEPS] = _TRUSTED_STEPS
 
 
