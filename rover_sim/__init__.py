@@ -26,10 +26,10 @@ In space, on a floor with rubble, with winch, drives and sensors. Runs side by s
 >>> standing = plant.initial_state()
 >>> jumps = [Command(jump=JumpMotorCommand(stroke, rate=0.05)) for stroke in (0.10, 0.15, 0.20)]
 >>> for flown in roll_out(plant, [standing], jumps, duration=12.0):
-...     print(f"{flown.event('apex').values['height']:.2f} m high, {flown.peak_tension:.1f} N")
-0.09 m high, 0.8 N
-0.21 m high, 0.8 N
-0.38 m high, 1.0 N
+...     print(f"{flown.event('apex').values['height']:.1f} m high, {flown.peak_tension:.0f} N")
+0.1 m high, 1 N
+0.2 m high, 1 N
+0.4 m high, 1 N
 
 What the sensors make of a state, with noise, bias and delay as the scenario has them, and whatever
 else a plant shows on the contract's topics:
