@@ -62,7 +62,10 @@ class SpatialState:
             "tether_anchors",
             "book",
         ):
-            array = np.array(getattr(self, name), dtype=np.float64)
+            given = getattr(self, name)
+            if type(given) is np.ndarray and given.base is None and not given.flags.writeable:
+                continue  # nobody can change it
+            array = np.array(given, dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -202,11 +205,13 @@ def rotation_matrix(quaternion: Array) -> Array:
     )
 
 
+_CAME = np.array([entry for name, entry in _LEDGER.items() if name.startswith("input")])
+_WENT = np.array([entry for name, entry in _LEDGER.items() if name.startswith("heat")])
+
+
 def ledger_sums(book: Array) -> tuple[float, float]:
     """Input and heat since the start of the run [J]."""
-    came = sum(float(book[entry]) for name, entry in _LEDGER.items() if name.startswith("input"))
-    went = sum(float(book[entry]) for name, entry in _LEDGER.items() if name.startswith("heat"))
-    return came, went
+    return sum(book[_CAME].tolist()), sum(book[_WENT].tolist())
 
 
 def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
@@ -223,8 +228,11 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
 
 
 def state_of(motion: Motion, machines: Machines, book: Array, phase: Phase) -> SpatialState:
-    """The state that the arrays hold."""
+    """The state that the arrays hold; they become its own and can be changed no more."""
     elements = int(book[spatial_book.ELEMENTS])
+    own = (motion.mouth, motion.body, motion.feet_anchors, book)
+    for array in own:
+        array.flags.writeable = False
     return SpatialState(
         phase=phase,
         nodes=to_nodes(motion.q, elements),
