@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rover_verify import bench_sweep, core_peak, exudyn_peer
+from rover_verify import bench_spatial, bench_sweep, core_peak, exudyn_peer
 from rover_verify.bench_cases import (
     FLOWN,
     PEER_USUAL,
@@ -290,8 +290,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         and (not options.elements or case.elements in options.elements)
     ]
     costs = not (options.case or options.elements)
-    if not (chosen or costs):
-        names = sorted({case.name for case in cases()})
+    in_space = [
+        name
+        for name in (bench_spatial.RESTING, bench_spatial.WORST)
+        if costs or any(word in name for word in options.case or ())
+    ]
+    if not (chosen or costs or in_space):
+        names = sorted(
+            {case.name for case in cases()} | {bench_spatial.RESTING, bench_spatial.WORST}
+        )
         parser.error(f"no such case; there are {', '.join(names)}")
     peer = exudyn_peer.load() is not None
     try:
@@ -299,6 +306,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
     rows = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
+    if in_space:
+        print("spatial plant ...", file=sys.stderr)
+        rows += bench_spatial.measure(in_space, options.repetitions, lambda _text: None)
     scaling: list[Row] = []
     if costs:
         print("sweep of jumps over the number of workers ...", file=sys.stderr)
@@ -306,9 +316,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows += scaling
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(table(rows))
-    print()
-    print(notes(peer=peer))
+    if chosen or costs:
+        print(table(rows))
+        print()
+        print(notes(peer=peer))
+    if in_space:
+        print("\n" + bench_spatial.table(rows))
     if scaling:
         print("\n" + bench_sweep.table(scaling) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]

@@ -15,6 +15,12 @@ from numba import njit
 # (330), elimination of a node's 4 x 4 block with five columns (370), substitution (35).
 FLOPS_PER_ELEMENT_ITERATION = 1255
 
+# The same of the spatial tether: slopes with three components (180), strains and forces (75), sums
+# over the points (150), the tangent's symmetric 3 x 3 tensors (500), spreading to the 12 x 12
+# tangent (740), elimination of a node's 6 x 6 block with seven columns (1150), substitution (80).
+# Contact with the ground, the predictor and the books come on top and are not counted.
+FLOPS_PER_SPATIAL_ELEMENT_ITERATION = 2875
+
 _DEGREE = 32
 _jit: Any = njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 

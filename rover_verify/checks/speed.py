@@ -1,12 +1,20 @@
-"""Speed against the peer and over the number of elements; single thread, CPU time."""
+"""Speed against the peer, over the number of elements, of the spatial plant, and of the start.
+
+Single thread and CPU time, but for the start, which is wall time.
+"""
 
 from __future__ import annotations
 
+import os
+import time
 from functools import cache
+from pathlib import Path
 
-from rover_verify import bench, exudyn_peer
+from msg_schemas import topics
+from rover_verify import bench, bench_spatial, exudyn_peer
 from rover_verify.bench_cases import Case, cases
 from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.stage import open_stage
 
 _REPETITIONS = 5
 
@@ -58,3 +66,91 @@ def linear_cost(_batch: Batch) -> Measured:
     last = rows[-1]["cost_over_first"]
     assert isinstance(last, float)
     return Measured(last, "undamped pendulum at 1 ms, tolerance 1e-8", details)
+
+
+# --------------------------------------------------------------------------------- spatial plant
+
+
+@cache
+def _resting() -> list[bench_spatial.Row]:
+    return bench_spatial.measure_rest(_REPETITIONS, lambda _text: None)
+
+
+def _numbers(row: bench_spatial.Row) -> dict[str, float | str]:
+    return {key: value for key, value in row.items() if isinstance(value, float)}
+
+
+def _resting_at(elements: int) -> Measured:
+    (row,) = [row for row in _resting() if row["n"] == elements]
+    rtf = row["rtf"]
+    assert isinstance(rtf, float)
+    return Measured(rtf, "everything on, ticks of 10 ms, best of the repetitions", _numbers(row))
+
+
+def spatial_20(_batch: Batch) -> Measured:
+    """Real-time factor at rest on rubble, n = 20."""
+    return _resting_at(20)
+
+
+def spatial_100(_batch: Batch) -> Measured:
+    """Real-time factor at rest on rubble, n = 100."""
+    return _resting_at(100)
+
+
+def spatial_worst(_batch: Batch) -> Measured:
+    """Real-time factor of the slowest 10 ms of a jump and its landing on rubble, n = 50."""
+    row = bench_spatial.measure_worst(_REPETITIONS, lambda _text: None)
+    rtf = row["rtf"]
+    assert isinstance(rtf, float)
+    return Measured(rtf, "worst tick of a jump with its landing on rubble", _numbers(row))
+
+
+# ---------------------------------------------------------------------------------------- start
+
+_LONGEST_START = 300.0  # [s]
+
+
+def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
+    """Wall time from the start of sim_node to its word that it is ready [s], and its CPU time."""
+    with open_stage(folder) as stage:
+        observer = stage.observer()
+        observer.listen(topics.DIAGNOSTICS)
+        began = time.monotonic()
+        process = stage.processes.start(
+            "rover_sim.sim_node",
+            {"scenario": "floor_rubble", "model": "spatial"},
+            extra_environment={"NUMBA_CACHE_DIR": str(cache_folder)},
+        )
+        while True:
+            try:
+                observer.wait_until_ready("sim_node")
+            except AssertionError:
+                if time.monotonic() - began > _LONGEST_START:
+                    raise
+            else:
+                return time.monotonic() - began, _cpu_time(process.pid)
+
+
+def _cpu_time(pid: int) -> float:
+    """CPU time of a process and of its children that have ended [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
+
+
+def start_cold(batch: Batch) -> Measured:
+    """Time to readiness with nothing compiled yet [s]."""
+    spent, cpu = _ready_after(batch.folder, batch.folder / "cache")
+    note = "sim_node with the spatial plant, standing on rubble, empty cache"
+    return Measured(spent, note, {"CPU time of all its processes [s]": cpu})
+
+
+def start_warm(batch: Batch) -> Measured:
+    """Median time to readiness once all is compiled [s]."""
+    cache_folder = batch.folder / "cache"
+    first, _ = _ready_after(batch.folder, cache_folder)
+    again = sorted(_ready_after(batch.folder, cache_folder) for _ in range(3))
+    details: dict[str, float | str] = {"first start, cold [s]": first}
+    for k, (spent, cpu) in enumerate(again):
+        details[f"start {k + 2} [s]"] = spent
+        details[f"start {k + 2}, CPU time [s]"] = cpu
+    return Measured(again[1][0], "the same, after a start that compiled", details)
