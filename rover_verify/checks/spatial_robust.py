@@ -59,7 +59,7 @@ DURATION, TICK = 5.0, 0.2  # [s]
 # More of the energy in play than this from nowhere, or to nowhere, is a fault. Less is what it
 # costs that drum and wheels take the tension and the ground's torques of the step before; how much
 # that is has a requirement of its own.
-GAIN, LOSS = 1.0e-2, 5.0e-2
+GAIN, LOSS = 1.0e-2, 1.0e-2
 
 
 class Chance(Protocol):
