@@ -52,6 +52,7 @@ _NANO = 1e9
 _OPEN = 0.5  # a brake's position from here on means released
 _MOVING = 0.02  # from this rate on the drum moves [m/s]
 _JUMPING = frozenset({"compressing", "flight", "landed"})
+_STALL = 0.05  # a step that comes later than this after the last one comes late [s]
 _BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
 _TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
@@ -124,6 +125,7 @@ class Winch:
         self._brake_is_open = False
         self._torque = 0.0
         self._last: float | None = None
+        self._late = 0.0  # by which the last step came too late [s]
         self._alarms: dict[str, bool] = {}
 
     def take_transitions(self) -> list[Transition]:
@@ -315,6 +317,8 @@ class Winch:
         now = now_ns / _NANO
         h = 0.0 if self._last is None else now - self._last
         self._last = now
+        # After a stall of its own the time is known before what the sensors said meanwhile.
+        self._late = h if h > _STALL else 0.0
         if not self.payout.is_known:
             return None
         self._sense(now_ns, h)
@@ -330,7 +334,7 @@ class Winch:
 
     def _sense(self, now_ns: int, h: float) -> None:
         now = now_ns / _NANO
-        self.tension.step(self.payout, now)
+        self.tension.step(self.payout, now - self._late)
         tension, _ = self.tension_now(now_ns)
         own = self._own_weight()
         self.load.step(
@@ -461,7 +465,7 @@ class Winch:
         tension, _ = self.tension_now(now_ns)
         opening = self.servo.phase is BrakePhase.OPENING
         return Watched(
-            self.payout.fault(now),
+            self.payout.fault(now - self._late),
             tension,
             self._tension_fault(),
             self.load.state,

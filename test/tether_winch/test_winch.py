@@ -16,7 +16,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
 )
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_verify.checks.winch_rig import TICK_NS, Session
+from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
 from tether_winch.guard import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -65,6 +65,24 @@ def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
     assert made.winch.mode is Mode.LENGTH
     made.run_until_rest(20.0)
     assert made.ticks[-1].length == pytest.approx(11.0, abs=0.003)
+
+
+def test_a_controller_that_stalled_does_not_take_its_sensors_for_silent():
+    made = session()
+    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.run(2.0)
+    running = made.winch.step(made.now_ns)
+    for _ in range(14):
+        made.rig.step(running, TICK)
+        made.now_ns += TICK_NS
+    made.winch.step(made.now_ns)  # before it has heard what was said meanwhile
+    assert made.winch.mode is Mode.LENGTH
+    made.run(1.0)
+    assert made.winch.fault is None
+    for _ in range(12):  # but sensors that stay silent are lost
+        made.now_ns += TICK_NS
+        made.winch.step(made.now_ns)
+    assert made.winch.fault is Fault.DRUM_LOST
 
 
 def test_holding_less_than_the_hanging_tether_weighs_is_refused():
