@@ -147,6 +147,8 @@ def render(
 
 
 def _tally_table(tally: Sequence[checks.Tally], seed: int) -> str:
+    if not tally:
+        return ""
     head = (
         "descents with ...", "descents", "hard stops", "touches of the wall", "snags",
         "touchdown missed", "false", "snag missed", "false", "slack false",

@@ -22,6 +22,7 @@ _SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
 _RATE = 0.3  # [m/s]
 _RUN_UP = 1.5  # way in which the rate is reached [m]
+_ATTEMPTS = 5
 _AFTER = 3.0  # time watched after it stands [s]
 _NANO = 1_000_000_000
 
@@ -92,19 +93,37 @@ def ask(
     observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), {joint: value}))
 
 
+def _pays_out(observer: Observer, length: float) -> bool:
+    """Arm, ask, and wait; False: a fault ended it, as on a machine that stalls it may."""
+    states, modes = observer.listen(topics.WINCH_STATE), observer.listen(topics.WINCH_MODE)
+    since, told = len(states), len(modes)
+    observer.call(topics.WINCH_REARM)
+    ask(observer, WINCH_TO_LENGTH, length + 8.0, _RATE)
+
+    def at_rate(sample: JointSample) -> bool:
+        position, velocity, _ = sample.joints[WINCH_DRUM]
+        return position >= length and velocity > 0.98 * _RATE
+
+    def ended(_: JointSample) -> bool:
+        return any(mode.text in {"fault", "disarmed"} for mode in modes.samples[told:])
+
+    return at_rate(states.wait(lambda s: at_rate(s) or ended(s), since))
+
+
 @cache
 def _killed(folder: Path, length: float, seed: int) -> Killed:
     """Pay out, kill the node, watch the drum."""
     with winch_and_sim(folder, length - _RUN_UP, seed) as (winch, observer):
         states, loads = observer.listen(topics.WINCH_STATE), observer.listen(topics.LOAD_CELL)
         commands = observer.listen(topics.WINCH_COMMAND)
-        ask(observer, WINCH_TO_LENGTH, length + 8.0, _RATE)
-        states.wait(
-            lambda s: (
-                s.joints[WINCH_DRUM].position >= length
-                and s.joints[WINCH_DRUM].velocity > 0.98 * _RATE
+        for _ in range(_ATTEMPTS):
+            if _pays_out(observer, length):
+                break
+        else:
+            last = observer.listen(topics.EVENTS).last
+            raise RuntimeError(
+                f"it did not pay out in {_ATTEMPTS} attempts; the last event: {last}"
             )
-        )
         winch.send(signal.SIGKILL)
         winch.wait()
         death = commands.last.stamp_ns  # what is heard later is the drive's own doing
