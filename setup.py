@@ -76,6 +76,7 @@ setup(
             "hypothesis>=6.98",
             "pytest>=7.4",
             "pytest-timeout>=2.2",
+            "pytest-xdist>=3.4",
         ],
         "cluster": ["dask[distributed]>=2024.5"],
         "bench": ["exudyn>=1.8"],
