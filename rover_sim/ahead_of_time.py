@@ -54,7 +54,7 @@ def compile_ahead(scenario: AnyScenario) -> bool:
         "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
     }
     given = json.dumps(scenario.to_mapping())
-    command = [sys.executable, "-m", __name__]
+    command = [sys.executable, "-P", "-m", __name__]  # -P: not from where it is started, but ours
     try:
         with _at_work([*command, _PARTS], given, environment):
             subprocess.run(

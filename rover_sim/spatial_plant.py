@@ -15,8 +15,9 @@ from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
+from rover_sim.physics.parts import parts
 from rover_sim.physics.spatial import Machines, Orders
-from rover_sim.physics.spatial_step import Model, Solver, make_solver, parts
+from rover_sim.physics.spatial_step import Model, Solver, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
 from rover_sim.physics.twist import twist_angle
 from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
@@ -405,9 +406,8 @@ class SpatialPlant:
 
     def compile_parts(self) -> None:
         """Compile what `warm_up` comes to last, beside another process that calls `warm_up`."""
-        motion, _ = arrays_of(self._some_state(), self._capacity)
         typeof: Any = numba.typeof
-        for function, arguments in parts(self._model, motion, self._solver()):
+        for function, arguments in parts(self._model, self._solver()):
             function.compile(tuple(typeof(argument) for argument in arguments))
 
     def warm_up(self) -> None:

@@ -6,7 +6,7 @@ rover's rotation and slide (`spatial_rover`); the ground acts on the tether (`te
 on the rover (`rover_contact`) with the forces that belong to these increments.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -182,33 +182,6 @@ def make_solver(capacity: int, corners: int) -> Solver:
         make_history(6, width, 7),
         np.zeros(CONTROL_SIZE),
     )
-
-
-def parts(model: Model, motion: Motion, solver: Solver) -> list[tuple[Any, tuple[Any, ...]]]:
-    """The larger of the functions that `attempt_step` comes to last, the last one first.
-
-    Returns:
-        Each with arguments of the types that it is called with there, so that it can be compiled
-        apart.
-    """
-    actions = Actions(
-        Payout(1.0, 1.0, 0.0, 0.0), NutAction(False, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0,
-        (0.0, 0.0, 0.0),
-    )  # fmt: skip
-    tether, h, n = model.tether, model.step, int(model.tether.elements)
-    work, contact, exit_ = solver.work, solver.contact, solver.exit
-    anchors, mouth = motion.tether_anchors, motion.mouth
-    ground = model.tether_ground
-    return [
-        (end_tether_contact, (ground, tether, h, anchors, work, contact)),
-        (end_exit_step, (tether, h, actions.pay, exit_, mouth[0], mouth[1])),
-        (end_step, (tether, h, motion.q, motion.v, work, motion.q, motion.v)),
-        (solve_increment, (tether, work)),
-        (add_tether_contact, (model.terrain, ground, tether, h, anchors, work, contact)),
-        (assemble, (tether, h, work)),
-        (add_exit, (tether, h, actions.pay, work, exit_)),
-        (_add_rover, (model, n, h, motion, actions, False, solver)),
-    ]
 
 
 @inner

@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 # whole is inlined into its caller by the compiler, its parts before compilation. Without reference
 # counts (_nrt), which the terrain's array would be put through at each query.
 query = inner_with(forceinline=True)
+query_from_python = kernel_with(forceinline=True)
 part = kernel_with(inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
@@ -259,7 +260,7 @@ def _relief_at(terrain: Terrain, px: float, py: float) -> tuple[float, float, fl
     return height, slope_x * terrain.relief_inverse, slope_y * terrain.relief_inverse
 
 
-@query
+@query_from_python
 def floor_height(terrain: Terrain, x: float, y: float) -> float:
     """Height of the floor without its boulders [m]."""
     height = terrain.floor_height + terrain.slope_x * x + terrain.slope_y * y
@@ -429,7 +430,7 @@ def depth_and_normal(
     )
 
 
-@query
+@query_from_python
 def _fill_heights(terrain: Terrain, x: Array, y: Array, heights: Array) -> None:
     for j in range(y.size):
         for i in range(x.size):

@@ -13,7 +13,7 @@ matrix,
 
 import numpy as np
 
-from rover_sim.physics.compiled import checked_inner
+from rover_sim.physics.compiled import checked, checked_inner
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
@@ -44,7 +44,7 @@ def axpy(k: float, a: Vector, b: Vector) -> Vector:
     return (k * a[0] + b[0], k * a[1] + b[1], k * a[2] + b[2])
 
 
-@checked_inner
+@checked
 def dot(a: Vector, b: Vector) -> float:
     """Inner product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
