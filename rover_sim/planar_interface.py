@@ -18,14 +18,12 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
     Sample,
-    TetherSample,
     Vector,
     WrenchSample,
 )
 from msg_schemas.table import (
     BODY1_FRAME,
     BODY2_FRAME,
-    ENERGY_NAMES,
     FLOOR_SWITCH,
     JUMP_SCREW,
     MAX_NUT_SPEED,
@@ -45,6 +43,7 @@ from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Energies, Phase, StepResult
+from rover_sim.truth import energy_sample, tether_sample
 
 # Topics of every plant, and those that need a rover.
 _ALWAYS = (
@@ -144,18 +143,10 @@ class PlanarInterface:
         return _odometry(moment.stamp_ns, state, state.G2, state.G2_rate)
 
     def _tether(self, moment: _Moment) -> Sample:
-        nodes = moment.after.nodes
-        table = np.empty((nodes.shape[0], 7))
-        table[:, 0:3] = rep103.vector(nodes[:, 0])
-        table[:, 3:6] = rep103.vector(nodes[:, 1])
-        table[:, 6] = moment.tension
-        return TetherSample(moment.stamp_ns, table)
+        return tether_sample(moment.stamp_ns, rep103.vector(moment.after.nodes), moment.tension)
 
     def _energy(self, moment: _Moment) -> Sample:
-        return JointSample(
-            moment.stamp_ns,
-            {name: JointValue(getattr(moment.energies, name)) for name in ENERGY_NAMES},
-        )
+        return energy_sample(moment.stamp_ns, moment.energies)
 
     def _imu(self, moment: _Moment) -> Sample:
         before, after = moment.before, moment.after

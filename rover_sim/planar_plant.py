@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rover_sim.per_thread import PerThread
 from rover_sim.physics import planar, planar_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.starting_shapes import Catenary, arc_nodes
@@ -139,18 +139,12 @@ class PlanarPlant:
         self.section = tether.section
         self._elements = tether.elements
         self._model = make_model(scenario)
-        self._threads = threading.local()
+        self._solvers = PerThread(lambda: planar.make_solver(self._elements))
 
     @property
     def model(self) -> planar.Model:
         """The constants handed to the compiled functions."""
         return self._model
-
-    def _solver(self) -> planar.Solver:
-        solver: planar.Solver | None = getattr(self._threads, "solver", None)
-        if solver is None:
-            solver = self._threads.solver = planar.make_solver(self._elements)
-        return solver
 
     def initial_state(self) -> PlanarState:
         """The state at the scenario's start: all at rest, the rover held.
@@ -232,7 +226,7 @@ class PlanarPlant:
             outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
-        solver = self._solver()
+        solver = self._solvers.own()
         outcome_code, phase_code, count = planar.advance(
             self._model,
             *motion,
@@ -279,7 +273,14 @@ class PlanarPlant:
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
         phase = planar.FREE if self.scenario.rover is None else planar.HELD
         planar.advance(
-            self._model, *motion, phase, (0.0, 0.0), self._model.step, False, events, self._solver()
+            self._model,
+            *motion,
+            phase,
+            (0.0, 0.0),
+            self._model.step,
+            False,
+            events,
+            self._solvers.own(),
         )
         planar.energies(self._model, motion.q, motion.v, motion.body)
         element_tensions(self._model.tether, motion.q, motion.v, np.empty(self._elements))

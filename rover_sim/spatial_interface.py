@@ -23,14 +23,12 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
     Sample,
-    TetherSample,
     WrenchSample,
 )
 from msg_schemas.table import (
     BODY1_FRAME,
     BODY2_FRAME,
     BODY_SWITCH,
-    ENERGY_NAMES,
     FLOOR_SWITCH,
     FLYWHEEL,
     JUMP_MOTOR,
@@ -64,6 +62,7 @@ from rover_sim.plant import Energies, Forces, StepResult
 from rover_sim.sensors import Readings, SensorState, SensorSuite, Truth
 from rover_sim.spatial_plant import SpatialPlant
 from rover_sim.spatial_state import SpatialState
+from rover_sim.truth import energy_sample, tether_sample
 
 _TRUTH = (topics.CLOCK, topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.MARKERS)
 _TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
@@ -236,17 +235,10 @@ class SpatialInterface:
 
     def _tether(self, moment: _Moment) -> Sample:
         nodes = self.plant.to_full_nodes(moment.state)
-        table = np.empty((len(nodes), 7))
-        table[:, 0:3] = nodes[:, 0]
-        table[:, 3:6] = nodes[:, 1]
-        table[:, 6] = self.plant.tension(moment.state)
-        return TetherSample(moment.stamp_ns, table)
+        return tether_sample(moment.stamp_ns, nodes, self.plant.tension(moment.state))
 
     def _energy(self, moment: _Moment) -> Sample:
-        return JointSample(
-            moment.stamp_ns,
-            {name: JointValue(getattr(moment.energies, name)) for name in ENERGY_NAMES},
-        )
+        return energy_sample(moment.stamp_ns, moment.energies)
 
     def _markers(self, moment: _Moment) -> Sample:
         state, rover = moment.state, self._scenario.rover

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +10,14 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rover_sim.per_thread import PerThread
 from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.parts import parts
 from rover_sim.physics.spatial import Machines, Orders
-from rover_sim.physics.spatial_step import Model, Solver, make_solver
+from rover_sim.physics.spatial_step import Model, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
 from rover_sim.physics.twist import twist_angle
 from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
@@ -74,19 +74,13 @@ class SpatialPlant:
         self._model = make_model(scenario)
         self._capacity = scenario.most_elements + 1
         self._corners = len(self._model.feet.corners)
-        self._threads = threading.local()
+        self._solvers = PerThread(lambda: make_solver(self._capacity, self._corners))
         self._settled: SpatialState | None = None
 
     @property
     def model(self) -> Model:
         """The constants handed to the compiled functions."""
         return self._model
-
-    def _solver(self) -> Solver:
-        solver: Solver | None = getattr(self._threads, "solver", None)
-        if solver is None:
-            solver = self._threads.solver = make_solver(self._capacity, self._corners)
-        return solver
 
     # ------------------------------------------------------------------------------ the start
 
@@ -306,7 +300,7 @@ class SpatialPlant:
         events = np.zeros((spatial_book.MAX_EVENTS, spatial_book.EVENT_SIZE))
         report = np.zeros(spatial_book.REPORT_SIZE)
         outcome_code, count, machines = spatial.advance(
-            model, motion, state.machines, orders, book, dt, events, report, self._solver()
+            model, motion, state.machines, orders, book, dt, events, report, self._solvers.own()
         )
         outcome = _OUTCOME_OF[outcome_code]
         after = state_of(motion, _plain(machines), book, self._phase(outcome, book, report))
@@ -337,7 +331,7 @@ class SpatialPlant:
     def energies(self, state: SpatialState) -> Energies:
         """Energies of the state, with the balance since the start of the run."""
         motion, book = arrays_of(state, self._capacity)
-        parts = spatial.energies(self._model, motion, state.machines, book, self._solver())
+        parts = spatial.energies(self._model, motion, state.machines, book, self._solvers.own())
         report = np.zeros(spatial_book.REPORT_SIZE)
         report[spatial_book.KINETIC : spatial_book.TORSION + 1] = parts
         return _energies_of(report, state.book)
@@ -407,7 +401,7 @@ class SpatialPlant:
     def compile_parts(self) -> None:
         """Compile what `warm_up` comes to last, beside another process that calls `warm_up`."""
         typeof: Any = numba.typeof
-        for function, arguments in parts(self._model, self._solver()):
+        for function, arguments in parts(self._model, self._solvers.own()):
             function.compile(tuple(typeof(argument) for argument in arguments))
 
     def warm_up(self) -> None:

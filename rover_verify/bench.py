@@ -13,7 +13,7 @@ import json
 import math
 import statistics
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -34,10 +34,8 @@ from rover_verify.bench_cases import (
     survey,
     timed,
 )
+from rover_verify.bench_row import Row, Tell, bench_row
 from rover_verify.trial import SAMPLE, Setting
-
-Row = dict[str, object]
-Tell = Callable[[str], None]
 
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
@@ -66,27 +64,22 @@ def measure_case(case: Case, repetitions: int, tell: Tell) -> Row:
 def _row(case: Case, pair: Match, own: Survey, other: Survey | None, times: Sequence[float]) -> Row:
     rates = [case.duration / spent for spent in times]
     flown = own.at(FLOWN)
-    row: Row = {
-        "case": case.name,
-        "n": case.elements,
-        "rtf": rates[0],
-        "error_m": pair.ours.error,
-        "setting": str(pair.ours.setting),
-        "peer": None,
-        "peer_rtf": None,
-        "peer_error_m": None,
-        "peer_setting": None,
-        "ratio": None,
-        "duration_s": case.duration,
-        "errors_compared_until_s": case.compared_until,
-        "wanted_error_m": case.accuracy,
-        "reference_change_m": own.reference_change,
-        "rtf_flown": rates[1],
-        "error_flown_m": None if flown is None else flown.error,
-        "iterations_per_step_flown": (
+    row = bench_row(
+        case.name,
+        case.elements,
+        rtf=rates[0],
+        error_m=pair.ours.error,
+        setting=str(pair.ours.setting),
+        duration_s=case.duration,
+        errors_compared_until_s=case.compared_until,
+        wanted_error_m=case.accuracy,
+        reference_change_m=own.reference_change,
+        rtf_flown=rates[1],
+        error_flown_m=None if flown is None else flown.error,
+        iterations_per_step_flown=(
             None if flown is None else flown.iterations * FLOWN.h / case.duration
         ),
-    }
+    )
     if other is None or pair.peer is None:
         return row
     along = [ratio for _, ratio in ratios_along(own, other, case.accuracy)]
@@ -124,23 +117,18 @@ def measure_costs(repetitions: int, tell: Tell) -> list[Row]:
     for case, spent, count in zip(chosen, times, iterations, strict=True):
         each = spent / (count * case.elements)
         rows.append(
-            {
-                "case": case.name,
-                "n": case.elements,
-                "rtf": _COST_DURATION / spent,
-                "error_m": None,
-                "peer": None,
-                "peer_rtf": None,
-                "peer_error_m": None,
-                "ratio": None,
-                "setting": str(FLOWN),
-                "microseconds_per_step": spent / steps * 1e6,
-                "cost_over_first": spent / times[0],
-                "iterations_per_step": count / steps,
-                "nanoseconds_per_element_and_iteration": each * 1e9,
-                "core_peak_gflops": peak,
-                "share_of_core_peak": core_peak.FLOPS_PER_ELEMENT_ITERATION / each * 1e-9 / peak,
-            }
+            bench_row(
+                case.name,
+                case.elements,
+                rtf=_COST_DURATION / spent,
+                setting=str(FLOWN),
+                microseconds_per_step=spent / steps * 1e6,
+                cost_over_first=spent / times[0],
+                iterations_per_step=count / steps,
+                nanoseconds_per_element_and_iteration=each * 1e9,
+                core_peak_gflops=peak,
+                share_of_core_peak=core_peak.FLOPS_PER_ELEMENT_ITERATION / each * 1e-9 / peak,
+            )
         )
     return rows
 

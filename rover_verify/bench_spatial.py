@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from rover_sim import Command, JumpMotorCommand, SpatialPlant, SpatialState, load_spatial
 from rover_verify import core_peak
-
-Row = dict[str, object]
-Tell = Callable[[str], None]
+from rover_verify.bench_row import Row, Tell, bench_row
 
 RESTING: Final = "rest on rubble"
 WORST: Final = "worst window"
@@ -72,28 +70,23 @@ def measure_rest(repetitions: int, tell: Tell) -> list[Row]:
         best = min(ticked[k])
         per_element = float(slope) * steps / iterations[k]
         rows.append(
-            {
-                "case": RESTING,
-                "n": n,
-                "rtf": _DURATION / best,
-                "error_m": None,
-                "peer": None,
-                "peer_rtf": None,
-                "peer_error_m": None,
-                "ratio": None,
-                "tick_s": _TICK,
-                "microseconds_per_step": best / steps * 1e6,
-                "rtf_in_one_call": 1e-3 / compiled[k],
-                "share_compiled": compiled[k] * steps / best,
-                "share_tether": float(slope) * n * steps / best,
-                "microseconds_rover_drives_ground": float(rest) * 1e6,
-                "nanoseconds_per_element_and_iteration": per_element * 1e9,
-                "iterations_per_step": iterations[k] / steps,
-                "core_peak_gflops": peak,
-                "share_of_core_peak": (
+            bench_row(
+                RESTING,
+                n,
+                rtf=_DURATION / best,
+                tick_s=_TICK,
+                microseconds_per_step=best / steps * 1e6,
+                rtf_in_one_call=1e-3 / compiled[k],
+                share_compiled=compiled[k] * steps / best,
+                share_tether=float(slope) * n * steps / best,
+                microseconds_rover_drives_ground=float(rest) * 1e6,
+                nanoseconds_per_element_and_iteration=per_element * 1e9,
+                iterations_per_step=iterations[k] / steps,
+                core_peak_gflops=peak,
+                share_of_core_peak=(
                     core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION / per_element * 1e-9 / peak
                 ),
-            }
+            )
         )
     return rows
 
@@ -122,20 +115,15 @@ def measure_worst(repetitions: int, tell: Tell) -> Row:
     if not released:
         raise RuntimeError("the rover did not jump")
     worst = int(np.argmax(spent))
-    return {
-        "case": WORST,
-        "n": WORST_ELEMENTS,
-        "rtf": _TICK / float(spent[worst]),
-        "error_m": None,
-        "peer": None,
-        "peer_rtf": None,
-        "peer_error_m": None,
-        "ratio": None,
-        "tick_s": _TICK,
-        "at_s": float(times[worst]),
-        "iterations": int(iterations[worst]),
-        "rtf_median": _TICK / float(np.median(spent)),
-    }
+    return bench_row(
+        WORST,
+        WORST_ELEMENTS,
+        rtf=_TICK / float(spent[worst]),
+        tick_s=_TICK,
+        at_s=float(times[worst]),
+        iterations=int(iterations[worst]),
+        rtf_median=_TICK / float(np.median(spent)),
+    )
 
 
 def measure(names: Sequence[str], repetitions: int, tell: Tell) -> list[Row]:

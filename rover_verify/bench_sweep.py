@@ -12,6 +12,7 @@ from rover_studies.sweep import run_sweep
 from rover_studies.sweep_plan import Plan, make_plan
 from rover_studies.sweep_store import SweepStore
 from rover_studies.workers import available_cores, local_processes, package_version
+from rover_verify.bench_row import Row, bench_row
 
 ELEMENTS: Final = 10
 CASE: Final = "sweep of jumps"
@@ -58,33 +59,27 @@ def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
     return spent * plan.count / counted
 
 
-def measure_scaling(runs: int) -> list[dict[str, object]]:
+def measure_scaling(runs: int) -> list[Row]:
     """One row for each number of workers: 1, 2, 4 ... up to the cores."""
     counts = [1]
     while counts[-1] * 2 <= available_cores():
         counts.append(counts[-1] * 2)
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
     first = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for workers in counts:
             spent = timed_sweep(jumps(runs), Path(folder) / str(workers), workers)
             first = first or spent
             rows.append(
-                {
-                    "case": CASE,
-                    "n": ELEMENTS,
-                    "rtf": None,
-                    "error_m": None,
-                    "peer": None,
-                    "peer_rtf": None,
-                    "peer_error_m": None,
-                    "ratio": None,
-                    "workers": workers,
-                    "runs": runs,
-                    "runs_per_second": runs / spent,
-                    "speed_over_one_worker": first / spent,
-                    "seconds_for_10000": 1e4 * spent / runs,
-                }
+                bench_row(
+                    CASE,
+                    ELEMENTS,
+                    workers=workers,
+                    runs=runs,
+                    runs_per_second=runs / spent,
+                    speed_over_one_worker=first / spent,
+                    seconds_for_10000=1e4 * spent / runs,
+                )
             )
     return rows
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from msg_schemas import topics
 from rover_verify import bench, bench_spatial, exudyn_peer
 from rover_verify.bench_cases import Case, cases
+from rover_verify.bench_row import Row
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.stage import open_stage
 
@@ -20,7 +21,7 @@ _REPETITIONS = 5
 
 
 @cache
-def _row(name: str, elements: int) -> bench.Row:
+def _row(name: str, elements: int) -> Row:
     found: list[Case] = [c for c in cases() if c.name == name and c.elements == elements]
     (row,) = bench.run_bench(found, _REPETITIONS, costs=False, quiet=True)
     return row
@@ -72,11 +73,11 @@ def linear_cost(_batch: Batch) -> Measured:
 
 
 @cache
-def _resting() -> list[bench_spatial.Row]:
+def _resting() -> list[Row]:
     return bench_spatial.measure_rest(_REPETITIONS, lambda _text: None)
 
 
-def _numbers(row: bench_spatial.Row) -> dict[str, float | str]:
+def _numbers(row: Row) -> dict[str, float | str]:
     return {key: value for key, value in row.items() if isinstance(value, float)}
 
 

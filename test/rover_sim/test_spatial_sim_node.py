@@ -134,32 +134,28 @@ def test_the_winch_pays_out_until_silence_closes_its_brake(stage: Stage):
     observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: winch_silent")
 
 
-def test_a_wheel_torque_turns_the_hanging_body_about_its_axle(stage: Stage):
+@pytest.mark.parametrize(
+    ("command", "state", "joint", "rate", "axis", "turn"),
+    [
+        (topics.WHEEL_TORQUE_COMMAND, topics.WHEEL_STATE, WHEEL_LEFT, 1.0, 1, -0.02),
+        (topics.FLYWHEEL_COMMAND, topics.FLYWHEEL_STATE, FLYWHEEL, 5.0, 0, -0.01),
+    ],
+    ids=["wheels, about y", "flywheel, about x"],
+)
+def test_what_turns_in_the_hanging_body_turns_it_the_other_way(
+    stage: Stage, command: str, state: str, joint: str, rate: float, axis: int, turn: float
+):
     _, observer = start(stage, real_time_factor=SLOW)
-    bodies, wheels = observer.listen(topics.TRUTH_BODY1), observer.listen(topics.WHEEL_STATE)
-    for feed in (bodies, wheels):
+    bodies, drives = observer.listen(topics.TRUTH_BODY1), observer.listen(state)
+    for feed in (bodies, drives):
         feed.wait()
     drive(
         observer,
-        topics.WHEEL_TORQUE_COMMAND,
-        COMMANDS[topics.WHEEL_TORQUE_COMMAND],
-        lambda: wheels.last.joints[WHEEL_LEFT].velocity > 1.0,
+        command,
+        COMMANDS[command],
+        lambda: drives.last.joints[joint].velocity > rate,
     )
-    assert min(sample.angular[1] for sample in bodies.samples) < -0.02
-
-
-def test_the_flywheel_turns_the_hanging_body_about_x(stage: Stage):
-    _, observer = start(stage, real_time_factor=SLOW)
-    bodies, flywheel = observer.listen(topics.TRUTH_BODY1), observer.listen(topics.FLYWHEEL_STATE)
-    for feed in (bodies, flywheel):
-        feed.wait()
-    drive(
-        observer,
-        topics.FLYWHEEL_COMMAND,
-        COMMANDS[topics.FLYWHEEL_COMMAND],
-        lambda: flywheel.last.joints[FLYWHEEL].velocity > 5.0,
-    )
-    assert min(sample.angular[0] for sample in bodies.samples) < -0.01
+    assert min(sample.angular[axis] for sample in bodies.samples) < turn
 
 
 # ------------------------------------------------------------------------- bad commands are refused

@@ -10,6 +10,7 @@ import pytest
 
 from rover_verify import bench, bench_cases, core_peak, exudyn_peer
 from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
+from rover_verify.bench_row import Row
 from rover_verify.trial import SAMPLE, Setting, Trial
 
 KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "ratio"}
@@ -102,7 +103,7 @@ def test_ours_converges_to_its_own_reference():
     assert fine.iterations > 0
 
 
-def check_rows(rows: list[bench.Row], *, peer: bool) -> None:
+def check_rows(rows: list[Row], *, peer: bool) -> None:
     assert rows
     for row in rows:
         assert set(row) >= KEYS
