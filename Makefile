@@ -19,7 +19,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench verify lint types contract environment clean
+.PHONY: help demo test bench verify study lint types contract environment clean
 
 help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
@@ -33,6 +33,9 @@ test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k 
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
 	@$(BIN)/verify --runs $(RUNS) --seed $(SEED)
+
+study: $(VENV)/.ready-run  ## the paper's study of the tethered jump, figures 11 to 16, into out/study
+	@$(BIN)/paper_study --all
 
 bench: $(VENV)/.ready-bench  ## speed and error side by side with Exudyn, into out/bench.json
 	@$(BIN)/bench

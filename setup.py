@@ -13,7 +13,7 @@ EXECUTABLES = {
     "bag_record": "rover_bags.record:main",
     "bag_recover": "rover_bags.recover:main",
     "bag_report": "rover_bags.report:main",
-    "paper_study": "rover_sim.paper_study:main",
+    "paper_study": "rover_studies.paper_study:main",
     "sweep": "rover_studies.sweep:main",
     "demo": "rover_verify.demo:main",
     "verify": "rover_verify.matrix:main",

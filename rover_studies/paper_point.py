@@ -14,14 +14,21 @@ import math
 import sys
 import threading
 from collections.abc import Sequence
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn
 
-from rover_sim.physics.statics import StaticsError
-from rover_sim.planar_plant import PlanarPlant
-from rover_sim.planar_scenario import Geometry, InitialShape, Scenario
-from rover_sim.plant import Outcome
-from rover_sim.run import RunError, jump
-from rover_sim.scenario import ScenarioError, list_scenarios, load_planar, parse_override
+from rover_sim import (
+    Outcome,
+    PlanarPlant,
+    RunError,
+    Scenario,
+    ScenarioError,
+    StaticsError,
+    jump,
+    list_scenarios,
+    load_planar,
+    parse_override,
+)
+from rover_studies.paper_plan import GEOMETRIES
 
 LANDED, NO_LANDING, BAD_INPUT = 0, 1, 2
 
@@ -145,17 +152,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="paper_study",
         description="Simulate one tethered jump of the paper's study and print what came of it.",
-        epilog="Exit status: 0 landed, 1 no landing, 2 bad input.",
+        epilog="Exit status: 0 landed, 1 no landing, 2 bad input. `paper_study --all` makes the "
+        "whole study (figures 11 to 16); `paper_study --all --help` tells more.",
         allow_abbrev=False,
     )
     add = parser.add_argument
     add("--scenario", default="paper_table1_high", help="name (see --list) or path of a YAML file")
-    add("--geometry", choices=get_args(Geometry)[:3], help="where the rover stands: -H, -K or +K")
+    add("--geometry", choices=GEOMETRIES, help="where the rover stands: -H, -K or +K")
     add("--slack", type=float, help="slack evaluation value dh/df")
     add("--elements", type=int, help="number of tether elements")
     add(
         "--initial-shape",
-        choices=[shape for shape in get_args(InitialShape) if shape != "straight"],
+        choices=("static", "catenary", "arc"),
         help="tether in static equilibrium, or an unrelaxed catenary or arc",
     )
     add("--theta0", type=float, metavar="DEG", help="angle of the rover at take-off")
@@ -213,15 +221,6 @@ def _table(point: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _list() -> str:
-    scenarios = (load_planar(name) for name in list_scenarios("planar"))
-    return "".join(
-        f"{scenario.name}\n    {scenario.about}\n"
-        for scenario in scenarios
-        if scenario.rover is not None
-    )
-
-
 def _complain(error: Exception, status: int) -> int:
     sys.stderr.write(f"paper_study: {error}\n")
     return status
@@ -229,7 +228,3 @@ def _complain(error: Exception, status: int) -> int:
 
 def _note_compilation() -> None:
     sys.stderr.write("paper_study: the first run compiles the integrator, up to a minute ...\n")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from rover_sim.paper_study import main, study_point
-from rover_sim.scenario import ScenarioError, load_planar
+from rover_sim import ScenarioError, load_planar
+from rover_studies.paper_point import main, study_point
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -172,7 +172,7 @@ class TestClaimsOfThePaper:
 
 class TestCommandLine:
     def test_one_json_object_and_nothing_else(self):
-        command = [sys.executable, "-m", "rover_sim.paper_study", *HIGH]
+        command = [sys.executable, "-m", "rover_studies.paper_study", *HIGH]
         options = ["--geometry=+K", "--slack", "2", "--elements", "20", "--json"]
         done = subprocess.run(
             [*command, *options], cwd=ROOT, capture_output=True, text=True, check=False

@@ -1,0 +1,169 @@
+"""The paper's whole study: what it concludes follows from the numbers, whatever they are."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_studies.paper_claims import verdicts
+from rover_studies.paper_curves import SCATTER, Curve, Key, attribution, convergence
+from rover_studies.paper_plan import (
+    CASES,
+    GEOMETRIES,
+    HEAVY,
+    LIGHT,
+    NUDGE,
+    RELAXED,
+    SHAPES,
+    SOFT,
+    UNRELAXED,
+    WHOLE,
+    Extent,
+    case_of,
+    even_slacks,
+    plans,
+)
+from rover_studies.paper_study import evaluate, main, make_runs
+
+SLACKS = np.array(even_slacks(0.25))
+MESHES = (5, 10, 20)
+
+
+def curve(
+    height: float = 0.33, *, scattered_from: float = np.inf, stored: float = 1e-6, turn: float = 0.0
+) -> Curve:
+    """A flat curve, with scatter from a slack value on."""
+    wild = scattered_from <= SLACKS
+    generator = np.random.default_rng(1)
+    noise = generator.normal(0.0, 1.0, (4, len(SLACKS))) * wild
+    flat = np.full(len(SLACKS), 1.0)
+    return Curve(
+        slack=SLACKS,
+        height=height * flat + 0.1 * np.abs(noise[0]),
+        turn=turn * SLACKS + noise[1],
+        stored=np.where(wild, 100.0, stored),
+        released=30.0,
+        drift=1e-9 * flat,
+        response=np.where(wild, 50.0 * SCATTER, 1e-6),
+        halved_height=height * flat + 0.1 * np.abs(noise[2]),
+        halved_turn=turn * SLACKS + noise[3],
+    )
+
+
+def world_of(**onsets: float) -> dict[Key, Curve]:
+    """Curves of figures 13 and 14; scatter from `<shape>_<elements>` on, else nowhere."""
+    return {
+        Key(case, geometry, shape, elements): curve(
+            scattered_from=onsets.get(f"{shape}_{elements}", np.inf)
+        )
+        for case in (HEAVY, LIGHT)
+        for geometry in GEOMETRIES
+        for shape in SHAPES
+        for elements in MESHES
+    }
+
+
+class TestAttribution:
+    def test_scatter_of_the_unrelaxed_coarse_mesh_is_found(self):
+        found = attribution(world_of(catenary_5=1.25, catenary_10=2.0))
+        assert found.mesh_is_the_cause, found.findings
+        coarse = next(s for s in found.shares if (s.shape, s.elements) == (UNRELAXED, 5))
+        assert set(coarse.onsets.values()) == {1.25}
+        assert coarse.scattered == coarse.points
+        assert found.separation == pytest.approx(1.0)
+
+    @pytest.mark.parametrize(
+        ("onsets", "which"),
+        [
+            ({}, 0),  # no scatter at all
+            ({"catenary_5": 1.25, "catenary_10": 2.0, "static_5": 1.25}, 1),
+            ({"catenary_5": 1.25, "catenary_10": 2.0, "catenary_20": 2.5}, 2),
+            ({"catenary_5": 2.0, "catenary_10": 2.0}, 3),  # the tether's own threshold
+        ],
+    )
+    def test_other_worlds_give_other_answers(self, onsets: dict[str, float], which: int):
+        found = attribution(world_of(**onsets))
+        assert not found.mesh_is_the_cause
+        assert not found.findings[which][1], found.findings
+
+    def test_a_scatter_that_half_the_step_removes_is_the_integrator_s(self):
+        curves = world_of(catenary_5=1.25, catenary_10=2.0)
+        for key, one in curves.items():
+            calm = np.zeros(len(SLACKS))
+            curves[key] = Curve(**{**vars(one), "halved_turn": calm})
+        assert not attribution(curves).findings[-1][1]
+
+
+class TestVerdicts:
+    def test_words_follow_the_worlds(self):
+        told = {v.claim.name: v for v in verdicts(world_of(catenary_5=1.75, catenary_10=2.0))}
+        scatter = told["scatter beyond 1.5"]
+        assert scatter.artefact
+        assert "unrelaxed tether, n = 5, 10" in scatter.words
+        told = {v.claim.name: v for v in verdicts(world_of(static_20=1.75))}
+        assert told["scatter beyond 1.5"].words.startswith("holds")
+        assert not told["scatter beyond 1.5"].artefact
+        assert {v.claim.name for v in verdicts(world_of())} == {
+            "height beyond 1.5", "scatter beyond 1.5", "lighter Body 2",
+        }  # fmt: skip
+
+    def test_a_claim_that_one_geometry_bears_out_says_which(self):
+        curves = {
+            Key(SOFT, geometry, shape, 5): curve(turn=0.3 if geometry == "+K" else 0.0)
+            for geometry in GEOMETRIES
+            for shape in SHAPES
+        }
+        told = {v.claim.name: v.words for v in verdicts(curves)}
+        assert told == {
+            "soft: height": "holds",
+            "soft: attitude": "holds in geometry -H, -K only",
+        }
+
+
+def test_the_plans_hold_every_world_of_every_figure():
+    sweeps = plans(WHOLE)
+    jumps = sweeps["jumps"]
+    assert jumps.count == len(CASES) * 3 * 2 * 4 * len(WHOLE.slacks)
+    rows = [jumps.row(jumps.run(number)) for number in range(0, jumps.count, 31)]
+    assert {case_of(row) for row in rows} == set(CASES)
+    ratios = {float(str(row["rover.m2"])) / float(str(row["rover.m1"])) for row in rows}
+    assert {round(ratio, 6) for ratio in ratios} >= {0.003, 0.004, 0.058}
+    nudged = sweeps["nudged"]
+    assert nudged.row(nudged.run(0))["start.slack"] == pytest.approx(WHOLE.slacks[0] + NUDGE)
+
+
+def test_a_small_study_from_runs_to_report(tmp_path: Path):
+    extent = Extent((0.75, 1.25, 2.0, 2.5, 3.0, 3.5), (5, 40), (HEAVY,), ("-H",))
+    rows = make_runs(extent, tmp_path / "runs", workers=1, show_progress=False)
+    cause, told = evaluate(rows, tmp_path)
+    shares = {(s.shape, s.elements): s.scattered for s in cause.shares}
+    assert shares[RELAXED, 5] == shares[RELAXED, 40] == shares[UNRELAXED, 40] == 0
+    assert shares[UNRELAXED, 5] >= 3
+    assert all(v.artefact for v in told)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") >= 5
+    assert "http" not in page.replace("http://www.w3.org", "").replace("https://www.w3.org", "")
+    with (tmp_path / "figure_13.csv").open(encoding="utf-8") as stream:
+        points = list(csv.DictReader(stream))
+    assert len(points) == 24
+    assert all(0.2 < float(point["jump_height_m"]) < 0.6 for point in points)
+    summary = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))
+    assert summary["landed"] == summary["runs"] == sum(len(table) for table in rows.values())
+    again = make_runs(extent, tmp_path / "runs", workers=1, show_progress=False)
+    assert again == rows
+
+
+def test_convergence_is_against_the_finest_mesh():
+    curves = {Key(HEAVY, "-H", RELAXED, n): curve(0.33 + 0.1 / n**2) for n in (5, 10, 20)}
+    off = [one.height[1] for one in convergence(curves)]
+    assert off == pytest.approx([0.1 / 25 - 0.1 / 400, 0.1 / 100 - 0.1 / 400, 0.0])
+
+
+def test_bad_options_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    assert main(["--all", "--workers", "0"]) == 2
+    assert "should be at least 1" in capsys.readouterr().err
+    (tmp_path / "plain").write_text("a file", encoding="utf-8")
+    assert main(["--all", "--quick", "--out", str(tmp_path / "plain")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
