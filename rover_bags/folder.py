@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
@@ -13,34 +13,72 @@ class ScanError(BagError):
     """Something that is not a bag, or of a kind that cannot be read."""
 
 
+PACKED: Final = ".zstd"
+"""Added to the name of a file that was compressed as a whole."""
+_KINDS: Final = (".mcap", ".db3")
+
+
 def bag_files(path: Path) -> list[Path]:
-    """The MCAP files of a bag in their order.
+    """The files of a bag in their order.
 
     Args:
-        path: The bag's folder or one MCAP file.
+        path: The bag's folder or one of its files.
 
     Raises:
-        ScanError: There is none; the text says what is there instead.
+        ScanError: There is none.
     """
     if not path.exists():
         raise ScanError(f"there is no bag {path}")
     if path.is_file():
         return [path]
-    found = sorted(path.glob("*.mcap"), key=_file_order)
-    if found:
-        return found
-    for pattern, what in (
-        ("*.db3*", "an SQLite bag: convert it to MCAP first (`ros2 bag convert`)"),
-        ("*.mcap.zstd", "compressed file by file: decompress its files first (`zstd -d`)"),
-    ):
-        if next(iter(path.glob(pattern)), None) is not None:
-            raise ScanError(f"{path} is {what}")
-    raise ScanError(f"{path} is not a bag: the folder holds no .mcap file")
+    for kind in _KINDS:
+        # A file that stands there packed and unpacked is one.
+        found = {_plain_name(file): file for file in path.glob(f"*{kind}{PACKED}")}
+        found |= {file.name: file for file in path.glob(f"*{kind}")}
+        if found:
+            return sorted(found.values(), key=_file_order)
+    raise ScanError(
+        f"{path} is not a bag: the folder holds no file ending in "
+        f"{', '.join(_KINDS)} (or these with {PACKED} behind)"
+    )
+
+
+def is_sqlite(file: Path) -> bool:
+    """Whether a file of a bag is one of SQLite, by its name."""
+    return _plain_name(file).endswith(".db3")
+
+
+def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
+    """Names of files that belong to a bag and are not there.
+
+    Known from the bag's description, or else from a gap in their numbers.
+    """
+    if path.is_file():
+        return []
+    there = bag_files(path)
+    names = {_plain_name(file) for file in there}
+    listed = (information or {}).get("relative_file_paths")
+    if isinstance(listed, list) and listed:
+        return [str(name) for name in listed if _plain_name(Path(str(name))) not in names]
+    numbers = {_number(file): file for file in there}
+    if None in numbers:
+        return []
+    stem, suffix = re.split(r"_\d+(?=\.)", there[0].name, maxsplit=1)
+    last = max(number for number in numbers if number is not None)
+    return [f"{stem}_{number}{suffix}" for number in range(last) if number not in numbers]
+
+
+def _plain_name(file: Path) -> str:
+    return file.name.removesuffix(PACKED)
+
+
+def _number(file: Path) -> int | None:
+    number = re.search(r"_(\d+)\.[^.]*$", _plain_name(file))
+    return int(number[1]) if number else None
 
 
 def _file_order(path: Path) -> tuple[int, str]:
-    number = re.search(r"_(\d+)$", path.stem)
-    return (int(number[1]) if number else 0, path.name)
+    return (_number(path) or 0, path.name)
 
 
 def stored_metadata(path: Path) -> dict[str, Any] | None:

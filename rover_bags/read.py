@@ -1,8 +1,9 @@
 """Reads a bag into typed tracks: numpy arrays by topic, as the contract's table names them.
 
-Reads whatever its recorder left: bags of this suite and of ``ros2 bag record``, closed or killed,
-with or without ``metadata.yaml``. Every chunk is checked against its checksum, every message
-against the contract; what fails is counted and named, and nothing wrong is returned.
+Reads whatever its recorder left: bags of this suite and of ``ros2 bag record``, MCAP or SQLite,
+split, compressed, closed or killed, with or without ``metadata.yaml``. Every chunk is checked
+against its checksum, every message against the contract; what fails is counted and named, and
+nothing wrong is returned. What no checksum protects is counted as such.
 
 Nothing here needs ROS.
 """
@@ -25,7 +26,8 @@ from msg_schemas.codecs import decode
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import DrawingSample, Status, StatusSample, TetherSample, TextSample
 from msg_schemas.table import TOPICS, Topic
-from rover_bags.scan import BagScan, Damage, Message
+from rover_bags.records import Damage, Message
+from rover_bags.scan import BagScan
 from rover_bags.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 
 Floats = NDArray[np.float64]
@@ -103,7 +105,9 @@ class Bag:
         dropped, missed: Messages by full topic name that the recorder could not keep, and that
             were lost before they reached it.
         closed: Whether the recorder closed the bag.
-        damage: Stretches of the file that were left out.
+        damage: Stretches of the files that were left out.
+        lost: Messages by full topic name that the bag should hold, as it counts them itself, and
+            that could not be read.
         unverified: Messages that no checksum protects, by full topic name.
         rejected: Messages that the contract turns away, by its topic name.
         examples: The first few of those.
@@ -123,6 +127,7 @@ class Bag:
     missed: Mapping[str, int]
     closed: bool
     damage: tuple[Damage, ...]
+    lost: Mapping[str, int]
     unverified: Mapping[str, int]
     rejected: Mapping[str, int]
     examples: tuple[Rejected, ...]
@@ -236,7 +241,7 @@ def read_bag(
     """Reads a bag.
 
     Args:
-        path: Its folder, or one MCAP file.
+        path: Its folder, or one of its files.
         wanted: Contract topics to decode; all but the markers by default. Others are counted.
         namespace: Which rover, where the bag holds several.
 
@@ -293,6 +298,7 @@ def read_bag(
         missed=missed,
         closed=scan.closed,
         damage=tuple(scan.damage),
+        lost=scan.lost,
         unverified=dict(scan.unverified),
         rejected=dict(rejected),
         examples=tuple(examples),

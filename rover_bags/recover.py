@@ -7,7 +7,6 @@ only ever read.
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -18,7 +17,8 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
 from rover_bags.folder import ScanError, stored_metadata
-from rover_bags.scan import BagScan, Damage, Topic
+from rover_bags.records import Damage, Topic
+from rover_bags.scan import BagScan
 from rover_bags.store import BagError, BagSummary, BagWriter, TopicType
 
 RECOVERY_RECORD = "mother_rover.recovery"
@@ -114,7 +114,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
     """Copies what is whole in a bag into a new, clean one.
 
     Args:
-        source: The broken bag: its folder or one MCAP file. It is only read.
+        source: The broken bag: its folder or one of its files. It is only read.
         target: Folder to create.
         compression: Of the new bag's chunks.
 
@@ -154,7 +154,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
             had_metadata=stored_metadata(source) is not None,
             summary=writer.summary,
             damage=tuple(scan.damage),
-            lost=_lost(scan, writer.summary),
+            lost=scan.lost,
             unverified=dict(scan.unverified),
             attachments=sum(file.foreign for file in scan.files),
         )
@@ -183,18 +183,6 @@ def _announce(writer: BagWriter, topic: Topic) -> int:
     return writer.add_topic(topic.name, kind, profiles)
 
 
-def _lost(scan: BagScan, summary: BagSummary) -> dict[str, int]:
-    expected = scan.expected
-    if expected is not None:
-        missing = Counter(expected)
-        missing.subtract(summary.counts)
-    else:
-        missing = Counter()
-        for item in scan.damage:
-            missing.update(item.counts)
-    return {topic: count for topic, count in missing.items() if count > 0}
-
-
 def as_json(recovery: Recovery) -> str:
     """The recovery as JSON for machines."""
     summary = recovery.summary
@@ -221,7 +209,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="exit codes: 0 all that the bag holds was recovered, 1 recovered with parts left "
         "out, 2 refused (no bag, nothing to recover), 3 the new bag could not be written",
     )
-    parser.add_argument("broken", type=Path, help="the broken bag: its folder or its .mcap file")
+    parser.add_argument("broken", type=Path, help="the broken bag: its folder or its file")
     parser.add_argument("out", type=Path, help="the clean bag: a folder that does not exist yet")
     parser.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")

@@ -19,6 +19,7 @@ from rover_bags.metrics import Entry, Jump, Metrics, TopicFigures, measure
 from rover_bags.page import PLAYER, STYLE
 from rover_bags.plots import Plot, bag_plots, jump_plots
 from rover_bags.read import Bag, read_bag
+from rover_bags.records import Damage
 from rover_bags.store import BagError
 
 _SHOWN_IN_FULL = 6
@@ -85,7 +86,11 @@ def complaints(bag: Bag, metrics: Metrics) -> list[str]:
     found = []
     if not bag.closed:
         found.append("the recorder never closed this bag: what it had not yet written is missing")
-    found += [f"{item.file}, byte {item.offset}: {item.reason}; left out" for item in bag.damage]
+    found += [_left_out(item, bag.start_ns) for item in bag.damage]
+    found += [
+        f"{name}: {count} messages that the bag should hold cannot be read"
+        for name, count in sorted(bag.lost.items())
+    ]
     if bag.unverified:
         count = sum(bag.unverified.values())
         found.append(f"{count} messages carry no checksum: they cannot be vouched for")
@@ -105,6 +110,15 @@ def complaints(bag: Bag, metrics: Metrics) -> list[str]:
                 f"{figures.max_gap_at_s:.3f} s"
             )
     return found
+
+
+def _left_out(item: Damage, start_ns: int) -> str:
+    place = f", byte {item.offset}" if item.offset or item.length else ""
+    when = ""
+    if item.span_ns is not None:
+        begin, end = ((value - start_ns) * 1e-9 for value in item.span_ns)
+        when = f", about {begin:.3f} s to {end:.3f} s after the first message"
+    return f"{item.file}{place}: {item.reason}{when}; left out"
 
 
 def _value(value: float | None, unit: str, form: str) -> str:

@@ -317,7 +317,7 @@ def test_what_is_no_bag_is_refused(tmp_path: Path):
     with pytest.raises(ScanError, match="there is no bag"):
         read_bag(tmp_path / "nothing")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ScanError, match=r"holds no .mcap file"):
+    with pytest.raises(ScanError, match=r"holds no file ending in .mcap, .db3"):
         read_bag(tmp_path / "empty")
     (tmp_path / "empty" / "old_0.db3").write_text("")
     with pytest.raises(ScanError, match="SQLite"):
