@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import json
 import signal
 import sys
@@ -415,6 +416,10 @@ class ContractNode(LifecycleNode):
         self._publish_configuration()
 
     def _activate(self) -> None:
+        # What was made up to here lives as long as the node. The garbage collector would look at it
+        # again and again, and hold the node up for 0.1 s and more each time.
+        gc.collect()
+        gc.freeze()
         self.active = True
         self.start()
         self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
