@@ -57,6 +57,7 @@ class PayoutEstimate:
         self.drift = 0.0  # of the length against the integrated rate, forgotten over drift_time [m]
         self._reported = math.nan
         self._reported_rate = 0.0
+        self._taken = 0.0
         self._heard: float | None = None
 
     @property
@@ -64,16 +65,26 @@ class PayoutEstimate:
         """Whether the drum has ever spoken."""
         return self._heard is not None
 
-    def hear(self, length: float, rate: float, now: float) -> None:
-        """Take what the drum reports [m, m/s] at a time [s]."""
+    def hear(self, length: float, rate: float, taken: float, now: float) -> None:
+        """Take what the drum reports.
+
+        Args:
+            length: paid out [m].
+            rate: of payout [m/s].
+            taken: when the drum measured it, by the drum's clock [s]: after a stall several
+                samples are heard at once.
+            now: when it is heard, by the controller's clock [s].
+        """
         if self._heard is None:
             self.length, self.rate = length, rate
         else:
-            dt = now - self._heard
+            dt = taken - self._taken
             if dt <= 0.0:
                 return
             mean = 0.5 * (rate + self._reported_rate)
-            self.drift += length - self._reported - mean * dt
+            # Over a longer silence the drum may have stopped and started: nothing to compare.
+            if dt <= self.parameters.encoder_silence:
+                self.drift += length - self._reported - mean * dt
             self.drift *= math.exp(-dt / self.parameters.drift_time)
             before = self.rate
             self.rate += (rate - self.rate) * -math.expm1(-dt / self._RATE_TIME)
@@ -83,7 +94,8 @@ class PayoutEstimate:
             )
             predicted = self.length + mean * dt
             self.length = predicted + (length - predicted) * -math.expm1(-dt * self._PULL)
-        self._reported, self._reported_rate, self._heard = length, rate, now
+        self._reported, self._reported_rate = length, rate
+        self._taken, self._heard = taken, now
 
     def silence(self, now: float) -> float:
         """How long the drum has said nothing [s]."""

@@ -144,7 +144,8 @@ class Winch:
         if self._brake_is_open and not is_open and moves:
             self.load.note_braking(now)
         self._brake_is_open = is_open
-        self.payout.hear(length, rate, now)
+        taken = sample.stamp_ns / _NANO if sample.stamp_ns else now
+        self.payout.hear(length, rate, taken, now)
 
     def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
         """Take the pull of the tether at the fairlead."""

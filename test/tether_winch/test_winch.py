@@ -17,6 +17,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
+from tether_winch.estimates import EstimateParameters, PayoutEstimate
 from tether_winch.guard import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -83,6 +84,31 @@ def test_a_controller_that_stalled_does_not_take_its_sensors_for_silent():
         made.now_ns += TICK_NS
         made.winch.step(made.now_ns)
     assert made.winch.fault is Fault.DRUM_LOST
+
+
+def test_samples_that_were_lost_do_not_speak_against_the_encoder():
+    estimate = PayoutEstimate(EstimateParameters())
+    estimate.hear(10.0, 0.3, 0.0, 0.0)
+    # Braked at once after the first sample, heard of 0.2 s later: 30 mm by the mean rate.
+    estimate.hear(10.003, 0.0, 0.2, 0.2)
+    assert estimate.fault(0.2) == ""
+    assert estimate.length == pytest.approx(10.003, abs=0.02)
+    for k in range(1, 40):  # but an encoder that tells a rate and does not move is found
+        at = 0.2 + 0.01 * k
+        estimate.hear(10.003, 0.3, at, at)
+    assert "came apart" in estimate.fault(0.6)
+
+
+def test_samples_that_a_stalled_node_hears_all_at_once_make_the_same_motion():
+    prompt, late = (PayoutEstimate(EstimateParameters()) for _ in range(2))
+    for k in range(100):
+        at = 0.01 * k
+        prompt.hear(10.0 + 0.3 * at, 0.3, at, at)
+        late.hear(10.0 + 0.3 * at, 0.3, at, at if k < 50 else 1.0)
+    assert late.length == prompt.length == pytest.approx(10.297)
+    assert late.rate == prompt.rate
+    assert late.fault(1.0) == ""
+    assert abs(late.drift) < 1e-12
 
 
 def test_holding_less_than_the_hanging_tether_weighs_is_refused():
