@@ -8,6 +8,7 @@ has the contract's watchdog: it brakes when commands stay away.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -29,8 +30,10 @@ from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
 from rover_verify.stage import Observer
 from tether_winch.servo import DriveCommand
 
-_ANSWER = 0.05  # the node's answer to a tick is waited for so long [s]
-_LOST = 0.002  # the same where it is known to be dead [s]
+_PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
+_ANSWER = 0.05  # the same of one that did not answer the last tick [s]
+_LOST = 0.002  # the same of one that is known to be dead [s]
+_LOOK = 0.002  # [s]
 
 
 class Mother:
@@ -53,6 +56,8 @@ class Mother:
             name: observer.publisher(name)
             for name in (topics.CLOCK, topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
         }
+        self._is_answered = False  # of the last tick
+        self._jump_ns = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -70,6 +75,10 @@ class Mother:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def jump(self, duration: float) -> None:
+        """Let the clock jump at the next tick [s], below 0 back."""
+        self._jump_ns = round(duration * 1e9)
 
     def wait(self, condition: Callable[[], bool], complaint: str) -> None:
         """Wait until a condition holds while time runs."""
@@ -90,9 +99,13 @@ class Mother:
             command = self._driven()
             readings = self.hoist.step(command, TICK)
             self.now_ns += TICK_NS
+            if self._jump_ns:
+                self.now_ns += self._jump_ns
+                self._jump_ns = 0
             self.history.append((self.time, readings, command))
+            heard = len(self._commands)
             self._tell(readings)
-            self._await_answer()
+            self._await_answer(heard)
 
     def _driven(self) -> DriveCommand | None:
         """What the drive does: the last command, while it is not too old."""
@@ -129,11 +142,17 @@ class Mother:
             if message is not None:
                 self._outlets[name].publish(message)
 
-    def _await_answer(self) -> None:
-        answered = self.now_ns
+    def _await_answer(self, heard: int) -> None:
+        """Wait for the command of this tick, where so many have been heard before it."""
         pause = threading.Event()
-        for _ in range(1 if self.is_alone else 25):
+        begun = time.monotonic()
+        while not self._ended.is_set():
             last = self._commands.last
-            if last is not None and last.stamp_ns >= answered:
+            if len(self._commands) > heard and last.stamp_ns >= self.now_ns:
+                self._is_answered = True
                 return
-            pause.wait(_LOST if self.is_alone else _ANSWER / 25)
+            patience = _PATIENCE if self._is_answered else _ANSWER
+            if time.monotonic() - begun > (_LOST if self.is_alone else patience):
+                self._is_answered = False
+                return
+            pause.wait(_LOOK)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,6 +14,7 @@ from winch_hoist import Hoist, HoistParameters
 from winch_mother import Mother
 
 from msg_schemas import topics
+from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     PAYOUT,
@@ -68,6 +70,12 @@ class Bench:
             topics.EVENTS,
             lambda s: s.name == "winch_fault" and s.values.get("fault") == fault,
         ).message
+
+    def wait_for_hold(self, why: str) -> None:
+        """Wait until it comes to rest for a reason."""
+        self.observer.wait_for_status(
+            topics.EVENTS, lambda s: s.name == "winch_hold" and why in s.message
+        )
 
     def wait_until_braked(self) -> None:
         """Wait until the drum stands, its brake closed and its motor without torque."""
@@ -134,10 +142,6 @@ def test_a_length_is_reached_and_held_by_the_brake(bench: Bench):
     assert joints[TETHER_OUT].position == pytest.approx(0.005 * 6.0, rel=1e-3)
 
 
-def bad_number(message: Any) -> None:
-    message.velocity[0] = math.nan
-
-
 def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     bench.arm()
     for joint, value, code, words in (
@@ -152,11 +156,78 @@ def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
         bench.ask(joint, *value)
         refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, code, since)
         assert words in refusal.message
+    bad = JointSample(bench.mother.now_ns, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
+    message = encode(topics.WINCH_REQUEST, bad)
+    message.velocity[0] = math.nan
+    bench.observer.publisher(topics.WINCH_REQUEST).publish(message)
+    refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_finite")
+    assert "winch_rate.velocity is nan" in refusal.message
+    message = encode(topics.WINCH_REQUEST, bad)
+    message.name = ["winch_somewhere"]
+    bench.observer.publisher(topics.WINCH_REQUEST).publish(message)
+    refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_name")
+    assert "winch_length" in refusal.message
+    bench.mother.wait(lambda: bench.mother.time > 6.5, "time does not run")
     stale = JointSample(bench.mother.now_ns - 5_000_000_000, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
-    if stale.stamp_ns > 0:
-        bench.observer.send(topics.WINCH_REQUEST, stale)
-        bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "stale")
+    bench.observer.send(topics.WINCH_REQUEST, stale)
+    bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "stale")
+    answer = bench.observer.call(topics.WINCH_RELAX)
+    assert not answer.success
+    assert "must stand first" in answer.message
+    trim = JointSample(bench.mother.now_ns, {WINCH_DRUM: JointValue(0.0, 0.05, 0.0)})
+    bench.observer.send(topics.WINCH_TRIM, trim)
+    refusal = bench.observer.wait_for_refusal(topics.WINCH_TRIM, "wrong_phase")
+    assert "in hold" in refusal.message
     assert bench.mother.last.rate == 0.0
+
+
+def test_every_mode_does_what_it_says_with_the_rover_on_the_floor(stage: Stage):
+    hoist = Hoist(HoistParameters(start_length=5.4, floor_depth=5.6))
+    for bench in make_bench(stage, hoist):
+        use_every_mode(bench)
+
+
+def use_every_mode(bench: Bench) -> None:
+    bench.arm()
+    bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+    bench.wait_for_hold("touchdown")
+    bench.ask(WINCH_SLACK, 0.0)
+    bench.wait_for_hold("taken up")
+    mother, taut = bench.mother, bench.mother.last.length
+    assert taut == pytest.approx(5.6, abs=0.01)
+
+    bench.ask(WINCH_SLACK, 0.3)
+    bench.observer.wait_for_text(topics.WINCH_MODE, "slack")
+    mother.wait(lambda: mother.last.length > taut + 0.29, "no slack is given")
+    bench.wait_until_braked()
+    assert mother.last.length == pytest.approx(taut + 0.3, abs=0.01)
+
+    since = bench.modes()
+    for _ in range(16):
+        bench.ask(WINCH_AT_TENSION, 0.0, 0.2, 4.0)
+        mother.wait_for(0.25)
+    assert {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]} == {"tension"}
+    assert mother.last.tension == pytest.approx(4.0, abs=1.0)
+    assert mother.last.length == pytest.approx(taut, abs=0.02)
+
+    answer = bench.observer.call(topics.WINCH_RELAX)
+    assert answer.success, answer.message
+    bench.wait_for_hold("relaxed")
+    bench.wait_until_braked()
+    assert mother.last.tension < 0.6
+    assert mother.last.length == pytest.approx(taut, abs=0.03)
+
+    begun = len(mother.history)
+    bench.ask(WINCH_AT_RATE, 0.0, -0.1)
+    mother.wait(lambda: mother.last.rate < -0.095, "it does not reel in")
+    assert bench.observer.call(topics.WINCH_HOLD).success
+    bench.wait_for_hold("asked")
+    bench.wait_until_braked()
+    rates = [r.rate for _, r, _ in mother.history[begun:]]
+    assert max(abs(a - b) for a, b in pairwise(rates)) < 0.02
+
+    assert bench.observer.call(topics.WINCH_STOP).success
+    bench.observer.wait_for_text(topics.WINCH_MODE, "stop")
 
 
 # ------------------------------------------------------------------------------------------- safety
@@ -208,7 +279,11 @@ def drum_runs_away(bench: Bench) -> None:
 
 
 def clock_jumps_back(bench: Bench) -> None:
-    bench.mother.now_ns -= 700_000_000
+    bench.mother.jump(-0.7)
+
+
+def clock_jumps_ahead(bench: Bench) -> None:
+    bench.mother.jump(3.0)
 
 
 def tether_ends(bench: Bench) -> None:
@@ -226,6 +301,7 @@ CASES = {
     "over_tension": cell_says(5.0 * WEIGHT),
     "tether_end": tether_ends,
     "clock_jump": clock_jumps_back,
+    "node_late": clock_jumps_ahead,
 }
 
 
