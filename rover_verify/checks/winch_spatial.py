@@ -26,6 +26,10 @@ _SCENARIO = "free_hang"
 TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
 _WALL_RADIUS = 30.0  # of the hole that trials scrape along [m]
 _SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
+_LIP_ROOM = 0.3 * _SHAFT  # so far the tether may hang aside when a lip appears about it [m]
+_PULLS = 1.15  # part of the weight
+_APART = 0.5  # touches of the wall that come sooner after one another are one scrape [s]
+_NEAR_FLOOR = 0.3  # what is touched below that height is the floor [m]
 
 
 @cache
@@ -65,8 +69,8 @@ class SpatialRig:
         self.events: list[Event] = []
         self.is_supported = False
         self.is_caught = False
-        self.touches = 0  # begun along the wall, while the tether carried the rover
-        self._touched = False
+        self.touches = 0  # of the wall, while the tether carried the rover
+        self._last_touch = -math.inf
         self._has_lip = False
 
     def step(self, command: DriveCommand | None, dt: float) -> Readings:
@@ -92,11 +96,13 @@ class SpatialRig:
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         touch = forces.left_wheel + forces.right_wheel + forces.body
         weight = self._plant.scenario.tip_mass * self._plant.scenario.gravity
-        self.is_caught = self._has_lip and touch > 0.1 * weight
+        # A rover that swings below a lip knocks against it; one that is caught pulls at it.
+        pulls = forces.rover_tension > _PULLS * weight
+        self.is_caught = self._has_lip and touch > 0.1 * weight and pulls
         self.is_supported = not self._has_lip and forces.rover_tension < 0.5 * weight < touch * 2.0
-        touched = touch > 0.0 and not (self._has_lip or self.is_supported)
-        self.touches += touched and not self._touched
-        self._touched = touched
+        if touch > 0.0 and not self._has_lip and self._is_above_floor:
+            self.touches += self.state.time - self._last_touch > _APART
+            self._last_touch = self.state.time
         drum = self.state.machines.drum
         return Readings(
             self.state.length,
@@ -117,19 +123,32 @@ class SpatialRig:
         x, y, z = self.state.nodes[-1, 0]
         return max(0.0, self.state.length - math.sqrt(x * x + y * y + z * z))
 
+    @property
+    def _is_above_floor(self) -> bool:
+        place = self._plant.scenario.place
+        if place.hole is None or place.hole.depth is None:
+            return False
+        # From the fairlead, which hangs above the ground, to the attachment of a rover that stands.
+        floor = place.hole.depth + place.hole.fairlead_height - TALLEST
+        return self.depth < floor - _NEAR_FLOOR
+
+    @property
+    def has_room_for_lip(self) -> bool:
+        """Whether the tether is so near the plumb line that a lip may appear about it."""
+        return math.hypot(*self.state.nodes[-1, 0, :2]) < _LIP_ROOM
+
     def place_lip(self, depth: float) -> None:
         """Put a lip at a depth [m], under which the rover is caught; far above: take it away.
 
         Raises:
-            RuntimeError: the tether swings too far for it.
+            RuntimeError: the tether hangs too far aside for it.
         """
         if depth < 0.0:
             self._plant = spatial_plant(self._overrides)
             self._has_lip = False
             return
-        aside = float(math.hypot(*self.state.nodes[-1, 0, :2]))
-        if aside > 0.4 * _SHAFT:
-            raise RuntimeError(f"the tether swings by {aside:.3g} m, a lip would cut through it")
+        if not self.has_room_for_lip:
+            raise RuntimeError("the tether hangs aside, a lip would cut through it")
         # A shaft too narrow for the rover, which widens below the lip like a funnel.
         shaft = {
             "diameter": _SHAFT,

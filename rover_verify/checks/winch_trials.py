@@ -9,6 +9,7 @@ nor its load cell's errors. What it tells is held against what the plant knows.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -26,6 +27,9 @@ APPROACH_RATE = 0.1  # [m/s]
 _SETTLE = 2.0  # [s]
 _AFTER = 1.5  # a truth that ended so long ago still excuses its alarm [s]
 _PATIENCE = 4.0  # in which a true condition must be found [s]
+_SWING_BELOW_LIP = 0.3  # fastest that a rover swings which is to be caught under a lip [m/s]
+_SWING_PERIODS = 1.2  # of the swing, in which the tether must come by the plumb line
+_LUNAR_GRAVITY = 1.62  # [m/s^2]
 
 
 class LegKind(StrEnum):
@@ -54,7 +58,6 @@ class TrialPlan:
         payload: mass of the rover over the nominal one.
         friction: friction of the drum over what the controller was told.
         swing: angle at the start [rad].
-        scrapes: begin [s], end [s] and force as part of the weight, of each touch of the wall.
         floor_below: depth of the floor below the lowest leg [m].
         wall_distance: of the plumb line from the wall, for plants that have one [m].
     """
@@ -64,10 +67,14 @@ class TrialPlan:
     friction: float
     swing: float
     legs: tuple[Leg, ...]
-    scrapes: tuple[tuple[float, float, float], ...]
     errors: SensorErrors
     floor_below: float
     wall_distance: float
+
+    @property
+    def swing_speed(self) -> float:
+        """Greatest speed of the swing that it starts with [m/s]."""
+        return self.swing * math.sqrt(_LUNAR_GRAVITY * self.start_length)
 
     @property
     def floor_depth(self) -> float:
@@ -97,6 +104,10 @@ class TrialRig(Rig, Protocol):
     @property
     def depth(self) -> float:
         """Of the rover below the fairlead [m]."""
+
+    @property
+    def has_room_for_lip(self) -> bool:
+        """Whether the tether is so near the plumb line that a lip may appear about it."""
 
     def place_lip(self, depth: float) -> None:
         """Put a lip at a depth [m], under which the rover is caught when pulled up."""
@@ -131,12 +142,6 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
             hard = lip is None and rng.random() < 0.3
             after = float(rng.uniform(0.4, 0.9) * lift / lift_rate) if hard else None
             legs.append(Leg(LegKind.RAISE, lift, lift_rate, after, lip))
-    scrapes = []
-    at = float(rng.exponential(4.0))
-    while at < 200.0:
-        lasts = float(rng.uniform(0.05, 0.5))
-        scrapes.append((at, at + lasts, float(rng.uniform(0.2, 0.8))))
-        at += lasts + float(rng.exponential(4.0))
     errors = SensorErrors(
         cell_noise=float(rng.uniform(0.05, 0.4)),
         cell_bias=float(rng.uniform(-0.5, 0.5)),
@@ -148,14 +153,16 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
     payload = float(rng.uniform(0.7, 1.3))
     friction = float(rng.uniform(0.5, 2.0))
     swing = float(rng.uniform(0.0, np.radians(10.0)))
+    if any(leg.lip_above is not None for leg in legs):
+        # The lip stops the tether: below it the rover swings on as on a short pendulum.
+        fastest = _SWING_BELOW_LIP / math.sqrt(_LUNAR_GRAVITY * start_length)
+        swing *= min(1.0, fastest / math.radians(10.0))
     return TrialPlan(
         start_length=start_length,
         payload=payload,
         friction=friction,
-        # A lip is a narrow shaft about the tether, which must hang there when it appears.
-        swing=0.0 if any(leg.lip_above is not None for leg in legs) else swing,
+        swing=swing,
         legs=tuple(legs),
-        scrapes=tuple(scrapes),
         errors=errors,
         floor_below=float(rng.uniform(0.3, 1.5)),
         wall_distance=float(rng.uniform(0.4, 1.2)),
@@ -215,11 +222,12 @@ class _Trial:
         self._ready()
         sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
         goal = max(winch.payout.length + sign * leg.way, 2.5)
+        comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         try:
             session.ask(WINCH_TO_LENGTH, goal, leg.rate)
         except Refusal:  # it takes the rover for standing: true or not is in the tally
             return
-        if leg.lip_above is not None:
+        if leg.lip_above is not None and comes_by:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
 
         def done() -> bool:
@@ -235,6 +243,13 @@ class _Trial:
             self.go(_PATIENCE)
             self.rig.place_lip(-1e9)
         self.go(_SETTLE)
+
+    def _waits_for_plumb(self) -> bool:
+        """Wait until the swinging tether leaves room for a lip about it; whether it does."""
+        period = 2.0 * math.pi * math.sqrt(self.session.winch.payout.length / _LUNAR_GRAVITY)
+        if not self.rig.has_room_for_lip:
+            self.go(_SWING_PERIODS * period, lambda: self.rig.has_room_for_lip)
+        return self.rig.has_room_for_lip
 
     def approach(self) -> None:
         """Go down to the floor and stop there."""
