@@ -1,7 +1,8 @@
 """`winch_report`: the winch's descent to 45 m and back, and how it judges its load, as one page.
 
 The controller that `winch_node` runs is flown on the spatial plant, with errors of its sensors: the
-descent that the requirements ask for, and descents drawn at random.
+descent that the requirements ask for, and descents drawn at random. Or the descent is flown by the
+nodes themselves, over DDS and recorded; or it is one that was recorded earlier.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from rover_verify.checks import Batch, Measured
+from rover_bags.store import BagError
+from rover_verify.checks import Batch, winch_bag
 from rover_verify.checks import winch as checks
-from rover_verify.checks.winch_rig import Session
+from rover_verify.winch_flight import Flight, flight_of_bag, flight_of_session
 
 _BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#868e96"
 _DPI = 110
@@ -40,14 +42,11 @@ th:first-child,td:first-child{text-align:left} th{color:#667085;font-weight:600}
 """
 
 
-def draw_descent(session: Session, begin: float, end: float, title: str) -> Figure:
+def draw_descent(flight: Flight, begin: float, end: float, title: str) -> Figure:
     """Length, its error, rate, tension and torque between two times [s]."""
-    time: NDArray[np.float64] = session.column("time") - session.ticks[0].time
+    time = flight["time"]
     part = (time >= begin) & (time <= end)
-    column = {
-        name: session.column(name)[part]
-        for name in ("length", "reference", "rate", "reference_rate", "tension", "torque")
-    }
+    column = {name: values[part] for name, values in flight.columns.items()}
     time = time[part]
     figure = Figure(figsize=(11.5, 10.0), layout="constrained")
     axes = figure.subplots(5, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2))
@@ -61,23 +60,31 @@ def draw_descent(session: Session, begin: float, end: float, title: str) -> Figu
     _lines(axes[3], time, "tension at\nthe fairlead [N]", drum=column["tension"])
     _lines(axes[4], time, "motor [N m]", drum=column["torque"])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.06), ncols=2, frameon=False)
-    labelled = -math.inf
-    for at, transition in session.transitions:
-        shown = at - session.ticks[0].time
-        if begin <= shown <= end and transition.name.startswith("winch_"):
-            for axis in axes:
-                axis.axvline(shown, color=_GREY, linewidth=0.8, linestyle=":")
-            if shown - labelled < 0.04 * (end - begin):
-                continue
-            labelled = shown
-            name = transition.name.removeprefix("winch_")
-            axes[0].annotate(
-                name, (shown, 1.0), xycoords=("data", "axes fraction"), fontsize=8,
-                color="#495057", xytext=(2, 2), textcoords="offset points",
-            )  # fmt: skip
+    shown = [(at, mode) for at, mode in flight.modes if begin <= at <= end]
+    for at, _ in shown:
+        for axis in axes:
+            axis.axvline(at, color=_GREY, linewidth=0.8, linestyle=":")
+    for at, text in _labels(shown, 0.06 * (end - begin)):
+        axes[0].annotate(
+            text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=8,
+            color="#495057", xytext=(2, 2), textcoords="offset points",
+        )  # fmt: skip
     axes[-1].set_xlabel("time [s]")
     figure.align_ylabels()
     return figure
+
+
+def _labels(marks: Sequence[tuple[float, str]], room: float) -> list[tuple[float, str]]:
+    """Marks that are nearer than the room that a word takes, joined to one."""
+    labels: list[tuple[float, str]] = []
+    last = -math.inf
+    for at, text in marks:
+        if at - last < room:
+            labels[-1] = (labels[-1][0], f"{labels[-1][1]}, {text}")
+        else:
+            labels.append((at, text))
+        last = at
+    return labels
 
 
 def _lines(
@@ -100,38 +107,44 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def descent_figures(session: Session) -> dict[str, Figure]:
+def descent_figures(flight: Flight) -> dict[str, Figure]:
     """The whole descent, its beginning, its stop at the bottom, and its end."""
-    rests = [at - session.ticks[0].time for at in session.told("winch_hold")]
-    begun = session.told("winch_length")[0] - session.ticks[0].time
-    bottom = next(at for at in rests if at > begun)
-    end = session.ticks[-1].time - session.ticks[0].time
+    begun, bottom, rate = flight.asked[0]
+    top = flight.asked[-1][1]
+    turned = next(at for at, mode in flight.modes if mode == "hold" and at > begun)
+    end = float(flight["time"][-1])
+    title = f"{flight['length'][0]:.3g} m to {bottom:g} m and back to {top:g} m at {rate:g} m/s"
     return {
-        "descent": draw_descent(session, 0.0, end, "2.2 m to 45 m and back at 0.3 m/s"),
-        "begin": draw_descent(session, begun - 0.5, begun + 6.0, "It starts"),
-        "bottom": draw_descent(session, bottom - 5.0, bottom + 9.0, "It stops and turns back"),
-        "top": draw_descent(session, end - 16.0, end, "It slows down before its end"),
+        "descent": draw_descent(flight, 0.0, end, title),
+        "begin": draw_descent(flight, begun - 0.5, begun + 6.0, "It starts"),
+        "bottom": draw_descent(flight, turned - 5.0, turned + 9.0, "It stops and turns back"),
+        "top": draw_descent(flight, end - 18.0, end, "It slows down before its end"),
     }
 
 
-def figures_of(batch: Batch) -> dict[str, Measured]:
+def figures_of(flight: Flight) -> dict[str, float]:
     """What the descent is held to."""
     return {
-        "Largest distance of the drum's length from its reference [m]": checks.length_error(batch),
-        "Overshoot [m]": checks.overshoot(batch),
-        "Tension ripple in steady payout, RMS over mean": checks.ripple(batch),
+        "Largest distance of the drum's length from its reference [m]": flight.length_error(),
+        "From an S-curve that does not wait for the drum [m]": flight.distance_from_curve(),
+        "Overshoot [m]": flight.overshoot(),
+        **{
+            f"Tension ripple in steady payout, {way}, RMS over mean": value
+            for way, value in flight.ripple().items()
+        },
     }
 
 
 def render(
     figures: Mapping[str, bytes],
-    measured: Mapping[str, Measured],
+    measured: Mapping[str, float],
     tally: Sequence[checks.Tally],
     seed: int,
+    origin: str,
 ) -> str:
     """The page."""
     rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{value.value:.4g}</td></tr>"
+        f"<tr><td>{html.escape(name)}</td><td>{value:.4g}</td></tr>"
         for name, value in measured.items()
     )
     pictures = "".join(
@@ -141,7 +154,8 @@ def render(
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Winch</title>'
         f"<style>{_STYLE}</style></head><body><main><h1>The winch of mother_rover</h1>"
-        f"<h2>Descent</h2><table><tr><th>measured, seed {seed}</th><th></th></tr>{rows}</table>"
+        f"<h2>Descent</h2><p>{html.escape(origin)}</p>"
+        f"<table><tr><th>measured</th><th></th></tr>{rows}</table>"
         f"{pictures}{_tally_table(tally, seed)}</main></body></html>\n"
     )
 
@@ -175,11 +189,16 @@ def _tally_table(tally: Sequence[checks.Tally], seed: int) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly, draw and write; exit code 2 if the folder cannot be written."""
+    """Fly, draw and write; exit code 1 without a flight, 2 if the folder cannot be written."""
     parser = argparse.ArgumentParser(prog="winch_report", description=__doc__)
     parser.add_argument("--runs", type=int, default=20, help="descents drawn at random; 0 = none")
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     parser.add_argument("--out", type=Path, default=Path("out/winch"), help="folder")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--nodes", action="store_true", help="the descent by the nodes, in real time, recorded"
+    )
+    source.add_argument("--bag", type=Path, help="a recorded descent instead of one flown now")
     options = parser.parse_args(arguments)
     if options.runs < 0 or options.seed < 0:
         parser.error("--runs and --seed must not be below 0")
@@ -187,34 +206,53 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
-    with tqdm(total=options.runs + 1, unit="descent", leave=False) as bar:
+    try:
+        flight, origin = _flight(options)
+    except (BagError, RuntimeError) as error:
+        print(f"winch_report: {error}", file=sys.stderr)
+        return 1
+    pictures = {name: _png(figure) for name, figure in descent_figures(flight).items()}
+    measured = figures_of(flight)
+    print(origin)
+    for name, value in measured.items():
+        print(f"{name}: {value:.4g}")
+    with tqdm(total=options.runs, unit="descent", leave=False, disable=not options.runs) as bar:
 
         def progress(done: int, _total: int) -> None:
-            bar.n = done + 1
+            bar.n = done
             bar.refresh()
 
         batch = Batch(options.runs, options.seed, options.out, progress)
-        session = checks.descent(options.seed)
-        figures = {name: _png(figure) for name, figure in descent_figures(session).items()}
-        bar.update()
         tally = checks.tally(checks.trials(batch)) if options.runs else []
-    measured = figures_of(batch)
-    for name, data in figures.items():
+    for name, data in pictures.items():
         (options.out / f"{name}.png").write_bytes(data)
     content = {
         "seed": options.seed,
-        "descent": {name: value.value for name, value in measured.items()},
+        "origin": origin,
+        "descent": measured,
         "judgement": [line._asdict() for line in tally],
     }
     (options.out / "winch.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     page = options.out / "index.html"
-    page.write_text(render(figures, measured, tally, options.seed), encoding="utf-8")
-    for name, value in measured.items():
-        print(f"{name}: {value.value:.4g}")
-    for line in tally:
-        print(line)
+    text = render(pictures, measured, tally, options.seed, origin)
+    page.write_text(text, encoding="utf-8")
+    if tally:
+        print(f"Judgement of the load, seed {options.seed}:")
+        print(checks.as_table(tally))
     print(f"Written: {page}")
     return 0
+
+
+def _flight(options: argparse.Namespace) -> tuple[Flight, str]:
+    """The descent that is reported, and where it comes from."""
+    if options.bag is not None:
+        flight, _ = flight_of_bag(options.bag)
+        return flight, f"The descent that {options.bag} tells."
+    if options.nodes:
+        recorded = winch_bag.recorded_descent(options.out, options.seed)
+        return recorded.flight, f"The nodes' descent: {recorded}."
+    session = checks.descent(options.seed)
+    return flight_of_session(session), f"The controller on the plant, seed {options.seed}."
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msg_schemas.machine import (
     WINCH_AT_RATE,
@@ -22,6 +21,7 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, run_trial
+from rover_verify.winch_flight import flight_of_session
 from tether_winch.guard import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -56,30 +56,21 @@ def descent(seed: int) -> Session:
 
 def length_error(batch: Batch) -> Measured:
     """Largest distance of the drum's length from its reference."""
-    session = descent(batch.seed)
-    error = np.abs(session.column("length") - session.column("reference"))
-    return Measured(float(error.max()), f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s")
+    flight = flight_of_session(descent(batch.seed))
+    note = f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s"
+    curve = flight.distance_from_curve()
+    return Measured(flight.length_error(), note, {"from an S-curve that does not wait [m]": curve})
 
 
 def overshoot(batch: Batch) -> Measured:
     """How far the drum goes beyond its setpoints."""
-    length = descent(batch.seed).column("length")
-    return Measured(float(max(length.max() - _BOTTOM, _TOP - length.min(), 0.0)))
+    return Measured(flight_of_session(descent(batch.seed)).overshoot())
 
 
 def ripple(batch: Batch) -> Measured:
     """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
-    session = descent(batch.seed)
-    time, length, rate, tension = (
-        session.column(name) for name in ("time", "length", "rate", "tension")
-    )
-    worst = 0.0
-    for sign in (1.0, -1.0):
-        steady = (sign * rate > 0.99 * _RATE) & (length > 5.0) & (length < _BOTTOM - 2.0)
-        line = np.polynomial.Polynomial.fit(time[steady], tension[steady], 1)
-        rest: NDArray[np.float64] = tension[steady] - line(time[steady])
-        worst = max(worst, float(np.sqrt(np.mean(rest**2)) / np.mean(tension[steady])))
-    return Measured(worst)
+    ways = flight_of_session(descent(batch.seed)).ripple()
+    return Measured(max(ways.values()), details=ways)
 
 
 # --- judgement of the load ----------------------------------------------------------------------
@@ -120,6 +111,8 @@ _GROUPS: Mapping[str, Callable[[Trial], bool]] = {
     "hard stops": lambda t: t.result.hard_stops > 0,
     "the wall touched": lambda t: t.touches > 0,
     "swing above 5 deg": lambda t: t.plan.swing > math.radians(5.0),
+    "a snag": lambda t: t.result.snags > 0,
+    "a snag, swing above 0.1 m/s": lambda t: t.result.snags > 0 and t.plan.swing_speed > 0.1,
     "load cell noise above 0.2 N": lambda t: t.plan.errors.cell_noise > 0.2,
     "payload below 0.85": lambda t: t.plan.payload < 0.85,
     "payload above 1.15": lambda t: t.plan.payload > 1.15,
@@ -145,12 +138,25 @@ class Tally(NamedTuple):
 
     def __str__(self) -> str:
         """One line of text."""
-        return (
-            f"{self.name}: {self.descents} descents, {self.hard_stops} hard stops, {self.touches} "
-            f"touches of the wall, {self.snags} snags: touchdowns missed {self.touchdowns_missed}, "
-            f"false {self.touchdowns_false}; snags missed {self.snags_missed}, false "
-            f"{self.snags_false}; slack false {self.slack_false}"
-        )
+        counts = [f"{name.replace('_', ' ')} {n}" for name, n in self._asdict().items()]
+        return ", ".join(counts[1:])
+
+
+def as_table(lines: Sequence[Tally]) -> str:
+    """The table as text, in columns."""
+    heads = (
+        ("descents", "with ..."), ("", "descents"), ("hard", "stops"), ("touches", "of the wall"),
+        ("", "snags"), ("touchdown", "missed"), ("touchdown", "false"), ("snag", "missed"),
+        ("snag", "false"), ("slack", "false"),
+    )  # fmt: skip
+    widths = [max(len(line.name) for line in lines)]
+    widths += [max(map(len, head)) for head in heads[1:]]
+
+    def row(cells: Sequence[object]) -> str:
+        first, *rest = zip(cells, widths, strict=True)
+        return "  ".join([f"{first[0]:<{first[1]}}", *(f"{cell!s:>{w}}" for cell, w in rest)])
+
+    return "\n".join([row([h[0] for h in heads]), row([h[1] for h in heads]), *map(row, lines)])
 
 
 def tally(trials: Sequence[Trial]) -> list[Tally]:

@@ -14,6 +14,7 @@ from msg_schemas.machine import (
     WINCH_BRAKE,
     WINCH_DRUM,
     WINCH_MOTOR,
+    WINCH_TO_LENGTH,
 )
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from tether_winch.requests import Mode
@@ -72,6 +73,7 @@ class Session:
     Attributes:
         ticks: everything that was, if it is kept.
         transitions: what the winch told, with the time of each.
+        asked: lengths that it was sent to, as time, length and rate of each.
     """
 
     winch: Winch
@@ -82,6 +84,7 @@ class Session:
     now_ns: int = 1_000_000_000
     ticks: list[Tick] = field(default_factory=list)
     transitions: list[tuple[float, Transition]] = field(default_factory=list)
+    asked: list[tuple[float, float, float]] = field(default_factory=list)
     _command: DriveCommand | None = None
 
     @property
@@ -98,6 +101,8 @@ class Session:
         """Send a request."""
         value = JointValue(position, velocity, effort)
         self.winch.request(JointSample(self.now_ns, {joint: value}), self.now_ns)
+        if joint == WINCH_TO_LENGTH:
+            self.asked.append((self.time, position, velocity))
 
     def run(self, duration: float) -> None:
         """Go on for so long [s]."""

@@ -1,0 +1,201 @@
+"""The descent as an operator flies it: simulator, winch and recorder as processes, over DDS.
+
+Requests go out on the contract's topics; what became of them is read from the bag alone.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
+from rover_bags.read import Bag
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.winch_spatial import spatial_plant
+from rover_verify.stage import Observer, Process, Stage, open_stage
+from rover_verify.stage.lockstep import Lockstep
+from rover_verify.stage.recording import wait_until_recording
+from rover_verify.winch_flight import Flight, flight_of_bag
+
+SCENARIO = "free_hang"
+TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
+_SIM, _WINCH, _RECORD = "rover_sim.sim_node", "tether_winch.winch_node", "rover_bags.record"
+_REST = 5.0  # of simulated time between the ways, and after them [s]
+_PATIENCE = 1200.0  # by the wall clock, for one way of 160 s [s]
+_ATTEMPTS = 2  # in real time; then in lockstep
+_LONGEST = 300.0  # way there, in simulated time [s]
+_NANO = 1_000_000_000
+
+
+class Stalled(RuntimeError):
+    """The machine was so busy that the drive or the winch braked for safety."""
+
+
+class Recorded(NamedTuple):
+    """A recorded descent.
+
+    Attributes:
+        flight: what the bag tells.
+        bag: the bag itself.
+        in_real_time: a machine too busy for that flies in lockstep: its drive brakes at each stall.
+    """
+
+    flight: Flight
+    bag: Bag
+    in_real_time: bool
+
+    def __str__(self) -> str:
+        """What it was, in words."""
+        lost = sum(self.bag.dropped.values()) + sum(self.bag.missed.values())
+        how = "in real time" if self.in_real_time else "in lockstep"
+        return (
+            f"three processes over DDS, {TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s in "
+            f"{self.flight['time'][-1]:.0f} s {how}, from a bag of "
+            f"{sum(self.bag.counts.values())} messages, {lost} lost"
+        )
+
+
+def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
+    """Fly down and up in one recorded run; returns the bag.
+
+    Args:
+        folder: for the bag.
+        seed: of the sensors' errors.
+        in_real_time: otherwise a tick is made when the winch has answered the last one.
+
+    Raises:
+        Stalled: the drive or the winch braked because the machine stood still.
+    """
+    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
+    with open_stage(folder) as stage:
+        observer, recorder, bag = _begin(stage, folder, seed)
+        answer = observer.call(topics.WINCH_REARM)
+        if not answer.success:
+            raise RuntimeError(f"the winch cannot be armed: {answer.message}")
+        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        lockstep = None if in_real_time else Lockstep(observer, topics.WINCH_COMMAND)
+        for length in (BOTTOM, TOP):
+            _go(observer, length, lockstep)
+        if recorder.stop() != 0:
+            raise RuntimeError(f"the recorder failed:\n{recorder.output}")
+    return bag
+
+
+def _begin(stage: Stage, folder: Path, seed: int) -> tuple[Observer, Process, Path]:
+    bag = folder / "bag"
+    overrides = {"tether.length": TOP, "sensors.quality": "real"}
+    given = {
+        "scenario": SCENARIO,
+        "overrides": json.dumps(overrides),
+        "seed": seed,
+        "real_time_factor": 1.0,
+    }
+    recorder = stage.processes.start(_RECORD, {"output": str(bag)})
+    stage.processes.start(_SIM, given)
+    stage.processes.start(_WINCH, {"use_sim_time": True})
+    observer = stage.observer()
+    for name in (
+        topics.CLOCK,
+        topics.EVENTS,
+        topics.DIAGNOSTICS,
+        topics.WINCH_MODE,
+        topics.WINCH_COMMAND,
+    ):
+        observer.listen(name)
+    for node in ("sim_node", "winch_node"):
+        observer.wait_until_ready(node)
+    wait_until_recording(bag)
+    return observer, recorder, bag
+
+
+def _go(observer: Observer, length: float, lockstep: Lockstep | None) -> None:
+    """Send the winch to a length, and wait until it has come to rest there."""
+    events = observer.listen(topics.EVENTS)
+    heard = len(events)
+    value = JointValue(length, RATE, 0.0)
+    request = JointSample(observer.time_ns(), {WINCH_TO_LENGTH: value})
+    observer.send(topics.WINCH_REQUEST, request)
+
+    def told() -> list[Status]:
+        statuses = [s for sample in events.samples[heard:] for s in sample.statuses]
+        return [s for s in statuses if s.name.startswith("winch_")]
+
+    def ends(_: StatusSample | None = None) -> bool:
+        return any(s.name != "winch_length" for s in told())
+
+    if lockstep is None:
+        events.wait(ends, heard, _PATIENCE)
+    else:
+        lockstep.run_until(ends, _LONGEST)
+    last = told()[-1]
+    if _is_stall(last):
+        raise Stalled(last.message)
+    if last.name != "winch_hold":
+        raise RuntimeError(f"sent to {length:g} m it ended by {last}")
+    rested = observer.time_ns() + round(_REST * _NANO)
+    if lockstep is None:
+        observer.wait_for_time(rested)
+    else:
+        lockstep.run_until(lambda: observer.time_ns() >= rested, 2.0 * _REST)
+
+
+def _is_stall(status: Status) -> bool:
+    late = status.values.get("fault") in {"node_late", "drum_lost", "tension_lost"}
+    return status.name == "winch_silent" or late
+
+
+def recorded_descent(folder: Path, seed: int) -> Recorded:
+    """Fly, and read the bag; once more where the machine stalled."""
+    for attempt in range(_ATTEMPTS + 1):
+        in_real_time = attempt < _ATTEMPTS
+        place = folder / f"descent_{seed}_{attempt}"
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir(parents=True)
+        try:
+            flight, bag = flight_of_bag(fly(place, seed, in_real_time=in_real_time))
+        except Stalled:
+            if in_real_time:
+                continue
+            raise
+        return Recorded(flight, bag, in_real_time)
+    raise AssertionError
+
+
+def _measured(value: float, recorded: Recorded, **details: float) -> Measured:
+    return Measured(value, str(recorded), details)
+
+
+@cache
+def _descent(folder: Path, seed: int) -> Recorded:
+    recorded = recorded_descent(folder, seed)
+    shutil.rmtree(recorded.bag.path)  # 70 MB; `winch_report --nodes` keeps it, with plots
+    return recorded
+
+
+def _recorded(batch: Batch) -> Recorded:
+    return _descent(batch.folder.parent, batch.seed)
+
+
+def length_error(batch: Batch) -> Measured:
+    """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
+    recorded = _recorded(batch)
+    told, curve = recorded.flight.length_error(), recorded.flight.distance_from_curve()
+    return _measured(max(told, curve), recorded, reference=told, free_curve=curve)
+
+
+def overshoot(batch: Batch) -> Measured:
+    """How far the drum goes beyond the lengths that were asked for [m]."""
+    recorded = _recorded(batch)
+    return _measured(recorded.flight.overshoot(), recorded)
+
+
+def ripple(batch: Batch) -> Measured:
+    """Tension's ripple in steady payout by the load cell, RMS over the mean; the worse way."""
+    recorded = _recorded(batch)
+    ways = recorded.flight.ripple()
+    return _measured(max(ways.values()), recorded, **ways)

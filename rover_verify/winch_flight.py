@@ -1,0 +1,173 @@
+"""The winch's way down and up, as it was flown or as a bag tells it, and what it is held to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas import topics
+from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_MOTOR, WINCH_TO_LENGTH
+from rover_bags.read import Bag, ReadError, Track, read_bag
+from rover_verify.checks.winch_rig import TICK, Session
+from tether_winch.drum_model import DrumModel
+from tether_winch.servo import Goal, GoalKind, Sensed, WinchServo
+from tether_winch.winch import WinchParameters
+
+Floats = NDArray[np.float64]
+
+COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension", "torque")
+_MOVING = 1e-4  # of a reference [m/s]
+_STEADY = 0.99  # part of the rate asked for, from which on the payout is steady
+_NEAR_ENDS = 2.0  # of a way are no steady payout [m]
+_LEAST = 5.0  # tether out, below which the rover's tilt couples with the tension [m]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight of the winch between rests.
+
+    Attributes:
+        columns: by `COLUMNS`, at the drum's samples: time [s], length and reference [m], their
+            rates [m/s], tension at the fairlead [N], motor's torque [N m]; shape (N,) each.
+        modes: what the winch told of its mode, with the time of each [s].
+        asked: time [s], length [m] and rate [m/s] of each request for a length.
+    """
+
+    columns: Mapping[str, Floats]
+    modes: tuple[tuple[float, str], ...]
+    asked: tuple[tuple[float, float, float], ...]
+
+    def __getitem__(self, name: str) -> Floats:
+        """One column."""
+        return self.columns[name]
+
+    def ways(self) -> list[tuple[slice, float, float]]:
+        """Of each request: the samples until the next one, length [m] and rate [m/s] asked for."""
+        begins = [float(at) for at, _, _ in self.asked]
+        marks = [int(i) for i in np.searchsorted(self["time"], begins)] + [len(self["time"])]
+        return [
+            (slice(marks[i], marks[i + 1]), length, rate)
+            for i, (_, length, rate) in enumerate(self.asked)
+        ]
+
+    # --- what it is held to ----------------------------------------------------------------------
+
+    def length_error(self) -> float:
+        """Largest distance of the drum's length from the reference that the winch tells [m]."""
+        return float(np.abs(self["length"] - self["reference"]).max())
+
+    def distance_from_curve(self) -> float:
+        """Largest distance [m] from S-curves that wait for nothing, begun when the drum begins."""
+        worst = 0.0
+        for part, goal, rate in self.ways():
+            time, length = self["time"][part], self["length"][part]
+            begun = int(np.argmax(np.abs(self["reference_rate"][part]) > _MOVING))
+            times, curve = ideal_way(float(length[begun]), goal, rate)
+            ideal = np.interp(time[begun:] - time[begun], times, curve)
+            worst = max(worst, float(np.abs(length[begun:] - ideal).max()))
+        return worst
+
+    def overshoot(self) -> float:
+        """How far the drum goes beyond the lengths that were asked for [m]."""
+        worst = 0.0
+        for part, goal, _ in self.ways():
+            length = self["length"][part]
+            side = np.sign(goal - length[0])
+            worst = max(worst, float(np.max(side * (length - goal))))
+        return worst
+
+    def ripple(self) -> dict[str, float]:
+        """RMS of the tension over its mean in steady payout, its slow rise aside, of each way."""
+        found = {}
+        for part, goal, rate in self.ways():
+            time, length, speed, tension = (
+                self[name][part] for name in ("time", "length", "rate", "tension")
+            )
+            side = float(np.sign(goal - length[0]))
+            far = np.minimum(np.abs(length - length[0]), np.abs(length - goal)) > _NEAR_ENDS
+            steady = far & (length > _LEAST) & (side * speed > _STEADY * rate)
+            line = np.polynomial.Polynomial.fit(time[steady], tension[steady], 1)
+            rest = tension[steady] - line(time[steady])
+            name = f"{'down' if side > 0.0 else 'up'} over {np.ptp(length[steady]):.1f} m"
+            found[name] = float(np.sqrt(np.mean(rest**2)) / np.mean(tension[steady]))
+        return found
+
+
+def ideal_way(start: float, goal: float, rate: float) -> tuple[Floats, Floats]:
+    """Time [s] and length [m] of the winch's own S-curve on a drum that follows it perfectly."""
+    p = WinchParameters()
+    servo = WinchServo(p.servo, DrumModel(p.drum))
+    servo.aim(Goal(GoalKind.LENGTH, length=goal, rate=rate))
+    length, lengths = start, [start]
+    for _ in range(round((abs(goal - start) / rate + 60.0) / TICK)):
+        is_open = servo.phase.name in {"OPENING", "OPEN"}
+        servo.step(Sensed(length, servo.motion.rate, 0.0, 0.0, 0.0, is_open), 1e3, TICK)
+        length = servo.reference.length
+        if servo.motion.rate != 0.0 or len(lengths) > 1:
+            lengths.append(length)
+    return np.linspace(0.0, TICK * (len(lengths) - 1), len(lengths)), np.array(lengths)
+
+
+def flight_of_session(session: Session) -> Flight:
+    """What a session without ROS has seen."""
+    begun = session.ticks[0].time
+    columns = {name: session.column(name) for name in COLUMNS}
+    columns["time"] = columns["time"] - begun
+    told = [(at - begun, change.name) for at, change in session.transitions]
+    modes = tuple((at, n.removeprefix("winch_")) for at, n in told if n.startswith("winch_"))
+    asked = tuple((at - begun, length, rate) for at, length, rate in session.asked)
+    return Flight(columns, modes, asked)
+
+
+_WANTED = (
+    topics.CLOCK, topics.WINCH_STATE, topics.WINCH_ESTIMATE, topics.WINCH_MODE,
+    topics.WINCH_REQUEST, topics.LOAD_CELL, topics.MOTOR_CURRENTS, topics.EVENTS, topics.CONFIG,
+)  # fmt: skip
+
+
+def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
+    """What a bag tells of the winch: encoder, load cell and motor current against the reference.
+
+    Raises:
+        ReadError: one of the winch's topics is not in the bag.
+    """
+    bag = read_bag(path, _WANTED)
+    state, estimate = _track(bag, topics.WINCH_STATE), _track(bag, topics.WINCH_ESTIMATE)
+    cell, currents = _track(bag, topics.LOAD_CELL), _track(bag, topics.MOTOR_CURRENTS)
+    request, mode = _track(bag, topics.WINCH_REQUEST), _track(bag, topics.WINCH_MODE)
+    known = (state.time >= estimate.time[0]) & (state.time <= estimate.time[-1])
+    time = state.time[known]
+    begun = float(time[0])
+
+    def at_samples(track: Track, values: Floats) -> Floats:
+        return np.asarray(np.interp(time, track.time, values), dtype=np.float64)
+
+    current = currents.columns[f"{WINCH_MOTOR}.effort"]
+    columns = {
+        "time": time - begun,
+        "length": state.columns[f"{WINCH_DRUM}.position"][known],
+        "rate": state.columns[f"{WINCH_DRUM}.velocity"][known],
+        "reference": at_samples(estimate, estimate.columns[f"{REFERENCE}.position"]),
+        "reference_rate": at_samples(estimate, estimate.columns[f"{REFERENCE}.velocity"]),
+        "tension": at_samples(cell, np.linalg.norm(cell.vector("force"), axis=1)),
+        "torque": at_samples(currents, current * WinchParameters().drum.torque_constant),
+    }
+    modes = tuple(zip((mode.time - begun).tolist(), mode.texts, strict=True))
+    asked = zip(
+        (request.time - begun).tolist(),
+        request.columns[f"{WINCH_TO_LENGTH}.position"].tolist(),
+        request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
+        strict=True,
+    )
+    return Flight(columns, modes, tuple(asked)), bag
+
+
+def _track(bag: Bag, topic: str) -> Track:
+    track = bag.track(topic)
+    if track is None or not len(track):
+        raise ReadError(f"the bag {bag.path} holds nothing of {topic}")
+    return track
