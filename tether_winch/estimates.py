@@ -48,6 +48,7 @@ class PayoutEstimate:
     _RATE_TIME = 0.01  # of the rate's low-pass [s]
     _ACCELERATION_TIME = 0.05
     _PULL = 5.0  # by which the length is drawn to the reported one [1/s]
+    _LONGEST_AGE = 0.05  # that is made up for [s]
 
     def __init__(self, parameters: EstimateParameters) -> None:
         self.parameters = parameters
@@ -75,12 +76,13 @@ class PayoutEstimate:
                 samples are heard at once.
             now: when it is heard, by the controller's clock [s].
         """
-        if self._heard is None:
-            self.length, self.rate = length, rate
+        dt = taken - self._taken
+        # A drum whose clock goes back begins anew; what only comes in the wrong order is left out.
+        if self._heard is None or dt < -self.parameters.encoder_silence:
+            self.length, self.rate, self.acceleration = length, rate, 0.0
+        elif dt <= 0.0:
+            return
         else:
-            dt = taken - self._taken
-            if dt <= 0.0:
-                return
             mean = 0.5 * (rate + self._reported_rate)
             # Over a longer silence the drum may have stopped and started: nothing to compare.
             if dt <= self.parameters.encoder_silence:
@@ -96,6 +98,10 @@ class PayoutEstimate:
             self.length = predicted + (length - predicted) * -math.expm1(-dt * self._PULL)
         self._reported, self._reported_rate = length, rate
         self._taken, self._heard = taken, now
+
+    def length_at(self, now: float) -> float:
+        """Length now [m]: a sample that was under way for a tick is 3 mm old at 0.3 m/s."""
+        return self.length + self.rate * min(max(now - self._taken, 0.0), self._LONGEST_AGE)
 
     def silence(self, now: float) -> float:
         """How long the drum has said nothing [s]."""

@@ -413,7 +413,7 @@ class Winch:
     def _drive(self, now_ns: int, h: float) -> DriveCommand:
         tension, _ = self.tension_now(now_ns)
         sensed = Sensed(
-            self.payout.length,
+            self.payout.length_at(now_ns / _NANO),
             self.payout.rate,
             tension,
             0.0 if self.load.is_supported else self.load.mean,

@@ -261,7 +261,7 @@ class WinchNode(ContractNode):
         now_ns = self.now_ns()
         tension, source = winch.tension_now(now_ns)
         known = source is not TensionSource.NONE
-        length, rate = max(winch.payout.length, 0.0), winch.payout.rate
+        length, rate = max(winch.payout.length_at(now_ns * 1e-9), 0.0), winch.payout.rate
         pull = tension if known else winch.drum.hanging_weight(length) + winch.load.mean
         stretched = winch.drum.stretched(length, pull)
         reference = winch.servo.reference

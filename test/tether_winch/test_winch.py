@@ -109,6 +109,20 @@ def test_samples_that_a_stalled_node_hears_all_at_once_make_the_same_motion():
     assert late.rate == prompt.rate
     assert late.fault(1.0) == ""
     assert abs(late.drift) < 1e-12
+    assert late.length_at(0.99) == late.length
+    assert late.length_at(1.0) == pytest.approx(10.3)
+    assert late.length_at(9.0) == pytest.approx(10.297 + 0.3 * 0.05)
+
+
+def test_a_sample_from_before_the_clock_went_back_does_not_silence_the_drum():
+    estimate = PayoutEstimate(EstimateParameters())
+    estimate.hear(10.0, 0.3, 20.0, 19.3)
+    for k in range(5):
+        at = 19.3 + 0.01 * k
+        estimate.hear(10.0 + 0.003 * k, 0.3, at, at)
+    assert estimate.silence(19.35) == pytest.approx(0.01)
+    assert estimate.length == pytest.approx(10.012)
+    assert estimate.fault(19.35) == ""
 
 
 def test_holding_less_than_the_hanging_tether_weighs_is_refused():
