@@ -29,7 +29,7 @@ demo: $(VENV)/.ready-run  ## a tethered jump over DDS, recorded and reported int
 	@$(BIN)/demo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
-	@$(RUN) pytest --timeout=600 --numprocesses=auto --maxprocesses=4 --dist=loadgroup $(PYTEST)
+	@tools/run_tests.sh $(BIN)/python $(PYTEST)
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
 	@$(BIN)/verify --runs $(RUNS) --seed $(SEED)

@@ -168,11 +168,12 @@ class RecordNode(ContractNode):
         self.get_logger().info(f"recording into {self._path}")
 
     def release(self) -> None:
-        """Unsubscribe, write what waits, close the bag and say what is in it."""
+        """Take what has arrived, unsubscribe, close the bag and say what is in it."""
         for timer in self._recording_timers:
             self.destroy_timer(timer)
         self._recording_timers.clear()
         for recorded in self._recorded.values():
+            self._take_waiting(recorded, _QUEUE_DEPTH)
             self.destroy_subscription(recorded.subscription)
         spool, self._spool = self._spool, None
         if spool is None:
@@ -293,22 +294,25 @@ class RecordNode(ContractNode):
             raw=True,
         )
 
-    def _receiver(self, recorded: "_Recorded") -> Callable[..., None]:
-        message_type = message_class(recorded.source.kind.name)
-
+    def _receiver(self, recorded: _Recorded) -> Callable[..., None]:
         def receive(data: bytes, info: Mapping[str, Any]) -> None:
             self._take(recorded, data, info)
-            # More of the same topic that waits already: the executor's own way to it costs
-            # several times as much, and under load the middleware's queues would overflow.
-            subscription = recorded.subscription.handle
-            for _ in range(_MOST_AT_ONCE):
-                with subscription:
-                    taken = subscription.take_message(message_type, True)
-                if taken is None:
-                    return
-                self._take(recorded, *taken)
+            # The executor's own way to what waits already costs several times as much, and under
+            # load the middleware's queues would overflow.
+            self._take_waiting(recorded, _MOST_AT_ONCE)
 
         return receive
+
+    def _take_waiting(self, recorded: _Recorded, most: int) -> None:
+        """Takes what waits already on one topic."""
+        message_type = message_class(recorded.source.kind.name)
+        subscription = recorded.subscription.handle
+        for _ in range(most):
+            with subscription:
+                taken = subscription.take_message(message_type, True)
+            if taken is None:
+                return
+            self._take(recorded, *taken)
 
     def _take(self, recorded: _Recorded, data: bytes, info: Mapping[str, Any]) -> None:
         spool = self._spool

@@ -75,6 +75,9 @@ SIM, JUMP, WINCH, RECORD = (
     "rover_bags.record",
 )
 _STEPS = ("starting", "compressing", "flying", "landing", "stopping", "reporting")
+# A node that a busy machine starves for a quarter of a second counts as lost, and the spring is let
+# down: the operator asks again.
+_MOST_TRIALS = 4
 
 
 class DemoError(RuntimeError):
@@ -119,23 +122,45 @@ class Show:
 
     def jump(self) -> None:
         """Ask for a jump as an operator does, and follow it to the landing."""
-        self._ask()
-        seen = self._event
-        self._follow("compressing", lambda: seen("take_off"), self._nut, _JUMP_TIMEOUT)
-        self._follow("flying", lambda: seen("touchdown"), self._height, _JUMP_TIMEOUT)
-        self._follow("landing", lambda: seen("jump_standby"), self._height, _JUMP_TIMEOUT)
+        for trial in range(1, _MOST_TRIALS + 1):
+            if self._jumped(trial):
+                return
+            self._bar.total += 2
+        raise DemoError(f"the spring was let down {_MOST_TRIALS} times; is this machine very busy?")
 
-    def _ask(self) -> None:
+    def _jumped(self, trial: int) -> bool:
+        """Whether a jump that was asked for was flown; if not, the spring was let down."""
+        seen = self._seen
+        stood = seen("jump_standby")
+        self._ask(trial)
+
+        def is_over() -> bool:
+            return seen("jump_standby") > stood
+
+        def is_let_down() -> bool:
+            return seen("jump_letting_down") == trial
+
+        self._follow(
+            "compressing", lambda: seen("take_off") or is_let_down(), self._nut, _JUMP_TIMEOUT
+        )
+        if is_let_down():
+            self._follow("letting down", is_over, self._nut, _JUMP_TIMEOUT)
+            return False
+        self._follow("flying", lambda: seen("touchdown"), self._height, _JUMP_TIMEOUT)
+        self._follow("landing", is_over, self._height, _JUMP_TIMEOUT)
+        return True
+
+    def _ask(self, trial: int) -> None:
         """Ask until it is accepted: on a busy machine a sensor may just then be silent."""
         request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
         give_up = time.monotonic() + _ASK_TIMEOUT
         answered = threading.Event()
-        while not self._event("jump_compressing"):
+        while self._seen("jump_compressing") < trial:
             refusals = self._refusals()
             if time.monotonic() > give_up:
                 raise DemoError(f"no jump: {refusals[-1] if refusals else 'no answer'}")
             self._observer.send(topics.JUMP_REQUEST, request)
-            while not self._event("jump_compressing") and self._refusals() == refusals:
+            while self._seen("jump_compressing") < trial and self._refusals() == refusals:
                 if time.monotonic() > give_up:
                     break
                 answered.wait(_LOOK)
@@ -169,7 +194,7 @@ class Show:
     # --- what is seen ----------------------------------------------------------------------------
 
     def _follow(
-        self, act: str, done: Callable[[], bool], now: Callable[[], str], timeout: float
+        self, act: str, done: Callable[[], object], now: Callable[[], str], timeout: float
     ) -> None:
         self._bar.set_description(act)
         give_up = time.monotonic() + timeout
@@ -222,8 +247,9 @@ class Show:
             waiting.append("the rover to stand")
         return f"waiting for {', '.join(waiting)}" if waiting else ""
 
-    def _event(self, name: str) -> bool:
-        return any(
+    def _seen(self, name: str) -> int:
+        """How often an event was told."""
+        return sum(
             status.name == name
             for sample in self._observer.listen(topics.EVENTS).samples
             for status in sample.statuses

@@ -23,13 +23,6 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Side by side run files of tests; those that start processes run one after the other."""
-    for item in items:
-        group = "processes" if item.get_closest_marker("process") else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
 @contextmanager
 def _shown_stage(folder: Path) -> Iterator[Stage]:
     from rover_verify.stage import open_stage

@@ -60,7 +60,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
     old.mkdir(parents=True)
     (old / "metrics.json").write_text("{}")
     (old / "of_before").write_text("")
-    process = run_demo(tmp_path, "--real-time-factor", "2")
+    process = run_demo(tmp_path)
     assert process.wait(240.0) == 0, process.output
     assert "As it should be." in process.output
     metrics = json.loads((old / "metrics.json").read_text())

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
@@ -30,6 +31,7 @@ from msg_schemas.table import JUMP_SCREW
 SEED = 42
 STRANGE_TOPIC = "strange/number"
 SLOW_EVERY = 3
+_PATIENCE = 3.0
 CONFIGURATION = {"node": "/source", "scenario": {"name": "made up"}, "seed": SEED}
 
 
@@ -79,6 +81,8 @@ def main() -> None:
         send(count)
         heard += publisher.get_subscription_count() > 0
         print(count, time.time_ns(), heard, flush=True)
+    # What is on its way when its sender ends may be lost: that would say nothing of the recorder.
+    publisher.wait_for_all_acked(Duration(seconds=_PATIENCE))
     node.destroy_node()
     rclpy.shutdown()
 
