@@ -13,6 +13,7 @@ EXECUTABLES = {
     "bag_record": "rover_bags.record:main",
     "bag_recover": "rover_bags.recover:main",
     "bag_report": "rover_bags.report:main",
+    "bag_resim": "rover_bags.resim:main",
     "paper_study": "rover_studies.paper_study:main",
     "sweep": "rover_studies.sweep:main",
     "demo": "rover_verify.demo:main",

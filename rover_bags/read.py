@@ -10,7 +10,7 @@ Nothing here needs ROS.
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -150,6 +150,55 @@ class Bag:
     def seed(self) -> int | None:
         """Seed of the simulation."""
         return next((c["seed"] for c in self.configurations if "seed" in c), None)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """One accepted message of a contract topic.
+
+    Attributes:
+        name: Contract topic.
+        log_ns, publish_ns: When it was received and sent [ns since 1970].
+        sequence: The publisher's count.
+        sample: What it says.
+        message: The message itself.
+    """
+
+    name: str
+    log_ns: int
+    publish_ns: int
+    sequence: int
+    sample: Any
+    message: Any
+
+
+def arrivals(
+    path: Path, wanted: Collection[str] | None = None, *, namespace: str | None = None
+) -> Iterator[Arrival]:
+    """Yields a bag's accepted messages one by one, in the order of the file.
+
+    Args:
+        path: Its folder, or one of its files.
+        wanted: Contract topics to decode; all but the markers by default.
+        namespace: Which rover, where the bag holds several.
+
+    Raises:
+        ScanError: It is no bag.
+        ReadError: It holds several rovers and no ``namespace``.
+    """
+    decoded = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
+    full_names, _ = _names(path, namespace)
+    by_full_name = {full: name for name, full in full_names.items() if name in decoded}
+    for item in BagScan(path):
+        name = by_full_name.get(item.topic.name)
+        if name is None:
+            continue
+        try:
+            message = _message(name, item)
+            sample = decode(name, message)
+        except (Refusal, SerdeError, KeyError):
+            continue
+        yield Arrival(name, item.log_ns, item.publish_ns, item.sequence, sample, message)
 
 
 class _Growing:
@@ -315,10 +364,14 @@ def _first_stamp(growing: Mapping[str, _Growing]) -> tuple[int, int] | None:
 
 
 def _decoded(name: str, message: Message) -> Any:
+    return decode(name, _message(name, message))
+
+
+def _message(name: str, message: Message) -> Any:
     row = TOPICS[name]
     if message.topic.type != row.message:
         raise SerdeError(f"{name} is recorded as {message.topic.type}, it must be {row.message}")
-    return decode(name, _STORE.deserialize_cdr(message.data, row.message))
+    return _STORE.deserialize_cdr(message.data, row.message)
 
 
 def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:

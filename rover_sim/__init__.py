@@ -46,6 +46,7 @@ else a plant shows on the contract's topics:
 """
 
 from msg_schemas.yaml_reader import read_yaml
+from rover_sim.actuators import COMMANDS
 from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.interfaces import build_interface
 from rover_sim.physics.section import TetherSection
@@ -81,10 +82,12 @@ from rover_sim.scenario import (
     parse_override,
     scenario_from_mapping,
 )
+from rover_sim.sim_loop import Simulation
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
 
 __all__ = [
+    "COMMANDS",
     "AnyScenario",
     "Command",
     "Energies",
@@ -102,6 +105,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "SettlingError",
+    "Simulation",
     "SpatialPlant",
     "SpatialScenario",
     "SpatialState",

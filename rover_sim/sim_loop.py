@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -171,6 +172,17 @@ class Simulation(Generic[S]):
         self.peak_tension = 0.0
         self.last = None
         self.interface.restart(self.state, self.stamp_ns)
+
+    def fork(self) -> Simulation[S]:
+        """A simulation that goes on from here by itself; the plant, which keeps nothing, is shared.
+
+        Its sensors' errors go on as this one's do.
+        """
+        shared = {id(self.plant): self.plant}
+        twin = copy.copy(self)
+        twin.interface = copy.deepcopy(self.interface, shared)
+        twin._actuators = copy.deepcopy(self._actuators, shared)
+        return twin
 
     def take(self, topic: str, sample: JointSample) -> None:
         """Take a command for a drive, one of ``actuators.COMMANDS``; raises Refusal."""

@@ -15,7 +15,8 @@ from rover_verify.stage.processes import environment
 
 _MODULES = (
     "rover_sim.sim_node", "rover_control.jump_node", "tether_winch.winch_node",
-    "rover_bags.record", "rover_bags.recover", "rover_bags.report", "rover_studies.paper_study",
+    "rover_bags.record", "rover_bags.recover", "rover_bags.report", "rover_bags.resim",
+    "rover_studies.paper_study",
     "rover_verify.demo", "rover_verify.matrix", "rover_verify.bench",
 )  # fmt: skip
 

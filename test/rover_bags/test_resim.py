@@ -1,0 +1,261 @@
+"""Recorded runs simulated once more: to the last bit, and where they differ, where."""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from contract_bag import MadeUp
+
+from msg_schemas import topics
+from msg_schemas.samples import (
+    ClockSample,
+    JointSample,
+    JointValue,
+    OdometrySample,
+    Sample,
+    TextSample,
+)
+from msg_schemas.table import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from rover_bags.resim import ResimError, main, resimulate
+from rover_sim import Simulation, build_interface, build_plant, compile_ahead, load_scenario
+
+TICK = 0.01
+TICK_NS = 10_000_000
+PLANAR, SPATIAL = "paper_table1_high", "free_hang"
+NUT = {JUMP_SCREW: JointValue(0.1, 0.4, 400.0)}
+
+Orders = Callable[[int], Iterable[tuple[str, Mapping[str, JointValue]]]]
+Change = Callable[[str, int, Sample], Sample]
+
+
+def nut_until_trip(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
+    if 5 <= tick < 40 and tick % 4 == 0:
+        yield topics.JUMP_MOTOR_COMMAND, NUT
+
+
+def all_drives(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
+    rate = 0.2 * math.sin(0.3 * tick)
+    winch = JointValue(20.0, rate, 16.2)
+    yield (
+        topics.WINCH_COMMAND,
+        {WINCH_DRUM: winch, WINCH_BRAKE: JointValue(1.0), WINCH_LIMIT: JointValue(effort=60.0)},
+    )
+    yield topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(effort=0.1 + 0.01 * tick)}
+    if tick % 3 == 0:
+        yield topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(effort=0.05)}
+
+
+def same(_name: str, _stamp: int, sample: Sample) -> Sample:
+    return sample
+
+
+class Recorder:
+    """Runs a simulation tick by tick and records it, as nodes in lockstep would."""
+
+    def __init__(self, scenario: str, seed: int = 7, **overrides: object) -> None:
+        given = {name.replace("__", "."): value for name, value in overrides.items()}
+        self.scenario = load_scenario(scenario, given)
+        compile_ahead(self.scenario)
+        plant = build_plant(self.scenario)
+        self.simulation = Simulation(build_interface(plant, seed), TICK)
+        self.made = MadeUp()
+        self.wall = 0.0
+        content = {
+            "node": "/sim_node",
+            "parameters": {"tick": TICK},
+            "scenario": self.scenario.to_mapping(),
+            "seed": seed,
+        }
+        self.made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+
+    def run(self, ticks: int, orders: Orders, *, late: int = 0, change: Change = same) -> None:
+        """Record some ticks; commands come `late` ticks after they were sent."""
+        coming: list[tuple[int, str, JointSample]] = []
+        for tick in range(ticks):
+            now = self.simulation.stamp_ns
+            # At time 0 a command would count as unstamped.
+            for name, joints in orders(tick) if now else ():
+                sample = JointSample(now, dict(joints))
+                self.made.add(self.wall + 0.002, name, sample)
+                coming.append((tick + late, name, sample))
+            for due, name, sample in list(coming):
+                if due <= tick:
+                    self.simulation.take(name, sample)
+                    coming.remove((due, name, sample))
+            self.simulation.tick()
+            self.wall += TICK
+            self.tell(change)
+
+    def tell(self, change: Change = same) -> None:
+        stamp = self.simulation.stamp_ns
+        self.made.add(self.wall, topics.CLOCK, ClockSample(stamp))
+        told = set(self.simulation.interface.topics) - {topics.CLOCK, topics.MARKERS}
+        for name, sample in self.simulation.interface.samples(told):
+            self.made.add(self.wall, name, change(name, stamp, sample))
+
+
+@pytest.fixture(scope="module")
+def jump_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    recorder = Recorder(PLANAR)
+    recorder.run(120, nut_until_trip)
+    return recorder.made.write(tmp_path_factory.mktemp("resim") / "bag")
+
+
+def test_a_lockstep_jump_comes_out_to_the_last_bit(jump_bag: Path):
+    found = resimulate(jump_bag)
+    assert found.identical, found.text()
+    assert found.compared > 800
+    assert found.commands >= 5
+    assert found.moved == 0
+    assert found.comparisons[topics.TRUTH_BODY1].compared == 120
+    assert "to the last bit" in found.text()
+
+
+@pytest.mark.usefixtures("compiled_in_space")
+def test_a_lockstep_run_in_space_comes_out_with_its_noise(tmp_path: Path):
+    recorder = Recorder(SPATIAL, seed=11)
+    recorder.run(25, all_drives)
+    bag = recorder.made.write(tmp_path / "bag")
+    found = resimulate(bag)
+    assert found.identical, found.text()
+    assert {topics.IMU, topics.LOAD_CELL, topics.WHEEL_STATE, topics.TRUTH_TETHER} <= set(
+        found.comparisons
+    )
+    assert found.commands == 24 * 2 + 8
+    assert found.refused == 0
+
+
+def test_commands_that_came_later_than_sent_are_found_by_the_record(tmp_path: Path):
+    recorder = Recorder(PLANAR)
+    recorder.run(60, nut_until_trip, late=2)
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.moved > 0
+
+
+def nudged(sample: OdometrySample, by: float) -> OdometrySample:
+    x, y, z = sample.linear
+    return replace(sample, linear=(x, y, z + by))
+
+
+@pytest.mark.parametrize(("size", "within"), [(1e-13, True), (1e-3, False)])
+def test_the_first_difference_is_located(tmp_path: Path, size: float, within: bool):
+    def change(name: str, stamp: int, sample: Sample) -> Sample:
+        if name == topics.TRUTH_BODY2 and stamp >= 30 * TICK_NS:
+            assert isinstance(sample, OdometrySample)
+            return nudged(sample, size * (2.0 if stamp == 33 * TICK_NS else 1.0))
+        return sample
+
+    recorder = Recorder(PLANAR)
+    recorder.run(40, lambda _tick: (), change=change)
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert not found.identical
+    assert found.within is within
+    assert found.first is not None
+    assert found.first.time_s == pytest.approx(0.30)
+    assert (found.first.topic, found.first.field) == (topics.TRUTH_BODY2, "linear.z")
+    assert found.first.recorded - found.first.resimulated == pytest.approx(size, rel=1e-2)
+    assert found.differing == 11
+    row = found.comparisons[topics.TRUTH_BODY2]
+    assert row.largest is not None
+    assert row.largest.time_s == pytest.approx(0.33)
+    assert row.error == pytest.approx(2.0 * size, rel=0.5)
+    assert "truth/body2, linear.z" in found.text() if within else "outside" in found.text()
+
+
+def test_another_scenario_than_recorded_does_not_pass(tmp_path: Path):
+    recorder = Recorder(PLANAR, tether__elements=5)
+    recorder.run(60, nut_until_trip)
+    content = {
+        "parameters": {"tick": TICK},
+        "scenario": load_scenario(PLANAR, {"rover.m2": 2.01}).to_mapping(),
+        "seed": 7,
+    }
+    del recorder.made.rows[0]
+    recorder.made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert not found.within
+
+
+def test_resets_of_plant_and_clock_are_followed(tmp_path: Path):
+    recorder = Recorder(PLANAR)
+    recorder.run(40, nut_until_trip)
+    simulation = recorder.simulation
+    simulation.reset_plant()
+    stamp = simulation.stamp_ns * 1e-9
+    recorder.made.rows.append(event(recorder, stamp, "reset_plant"))
+    recorder.wall += 0.5
+    recorder.tell()
+    recorder.run(20, nut_until_trip)
+    simulation.reset()
+    recorder.wall += 0.5
+    recorder.tell()
+    recorder.run(30, nut_until_trip)
+    # An accelerometer tells nothing before the first tick.
+    recorder.made.rows = [
+        row for row in recorder.made.rows if not (row[1] == topics.IMU and is_at_start(row[2]))
+    ]
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.resets == 2
+
+
+def is_at_start(data: bytes) -> bool:
+    return not any(data[4:12])
+
+
+def event(recorder: Recorder, stamp: float, name: str) -> tuple[float, str, bytes]:
+    made = MadeUp()
+    made.event(stamp, name, "put back", {})
+    return (recorder.wall + 0.001, *made.rows[0][1:])
+
+
+def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys: Any):
+    made = MadeUp()
+    made.add(0.0, topics.CLOCK, ClockSample(0))
+    bag = made.write(tmp_path / "bag")
+    with pytest.raises(ResimError, match="holds no configuration of a simulator"):
+        resimulate(bag)
+    assert main([str(bag)]) == 2
+    assert main([str(tmp_path / "nothing")]) == 2
+    assert "there is no bag" in capsys.readouterr().err
+    made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": {"name": "x"}, "seed": 1})))
+    with pytest.raises(ResimError, match="cannot be simulated here"):
+        resimulate(made.write(tmp_path / "strange"))
+
+
+def test_the_executable_tells_by_text_json_and_exit_code(jump_bag: Path, capsys: Any):
+    assert main([str(jump_bag), "--exact"]) == 0
+    assert "every recorded sample" in capsys.readouterr().out
+    assert main([str(jump_bag), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["identical"] is True
+    assert told["differing"] == 0
+    assert told["topics"][topics.TRUTH_BODY1]["compared"] == 120
+    assert main([str(jump_bag), "--tolerance", "nan"]) == 2
+
+
+def test_a_fork_goes_on_alike_and_by_itself():
+    simulation = Recorder(PLANAR).simulation
+    twin = simulation.fork()
+    twin.take(topics.JUMP_MOTOR_COMMAND, JointSample(0, NUT))
+    for _ in range(3):
+        twin.tick()
+    simulation.tick()
+    assert simulation.stamp_ns == TICK_NS
+    assert twin.stamp_ns == 3 * TICK_NS
+    assert simulation.state.compression == 0.0
+    assert twin.state.compression == pytest.approx(0.012)
+    assert np.array_equal(simulation.fork().tick().after.nodes, simulation.tick().after.nodes)
