@@ -133,7 +133,7 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
     """What a bag tells of the winch: encoder, load cell and motor current against the reference.
 
     Raises:
-        ReadError: one of the winch's topics is not in the bag.
+        ReadError: one of the winch's topics is not in the bag, or begins too late.
     """
     bag = read_bag(path, _WANTED)
     state, estimate = _track(bag, topics.WINCH_STATE), _track(bag, topics.WINCH_ESTIMATE)
@@ -163,7 +163,11 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
         request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
         strict=True,
     )
-    return Flight(columns, modes, tuple(asked)), bag
+    flight = Flight(columns, modes, tuple(asked))
+    if flight.asked[0][0] < 0.0:
+        late = -flight.asked[0][0]
+        raise ReadError(f"the bag {path} holds the winch from {late:.2g} s after its request on")
+    return flight, bag
 
 
 def _track(bag: Bag, topic: str) -> Track:

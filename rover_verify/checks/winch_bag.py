@@ -19,7 +19,7 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_spatial import spatial_plant
 from rover_verify.stage import Observer, Process, Stage, open_stage
 from rover_verify.stage.lockstep import Lockstep
-from rover_verify.stage.recording import wait_until_recording
+from rover_verify.stage.recording import recorded_topics, wait_until_recording
 from rover_verify.winch_flight import Flight, flight_of_bag
 
 SCENARIO = "free_hang"
@@ -30,6 +30,7 @@ _PATIENCE = 1200.0  # by the wall clock, for one way of 160 s [s]
 _ATTEMPTS = 2  # in real time; then in lockstep
 _LONGEST = 300.0  # way there, in simulated time [s]
 _NANO = 1_000_000_000
+_OF_WINCH = {topics.WINCH_ESTIMATE, topics.WINCH_COMMAND, topics.WINCH_MODE}
 
 
 class Stalled(RuntimeError):
@@ -110,6 +111,9 @@ def _begin(stage: Stage, folder: Path, seed: int) -> tuple[Observer, Process, Pa
     for node in ("sim_node", "winch_node"):
         observer.wait_until_ready(node)
     wait_until_recording(bag)
+    observer.wait_until(
+        lambda: recorded_topics(bag) >= _OF_WINCH, "the recorder does not hear the winch"
+    )
     return observer, recorder, bag
 
 
