@@ -1,0 +1,214 @@
+"""Holding the attitude of the hanging rover: reaction of the wheels and of the flywheel. Pure.
+
+Each axis has a momentum that the law of `attitude_gains` asks for, and a budget that it must not
+leave. What a budget cannot hold is said before it is spent, and then given up gently: nothing
+outward is added any more while what is there bleeds off.
+
+- About base_link y the left wheel reacts. It turns backward at a bias: so it never takes the right
+  wheel along, whose ratchet would let it run on by itself, and its friction keeps its sign; about
+  a standstill it would stick and jump. The bias is slow for pictures, as it turns with the swinging
+  rover and yaws it, by its momentum times the swing over the inertia about z; while the wheels pump
+  it is fast. The drive's own rate loop makes up for the friction.
+- About base_link x the flywheel reacts while the nut is clear of the latch. Its drive takes a
+  torque, so friction is made up for here; as it sits on the screw, its travel is a budget too. A
+  bias, for the same reason, is had only as long as pictures are taken, toward the middle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from msg_schemas.parameters import parameter
+from rover_control.attitude_gains import AttitudeDesign, AxisGains, design_axis
+from rover_control.hanging_rover import HangingParameters
+
+_LEAST_BUDGET = 1e-6  # of a wheel that has not begun to turn [N m s]
+_FULL, _EASED = 0.8, 0.5  # of a budget, where it is said to be spent and where no longer
+
+
+@dataclass(frozen=True)
+class RotorParameters:
+    """Budgets of the rotors, and their friction."""
+
+    wheel_bias: float = parameter(
+        -5.0, "rad/s", "rate about which the left wheel pumps, backward", -20.0, -0.1
+    )
+    quiet_bias: float = parameter(
+        -1.0, "rad/s", "rate about which it reacts without pumping, backward", -20.0, -0.01
+    )
+    wheel_share: float = parameter(
+        0.9, "-", "how far it may leave that rate, as a part of it", 0.1, 1.0
+    )
+    wheel_ramp: float = parameter(
+        1.0, "rad/s^2", "at which it is brought to its bias and back", 0.01, 20.0
+    )
+    wheel_torque: float = parameter(1.0, "N m", "that the wheel motor may use", 0.05, 20.0)
+    wheel_friction: float = parameter(0.02, "N m", "dry friction of the left wheel", 0.0, 1.0)
+    flywheel_rate: float = parameter(200.0, "rad/s", "largest rate of the flywheel", 1.0, 1e3)
+    flywheel_torque: float = parameter(0.12, "N m", "largest torque of its motor", 1e-3, 1.0)
+    flywheel_friction: float = parameter(5.0e-3, "N m", "its dry friction", 0.0, 1.0)
+    flywheel_friction_rate: float = parameter(
+        1.0, "rad/s", "rate over which the make-up for it builds up", 1e-3, 100.0
+    )
+    flywheel_viscous: float = parameter(1.0e-5, "N m s/rad", "its viscous friction", 0.0, 0.1)
+    flywheel_tracking: float = parameter(10.0, "1/s", "gain of its rate loop", 0.1, 100.0)
+    flywheel_bias: float = parameter(
+        1.5, "rad/s", "rate about which it reacts while pictures are taken", 0.0, 100.0
+    )
+    travel_centre: float = parameter(
+        -94.2, "rad", "angle of the screw in the middle of the nut's free travel", -1e4, 1e4
+    )
+    travel: float = parameter(70.0, "rad", "by which it may leave the middle", 0.1, 1e4)
+    travel_time: float = parameter(
+        30.0, "s", "in which the nut is brought back to the middle", 1.0, 600.0
+    )
+
+
+class AxisControl:
+    """Momentum that damps the tilt of one axis, kept within a budget.
+
+    Args:
+        name: of axis and rotor, for what is said.
+        gains: of the law.
+        budget: largest momentum [N m s].
+    """
+
+    def __init__(self, name: str, gains: AxisGains, budget: float) -> None:
+        self.name = name
+        self.gains = gains
+        self.budget = budget
+        self.momentum = 0.0
+        self.cannot_hold = ""
+
+    def step(self, tilt_rate: float, h: float, spent: float = 0.0, what: str = "") -> float:
+        """Advance by h; returns the momentum to have [N m s].
+
+        Args:
+            tilt_rate: q, without what the rotors are meant to cause [rad/s].
+            h: duration [s].
+            spent: part of another budget that is spent, with its sign.
+            what: that budget, in words.
+        """
+        torque = self.gains.rate * tilt_rate - self.gains.bleed * self.momentum
+        own = self.momentum / self.budget
+        used, text = own, f"momentum {self.momentum:.3g} of {self.budget:.3g} N m s"
+        if abs(spent) > abs(own):
+            used, text = spent, what
+        if abs(used) >= _FULL:
+            self.cannot_hold = self.cannot_hold or f"{self.name} cannot hold the attitude: {text}"
+        elif abs(used) < _EASED:
+            self.cannot_hold = ""
+        if self.cannot_hold and torque * used > 0.0:
+            torque = -self.gains.bleed * self.momentum
+        self.momentum += torque * h
+        self.momentum = min(max(self.momentum, -self.budget), self.budget)
+        return self.momentum
+
+    def holding_time(self, torque: float) -> float:
+        """How long a steady torque [N m] can be held until the budget is spent [s]."""
+        if torque == 0.0:
+            return math.inf
+        return max(self.budget - math.copysign(1.0, torque) * self.momentum, 0.0) / abs(torque)
+
+
+class WheelReaction:
+    """The left wheel as the reaction wheel about base_link y.
+
+    Args:
+        hanging: the rover.
+        rotors: budgets.
+        design: what is asked of the law.
+    """
+
+    def __init__(
+        self, hanging: HangingParameters, rotors: RotorParameters, design: AttitudeDesign
+    ) -> None:
+        self.rotors = rotors
+        self.inertia = hanging.wheel_inertia
+        gains = design_axis(
+            hanging.inertia_about_y, hanging.stiffness, rotors.wheel_friction, design
+        )
+        budget = -rotors.wheel_share * rotors.wheel_bias * self.inertia
+        self.axis = AxisControl("wheels about y", gains, budget)
+        self._bias = 0.0
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the wheel has come down from its pumping."""
+        return self._bias == self.rotors.quiet_bias
+
+    def step(self, tilt_rate: float, pumped: float, h: float, *, pumps: bool) -> float:
+        """Advance by h; returns the left wheel's rate to have [rad/s].
+
+        Args:
+            tilt_rate: along x, without the pumping's own [rad/s].
+            pumped: momentum to pump with, along x [N m s].
+            h: duration [s].
+            pumps: whether there is pumping, now or soon.
+        """
+        p = self.rotors
+        change = p.wheel_ramp * h
+        goal = p.wheel_bias if pumps else p.quiet_bias
+        self._bias = min(max(goal, self._bias - change), self._bias + change)
+        self.axis.budget = max(-p.wheel_share * self._bias * self.inertia, _LEAST_BUDGET)
+        share = min(self._bias / p.wheel_bias, 1.0)
+        total = self.axis.step(tilt_rate, h) + share * pumped
+        # Momentum along x is about -y.
+        return self._bias - min(max(total, -self.axis.budget), self.axis.budget) / self.inertia
+
+
+class FlywheelReaction:
+    """The jump motor's flywheel as the reaction wheel about base_link x.
+
+    Args:
+        hanging: the rover.
+        rotors: budgets.
+        design: what is asked of the law.
+    """
+
+    def __init__(
+        self, hanging: HangingParameters, rotors: RotorParameters, design: AttitudeDesign
+    ) -> None:
+        self.rotors = rotors
+        self.inertia = hanging.flywheel_inertia
+        gains = design_axis(
+            hanging.inertia_about_x, hanging.stiffness, rotors.flywheel_friction, design
+        )
+        self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
+        self._side = 0.0  # to which the bias turns
+        self._away = 0.0  # from the middle of the travel [rad]
+
+    @property
+    def far_off(self) -> bool:
+        """Whether the nut has come too near an end for a bias."""
+        return abs(self._away) > 0.7 * self.rotors.travel
+
+    def step(self, tilt_rate: float, angle: float, rate: float, h: float, *, quiet: bool) -> float:
+        """Advance by h; returns the motor's torque [N m].
+
+        Args:
+            tilt_rate: along y [rad/s].
+            angle: of the screw [rad].
+            rate: of the flywheel [rad/s].
+            h: duration [s].
+            quiet: whether pictures are taken, now or soon.
+        """
+        p = self.rotors
+        away = self._away = angle - p.travel_centre
+        before = self.axis.momentum
+        said = f"travel {away:.3g} of {p.travel:.3g} rad"
+        momentum = self.axis.step(tilt_rate, h, away / p.travel, said)
+        if not quiet:
+            self._side = 0.0
+        elif self._side == 0.0:
+            self._side = -math.copysign(1.0, away)
+        wanted = momentum / self.inertia + self._side * p.flywheel_bias
+        if not quiet:
+            wanted -= away / p.travel_time
+        if abs(away) >= p.travel:
+            wanted = min(wanted, 0.0) if away > 0.0 else max(wanted, 0.0)
+        torque = (momentum - before) / h + p.flywheel_tracking * self.inertia * (wanted - rate)
+        friction = p.flywheel_friction * math.tanh(wanted / p.flywheel_friction_rate)
+        torque += friction + p.flywheel_viscous * rate
+        return min(max(torque, -p.flywheel_torque), p.flywheel_torque)

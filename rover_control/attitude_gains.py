@@ -1,0 +1,92 @@
+"""Gains of the attitude law from mass, lever, gravity and friction, with their margins. Pure.
+
+The tilt against the tether answers to a rotor's momentum as I p'' + m g d p = -h'. The law
+
+    h' = K q - k_b h
+
+(q the tilt's estimated rate, k_b the bleed) damps it by the ratio K/(2 I w_b), w_b^2 = m g d/I,
+while k_b is small against w_b. What its loop bears follows from
+
+    L(s) = K s^2/(s + k_b) e^(-s T)/(1 + s/B) / (I s^2 + m g d)
+
+with the delay T from the gyro's sample to the torque and the bandwidth B of the rotor's drive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas.parameters import parameter
+
+
+@dataclass(frozen=True)
+class AttitudeDesign:
+    """What is asked of the attitude law, and what the drives are like."""
+
+    tilt_damping: float = parameter(0.4, "-", "damping ratio that a tilt shall have", 0.02, 1.0)
+    bleed_time: float = parameter(15.0, "s", "in which a rotor gives its momentum back", 1.0, 600.0)
+    loop_delay: float = parameter(0.04, "s", "from the gyro's sample to the torque", 0.0, 0.5)
+    drive_bandwidth: float = parameter(20.0, "rad/s", "of the rotors' drives", 1.0, 1e3)
+
+
+class AxisGains(NamedTuple):
+    """Gains of one axis with what they bear."""
+
+    rate: float  # K [N m s/rad]
+    bleed: float  # k_b [1/s]
+    frequency: float  # w_b [rad/s]
+    gain_margin: float  # the loop bears its gain multiplied by this
+    phase_margin: float  # [rad], the least of all crossings
+    friction_tilt: float  # where friction that nobody makes up for holds the tilt off [rad]
+
+
+def loop(
+    frequencies: NDArray[np.float64],
+    rate: float,
+    inertia: float,
+    stiffness: float,
+    design: AttitudeDesign,
+) -> NDArray[np.complex128]:
+    """L(j w) at angular frequencies [rad/s], for a gain K [N m s/rad]."""  # fmt: skip
+    s = 1j * frequencies
+    law = rate * s**2 / (s + 1.0 / design.bleed_time)
+    drive = np.exp(-s * design.loop_delay) / (1.0 + s / design.drive_bandwidth)
+    return np.asarray(law * drive / (inertia * s**2 + stiffness))
+
+
+def design_axis(
+    inertia: float, stiffness: float, friction: float, design: AttitudeDesign
+) -> AxisGains:
+    """Gains of an axis.
+
+    Args:
+        inertia: I about the centre of mass [kg m^2].
+        stiffness: m g d [N m/rad].
+        friction: dry friction of the rotor's bearings [N m].
+        design: what is asked for.
+    """
+    frequency = math.sqrt(stiffness / inertia)
+    rate = 2.0 * design.tilt_damping * inertia * frequency
+    w = np.geomspace(1e-2 * frequency, 1e2 * frequency, 20001)
+    # Past the resonance itself, where the loop is infinite.
+    w = w[np.abs(w - frequency) > 1e-6 * frequency]
+    answer = loop(w, rate, inertia, stiffness, design)
+    size = np.abs(answer)
+    phase = np.angle(answer)
+    crossings = np.nonzero((size[1:] - 1.0) * (size[:-1] - 1.0) < 0.0)[0]
+    margins = [math.pi - abs(float(phase[k])) for k in crossings]
+    flips = np.nonzero((answer.imag[1:] * answer.imag[:-1] < 0.0) & (answer.real[1:] < 0.0))[0]
+    above = [float(size[k]) for k in flips if w[k] > 1.01 * frequency]
+    return AxisGains(
+        rate,
+        1.0 / design.bleed_time,
+        frequency,
+        1.0 / max(above) if above else math.inf,
+        min(margins, default=math.pi),
+        friction / stiffness,
+    )

@@ -1,0 +1,458 @@
+"""Sequence of a descent or ascent with its stops. Pure; stepped without ROS.
+
+=============  ==================================================================================
+standby        hangs where it is; waits for a request
+damping        takes the swing away: before a travel that would make too much of it, or at a stop
+travelling     on the way to the next depth
+settling       winch at rest, pumping stopped; waits until the camera is steady, or damps again
+exposing       takes the stop's pictures, each while the camera is steady
+holding        stands still, as asked; `resume` goes on with what is left
+=============  ==================================================================================
+
+Every stop ends with its pictures or with the reason why there are none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import Level
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_estimator import SwingEstimate
+
+SUBJECT = "descent"  # of refusals
+_BEGIN = 1.25  # damping begins where this much above where it ends
+_ROUND = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
+
+
+class DescentPhase(StrEnum):
+    """What the descent is doing; the words of the contract."""
+
+    STANDBY = "standby"
+    DAMPING = "damping"
+    TRAVELLING = "travelling"
+    SETTLING = "settling"
+    EXPOSING = "exposing"
+    HOLDING = "holding"
+
+
+@dataclass(frozen=True)
+class ProfileParameters:
+    """Rates, limits and patience of a descent."""
+
+    travel_rate: float = parameter(0.3, "m/s", "largest payout rate", 0.01, MAX_PAYOUT_RATE)
+    ascent_share: float = parameter(
+        0.01, "1/s", "rate of an ascent over the length that is left", 1e-4, 1.0
+    )
+    slowest_ascent: float = parameter(0.02, "m/s", "but no slower", 1e-3, MAX_PAYOUT_RATE)
+    near_enough: float = parameter(0.01, "m", "so near is at the depth", 1e-3, 1.0)
+    steady_rate: float = parameter(
+        0.00175, "rad/s", "camera rate below which it is steady, 0.10 deg/s", 1e-5, 0.1
+    )
+    steady_time: float = parameter(3.0, "s", "for so long before the first picture", 0.1, 60.0)
+    damped_rate: float = parameter(
+        0.0014, "rad/s", "swing's rate at which damping ends, 0.08 deg/s", 1e-5, 0.1
+    )
+    stop_limit: float = parameter(480.0, "s", "longest time at a stop", 1.0, 1e4)
+    settle_limit: float = parameter(25.0, "s", "to become steady before damping again", 1.0, 600.0)
+    settle_trials: int = parameter(4, "-", "times that a stop is tried to become steady", 1, 100)
+    quick_damping: float = parameter(
+        60.0, "s", "decay time up to which a swing is damped even for a stop that it cannot help",
+        1.0, 1e4,
+    )  # fmt: skip
+    exposures: int = parameter(3, "-", "pictures of a stop", 1, 1000)
+    exposure_time: float = parameter(0.5, "s", "between two pictures", 0.05, 60.0)
+    largest_swing: float = parameter(
+        0.0175, "rad", "amplitude that a travel may lead to, 1 deg", 1e-3, 0.5
+    )
+    damped_yaw: float = parameter(
+        0.0007, "rad/s", "yaw rate at which damping ends, 0.04 deg/s", 1e-5, 0.1
+    )
+    known_error: float = parameter(
+        2.5e-4, "rad/s", "error of the swing's rate below which it is known", 1e-6, 0.1
+    )
+    first_look: float = parameter(8.0, "s", "to learn the swing before anything is done", 0.1, 300)
+    wall_clearance: float = parameter(3.0, "m", "from the plumb line to the wall", 0.1, 1e3)
+    rover_reach: float = parameter(0.4, "m", "of the rover from the plumb line", 0.0, 10.0)
+
+
+class Stop(NamedTuple):
+    """One depth to go to."""
+
+    depth: float  # length at the drum [m]
+    observes: bool  # takes pictures there
+    rate: float  # largest payout rate on the way [m/s]
+
+
+class Wish(NamedTuple):
+    """What the profile wants done now."""
+
+    length: float  # that the winch is to go to or keep [m]; NaN = as it is
+    rate: float  # at most [m/s]
+    trims: bool  # the winch against the swing
+    pumps: bool  # the wheels against swing and yaw
+    quiet: bool  # for pictures, now or soon
+    may_spin: bool  # a cone may be turned into spin about the tether
+    exposes: bool  # a picture now
+
+
+@dataclass(frozen=True)
+class DescentChange:
+    """A change of phase or the end of a stop, with its reason."""
+
+    name: str
+    reason: str
+    level: Level = Level.OK
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class DescentProfile:
+    """A descent.
+
+    Args:
+        parameters: rates, limits, patience.
+        hanging: the rover.
+        decay_time: in which damping takes a plane swing away, by the length [m], in s.
+    """
+
+    def __init__(
+        self,
+        parameters: ProfileParameters,
+        hanging: HangingParameters,
+        decay_time: Callable[[float], float],
+    ) -> None:
+        self.parameters = parameters
+        self.hanging = hanging
+        self.decay_time = decay_time
+        self.phase = DescentPhase.STANDBY
+        self.stops: deque[Stop] = deque()
+        self._stop: Stop | None = None  # the one that is travelled to or worked at
+        self.keeps = math.nan  # length that the winch is to go to or keep [m]
+        self._since = math.nan  # in the phase [s]
+        self._arrived = math.nan  # at the stop [s]
+        self._steady_since = math.nan
+        self._taken = 0
+        self._trials = 0
+        self._last_exposure = -math.inf
+        self._known_since = math.nan
+        self._changes: list[DescentChange] = []
+
+    def take_changes(self) -> list[DescentChange]:
+        """Return what changed since the last call, and forget it."""
+        taken, self._changes = self._changes, []
+        return taken
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is left to be done."""
+        return self.phase is DescentPhase.STANDBY and not self.stops
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def request(self, stop: Stop, swing: SwingEstimate | None, length: float) -> None:
+        """Add a stop to what is to be done.
+
+        Raises:
+            Refusal: held, the swing is not known yet, too fast, or the rover could touch the wall.
+        """
+        if self.phase is DescentPhase.HOLDING:
+            raise _refused(
+                RefusalCode.WRONG_PHASE, "the descent is held; it goes on when it is resumed"
+            )
+        if swing is None:
+            raise _refused(
+                RefusalCode.STALE, "the swing is not known: IMU or winch have not been heard"
+            )
+        if not 0.0 < stop.depth <= MAX_LENGTH:
+            raise _refused(
+                RefusalCode.OUT_OF_LIMITS, f"depth is {stop.depth!r} m, it must be above 0"
+            )
+        if stop.rate > self.parameters.travel_rate:
+            raise _refused(
+                RefusalCode.OUT_OF_LIMITS,
+                f"rate is {stop.rate!r} m/s, it must be at most {self.parameters.travel_rate:g}",
+            )
+        why = self._touches(swing, length, stop.depth)
+        if why:
+            raise _refused(RefusalCode.OUT_OF_LIMITS, why)
+        rate = stop.rate if stop.rate > 0.0 else self.parameters.travel_rate
+        self.stops.append(stop._replace(rate=rate))
+
+    def hold(self, length: float, now: float) -> str:
+        """Stand still where it is [m]."""
+        if self.phase is not DescentPhase.HOLDING:
+            self.keeps = length
+            self._enter(DescentPhase.HOLDING, f"asked to hold, at {length:.4g} m", now)
+        return f"holding {self.keeps:.4g} m"
+
+    def resume(self, now: float) -> str:
+        """Go on after a hold.
+
+        Raises:
+            Refusal: nothing is held.
+        """
+        if self.phase is not DescentPhase.HOLDING:
+            raise Refusal(
+                SUBJECT,
+                RefusalCode.WRONG_PHASE,
+                f"the descent is in {self.phase}, only a hold is resumed",
+            )
+        if self._stop is not None:
+            self.stops.appendleft(self._stop)
+            self._stop = None
+        self._enter(DescentPhase.STANDBY, "resumed", now)
+        return f"{len(self.stops)} stops are left"
+
+    def abort(self, length: float, now: float) -> str:
+        """Forget what was to be done, and stay where it is [m]."""
+        dropped = len(self.stops) + (self._stop is not None)
+        self.stops.clear()
+        if self._stop is not None:
+            self._end_stop("aborted", Level.WARN, length)
+        self.keeps = length
+        if self.phase is not DescentPhase.STANDBY:
+            self._enter(DescentPhase.STANDBY, "aborted", now, Level.WARN)
+        return f"{dropped} stops are dropped"
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(
+        self,
+        swing: SwingEstimate,
+        length: float,
+        *,
+        winch_rests: bool,
+        rotors_rest: bool,
+        now: float,
+    ) -> Wish:
+        """Advance to now [s]; returns what is wanted.
+
+        Args:
+            swing: as estimated.
+            length: paid out [m].
+            winch_rests: the winch stands with its brake closed.
+            rotors_rest: the wheels do not turn for the pumping any more.
+            now: [s].
+        """
+        p = self.parameters
+        if math.isnan(self._known_since):
+            self._known_since = now
+        if math.isnan(self._since):
+            self._since = now
+        exposes = False
+        if self.phase is DescentPhase.STANDBY:
+            if self.stops and now - self._known_since >= p.first_look:
+                self._begin(swing, length, now)
+        elif self.phase is DescentPhase.DAMPING:
+            self._damp(swing, length, now)
+        elif self.phase is DescentPhase.TRAVELLING:
+            assert self._stop is not None
+            if abs(length - self._stop.depth) < p.near_enough and winch_rests:
+                self._arrived = now
+                self._taken = self._trials = 0
+                self._enter(DescentPhase.SETTLING, f"at {length:.4g} m", now)
+        elif self.phase is DescentPhase.SETTLING:
+            self._settle(swing, length, winch_rests and rotors_rest, now)
+        elif self.phase is DescentPhase.EXPOSING:
+            exposes = self._expose(swing, now)
+        return Wish(
+            self.keeps,
+            self._rate(length),
+            self.phase is DescentPhase.DAMPING,
+            self.phase in (DescentPhase.DAMPING, DescentPhase.TRAVELLING),
+            self.phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING),
+            self._stop is not None and not self._stop.observes and self._is_there,
+            exposes,
+        )
+
+    def _rate(self, length: float) -> float:
+        p = self.parameters
+        rate = p.travel_rate if self._stop is None else self._stop.rate
+        if self.keeps < length:
+            rate = min(rate, max(p.ascent_share * length, p.slowest_ascent))
+        return rate
+
+    def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
+        self._stop = self.stops.popleft()
+        why = self._touches(swing, length, self._stop.depth)
+        if why:
+            self._end_stop(why, Level.WARN, length)
+            return
+        self._arrived = math.nan
+        if math.isnan(self.keeps):
+            self.keeps = length
+        if self._too_much(swing, length):
+            self._arrived = now
+            ellipse = swing.ellipse
+            self._enter(
+                DescentPhase.DAMPING,
+                f"{_deg(ellipse.major)} x {_deg(ellipse.minor)} are too much to leave with",
+                now,
+            )
+            return
+        self._travel(now)
+
+    def _travel(self, now: float) -> None:
+        assert self._stop is not None
+        self.keeps = self._stop.depth
+        self._arrived = math.nan
+        self._enter(DescentPhase.TRAVELLING, f"to {self._stop.depth:g} m", now)
+
+    @property
+    def _is_there(self) -> bool:
+        return self._stop is not None and self.keeps == self._stop.depth
+
+    def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
+        p = self.parameters
+        enough = swing.swing_error < p.known_error and not self._too_much(swing, length)
+        late = now - self._arrived > p.stop_limit
+        if late and not self._is_there:
+            self._travel(now)
+        elif late:
+            self._give_up(self._unsteady(swing, now), length, now)
+        elif enough:
+            if self._is_there:
+                self._enter(DescentPhase.SETTLING, "damped", now)
+            else:
+                self._travel(now)
+
+    def _settle(self, swing: SwingEstimate, length: float, all_rests: bool, now: float) -> None:
+        p = self.parameters
+        stop = self._stop
+        assert stop is not None
+        steady = swing.camera_rate < p.steady_rate and all_rests
+        known = swing.swing_error < p.known_error
+        if stop.observes and known and now - self._since > 0.5 and not steady:
+            left = self._circle_rate(swing, length, length)
+            if left > p.steady_rate:
+                self._give_up(
+                    f"a cone of {_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)} turns "
+                    f"the camera by {math.degrees(left):.2f} deg/s, its momentum about the plumb "
+                    "line cannot be damped",
+                    length,
+                    now,
+                )
+                return
+        if not stop.observes:
+            if not self._too_much(swing, length):
+                self._end_stop("reached", Level.OK, length)
+                self._enter(DescentPhase.STANDBY, f"reached {length:.4g} m", now)
+                return
+            steady = False
+        if not steady:
+            self._steady_since = math.nan
+        elif math.isnan(self._steady_since):
+            self._steady_since = now
+        if steady and now - self._steady_since >= p.steady_time:
+            self._enter(DescentPhase.EXPOSING, f"steady at {length:.4g} m", now)
+        elif now - self._arrived > p.stop_limit or (
+            self._trials >= p.settle_trials and now - self._since > p.settle_limit
+        ):
+            self._give_up(self._unsteady(swing, now), length, now)
+        elif (
+            all_rests
+            and not steady
+            and (self._too_much(swing, length) or now - self._since > p.settle_limit)
+        ):
+            self._steady_since = math.nan
+            self._trials += now - self._since > p.settle_limit
+            ellipse = swing.ellipse
+            text = f"swings by {_deg(ellipse.major)} x {_deg(ellipse.minor)}"
+            self._enter(DescentPhase.DAMPING, text, now)
+
+    def _expose(self, swing: SwingEstimate, now: float) -> bool:
+        p = self.parameters
+        if swing.camera_rate >= p.steady_rate:
+            if now - self._last_exposure > 2.0 * p.exposure_time and now - self._since > 2.0:
+                self._steady_since = math.nan
+                self._enter(DescentPhase.SETTLING, "unsteady again", now)
+            return False
+        if now - self._last_exposure < p.exposure_time:
+            return False
+        self._last_exposure = now
+        self._taken += 1
+        if self._taken >= p.exposures:
+            assert self._stop is not None
+            self._end_stop(f"{self._taken} pictures", Level.OK, self._stop.depth)
+            self._enter(DescentPhase.STANDBY, "pictures taken", now)
+        return True
+
+    # --- judgement -------------------------------------------------------------------------------
+
+    def _too_much(self, swing: SwingEstimate, length: float) -> bool:
+        """Whether there is more swing than the stop that is meant bears."""
+        stop = self._stop
+        assert stop is not None
+        p, ellipse = self.parameters, swing.ellipse
+        there = self.hanging.grown(ellipse.major, length, stop.depth)
+        going_up = not self._is_there and stop.depth < length
+        if going_up:
+            # Damping works best where the tether is short; only what a plane swing becomes counts.
+            plane = self.hanging.grown(ellipse.major - abs(ellipse.minor), length, stop.depth)
+            return plane > p.largest_swing
+        if not stop.observes:
+            return self._is_there and there > 0.5 * p.largest_swing
+        rate = there * self.hanging.swing_frequency(stop.depth)
+        hopeless = self._circle_rate(swing, length, stop.depth) > p.steady_rate
+        if hopeless and not self._is_there and self.decay_time(length) > p.quick_damping:
+            return False
+        least = max(p.damped_rate, _ROUND * self._circle_rate(swing, length, stop.depth))
+        # What damping leaves must not begin it again at once.
+        ease = _BEGIN if self.phase is DescentPhase.SETTLING else 1.0
+        spins = self._is_there and abs(swing.yaw_rate) > ease * p.damped_yaw
+        return rate > ease * least or spins
+
+    def _circle_rate(self, swing: SwingEstimate, length: float, depth: float) -> float:
+        """Rate [rad/s] that is left at a depth when all but the swing's momentum is damped."""
+        circle = math.sqrt(swing.ellipse.major * abs(swing.ellipse.minor))
+        there = self.hanging.grown(circle, length, depth)
+        return there * self.hanging.swing_frequency(depth)
+
+    def _touches(self, swing: SwingEstimate, length: float, depth: float) -> str:
+        p = self.parameters
+        there = self.hanging.grown(swing.ellipse.major, length, depth)
+        reach = max(swing.ellipse.major * length, there * depth) + p.rover_reach
+        if reach < p.wall_clearance:
+            return ""
+        return (
+            f"swinging by {_deg(swing.ellipse.major)} the rover reaches {reach:.3g} m from the "
+            f"plumb line, the wall is {p.wall_clearance:g} m away"
+        )
+
+    def _unsteady(self, swing: SwingEstimate, now: float) -> str:
+        return (
+            f"not steady within {now - self._arrived:.0f} s: still "
+            f"{_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)}, camera at "
+            f"{math.degrees(swing.camera_rate):.2f} deg/s"
+        )
+
+    def _give_up(self, reason: str, length: float, now: float) -> None:
+        self._end_stop(reason, Level.WARN, length)
+        self._enter(DescentPhase.STANDBY, "given up", now, Level.WARN)
+
+    def _end_stop(self, reason: str, level: Level, length: float) -> None:
+        stop, self._stop = self._stop, None
+        assert stop is not None
+        values = {"depth": stop.depth, "length": length, "pictures": self._taken}
+        self._changes.append(DescentChange("stop_ended", reason, level, values))
+
+    def _enter(self, phase: DescentPhase, reason: str, now: float, level: Level = Level.OK) -> None:
+        self.phase = phase
+        self._since = now
+        self._changes.append(DescentChange(f"descent_{phase}", reason, level))
+
+
+def _deg(angle: float) -> str:
+    return f"{math.degrees(angle):.2f} deg"
+
+
+def _refused(code: RefusalCode, reason: str) -> Refusal:
+    return Refusal(SUBJECT, code, reason)

@@ -1,0 +1,82 @@
+"""The rover as a mass on a taut tether: what the controllers of the descent know of it. Pure.
+
+Two small angles for each horizontal axis of base_link describe it, both as the way that what hangs
+is displaced: u, the tether's direction against the plumb line, and phi, the rover's against the
+same; p = phi - u is its tilt against the tether. With the tether's length l, the lever d from the
+tether's attachment down to the centre of mass, the mass m, the inertia I about the centre of mass
+and the momentum h of the axis' rotor
+
+    l u'' + d phi'' = -g u - 2 l' u',        I phi'' = -m g d p - h'.
+
+Where phi follows u, slowly, this is the pendulum (l + d) u'' = -g u - 2 l' u'; at rest it tilts at
+sqrt(m g d/I), about the centre of mass, as the tether's tip gives way sideways.
+
+Axes. A displacement along +x is a negative rotation about +y, one along +y a positive rotation
+about +x. So the x axis here has the rate -omega_y and the rotor momentum -h_y of the wheels, the
+y axis the rate omega_x and the momentum h_x of the flywheel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from msg_schemas.parameters import parameter
+
+
+@dataclass(frozen=True)
+class HangingParameters:
+    """Mass and inertia of the rover, rotors included, and where it hangs."""
+
+    rover_mass: float = parameter(10.0, "kg", "of both bodies", 0.1, 1e3)
+    lever: float = parameter(
+        0.203, "m", "from the tether's attachment down to the centre of mass", 0.01, 2.0
+    )
+    inertia_about_x: float = parameter(
+        0.189, "kg m^2", "about the centre of mass, flywheel included", 1e-3, 1e2
+    )
+    inertia_about_y: float = parameter(
+        0.177, "kg m^2", "about the centre of mass, wheels included", 1e-3, 1e2
+    )
+    rover_gravity: float = parameter(1.62, "m/s^2", "where the rover hangs", 0.01, 30.0)
+    imu_below: float = parameter(
+        0.077, "m", "height of the centre of mass above the IMU", -1.0, 1.0
+    )
+    tether_density: float = parameter(5.0e-3, "kg/m", "mass of the tether by length", 0.0, 10.0)
+    wheel_inertia: float = parameter(6.0e-3, "kg m^2", "of one wheel about the axle", 1e-5, 1.0)
+    flywheel_inertia: float = parameter(1.0e-3, "kg m^2", "of the flywheel", 1e-6, 1.0)
+
+    @property
+    def inertias(self) -> tuple[float, float]:
+        """Of the tilts along x and along y [kg m^2]."""
+        return self.inertia_about_y, self.inertia_about_x
+
+    @property
+    def stiffness(self) -> float:
+        """Torque that rights a tilt against the tether, m g d [N m/rad]."""
+        return self.rover_mass * self.rover_gravity * self.lever
+
+    def pull(self, length: float) -> float:
+        """What takes g's place for the swing on so much tether [m], in m/s^2.
+
+        A tether of the mass M swings along, and pulls more at its top: g (1 + M/6m).
+        """
+        heavier = self.tether_density * length / (6.0 * self.rover_mass)
+        return self.rover_gravity * (1.0 + heavier)
+
+    def swing_frequency(self, length: float) -> float:
+        """Angular frequency [rad/s] of the swing on so much tether [m]."""
+        return math.sqrt(self.pull(length) / (length + self.lever))
+
+    def tilt_frequencies(self) -> tuple[float, float]:
+        """Angular frequencies [rad/s] of the tilts along x and along y."""
+        x, y = self.inertias
+        return math.sqrt(self.stiffness / x), math.sqrt(self.stiffness / y)
+
+    def grown(self, amplitude: float, length: float, to_length: float) -> float:
+        """Amplitude [rad] that a swing has on another length, if it is changed slowly.
+
+        Energy over frequency is kept, so the angle goes with the length to the power -3/4.
+        """
+        ratio = (length + self.lever) / (to_length + self.lever)
+        return amplitude * math.pow(ratio, 0.75)

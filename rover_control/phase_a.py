@@ -1,0 +1,311 @@
+"""The hanging rover's controller: estimator, damping, attitude and the descent's sequence. Pure.
+
+It is told what sensors and operators say, and stepped by time; it returns what wheels, flywheel and
+winch are to do. It knows nothing but IMU, encoders of drum and rotors, and the winch's mode.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, Level
+from msg_schemas.table import (
+    FLYWHEEL,
+    SMEAR,
+    WALL_DISTANCE,
+    WHEEL_LEFT,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+)
+from rover_control.attitude import FlywheelReaction, RotorParameters, WheelReaction
+from rover_control.attitude_gains import AttitudeDesign
+from rover_control.descent_profile import (
+    SUBJECT,
+    DescentChange,
+    DescentProfile,
+    ProfileParameters,
+    Stop,
+    Wish,
+)
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_damping import DampingParameters, WheelPump, WinchTrim
+from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
+
+_NANO = 1e9
+_SILENCE = 0.3  # a sensor that was not heard for longer is lost [s]
+_LONGEST_STEP = 0.2  # of the estimator; after a longer gap it starts anew [s]
+_OPEN = 0.5  # a brake's position from here on means released
+_RENEWAL = 1.0  # between two requests to the winch while its rate changes [s]
+_LENGTH = "length"  # modes of the winch that take a trim
+_ARMED = frozenset({"hold", _LENGTH, "rate"})
+
+
+@dataclass(frozen=True)
+class PhaseAParameters:
+    """All that the controller is told."""
+
+    hanging: HangingParameters = field(default_factory=HangingParameters)
+    estimator: EstimatorParameters = field(default_factory=EstimatorParameters)
+    damping: DampingParameters = field(default_factory=DampingParameters)
+    design: AttitudeDesign = field(default_factory=AttitudeDesign)
+    rotors: RotorParameters = field(default_factory=RotorParameters)
+    profile: ProfileParameters = field(default_factory=ProfileParameters)
+    uses_winch: bool = True  # for the swing
+    uses_rotors: bool = True
+
+
+class WinchAsk(NamedTuple):
+    """A request to the winch."""
+
+    length: float  # [m]
+    rate: float  # at most [m/s]
+
+
+class Exposure(NamedTuple):
+    """A picture of the wall."""
+
+    time: float  # [s]
+    depth: float  # length at the drum [m]
+    heading: float  # about the plumb line, since the start, by the gyro [rad]
+    camera_rate: float  # as estimated [rad/s]
+    smear: float  # as the camera tells of its last picture [px]; NaN = not heard
+    wall_distance: float  # [m]; NaN = not heard
+
+
+class Orders(NamedTuple):
+    """What the drives are to do; None = nothing is sent."""
+
+    wheel_rate: float | None  # of the left wheel [rad/s]
+    flywheel_torque: float | None  # [N m]
+    winch: WinchAsk | None
+    trim: float | None  # [m/s]
+    exposure: Exposure | None
+
+
+_NOTHING = Orders(None, None, None, None, None)
+
+
+class PhaseA:
+    """Controller of the rover on the tether.
+
+    Args:
+        parameters: all of them.
+    """
+
+    def __init__(self, parameters: PhaseAParameters) -> None:
+        self.parameters = parameters
+        p = parameters
+        self.estimator = SwingEstimator(p.estimator, p.hanging)
+        self.trim = WinchTrim(p.damping)
+        self.pump = WheelPump(p.damping, p.hanging)
+        self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
+        self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
+        self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
+        self.heading = 0.0
+        self._heard: dict[str, int] = {}
+        self._imu_ns: int | None = None
+        self._length = math.nan
+        self._brake_is_open = False
+        self._mode = ""
+        self._wheel_momentum = 0.0  # about +y [N m s]
+        self._flywheel_momentum = 0.0  # about +x
+        self._flywheel = (0.0, 0.0)  # angle [rad], rate [rad/s]
+        self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
+        self._camera = (math.nan, math.nan)
+        self._stepped: float | None = None
+        self._asked: WinchAsk | None = None
+        self._asked_at = -math.inf
+        self._trims = False
+        self._pumped = 0.0
+        self._told: dict[str, str] = {}
+        self._changes: list[DescentChange] = []
+
+    def _decay_time(self, length: float) -> float:
+        if not self.parameters.uses_winch:
+            return math.inf
+        return 1.0 / self.trim.decay(length, self.parameters.hanging.swing_frequency(length))
+
+    def take_changes(self) -> list[DescentChange]:
+        """Return what changed since the last call, and forget it."""
+        taken = self._changes + self.profile.take_changes()
+        self._changes = []
+        return taken
+
+    # --- sensors ---------------------------------------------------------------------------------
+
+    def hear_drum(self, sample: JointSample, now_ns: int) -> None:
+        """Take length and rate of the drum, and its brake."""
+        length, rate, _ = sample.joints[WINCH_DRUM]
+        self._heard[topics.WINCH_STATE] = now_ns
+        self._length = length
+        self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
+        self.estimator.hear_drum(length, rate)
+
+    def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
+        """Take the wheels' rates."""
+        self._heard[topics.WHEEL_STATE] = now_ns
+        rates = sample.joints[WHEEL_LEFT].velocity + sample.joints[WHEEL_RIGHT].velocity
+        self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
+
+    def hear_flywheel(self, sample: JointSample, now_ns: int) -> None:
+        """Take angle and rate of the flywheel."""
+        self._heard[topics.FLYWHEEL_STATE] = now_ns
+        angle, rate, _ = sample.joints[FLYWHEEL]
+        self._flywheel = (angle, rate)
+        self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
+
+    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+        """Take a reading of the IMU; the estimate follows at once."""
+        self._heard[topics.IMU] = now_ns
+        stamp = sample.stamp_ns or now_ns
+        last, self._imu_ns = self._imu_ns, stamp
+        momentum = (-self._wheel_momentum, self._flywheel_momentum)
+        before, self._momentum = self._momentum, momentum
+        if last is None or before is None or stamp <= last:
+            return
+        h = (stamp - last) / _NANO
+        if h > _LONGEST_STEP:
+            self.estimator.restart()
+            return
+        # What turns with the rover changes in space, too.
+        turned = self.estimator.yaw_rate * h
+        change = (
+            momentum[0] - before[0] - turned * momentum[1],
+            momentum[1] - before[1] + turned * momentum[0],
+        )
+        self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
+        self.heading = math.remainder(self.heading + self.estimator.yaw_rate * h, math.tau)
+
+    def hear_winch_mode(self, mode: str) -> None:
+        """Take what the winch is doing."""
+        self._mode = mode
+
+    def hear_camera(self, sample: JointSample) -> None:
+        """Take what the camera tells of its last picture."""
+        self._camera = (
+            sample.joints[SMEAR].position,
+            sample.joints[WALL_DISTANCE].position,
+        )
+
+    def waiting_for(self, now_ns: int) -> tuple[str, ...]:
+        """Topics of the sensors that are silent: nothing is driven without them."""
+        needed = [topics.IMU, topics.WINCH_STATE]
+        if self.parameters.uses_rotors:
+            needed += [topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
+        limit = _SILENCE * _NANO
+        never = -1 << 62
+        return tuple(name for name in needed if now_ns - self._heard.get(name, never) > limit)
+
+    @property
+    def swing(self) -> SwingEstimate | None:
+        """What is known of the swing."""
+        if self._momentum is None or math.isnan(self._length):
+            return None
+        return self.estimator.estimate
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def request(self, stop: Stop, now_ns: int) -> None:
+        """Add a stop.
+
+        Raises:
+            Refusal: sensors are silent, the winch is not armed, or what the profile refuses.
+        """
+        silent = self.waiting_for(now_ns)
+        if silent:
+            raise Refusal(SUBJECT, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        if self._mode not in _ARMED:
+            raise Refusal(
+                SUBJECT,
+                RefusalCode.NOT_ARMED,
+                f"the winch is in {self._mode or 'no known mode'}, it must hold or go to a length; "
+                f"{topics.WINCH_REARM} arms it",
+            )
+        self.profile.request(stop, self.swing, self._length)
+
+    def hold(self, now_ns: int) -> str:
+        """Stand still."""
+        return self.profile.hold(self._length, now_ns / _NANO)
+
+    def resume(self, now_ns: int) -> str:
+        """Go on after a hold.
+
+        Raises:
+            Refusal: nothing is held.
+        """
+        return self.profile.resume(now_ns / _NANO)
+
+    def abort(self, now_ns: int) -> str:
+        """Forget what was to be done and stay."""
+        return self.profile.abort(self._length, now_ns / _NANO)
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(self, now_ns: int) -> Orders:
+        """Advance to now; returns what the drives are to do."""
+        now = now_ns / _NANO
+        h = 0.0 if self._stepped is None else now - self._stepped
+        self._stepped = now
+        swing = self.swing
+        if swing is None or self.waiting_for(now_ns) or h <= 0.0:
+            return _NOTHING
+        h = min(h, _LONGEST_STEP)
+        wish = self.profile.step(
+            swing,
+            self._length,
+            winch_rests=not self._brake_is_open,
+            rotors_rest=self.wheels.is_quiet or not self.parameters.uses_rotors,
+            now=now,
+        )
+        wheel_rate, torque = self._react(swing, wish, h)
+        ask, trim = self._winch(swing, wish, now)
+        exposure = None
+        if wish.exposes:
+            exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
+        return Orders(wheel_rate, torque, ask, trim, exposure)
+
+    def _react(
+        self, swing: SwingEstimate, wish: Wish, h: float
+    ) -> tuple[float | None, float | None]:
+        if not self.parameters.uses_rotors:
+            return None, None
+        wanted = self.pump.momentum(swing, may_spin=wish.may_spin) if wish.pumps else 0.0
+        # Comes and goes softly, as its steps would tilt the rover.
+        self._pumped += min(h / 2.0, 1.0) * (wanted - self._pumped)
+        own = self.pump.own_tilt_rate(self._pumped, swing.frequency)
+        rate = self.wheels.step(swing.tilt_rate[0] - own, self._pumped, h, pumps=wish.pumps)
+        torque = self.flywheel.step(
+            swing.tilt_rate[1], *self._flywheel, h, quiet=wish.quiet and not self.flywheel.far_off
+        )
+        for axis in (self.wheels.axis, self.flywheel.axis):
+            if axis.cannot_hold != self._told.get(axis.name, ""):
+                self._told[axis.name] = axis.cannot_hold
+                level = Level.WARN if axis.cannot_hold else Level.OK
+                text = axis.cannot_hold or f"{axis.name} holds the attitude again"
+                self._changes.append(DescentChange("attitude_budget", text, level))
+        return rate, torque
+
+    def _winch(
+        self, swing: SwingEstimate, wish: Wish, now: float
+    ) -> tuple[WinchAsk | None, float | None]:
+        length = wish.length
+        if math.isnan(length) or self._mode not in _ARMED:
+            return None, None
+        trims = wish.trims and self.parameters.uses_winch
+        ask = WinchAsk(length, wish.rate)
+        asks = self._asked is None or self._asked.length != length
+        if self._asked is not None and not asks and now - self._asked_at >= _RENEWAL:
+            away = abs(self._length - length) > self.parameters.profile.near_enough
+            asks = (trims and self._mode != _LENGTH) or (away and not trims)
+        trim = None
+        if trims and self._mode == _LENGTH and not asks:
+            trim = self.trim.rate(swing, length, self._length - length)
+        if not asks:
+            return None, trim
+        self._asked, self._asked_at = ask, now
+        return ask, trim

@@ -1,0 +1,288 @@
+"""Swing, tilt and gyro bias from gyro, accelerometer, drum and rotor encoders. Pure.
+
+On a taut tether the accelerometer feels the tether's pull alone: it shows the tilt against the
+tether and nothing of the swing. The swing comes from the gyro, by the motion that `hanging_rover`
+describes: what turns at the pendulum's frequency is swing, what turns at the tilt's, or follows the
+rotors' reaction, is tilt, and what stays is bias. A Kalman filter has, for each horizontal axis of
+base_link, the states
+
+    u, v = u'    direction of the tether against the plumb line [rad], [rad/s]
+    p, q = p'    tilt against the tether [rad], [rad/s]
+    b            bias of the gyro [rad/s]
+    c            offset of the tilt that the accelerometer shows [rad]: its bias, an unbalanced load
+
+the measurements  gyro = v + q + b  and  specific force = g (p + c) + e phi''  with the height e of
+the centre of mass above the IMU, and the change of the rotor's momentum as a known input. As
+base_link yaws, u, v, p and q turn under it, against the gyro's rate about z less that one's bias.
+The bias about z is a state of its own: a swing keeps its plane in space (but for the precession of
+an ellipse, 3/8 w a b), so how it turns in base_link tells the yaw. Where nothing swings, it cannot
+be known, and its uncertainty says so.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import Vector
+from rover_control.hanging_rover import HangingParameters
+
+Array = NDArray[np.float64]
+
+# States of the x axis; those of the y axis follow, and the bias about z.
+_U, _V, _P, _Q, _B, _C = range(6)
+_AXIS = 6
+_YAW_BIAS = 12
+_SIZE = 13
+_SWINGING, _TILTING = (_U, _V), (_P, _Q)
+_EYE = np.eye(_SIZE)
+_YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
+_MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
+_MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
+_LEAST_PULL = 0.3  # of the weight, below which the tether is not taut
+
+
+@dataclass(frozen=True)
+class EstimatorParameters:
+    """How much the estimator trusts its sensors and its model."""
+
+    gyro_noise: float = parameter(8.7e-5, "rad/s/sqrt(Hz)", "density of the gyro's noise", 1e-7, 1)
+    gyro_bias: float = parameter(2.0e-3, "rad/s", "its bias when it is switched on", 0.0, 1.0)
+    gyro_walk: float = parameter(5.0e-6, "rad/s/sqrt(s)", "density of its bias' walk", 0.0, 1.0)
+    yaw_walk: float = parameter(
+        1.5e-5, "rad/s/sqrt(s)", "the same about z, with what the swing's model misses", 0.0, 1.0
+    )
+    force_noise: float = parameter(
+        1.0e-3, "m/s^2/sqrt(Hz)", "density of the accelerometer's noise", 1e-6, 1.0
+    )
+    tilt_offset: float = parameter(
+        0.01,
+        "rad",
+        "tilt that the accelerometer shows at rest, as far as it is not known",
+        0.0,
+        1.0,
+    )
+    tilt_walk: float = parameter(2.0e-5, "rad/sqrt(s)", "density of its walk", 0.0, 1.0)
+    swing_unrest: float = parameter(
+        1.5e-5, "rad/s/sqrt(s)", "density of what else moves the swing", 0.0, 1.0
+    )
+    tilt_unrest: float = parameter(
+        1.0e-3, "rad/s/sqrt(s)", "density of what else moves the tilt", 0.0, 1.0
+    )
+    shock: float = parameter(
+        1.5e-3, "rad/s", "mean miss of the gyro from which the rover was pushed", 1e-5, 1.0
+    )
+    first_swing: float = parameter(0.05, "rad", "swing that may be there at the start", 1e-4, 1.0)
+
+
+class Ellipse(NamedTuple):
+    """A swing as what it draws in a horizontal plane."""
+
+    major: float  # amplitudes [rad], major >= |minor|
+    minor: float  # > 0 counter-clockwise seen from above, 0 in one plane
+    plane: float  # of the major axis, from base_link x to y [rad]
+
+
+class SwingEstimate(NamedTuple):
+    """What is known of swing and tilt; pairs are along base_link x and y."""
+
+    direction: tuple[float, float]  # u [rad]
+    direction_rate: tuple[float, float]  # [rad/s]
+    tilt: tuple[float, float]  # p [rad]
+    tilt_rate: tuple[float, float]  # [rad/s]
+    gyro_bias: tuple[float, float]  # of the rates along x and y [rad/s]
+    yaw_rate: float  # [rad/s]
+    frequency: float  # of the swing [rad/s]
+    swing_error: float  # standard deviation of the swing's rate amplitude [rad/s]
+    yaw_error: float  # standard deviation of the yaw rate [rad/s]
+
+    @property
+    def ellipse(self) -> Ellipse:
+        """The swing's two turning circles, put together."""
+        z = complex(*self.direction)
+        turned = complex(*self.direction_rate) / (1j * self.frequency)
+        ahead, back = 0.5 * (z + turned), 0.5 * (z - turned)
+        plane = 0.5 * (cmath.phase(ahead) + cmath.phase(back)) if ahead and back else 0.0
+        return Ellipse(abs(ahead) + abs(back), abs(ahead) - abs(back), plane)
+
+    @property
+    def camera_rate(self) -> float:
+        """Magnitude of the rate at which the rover turns [rad/s]."""
+        return math.hypot(
+            self.direction_rate[0] + self.tilt_rate[0],
+            self.direction_rate[1] + self.tilt_rate[1],
+            self.yaw_rate,
+        )
+
+
+class SwingEstimator:
+    """Estimates swing and tilt of a hanging rover.
+
+    Args:
+        parameters: trust.
+        hanging: the rover.
+    """
+
+    def __init__(self, parameters: EstimatorParameters, hanging: HangingParameters) -> None:
+        self.parameters = parameters
+        self.hanging = hanging
+        self.length = math.nan
+        self.rate = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was estimated."""
+        p = self.parameters
+        axis = [p.first_swing, p.first_swing, p.first_swing, 0.1, p.gyro_bias, p.tilt_offset]
+        self._state: Array = np.zeros(_SIZE)
+        self._spread: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
+        self._gyro_z = 0.0
+        self._missed = [0.0, 0.0]
+        unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
+        self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
+        stiffness, g = self.hanging.stiffness, self.hanging.rover_gravity
+        self._rows: list[tuple[Array, Array]] = []
+        for k, inertia in enumerate(self.hanging.inertias):
+            turning, pulled = np.zeros(_SIZE), np.zeros(_SIZE)
+            at = k * _AXIS
+            turning[[at + _V, at + _Q, at + _B]] = 1.0
+            pulled[at + _P] = g - self.hanging.imu_below * stiffness / inertia
+            pulled[at + _C] = g
+            self._rows.append((turning, pulled))
+
+    def hear_drum(self, length: float, rate: float) -> None:
+        """Take length paid out [m] and payout rate [m/s]."""
+        self.length, self.rate = length, rate
+
+    @property
+    def yaw_rate(self) -> float:
+        """Rate about the tether [rad/s]."""
+        return self._gyro_z - float(self._state[_YAW_BIAS])
+
+    def step(
+        self,
+        gyro: Vector,
+        force: Vector,
+        momentum_change: tuple[float, float],
+        h: float,
+    ) -> None:
+        """Advance by h to a reading of the IMU.
+
+        Args:
+            gyro: angular velocity in base_link [rad/s].
+            force: specific force in base_link [m/s^2].
+            momentum_change: of the rotors since the last step, along x and y as `hanging_rover`
+                counts them [N m s].
+            h: since the last step [s], above 0.
+        """
+        if math.isnan(self.length):
+            return
+        # The yaw is slow; a sample of the gyro is as noisy as a steady camera may turn.
+        self._gyro_z += min(h / _YAW_TIME, 1.0) * (gyro[2] - self._gyro_z)
+        self._predict(momentum_change, h)
+        variance = self.parameters.gyro_noise**2 / h
+        # At the start, and just after a push, there is nothing to miss.
+        settled = float(self._spread[_V, _V]) < self.parameters.shock**2
+        taut = force[2] > _LEAST_PULL * self.hanging.rover_gravity
+        turning = (-gyro[1], gyro[0])
+        for k, (row, pulled) in enumerate(self._rows):
+            missed = self._update(row, turning[k], variance)
+            self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed - self._missed[k])
+            # A model that is off misses in proportion to the tilt's motion.
+            at, inertia = k * _AXIS, self.hanging.inertias[k]
+            tilt, tilt_rate = float(self._state[at + _P]), float(self._state[at + _Q])
+            moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
+            limit = self.parameters.shock + _MODEL_ERROR * moving
+            if abs(self._missed[k]) > limit and settled:
+                self._shaken()
+            if taut:
+                # Winch and bounce change the pull, not the direction it comes from.
+                scale = self.hanging.rover_gravity / force[2]
+                known = -self.hanging.imu_below * momentum_change[k] / (h * inertia)
+                noise = (self.parameters.force_noise * scale) ** 2 / h
+                self._update(pulled, force[k] * scale - known, noise)
+
+    def _predict(self, momentum_change: tuple[float, float], h: float) -> None:
+        d, length = self.hanging.lever, self.length
+        share = d / length
+        flow = np.zeros((_SIZE, _SIZE))
+        state = self._state
+        yaw = self.yaw_rate
+        x, vx, y, vy = (float(state[at]) for at in (_U, _V, _AXIS + _U, _AXIS + _V))
+        # Large swings: a^2 + b^2 of the ellipse slows it down, a b turns its axes.
+        size = x * x + y * y + (vx * vx + vy * vy) / self.hanging.swing_frequency(length) ** 2
+        pull = self.hanging.pull(length) * (1.0 - size / 8.0)
+        turning = yaw - 0.375 * (x * vy - y * vx)
+        for k, inertia in enumerate(self.hanging.inertias):
+            at, other = k * _AXIS, (1 - k) * _AXIS
+            right = self.hanging.stiffness / inertia
+            flow[at + _U, at + _V] = 1.0
+            flow[at + _V, at + _U] = -pull / length
+            flow[at + _V, at + _V] = -2.0 * self.rate / length
+            flow[at + _V, at + _P] = share * right
+            flow[at + _P, at + _Q] = 1.0
+            flow[at + _Q, at + _U] = pull / length
+            flow[at + _Q, at + _V] = 2.0 * self.rate / length
+            flow[at + _Q, at + _P] = -(1.0 + share) * right
+            sign = 1.0 if k == 0 else -1.0
+            for n in _SWINGING:
+                flow[at + n, other + n] = sign * turning
+            for n in _TILTING:
+                flow[at + n, other + n] = sign * yaw
+        step = flow * h
+        forward = _EYE + step + 0.5 * step @ step
+        moved = forward @ state
+        for k, inertia in enumerate(self.hanging.inertias):
+            kick = -momentum_change[k] / inertia  # of phi'
+            moved[k * _AXIS + _V] -= share * kick
+            moved[k * _AXIS + _Q] += (1.0 + share) * kick
+        # The yaw's own bias turns what it turns: x' = ... + yaw y.
+        for n in (*_SWINGING, *_TILTING):
+            forward[n, _YAW_BIAS] = -h * state[_AXIS + n]
+            forward[_AXIS + n, _YAW_BIAS] = h * state[n]
+        self._state = moved
+        self._spread = forward @ self._spread @ forward.T + h * self._noise
+
+    def _update(self, row: Array, measured: float, variance: float) -> float:
+        """Take a measurement; returns by how much it missed."""
+        along = self._spread @ row
+        expected = float(row @ along) + variance
+        missed = measured - float(row @ self._state)
+        self._state = self._state + along * (missed / expected)
+        self._spread = self._spread - (along / expected)[:, None] * along[None, :]
+        return missed
+
+    def _shaken(self) -> None:
+        """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
+        self._missed = [0.0, 0.0]
+        push = self.parameters.first_swing * self.hanging.swing_frequency(self.length)
+        aside = 0.1 * self.parameters.first_swing
+        for at in (0, _AXIS):
+            for n, spread in ((_V, push), (_Q, push), (_U, aside), (_P, aside)):
+                self._spread[at + n, at + n] = max(self._spread[at + n, at + n], spread**2)
+
+    @property
+    def estimate(self) -> SwingEstimate:
+        """What is known now."""
+        state = self._state.tolist()
+        x, y = state[:_AXIS], state[_AXIS:_YAW_BIAS]
+        spread = self._spread.diagonal()
+        frequency = self.hanging.swing_frequency(self.length)
+        errors = [spread[at + _V] + frequency**2 * spread[at + _U] for at in (0, _AXIS)]
+        return SwingEstimate(
+            (x[_U], y[_U]),
+            (x[_V], y[_V]),
+            (x[_P], y[_P]),
+            (x[_Q], y[_Q]),
+            (x[_B], y[_B]),
+            self.yaw_rate,
+            frequency,
+            math.sqrt(max(errors)),
+            math.sqrt(spread[_YAW_BIAS]),
+        )

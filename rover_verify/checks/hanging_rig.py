@@ -1,0 +1,367 @@
+"""The hanging rover under its own controllers: spatial plant, real sensors, winch and Phase A.
+
+Plant, sensor errors, the winch's controller and the rover's are stepped together at 100 Hz (the
+rover's drives are told at 50 Hz), as the nodes would be, without ROS. What is true is kept for the
+checks alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas import topics
+from msg_schemas.machine import SMEAR, WINCH_TO_LENGTH
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, WrenchSample
+from rover_control.descent_profile import DescentChange, Stop
+from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters
+from rover_sim import (
+    Command,
+    FlywheelCommand,
+    Outcome,
+    SpatialPlant,
+    SpatialScenario,
+    SpatialState,
+    WheelRateCommand,
+    WinchCommand,
+    load_scenario,
+    load_spatial,
+)
+from rover_sim.physics import spatial_rover
+from rover_sim.spatial_interface import SpatialInterface
+from tether_winch.servo import DriveCommand, ServoParameters
+from tether_winch.winch import Winch, WinchParameters
+
+TICK_NS = 10_000_000
+TICK = TICK_NS * 1e-9
+CONTROL_EVERY = 2  # ticks
+EXPOSURE_TICKS = 10  # of the camera, 0.1 s
+_HEARD = (
+    topics.IMU,
+    topics.WINCH_STATE,
+    topics.LOAD_CELL,
+    topics.MOTOR_CURRENTS,
+    topics.WHEEL_STATE,
+    topics.FLYWHEEL_STATE,
+    topics.CAMERA,
+)
+# The winch as it is set up for a descent: from 2 m on, with room for the trim.
+WINCH = WinchParameters(servo=ServoParameters(trim_rate=0.3, shortest_length=1.4, end_zone=0.3))
+# Coarser than the scenario's own: the swing's frequency keeps five digits.
+_MESH: dict[str, object] = {
+    "tether.element_length": 0.9,
+    "winch.min_length": 1.4,
+    "integration.h": 5.0e-3,
+}
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a flight starts, and what the controllers do not know of the machine.
+
+    Attributes:
+        length: of the tether [m].
+        major, minor: amplitudes of the swing [deg].
+        plane: of the major axis [deg].
+        heading: of the rover [deg].
+        tilt: of the rover against the tether, about its x and y [deg].
+        mass: of the rover over what the controllers take it for.
+        friction: of all drives over the same.
+        swivel_friction: largest torque that the swivel passes on [N m].
+        seed: of the sensors' errors.
+    """
+
+    length: float
+    major: float
+    minor: float = 0.0
+    plane: float = 0.0
+    heading: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+    mass: float = 1.0
+    friction: float = 1.0
+    swivel_friction: float = 1.0e-5
+    seed: int = 0
+
+    def overrides(self) -> dict[str, object]:
+        """Values of the scenario by dotted path."""
+        scenario = _nominal()
+        rover, winch = scenario.rover, scenario.winch
+        assert rover is not None
+        assert winch is not None
+        frequency = math.sqrt(scenario.gravity / (self.length + 0.203))
+        # Sideways at the plane's end, without turning about the tether.
+        cone = math.degrees(frequency) * self.minor / self.major if self.major > 0.0 else 0.0
+        changed: dict[str, object] = {
+            "tether.length": self.length,
+            "start.swing_angle": self.major,
+            "start.swing_heading": self.plane,
+            "start.cone_rate": cone,
+            "start.body_rate": [0.0, 0.0, -cone],
+            "start.heading": self.heading,
+            "start.tilt": [*self.tilt, 0.0],
+            "tether.swivel_friction": self.swivel_friction,
+            "rover.m1": rover.m1 * self.mass,
+            "rover.m2": rover.m2 * self.mass,
+            "rover.inertia1": [self.mass * each for each in rover.inertia1],
+            "rover.inertia2": [self.mass * each for each in rover.inertia2],
+        }
+        frictions = {
+            "winch.friction": winch.friction,
+            "rover.jump_drive.friction": rover.jump_drive.friction,
+            "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
+            "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
+        }
+        for name, values in frictions.items():
+            for part in ("coulomb", "breakaway", "viscous"):
+                changed[f"{name}.{part}"] = getattr(values, part) * self.friction
+        return {**_MESH, **changed}
+
+
+@cache
+def _nominal() -> SpatialScenario:
+    return load_spatial("free_hang")
+
+
+class TrueSwing(NamedTuple):
+    """How the rover truly swings."""
+
+    major: float  # [rad]
+    minor: float
+    tilt: tuple[float, float]  # against the tether's end, about base_link x and y [rad]
+    twist: float  # heading about the plumb line [rad]
+
+
+class Picture(NamedTuple):
+    """A picture as it was taken."""
+
+    told: Exposure
+    smear: float  # of the true picture [px]
+    camera_rate: float  # largest true rate during the exposure [rad/s]
+    tilt: tuple[float, float]  # RMS during the exposure [rad]
+
+
+@dataclass
+class Flight:
+    """A rover on the tether, with its controllers.
+
+    Args:
+        start: how it starts.
+        parameters: of the rover's controller.
+    """
+
+    start: Start
+    parameters: PhaseAParameters = field(default_factory=PhaseAParameters)
+
+    def __post_init__(self) -> None:
+        self.plant = SpatialPlant(load_scenario("free_hang", self.start.overrides()))
+        self.state: SpatialState = self.plant.initial_state()
+        self.interface = SpatialInterface(self.plant, self.start.seed)
+        self.interface.restart(self.state, 0)
+        self.winch = Winch(WINCH)
+        self.rover = PhaseA(self.parameters)
+        self.ticks = 0
+        self.pictures: list[Picture] = []
+        self.changes: list[tuple[float, DescentChange]] = []
+        self.refusals: list[str] = []
+        self.largest_wheel_rate = 0.0
+        self.largest_flywheel_rate = 0.0
+        self.largest_travel = 0.0
+        self._drive: DriveCommand | None = None
+        self._orders = Orders(None, None, None, None, None)
+        self._mode = ""
+        self._open: list[tuple[Exposure, int, list[float], list[tuple[float, float]]]] = []
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return self.ticks * TICK
+
+    @property
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self.ticks * TICK_NS
+
+    def begin(self) -> None:
+        """Let the controllers hear their sensors, and arm the winch."""
+        for _ in range(20):
+            self.tick()
+        self.winch.rearm(self.now_ns)
+        for _ in range(20):
+            self.tick()
+
+    def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
+        """Ask the rover's controller for a stop."""
+        self.rover.request(Stop(depth, observes, rate), self.now_ns)
+
+    def kick(self, angle: float, heading: float) -> None:
+        """Give the swing the velocity that brings it to an amplitude [rad] from rest.
+
+        Tether and rover turn about the fairlead as one.
+        """
+        frequency = self.rover.parameters.hanging.swing_frequency(self.state.length)
+        outward = np.array([math.cos(heading), math.sin(heading), 0.0])
+        spin = angle * frequency * np.cross([0.0, 0.0, -1.0], outward)
+        state = self.state
+        body = state.body.copy()
+        for at, place in (
+            (spatial_rover.VELOCITY1, state.G1),
+            (spatial_rover.VELOCITY2, state.G2),
+        ):
+            body[at : at + 3] += np.cross(spin, place)
+        body[spatial_rover.SPIN : spatial_rover.SPIN + 3] += state.rotation.T @ spin
+        mouth = state.mouth.copy()
+        mouth[1] += np.cross(spin, mouth[0])
+        self.state = replace(
+            state,
+            node_rates=state.node_rates + np.cross(spin, state.nodes),
+            mouth=mouth,
+            body=body,
+        )
+
+    def run(self, duration: float) -> None:
+        """Go on for so long [s]."""
+        for _ in range(round(duration / TICK)):
+            self.tick()
+
+    def tick(self) -> None:
+        """One tick: plant, sensors, both controllers.
+
+        Raises:
+            RuntimeError: the plant cannot go on.
+        """
+        self.state, result = self.plant.step(self.state, self._command(), TICK)
+        if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
+            raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
+        self.ticks += 1
+        self.interface.measure(self.state, self.now_ns, result)
+        samples = dict(self.interface.samples(_HEARD))
+        self._hear(samples)
+        self._drive = self.winch.step(self.now_ns)
+        self.winch.take_transitions()
+        if self.winch.mode.value != self._mode:
+            self._mode = self.winch.mode.value
+            self.rover.hear_winch_mode(self._mode)
+        if self.ticks % CONTROL_EVERY == 0:
+            self._control()
+        self._watch()
+
+    def _control(self) -> None:
+        orders = self.rover.step(self.now_ns)
+        self.changes += [(self.time, change) for change in self.rover.take_changes()]
+        try:
+            if orders.winch is not None:
+                value = JointValue(orders.winch.length, orders.winch.rate, 0.0)
+                sample = JointSample(self.now_ns, {WINCH_TO_LENGTH: value})
+                self.winch.request(sample, self.now_ns)
+            if orders.trim is not None:
+                self.winch.trim(orders.trim, self.now_ns)
+        except Refusal as refusal:
+            self.refusals.append(f"{self.time:.2f} s: {refusal}")
+        if orders.exposure is not None:
+            self._open.append((orders.exposure, self.ticks + EXPOSURE_TICKS, [], []))
+        self._orders = orders
+
+    def _command(self) -> Command:
+        winch = None
+        if self._drive is not None:
+            drive = self._drive
+            winch = WinchCommand(
+                drive.length, drive.rate, drive.feed_forward, drive.release_brake, drive.limit
+            )
+        orders = self._orders
+        wheel = None
+        if orders.wheel_rate is not None:
+            wheel = WheelRateCommand(orders.wheel_rate, self.parameters.rotors.wheel_torque)
+        jump = None
+        if orders.flywheel_torque is not None:
+            jump = FlywheelCommand(orders.flywheel_torque)
+        return Command(jump, winch, wheel)
+
+    def _hear(self, samples: dict[str, Sample]) -> None:
+        now = self.now_ns
+        drum, cell = samples[topics.WINCH_STATE], samples[topics.LOAD_CELL]
+        currents, imu = samples[topics.MOTOR_CURRENTS], samples[topics.IMU]
+        wheels, flywheel = samples[topics.WHEEL_STATE], samples[topics.FLYWHEEL_STATE]
+        camera = samples[topics.CAMERA]
+        assert isinstance(drum, JointSample)
+        assert isinstance(cell, WrenchSample)
+        assert isinstance(currents, JointSample)
+        assert isinstance(imu, ImuSample)
+        assert isinstance(wheels, JointSample)
+        assert isinstance(flywheel, JointSample)
+        assert isinstance(camera, JointSample)
+        self.winch.hear_drum(drum, now)
+        self.winch.hear_load_cell(cell, now)
+        self.winch.hear_currents(currents, now)
+        self.rover.hear_drum(drum, now)
+        self.rover.hear_wheels(wheels, now)
+        self.rover.hear_flywheel(flywheel, now)
+        self.rover.hear_imu(imu, now)
+        self.rover.hear_camera(camera)
+        self._smear = camera.joints[SMEAR].position
+
+    # --- what is true ----------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        state = self.state
+        self.largest_wheel_rate = max(self.largest_wheel_rate, *map(abs, state.wheel_rates))
+        self.largest_flywheel_rate = max(self.largest_flywheel_rate, abs(state.flywheel_rate))
+        centre = -0.5 * self.plant.model.jump.free_travel
+        travel = abs(state.nut - centre) / self.plant.model.jump.pitch
+        self.largest_travel = max(self.largest_travel, travel)
+        still_open = []
+        for told, closes, rates, tilts in self._open:
+            rates.append(float(np.linalg.norm(state.omega)))
+            tilts.append(self.true_tilt())
+            if self.ticks < closes:
+                still_open.append((told, closes, rates, tilts))
+                continue
+            rms = np.sqrt(np.mean(np.square(tilts), axis=0))
+            self.pictures.append(
+                Picture(told, self._smear, max(rates), (float(rms[0]), float(rms[1])))
+            )
+        self._open = still_open
+
+    def true_tilt(self) -> tuple[float, float]:
+        """Of the rover against the tether's end, about base_link x and y [rad]."""
+        tangent = self.state.nodes[-1, 1]
+        up = -self.state.rotation.T @ (tangent / np.linalg.norm(tangent))
+        return (math.atan2(float(up[1]), float(up[2])), math.atan2(-float(up[0]), float(up[2])))
+
+    def true_momentum(self) -> tuple[float, float]:
+        """About the plumb line [N m s]: of the swinging mass, and of the rover's own spin."""
+        rover = self.plant.scenario.rover
+        assert rover is not None
+        state = self.state
+        swing = sum(
+            mass * float(place[0] * rate[1] - place[1] * rate[0])
+            for mass, place, rate in (
+                (rover.m1, state.G1, state.G1_rate),
+                (rover.m2, state.G2, state.G2_rate),
+            )
+        )
+        inertia = np.add(rover.inertia1, rover.inertia2)
+        spin = state.rotation @ (inertia * state.omega)
+        return swing, float(spin[2])
+
+    def true_swing(self) -> TrueSwing:
+        """Ellipse of the rover's centre of mass about the plumb line."""
+        rover = self.plant.scenario.rover
+        assert rover is not None
+        state = self.state
+        share = rover.m2 / rover.mass
+        place: NDArray[np.float64] = (1.0 - share) * state.G1 + share * state.G2
+        rate = (1.0 - share) * state.G1_rate + share * state.G2_rate
+        reach = -float(place[2])
+        frequency = math.sqrt(self.plant.scenario.gravity / reach)
+        z = complex(place[0], place[1]) / reach
+        turned = complex(rate[0], rate[1]) / (1j * frequency * reach)
+        ahead, back = abs(0.5 * (z + turned)), abs(0.5 * (z - turned))
+        x, y = state.rotation[:2, 0]
+        return TrueSwing(ahead + back, ahead - back, self.true_tilt(), math.atan2(y, x))

@@ -1,0 +1,131 @@
+"""Reaction of wheels and flywheel: signs, budgets, what is said before they are spent."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rover_control.attitude import (
+    AxisControl,
+    FlywheelReaction,
+    RotorParameters,
+    WheelReaction,
+)
+from rover_control.attitude_gains import AttitudeDesign, design_axis
+from rover_control.hanging_rover import HangingParameters
+
+HANGING, ROTORS, DESIGN = HangingParameters(), RotorParameters(), AttitudeDesign()
+H = 0.02
+
+
+def make_axis(budget: float = 0.02) -> AxisControl:
+    return AxisControl("axis", design_axis(0.18, 3.29, 0.02, DESIGN), budget)
+
+
+def test_momentum_follows_the_tilt_and_bleeds_off():
+    axis = make_axis()
+    axis.step(0.01, H)
+    gained = axis.momentum
+    assert gained == pytest.approx(axis.gains.rate * 0.01 * H)
+    for _ in range(round(DESIGN.bleed_time / H)):
+        axis.step(0.0, H)
+    assert axis.momentum == pytest.approx(gained / math.e, rel=0.01)
+
+
+def test_what_cannot_be_held_is_said_before_the_budget_is_spent():
+    axis = make_axis()
+    said_at = None
+    for _ in range(2000):
+        axis.step(0.01, H)
+        assert abs(axis.momentum) <= axis.budget
+        if axis.cannot_hold and said_at is None:
+            said_at = axis.momentum
+    assert said_at is not None
+    assert said_at < axis.budget
+    assert "cannot hold" in axis.cannot_hold
+    assert f"of {axis.budget:g} N m s" in axis.cannot_hold
+    for _ in range(2000):
+        axis.step(0.0, H)
+    assert not axis.cannot_hold
+
+
+def test_the_holding_time_of_a_steady_torque_is_what_is_left_of_the_budget():
+    axis = make_axis(0.3)
+    # A static tilt of 5 deg needs 0.28 N m and empties 0.3 N m s in about a second.
+    torque = HANGING.stiffness * math.sin(math.radians(5.0))
+    assert axis.holding_time(torque) == pytest.approx(0.3 / torque)
+    assert axis.holding_time(torque) < 1.2
+    axis.momentum = 0.15
+    assert axis.holding_time(torque) == pytest.approx(0.15 / torque)
+    assert axis.holding_time(-torque) == pytest.approx(0.45 / torque)
+    assert axis.holding_time(0.0) == math.inf
+
+
+def flown(tilt_rate: float) -> tuple[float, float]:
+    """Tilts along x and y after 4 s of both reactions on their linear plants, from a rate."""
+    wheels, flywheel = (
+        WheelReaction(HANGING, ROTORS, DESIGN),
+        FlywheelReaction(HANGING, ROTORS, DESIGN),
+    )
+    for _ in range(400):  # to its bias
+        wheels.step(0.0, 0.0, H, pumps=True)
+    x = y = 0.0
+    vx = vy = tilt_rate
+    wheel = wheels.step(0.0, 0.0, H, pumps=True)
+    angle, rate = ROTORS.travel_centre, 0.0
+    swept = [0.0, 0.0]
+    for k in range(round(4.0 / H)):
+        after = wheels.step(vx, 0.0, H, pumps=True)
+        torque = flywheel.step(vy, angle, rate, H, quiet=False)
+        # Rotors react about +y, which displaces toward -x, and about +x, toward +y.
+        wheel_torque = HANGING.wheel_inertia * (after - wheel) / H
+        wheel = after
+        friction = ROTORS.flywheel_friction * math.tanh(10.0 * rate)
+        turning = (torque - friction) / HANGING.flywheel_inertia
+        rate += H * turning
+        angle += H * rate
+        vx += H * (-HANGING.stiffness * x + wheel_torque) / HANGING.inertia_about_y
+        vy += (
+            H
+            * (-HANGING.stiffness * y - HANGING.flywheel_inertia * turning)
+            / (HANGING.inertia_about_x)
+        )
+        x, y = x + H * vx, y + H * vy
+        if k > 150:
+            swept = [max(swept[0], abs(x)), max(swept[1], abs(y))]
+    return swept[0], swept[1]
+
+
+def test_both_reactions_damp_their_tilts():
+    start = math.radians(4.0)  # 4 deg/s swing by 1 deg
+    along_x, along_y = flown(start)
+    assert along_x < math.radians(0.1)
+    assert along_y < math.radians(0.1)
+
+
+def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
+    wheels = WheelReaction(HANGING, ROTORS, DESIGN)
+    for k in range(4000):
+        rate = wheels.step(0.2 * math.sin(0.1 * k), 0.02, H, pumps=k < 2000)
+        assert rate <= 0.0
+    assert wheels.is_quiet
+
+
+def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
+    flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
+    centre, travel = ROTORS.travel_centre, ROTORS.travel
+    assert flywheel.step(0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
+    assert flywheel.step(0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
+    # Beyond its travel nothing is asked that leads farther out.
+    assert flywheel.step(0.05, centre + 1.01 * travel, 0.0, H, quiet=False) < (
+        ROTORS.flywheel_friction + 0.05 * flywheel.axis.gains.rate
+    )
+    assert "travel" in flywheel.axis.cannot_hold
+
+
+def test_friction_is_made_up_for_in_the_direction_of_motion():
+    flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
+    flywheel.axis.momentum = 0.02  # 20 rad/s
+    torque = flywheel.step(0.0, ROTORS.travel_centre, 20.0, H, quiet=False)
+    assert torque == pytest.approx(ROTORS.flywheel_friction, abs=2e-3)

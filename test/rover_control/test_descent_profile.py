@@ -1,0 +1,182 @@
+"""Sequence of stops, stepped with swings as they would be estimated."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from msg_schemas.refusal import Refusal, RefusalCode
+from rover_control.descent_profile import (
+    DescentPhase,
+    DescentProfile,
+    ProfileParameters,
+    Stop,
+    Wish,
+)
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_estimator import SwingEstimate
+
+HANGING, PROFILE = HangingParameters(), ProfileParameters()
+H = 0.1
+
+
+class World:
+    """A winch that follows at once, and a swing that is told."""
+
+    def __init__(self, length: float, major: float = 0.0, minor: float = 0.0) -> None:
+        self.profile = DescentProfile(PROFILE, HANGING, lambda _: 30.0)
+        self.length = length
+        self.major, self.minor = math.radians(major), math.radians(minor)
+        self.yaw_rate = 0.0
+        self.now = 0.0
+        self.rates: list[float] = []
+        self.pictures = 0
+
+    @property
+    def swing(self) -> SwingEstimate:
+        frequency = HANGING.swing_frequency(self.length)
+        phase = frequency * self.now
+        u = (self.major * math.cos(phase), self.minor * math.sin(phase))
+        v = (-frequency * self.major * math.sin(phase), frequency * self.minor * math.cos(phase))
+        zero = (0.0, 0.0)
+        return SwingEstimate(u, v, zero, zero, zero, self.yaw_rate, frequency, 1e-5, 1e-5)
+
+    def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
+        self.profile.request(Stop(depth, observes, rate), self.swing, self.length)
+
+    def step(self, *, rests: bool = True) -> Wish:
+        self.now += H
+        at_rest = math.isnan(self.profile.keeps) or self.length == self.profile.keeps
+        wish = self.profile.step(
+            self.swing, self.length, winch_rests=rests and at_rest, rotors_rest=True, now=self.now
+        )
+        if wish.length > self.length:
+            self.length = min(wish.length, self.length + H * wish.rate)
+        elif wish.length < self.length:
+            self.rates.append(wish.rate / self.length)
+            self.length = max(wish.length, self.length - H * wish.rate)
+        if wish.trims:  # as the winch damps: all but the circle
+            round_ = math.copysign(math.sqrt(self.major * abs(self.minor)), self.minor)
+            self.major += H / 30.0 * (abs(round_) - self.major)
+            self.minor += H / 30.0 * (round_ - self.minor)
+        self.pictures += wish.exposes
+        return wish
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / H)):
+            self.step()
+            if self.profile.is_idle and self.now > 10.0:
+                return
+
+    def ended(self) -> list[str]:
+        changes = self.profile.take_changes()
+        return [change.reason for change in changes if change.name == "stop_ended"]
+
+
+def test_a_quiet_rover_takes_its_pictures_at_every_stop():
+    world = World(2.0, 0.05)
+    for depth in (5.0, 9.0, 12.0):
+        world.ask(depth)
+    world.run(300.0)
+    assert world.profile.is_idle
+    assert world.pictures == 3 * PROFILE.exposures
+    assert world.ended() == [f"{PROFILE.exposures} pictures"] * 3
+    assert world.length == pytest.approx(12.0)
+
+
+def test_a_plane_swing_is_damped_before_pictures_and_not_while_they_are_taken():
+    world = World(30.0, 1.5)
+    world.ask(30.5)
+    seen = set()
+    for _ in range(3000):
+        wish = world.step()
+        phase = world.profile.phase
+        seen.add(phase)
+        if phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING):
+            assert not wish.trims
+            assert not wish.pumps
+        if world.profile.is_idle and world.now > 10.0:
+            break
+    assert DescentPhase.DAMPING in seen
+    assert world.pictures == PROFILE.exposures
+
+
+def test_a_cone_that_nothing_can_damp_ends_the_stop_with_the_reason():
+    world = World(7.0, 0.9, 0.85)
+    world.ask(7.5)
+    world.run(200.0)
+    (reason,) = world.ended()
+    assert "cone" in reason
+    assert "momentum" in reason
+    assert world.pictures == 0
+
+
+def test_a_rover_that_spins_takes_no_pictures_and_says_so():
+    world = World(30.0, 0.05)
+    world.yaw_rate = math.radians(0.5)
+    world.ask(30.5)
+    world.run(PROFILE.stop_limit + 100.0)
+    (reason,) = world.ended()
+    assert "not steady" in reason
+    assert "0.50 deg/s" in reason
+
+
+def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
+    world = World(45.0, 0.5)
+    world.ask(4.0, observes=False)
+    world.run(12.0)
+    assert world.profile.phase is DescentPhase.DAMPING
+    world.run(2000.0)
+    assert world.length == pytest.approx(4.0, abs=0.01)
+    assert max(world.rates) <= PROFILE.ascent_share + 1e-9
+    assert world.ended() == ["reached"]
+
+
+def test_what_could_touch_the_wall_is_refused_with_the_distance():
+    world = World(20.0, 7.0)
+    with pytest.raises(Refusal, match=r"the wall is 3 m away") as refused:
+        world.ask(45.0)
+    assert refused.value.code is RefusalCode.OUT_OF_LIMITS
+    assert world.profile.is_idle
+
+
+@pytest.mark.parametrize(("depth", "rate"), [(-1.0, 0.0), (math.nan, 0.0), (10.0, 0.4)])
+def test_bad_stops_are_refused(depth: float, rate: float):
+    world = World(5.0)
+    with pytest.raises(Refusal):
+        world.ask(depth, rate=rate)
+
+
+def test_a_hold_stands_where_it_is_and_goes_on_with_the_same_stop():
+    world = World(5.0, 0.05)
+    world.ask(20.0)
+    for _ in range(200):
+        world.step()
+    assert world.profile.phase is DescentPhase.TRAVELLING
+    held = world.length
+    world.profile.hold(held, world.now)
+    for _ in range(100):
+        world.step()
+    assert world.length == pytest.approx(held)
+    with pytest.raises(Refusal):
+        world.ask(25.0)
+    assert "1 stops" in world.profile.resume(world.now)
+    world.run(200.0)
+    assert world.pictures == PROFILE.exposures
+    with pytest.raises(Refusal):
+        world.profile.resume(world.now)
+
+
+def test_an_abort_forgets_everything_and_says_so():
+    world = World(5.0, 0.05)
+    world.ask(20.0)
+    world.ask(30.0)
+    for _ in range(200):
+        world.step()
+    assert world.profile.abort(world.length, world.now) == "2 stops are dropped"
+    here = world.length
+    for _ in range(100):
+        world.step()
+    assert world.length == pytest.approx(here)
+    assert world.ended() == ["aborted"]

@@ -1,0 +1,140 @@
+"""The swing's estimate against a rover that is stepped by its own equations, in space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hanging_model import HangingModel
+
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_estimator import (
+    EstimatorParameters,
+    SwingEstimate,
+    SwingEstimator,
+)
+
+HANGING = HangingParameters()
+GYRO_NOISE = math.radians(0.05)
+
+
+def watched(
+    model: HangingModel, seconds: float, *, pump: float = 0.0, told: bool = True
+) -> SwingEstimator:
+    """An estimator that has watched the model for a while; `pump` moves the rotors' momenta."""
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    frequency = HANGING.swing_frequency(model.length)
+    for k in range(round(100 * seconds)):
+        rate = pump * math.cos(frequency * 0.01 * k)
+        gyro, force = model.step((0.5 * rate, rate))
+        estimator.hear_drum(model.length, model.payout_rate)
+        change = (-0.01 * rate, 0.005 * rate) if told else (0.0, 0.0)
+        estimator.step(gyro, force, change, 0.01)
+    return estimator
+
+
+def make_model(length: float, **rest: object) -> HangingModel:
+    frequency = HANGING.swing_frequency(length)
+    amplitude = math.radians(1.0)
+    # An ellipse of 1 by 0.4 deg, counter-clockwise.
+    u, v = complex(amplitude), 0.4j * amplitude * frequency
+    model = HangingModel(HANGING, length, u, v, phi=u, phi_rate=v)
+    return replace(model, noise=GYRO_NOISE, force_noise=0.01, **rest)  # type: ignore[arg-type]
+
+
+def misses(estimate: SwingEstimate, model: HangingModel) -> tuple[float, float]:
+    """Of the swing's direction, and of the rate at which the rover turns [rad], [rad/s]."""
+    direction = complex(*estimate.direction) - model.in_base(model.u)
+    rate = complex(*estimate.direction_rate) + complex(*estimate.tilt_rate)
+    return abs(direction), abs(rate - model.in_base(model.phi_rate))
+
+
+@pytest.mark.parametrize("length", [2.0, 15.0, 45.0])
+def test_swing_and_bias_are_found_under_noise(length: float):
+    model = make_model(length, bias=(0.002, -0.0015, 0.001), yaw_rate=0.004)
+    estimate = watched(model, 50.0).estimate
+    direction, rate = misses(estimate, model)
+    assert direction < math.radians(0.06)
+    assert rate < math.radians(0.06)
+    # Along x turns -omega_y, along y omega_x.
+    assert estimate.gyro_bias == pytest.approx((0.0015, 0.002), abs=2e-4)
+    assert estimate.yaw_rate == pytest.approx(0.004, abs=6e-4)
+
+
+def test_the_ellipse_is_told_with_its_sense_and_plane():
+    ellipse = watched(make_model(10.0), 40.0).estimate.ellipse
+    assert math.degrees(ellipse.major) == pytest.approx(1.0, abs=0.06)
+    assert math.degrees(ellipse.minor) == pytest.approx(0.4, abs=0.06)
+    assert math.sin(ellipse.plane) == pytest.approx(0.0, abs=0.1)
+    mirrored = make_model(10.0)
+    mirrored.v, mirrored.phi_rate = -mirrored.v, -mirrored.phi_rate
+    assert watched(mirrored, 30.0).estimate.ellipse.minor < math.radians(-0.3)
+
+
+def test_a_swing_keeps_its_plane_in_space_while_the_rover_yaws():
+    model = make_model(15.0, yaw_rate=0.05)
+    estimate = watched(model, 50.0).estimate
+    assert misses(estimate, model)[0] < math.radians(0.05)
+    assert estimate.ellipse.plane % math.pi == pytest.approx(-model.yaw % math.pi, abs=0.1)
+
+
+@pytest.mark.parametrize("rate", [0.3, -0.3])
+def test_the_swing_is_followed_while_the_tether_is_paid_out_and_reeled_in(rate: float):
+    model = make_model(18.0, payout_rate=rate)
+    estimate = watched(model, 40.0).estimate
+    assert misses(estimate, model)[0] < math.radians(0.06)
+
+
+def test_what_the_rotors_do_is_not_taken_for_swing():
+    # 0.3 deg of swing on 5 m, and rotors that tilt the rover by more than that.
+    def still() -> HangingModel:
+        return make_model(5.0)
+
+    model = still()
+    known = misses(watched(model, 40.0, pump=0.02).estimate, model)[0]
+    assert known < math.radians(0.04)
+    other = still()
+    unknown = misses(watched(other, 40.0, pump=0.02, told=False).estimate, other)[0]
+    assert unknown > 1.5 * known
+
+
+def test_a_free_tilt_is_told_from_the_swing():
+    model = make_model(20.0)
+    model.phi += 1j * math.radians(1.0)
+    estimate = watched(model, 30.0).estimate
+    tilt = model.in_base(model.phi - model.u)
+    assert abs(complex(*estimate.tilt) - tilt) < math.radians(0.12)
+    assert misses(estimate, model)[0] < math.radians(0.05)
+
+
+def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing():
+    model = make_model(30.0)
+    estimator = watched(model, 50.0)
+    calm = estimator.estimate.swing_error
+    push = 1j * math.radians(1.5) * HANGING.swing_frequency(30.0)
+    model.v += push
+    model.phi_rate += push
+    errors = []
+    for _ in range(700):
+        gyro, force = model.step((0.0, 0.0))
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+        errors.append(estimator.estimate.swing_error)
+    assert max(errors[:50]) > 5.0 * calm
+    assert misses(estimator.estimate, model)[0] < math.radians(0.15)
+    # Without a push none is seen.
+    assert calm < 2.5e-4
+
+
+def test_without_the_drum_nothing_is_estimated():
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    estimator.step((0.1, 0.1, 0.1), (0.0, 0.0, 1.62), (0.0, 0.0), 0.01)
+    assert estimator.estimate.direction == (0.0, 0.0)
+
+
+def test_a_slack_tether_shows_no_tilt():
+    model = make_model(15.0)
+    estimator = watched(model, 20.0)
+    before = estimator.estimate.tilt
+    estimator.step((0.0, 0.0, 0.0), (5.0, 5.0, 0.1), (0.0, 0.0), 0.01)
+    assert estimator.estimate.tilt == pytest.approx(before, abs=1e-3)

@@ -1,0 +1,66 @@
+"""A rover on a tether by its linear equations in space, apart from the controllers' own model."""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from msg_schemas.samples import Vector
+from rover_control.hanging_rover import HangingParameters
+
+STEPS, H = 4, 2.5e-3  # of 10 ms, [s]
+
+
+@dataclass
+class HangingModel:
+    """Swing u and attitude phi as x + i y in the map; the rover yaws at a given rate."""
+
+    hanging: HangingParameters
+    length: float
+    u: complex
+    v: complex
+    phi: complex = 0.0
+    phi_rate: complex = 0.0
+    payout_rate: float = 0.0
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
+    bias: Vector = (0.0, 0.0, 0.0)
+    noise: float = 0.0  # of the gyro, a sample of 100 Hz [rad/s]
+    force_noise: float = 0.0
+    generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+
+    def step(self, momentum_rate: tuple[float, float]) -> tuple[Vector, Vector]:
+        """10 ms under rates of the rotors' momenta about base_link x and y; gyro and force."""
+        p = self.hanging
+        turned, felt = 0.0j, 0.0j
+        for _ in range(STEPS):
+            heading = cmath.exp(1j * self.yaw)
+            tilt = (self.phi - self.u) / heading
+            # The tether rights the rover; a torque about +y displaces toward -x.
+            right = -p.rover_mass * p.rover_gravity * p.lever * tilt
+            along_x = (right.real + momentum_rate[1]) / p.inertia_about_y
+            along_y = (right.imag - momentum_rate[0]) / p.inertia_about_x
+            turning = complex(along_x, along_y) * heading
+            pull = p.pull(self.length) * self.u + 2.0 * self.payout_rate * self.v
+            self.v += H * -(pull + p.lever * turning) / self.length
+            self.u += H * self.v
+            self.phi_rate += H * turning
+            self.phi += H * self.phi_rate
+            self.length += H * self.payout_rate
+            self.yaw += H * self.yaw_rate
+            turned += self.phi_rate / heading / STEPS
+            felt += (p.rover_gravity * tilt + p.imu_below * turning / heading) / STEPS
+        noise = self.generator.standard_normal(5).tolist()
+        rates = (turned.imag, -turned.real, self.yaw_rate)
+        x, y, z = (
+            rate + bias + self.noise * each
+            for rate, bias, each in zip(rates, self.bias, noise[:3], strict=True)
+        )
+        fx, fy = felt.real + self.force_noise * noise[3], felt.imag + self.force_noise * noise[4]
+        return (x, y, z), (fx, fy, p.rover_gravity)
+
+    def in_base(self, vector: complex) -> complex:
+        """A vector of the map's plane along base_link x and y."""
+        return vector * cmath.exp(-1j * self.yaw)
