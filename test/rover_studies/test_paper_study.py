@@ -25,7 +25,8 @@ from rover_studies.paper_plan import (
     even_slacks,
     plans,
 )
-from rover_studies.paper_study import evaluate, main, make_runs
+from rover_studies.paper_study import main
+from rover_studies.whole_study import evaluate, make_runs
 
 SLACKS = np.array(even_slacks(0.25))
 MESHES = (5, 10, 20)
