@@ -335,7 +335,7 @@ class Flight:
         return (math.atan2(float(up[1]), float(up[2])), math.atan2(-float(up[0]), float(up[2])))
 
     def true_momentum(self) -> tuple[float, float]:
-        """About the plumb line [N m s]: of the swinging mass, and of the rover's own spin."""
+        """About the plumb line [N m s]: of the swing, and of the rover's spin with its rotors."""
         rover = self.plant.scenario.rover
         assert rover is not None
         state = self.state
@@ -347,7 +347,8 @@ class Flight:
             )
         )
         inertia = np.add(rover.inertia1, rover.inertia2)
-        spin = state.rotation @ (inertia * state.omega)
+        flywheel, wheels = state.body[spatial_rover.ROTORS : spatial_rover.ROTORS + 2]
+        spin = state.rotation @ (inertia * state.omega + np.array([flywheel, wheels, 0.0]))
         return swing, float(spin[2])
 
     def true_swing(self) -> TrueSwing:
