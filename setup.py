@@ -61,7 +61,7 @@ setup(
         "matplotlib>=3.6",
         "mcap>=1.5",
         "mcap-ros2-support>=0.5",
-        "numba>=0.59",
+        "numba>=0.59,<0.70",
         "numpy>=1.26",
         "pillow>=9.4",
         "pyarrow>=14.0,<26",  # 26 refuses numpy 1.26, which Ubuntu 24.04 has

@@ -11,6 +11,8 @@ from typing import Any, Final
 from numba import njit, types
 from numba.core.registry import CPUDispatcher
 
+from rover_sim.physics.linked import LinkedCompiler
+
 # Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
 FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
 
@@ -65,6 +67,10 @@ class _Inner(_Compiled):
 
 
 _ALWAYS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_FOR_CALLERS: Final[dict[str, Any]] = {
+    "no_cpython_wrapper": True,
+    "pipeline_class": LinkedCompiler,
+}
 
 
 def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -94,9 +100,7 @@ def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 def inner_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`inner` with further options of numba."""
-    return _decorator(
-        _Inner, _nrt=False, fastmath=set(FAST_MATH), no_cpython_wrapper=True, **options
-    )
+    return _decorator(_Inner, _nrt=False, fastmath=set(FAST_MATH), **_FOR_CALLERS, **options)
 
 
 kernel = kernel_with()
@@ -116,5 +120,5 @@ a function.
 checked = _decorator(_Compiled, _nrt=False)
 """For control flow that tests for convergence and finiteness: arithmetic as written."""
 
-checked_inner = _decorator(_Inner, _nrt=False, no_cpython_wrapper=True)
+checked_inner = _decorator(_Inner, _nrt=False, **_FOR_CALLERS)
 """As `checked`, for what compiled functions alone call."""

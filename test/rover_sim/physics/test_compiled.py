@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from rover_sim.physics import compiled, energy_momentum, planar
 
 FOLDER = Path(compiled.__file__).parent
@@ -19,35 +21,42 @@ def test_sources_are_followed_through_imports() -> None:
     assert planar.advance._cache._cache_file._source_stamp != own
 
 
-def test_a_changed_callee_in_another_file_is_compiled_anew(tmp_path: Path) -> None:
-    package = tmp_path / "rover_sim" / "physics"
-    package.mkdir(parents=True)
-    (package.parent / "__init__.py").touch()
-    (package / "__init__.py").touch()
-    (package / "compiled.py").write_bytes((FOLDER / "compiled.py").read_bytes())
-    header = "from rover_sim.physics.compiled import kernel\n"
-    (package / "caller.py").write_text(
-        header + "from rover_sim.physics.callee import inner\n\n"
-        "@kernel\ndef outer(x):\n    return inner(x)\n"
+class Package:
+    """A callee and its callers as modules of their own, run in fresh processes."""
+
+    HEADER = "from rover_sim.physics.compiled import inner, kernel\n"
+    CALLER = HEADER + (
+        "from rover_sim.physics.callee import called\n\n"
+        "@kernel\ndef outer(x):\n    return called(x)\n"
     )
 
-    program = (
-        "from rover_sim.physics.caller import outer\n"
-        "print(outer(1.0), sum(outer.stats.cache_hits.values()))"
-    )
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._folder = root / "rover_sim" / "physics"
+        self._folder.mkdir(parents=True)
+        (self._folder.parent / "__init__.py").touch()
+        (self._folder / "__init__.py").touch()
+        for name in ("compiled.py", "linked.py"):
+            (self._folder / name).write_bytes((FOLDER / name).read_bytes())
+        for name in ("caller", "other"):
+            (self._folder / f"{name}.py").write_text(self.CALLER)
 
-    def run(factor: float) -> tuple[float, int]:
-        (package / "callee.py").write_text(
-            header + f"\n@kernel\ndef inner(x):\n    return {factor} * x\n"
+    def write(self, kind: str, factor: float) -> None:
+        """The callee."""
+        (self._folder / "callee.py").write_text(
+            f"{self.HEADER}\n@{kind}\ndef called(x):\n    return {factor} * x\n"
+        )
+
+    def run(self, module: str, function: str) -> tuple[float, int]:
+        """What a function makes of 1, and whether it came from the cache."""
+        program = (
+            f"from rover_sim.physics import {module}\n"
+            f"print({module}.{function}(1.0), sum({module}.{function}.stats.cache_hits.values()))"
         )
         done = subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                program,
-            ],
-            cwd=tmp_path,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": "."},
+            [sys.executable, "-c", program],
+            cwd=self._root,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(self._root / "cache"), "PYTHONPATH": "."},
             capture_output=True,
             text=True,
             check=True,
@@ -55,6 +64,24 @@ def test_a_changed_callee_in_another_file_is_compiled_anew(tmp_path: Path) -> No
         value, hits = done.stdout.split()
         return float(value), int(hits)
 
-    assert run(2.0) == (2.0, 0)
-    assert run(2.0) == (2.0, 1)
-    assert run(3.0) == (3.0, 0)
+
+@pytest.fixture
+def package(tmp_path: Path) -> Package:
+    return Package(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["kernel", "inner"])
+def test_a_changed_callee_in_another_file_is_compiled_anew(package: Package, kind: str):
+    for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
+        package.write(kind, factor)
+        assert package.run("caller", "outer") == (factor, hits)
+
+
+def test_what_only_compiled_functions_call_is_linked_from_the_cache_and_called_from_python(
+    package: Package,
+):
+    package.write("inner", 2.0)
+    assert package.run("caller", "outer") == (2.0, 0)
+    assert package.run("callee", "called") == (2.0, 1)
+    assert package.run("other", "outer") == (2.0, 0)
+    assert package.run("other", "outer") == (2.0, 1)
