@@ -6,11 +6,16 @@ Single thread and CPU time, but for the start, which is wall time.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from functools import cache
 from pathlib import Path
 
 from msg_schemas import topics
+from rover_sim import SpatialPlant, load_spatial
+from rover_sim.physics.parts import parts
+from rover_sim.physics.spatial_step import make_solver
 from rover_verify import bench, bench_spatial, exudyn_peer
 from rover_verify.bench_cases import Case, cases
 from rover_verify.bench_row import Row
@@ -109,6 +114,7 @@ def spatial_worst(_batch: Batch) -> Measured:
 # ---------------------------------------------------------------------------------------- start
 
 _LONGEST_START = 300.0  # [s]
+_START = "floor_rubble"
 
 
 def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
@@ -119,7 +125,7 @@ def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
         began = time.monotonic()
         process = stage.processes.start(
             "rover_sim.sim_node",
-            {"scenario": "floor_rubble", "model": "spatial"},
+            {"scenario": _START, "model": "spatial"},
             extra_environment={"NUMBA_CACHE_DIR": str(cache_folder)},
         )
         while True:
@@ -155,3 +161,30 @@ def start_warm(batch: Batch) -> Measured:
         details[f"start {k + 2} [s]"] = spent
         details[f"start {k + 2}, CPU time [s]"] = cpu
     return Measured(again[1][0], "the same, after a start that compiled", details)
+
+
+def compiled_in_vain(batch: Batch) -> Measured:
+    """Functions that the second compiling process makes for other arguments than a step's."""
+    cache_folder = batch.folder / "cache"
+    code = (
+        "from rover_sim import compile_ahead, load_scenario\n"
+        f"raise SystemExit(not compile_ahead(load_scenario({_START!r})))"
+    )
+    subprocess.run(
+        [sys.executable, "-c", code],
+        env={
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(cache_folder),
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        },
+        check=True,
+        timeout=_LONGEST_START,
+    )
+    model = SpatialPlant(load_spatial(_START)).model
+    solver = make_solver(2, len(model.feet.corners))
+    details: dict[str, float | str] = {}
+    for function, _ in parts(model, solver):
+        name = function.py_func.__qualname__
+        details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
+    made = [kinds for kinds in details.values() if kinds != 1]
+    return Measured(len(made), f"of {len(details)}, by the compiled kinds of each", details)
