@@ -362,8 +362,12 @@ def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:
     length = next((v for v in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if v <= 0.35 * span), 0.05)
     y, x = view.size[1] - 14 * _FINE, 12 * _FINE
     end = x + view.scale * length
+    label, font, corner = f"{length:g} m", _font(12), (end + 6 * _FINE, y - 8 * _FINE)
+    left, top, right, bottom = draw.textbbox(corner, label, font=font)
+    margin = 4 * _FINE  # of a clear ground, as the tether may lie there
+    plate = (min(x, left) - margin, top - margin, right + margin, bottom + margin)
+    draw.rectangle(plate, fill="white")
     draw.line([(x, y), (end, y)], fill=_TEXT, width=2 * _FINE)
     for place in (x, end):
         draw.line([(place, y - 4 * _FINE), (place, y + 4 * _FINE)], fill=_TEXT, width=2 * _FINE)
-    font = _font(12)
-    draw.text((end + 6 * _FINE, y - 8 * _FINE), f"{length:g} m", fill=_TEXT, font=font)
+    draw.text(corner, label, fill=_TEXT, font=font)
