@@ -9,6 +9,7 @@ Nothing here needs ROS.
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -62,7 +63,8 @@ class Track:
             clock's time when it came. Without a recorded clock stamps are taken as they are.
         log_ns: When it was received [ns since 1970], shape (N,).
         publish_ns: When it was sent [ns since 1970], shape (N,).
-        columns: Numbers by the contract's field path, shape (N,) each, in the field's unit.
+        columns: Numbers by the contract's field path, shape (N,) each, in the field's unit; NaN
+            where a message of a topic with several kinds of requests had no such field.
         nodes: The tether's nodes, shape (N, n + 1, 7), columns as ``TETHER_COLUMNS``; None for
             other topics and where the number of nodes changes.
         texts: What a text topic said.
@@ -228,14 +230,16 @@ class _Growing:
             self.statuses.append(sample.statuses)
         elif not isinstance(sample, DrawingSample):
             pairs = dict(sample.scalars())
-            if not self.paths:
-                self.paths = list(pairs)
-            self.values.append([pairs[path] for path in self.paths])
+            # Messages of one topic may carry different fields, as requests of several kinds do.
+            self.paths += [path for path in pairs if path not in self.paths]
+            self.values.append([pairs.get(path, math.nan) for path in self.paths])
 
     def finished(self, clock: "_Clock") -> Track:
         log_ns = np.array(self.log_ns, dtype=np.int64)
         stamp_ns = np.array(self.stamp_ns, dtype=np.int64)
-        table = np.array(self.values, dtype=np.float64).reshape(len(self.values), len(self.paths))
+        table = np.full((len(self.values), len(self.paths)), math.nan)
+        for row, values in zip(table, self.values, strict=True):
+            row[: len(values)] = values
         same = len({nodes.shape for nodes in self.nodes}) == 1
         return Track(
             topic=self.row.name,

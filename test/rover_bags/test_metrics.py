@@ -20,7 +20,7 @@ from contract_bag import (
 
 from msg_schemas import topics
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
-from msg_schemas.table import JUMP_SCREW, TOPICS
+from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
 from rover_bags import metrics
 from rover_bags.folder import ScanError
 from rover_bags.metrics import Metrics, measure
@@ -237,6 +237,22 @@ def test_columns_follow_the_contract(tmp_path: Path):
     assert tether.nodes.shape == (61, 6, 7)
     assert bag.scenario["name"] == "made up"
     assert bag.seed == 7
+
+
+def test_requests_of_several_kinds_stand_in_one_track(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola()], until=0.5)
+    for time, joint, value in (
+        (0.1, WINCH_TO_LENGTH, JointValue(12.0, 0.0, 0.0)),
+        (0.2, WINCH_AT_RATE, JointValue(0.0, 0.3, 0.0)),
+        (0.3, WINCH_TO_LENGTH, JointValue(10.0, 0.0, 0.0)),
+    ):
+        made.add(time, topics.WINCH_REQUEST, JointSample(ns(time), {joint: value}))
+    requests = read_bag(made.write(tmp_path / "bag")).tracks[topics.WINCH_REQUEST]
+    lengths = requests.columns[f"{WINCH_TO_LENGTH}.position"]
+    rates = requests.columns[f"{WINCH_AT_RATE}.velocity"]
+    np.testing.assert_array_equal(lengths, [12.0, math.nan, 10.0])
+    np.testing.assert_array_equal(rates, [math.nan, 0.3, math.nan])
 
 
 def test_world_velocity_is_the_twist_turned_by_the_attitude(tmp_path: Path):
