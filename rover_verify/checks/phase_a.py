@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from rover_control.descent_profile import ProfileParameters
 from rover_control.phase_a import PhaseAParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.hanging_rig import Flight, Picture, Start
@@ -127,7 +128,9 @@ def _budgets(flight: Flight) -> tuple[int, int]:
 def damp(seed: int, index: int, length: float) -> float:
     """Time [s] until 3 deg of plane swing have fallen below 0.3 deg; NaN = not in 1500 s."""
     rng = np.random.default_rng([seed, index])
-    flight = Flight(_draw(rng, length, 3.0, 0.0))
+    # Pictures need less than that on a long tether: damped on, and for as long as it takes.
+    profile = ProfileParameters(damped_rate=0.0008, stop_limit=1500.0)
+    flight = Flight(_draw(rng, length, 3.0, 0.0), PhaseAParameters(profile=profile))
     flight.begin()
     flight.ask(length)
     while flight.time < 1500.0:
