@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, choice, quantity, text
 from rover_sim.ground import Place, TetherContact
-from rover_sim.machine import Motor, Rover, Vector, Winch
+from rover_sim.machine import Rover, Vector, Winch
 from rover_sim.physics.drum import DrumParameters
 from rover_sim.scenario_parts import CrossSection, Integration, ScenarioError
 from rover_sim.sensors import Sensors
@@ -189,31 +189,8 @@ class SpatialScenario(Configuration):
         if self.rover is not None and self.tip is not None:
             raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
         self._check_winch()
-        self._check_rotors()
         if self.start.kind == "standing":
             self._check_standing()
-
-    def _check_rotors(self) -> None:
-        """Refuse a rotor that its motor takes to its no-load rate within one step."""
-        rotors: list[tuple[str, float, float, float, Motor]] = []
-        winch, rover, h = self.winch, self.rover, self.integration.h
-        if winch is not None:
-            drum, ratio, own = winch.drum_inertia, winch.gear_ratio, winch.motor_inertia
-            rotors.append(("winch.drum_inertia", drum, ratio, own, winch.motor))
-        if rover is not None:
-            jump, wheels = rover.jump_drive, rover.wheel_drive
-            wheel, ratio, own = wheels.wheel_inertia, wheels.gear_ratio, wheels.motor_inertia
-            rotors.append(("rover.jump_drive.inertia", jump.inertia, 1.0, 0.0, jump.motor))
-            rotors.append(("rover.wheel_drive.wheel_inertia", wheel, ratio, own, wheels.motor))
-        for name, inertia, ratio, own, motor in rotors:
-            least = (h * motor.max_torque / motor.no_load_rate - own) * ratio**2
-            if inertia < least:
-                raise ScenarioError(
-                    name,
-                    inertia,
-                    f"should be at least {least:.3g} kg m^2: with less the motor's"
-                    f" {motor.max_torque:g} N m reach its no-load rate within one step of {h:g} s",
-                )
 
     def _check_winch(self) -> None:
         tether, winch = self.tether, self.winch
