@@ -136,13 +136,14 @@ def test_the_plans_hold_every_world_of_every_figure():
 
 
 def test_a_small_study_from_runs_to_report(tmp_path: Path):
-    extent = Extent((0.75, 1.25, 2.0, 2.5, 3.0, 3.5), (5, 40), (HEAVY,), ("-H",))
+    extent = Extent((0.75, 1.0, 2.0, 2.5, 3.0, 3.5), (5, 40), (HEAVY,), ("-H",))
     rows = make_runs(extent, tmp_path / "runs", workers=1, show_progress=False)
     cause, told = evaluate(rows, tmp_path)
     shares = {(s.shape, s.elements): s.scattered for s in cause.shares}
     assert shares[RELAXED, 5] == shares[RELAXED, 40] == shares[UNRELAXED, 40] == 0
     assert shares[UNRELAXED, 5] >= 3
-    assert all(v.artefact for v in told)
+    # Heights of scattered jumps differ from machine to machine; that they scatter does not.
+    assert {v.claim.name: v.artefact for v in told}["scatter beyond 1.5"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") >= 5
     assert "http" not in page.replace("http://www.w3.org", "").replace("https://www.w3.org", "")
