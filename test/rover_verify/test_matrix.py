@@ -100,6 +100,16 @@ def test_open_rows_are_told_and_never_decide(with_check: UseCheck, tmp_path: Pat
     with_check(lambda _batch: Measured(5.0))
     result = measure(row_of("some.check", "open"), batch_in(tmp_path))
     assert (result.state, result.measured, result.passed) == ("OPEN", 5.0, False)
+    with_check(lambda _batch: Measured(float("nan")))
+    result = measure(row_of("some.check", "open"), batch_in(tmp_path))
+    assert (result.state, result.measured, result.passed) == ("OPEN", None, False)
+
+
+def test_open_rows_are_measured_on_few_runs(with_check: UseCheck, tmp_path: Path):
+    with_check(lambda batch: Measured(float(batch.runs)))
+    rows = [row_of("some.check", status, f"TEST-{status}-01") for status in ("open", "required")]
+    results = verify(rows, tmp_path, 20, 1, quiet=True)
+    assert [result.measured for result in results] == [2.0, 20.0]
 
 
 def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
