@@ -247,15 +247,21 @@ class SwingEstimator:
             forward[n, _YAW_BIAS] = -h * state[_AXIS + n]
             forward[_AXIS + n, _YAW_BIAS] = h * state[n]
         self._state = moved
-        self._spread = forward @ self._spread @ forward.T + h * self._noise
+        spread = forward @ self._spread @ forward.T + h * self._noise
+        self._spread = 0.5 * (spread + spread.T)
 
     def _update(self, row: Array, measured: float, variance: float) -> float:
-        """Take a measurement; returns by how much it missed."""
+        """Take a measurement; returns by how much it missed.
+
+        In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
+        """
         along = self._spread @ row
         expected = float(row @ along) + variance
         missed = measured - float(row @ self._state)
-        self._state = self._state + along * (missed / expected)
-        self._spread = self._spread - (along / expected)[:, None] * along[None, :]
+        gain = along / expected
+        self._state = self._state + gain * missed
+        kept = _EYE - gain[:, None] * row[None, :]
+        self._spread = kept @ self._spread @ kept.T + variance * gain[:, None] * gain[None, :]
         return missed
 
     def _shaken(self) -> None:
