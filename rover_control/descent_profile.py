@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
+from msg_schemas.transition import Transition
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
 
@@ -104,16 +105,6 @@ class Wish(NamedTuple):
     exposes: bool  # a picture now
 
 
-@dataclass(frozen=True)
-class DescentChange:
-    """A change of phase or the end of a stop, with its reason."""
-
-    name: str
-    reason: str
-    level: Level = Level.OK
-    values: Mapping[str, object] = field(default_factory=dict)
-
-
 class DescentProfile:
     """A descent.
 
@@ -143,9 +134,9 @@ class DescentProfile:
         self._trials = 0
         self._last_exposure = -math.inf
         self._known_since = math.nan
-        self._changes: list[DescentChange] = []
+        self._changes: list[Transition] = []
 
-    def take_changes(self) -> list[DescentChange]:
+    def take_changes(self) -> list[Transition]:
         """Return what changed since the last call, and forget it."""
         taken, self._changes = self._changes, []
         return taken
@@ -257,7 +248,6 @@ class DescentProfile:
             assert self._stop is not None
             if abs(length - self._stop.depth) < p.near_enough and winch_rests:
                 self._arrived = now
-                self._taken = self._trials = 0
                 self._enter(DescentPhase.SETTLING, f"at {length:.4g} m", now)
         elif self.phase is DescentPhase.SETTLING:
             self._settle(swing, length, winch_rests and rotors_rest, now)
@@ -282,6 +272,7 @@ class DescentProfile:
 
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
         self._stop = self.stops.popleft()
+        self._taken = self._trials = 0
         why = self._touches(swing, length, self._stop.depth)
         if why:
             self._end_stop(why, Level.WARN, length)
@@ -442,12 +433,12 @@ class DescentProfile:
         stop, self._stop = self._stop, None
         assert stop is not None
         values = {"depth": stop.depth, "length": length, "pictures": self._taken}
-        self._changes.append(DescentChange("stop_ended", reason, level, values))
+        self._changes.append(Transition("stop_ended", reason, level, values))
 
     def _enter(self, phase: DescentPhase, reason: str, now: float, level: Level = Level.OK) -> None:
         self.phase = phase
         self._since = now
-        self._changes.append(DescentChange(f"descent_{phase}", reason, level))
+        self._changes.append(Transition(f"descent_{phase}", reason, level))
 
 
 def _deg(angle: float) -> str:

@@ -22,11 +22,11 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
+from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, RotorParameters, WheelReaction
 from rover_control.attitude_gains import AttitudeDesign
 from rover_control.descent_profile import (
     SUBJECT,
-    DescentChange,
     DescentProfile,
     ProfileParameters,
     Stop,
@@ -114,7 +114,7 @@ class PhaseA:
         self._mode = ""
         self._wheel_momentum = 0.0  # about +y [N m s]
         self._flywheel_momentum = 0.0  # about +x
-        self._flywheel = (0.0, 0.0)  # angle [rad], rate [rad/s]
+        self._screw = (0.0, 0.0)  # angle [rad], rate [rad/s]
         self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
         self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
@@ -123,14 +123,14 @@ class PhaseA:
         self._trims = False
         self._pumped = 0.0
         self._told: dict[str, str] = {}
-        self._changes: list[DescentChange] = []
+        self._changes: list[Transition] = []
 
     def _decay_time(self, length: float) -> float:
         if not self.parameters.uses_winch:
             return math.inf
         return 1.0 / self.trim.decay(length, self.parameters.hanging.swing_frequency(length))
 
-    def take_changes(self) -> list[DescentChange]:
+    def take_changes(self) -> list[Transition]:
         """Return what changed since the last call, and forget it."""
         taken = self._changes + self.profile.take_changes()
         self._changes = []
@@ -156,7 +156,7 @@ class PhaseA:
         """Take angle and rate of the flywheel."""
         self._heard[topics.FLYWHEEL_STATE] = now_ns
         angle, rate, _ = sample.joints[FLYWHEEL]
-        self._flywheel = (angle, rate)
+        self._screw = (angle, rate)
         self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
 
     def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
@@ -280,14 +280,14 @@ class PhaseA:
         own = self.pump.own_tilt_rate(self._pumped, swing.frequency)
         rate = self.wheels.step(swing.tilt_rate[0] - own, self._pumped, h, pumps=wish.pumps)
         torque = self.flywheel.step(
-            swing.tilt_rate[1], *self._flywheel, h, quiet=wish.quiet and not self.flywheel.far_off
+            swing.tilt_rate[1], *self._screw, h, quiet=wish.quiet and not self.flywheel.far_off
         )
         for axis in (self.wheels.axis, self.flywheel.axis):
             if axis.cannot_hold != self._told.get(axis.name, ""):
                 self._told[axis.name] = axis.cannot_hold
                 level = Level.WARN if axis.cannot_hold else Level.OK
                 text = axis.cannot_hold or f"{axis.name} holds the attitude again"
-                self._changes.append(DescentChange("attitude_budget", text, level))
+                self._changes.append(Transition("attitude_budget", text, level))
         return rate, torque
 
     def _winch(

@@ -25,6 +25,7 @@ from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_MOTOR
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, Level, WrenchSample
+from msg_schemas.transition import Transition
 from tether_winch.drum_model import DrumModel, DrumParameters
 from tether_winch.estimates import (
     EstimateParameters,
@@ -72,16 +73,6 @@ class WinchParameters:
     servo: ServoParameters = field(default_factory=ServoParameters)
     guard: GuardParameters = field(default_factory=GuardParameters)
     requests: RequestParameters = field(default_factory=RequestParameters)
-
-
-@dataclass(frozen=True)
-class Transition:
-    """Something that changed, with its reason and its values."""
-
-    name: str
-    reason: str
-    level: Level = Level.OK
-    values: Mapping[str, object] = field(default_factory=dict)
 
 
 class Winch:

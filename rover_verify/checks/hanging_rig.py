@@ -19,7 +19,9 @@ from msg_schemas import topics
 from msg_schemas.machine import SMEAR, WINCH_TO_LENGTH
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, WrenchSample
-from rover_control.descent_profile import DescentChange, Stop
+from msg_schemas.transition import Transition
+from rover_control.descent_profile import Stop
+from rover_control.hanging_rover import HangingParameters
 from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters
 from rover_sim import (
     Command,
@@ -29,17 +31,16 @@ from rover_sim import (
     SpatialScenario,
     SpatialState,
     WheelRateCommand,
-    WinchCommand,
     load_scenario,
     load_spatial,
 )
 from rover_sim.physics import spatial_rover
 from rover_sim.spatial_interface import SpatialInterface
+from rover_verify.checks.winch_rig import TICK, TICK_NS
+from rover_verify.checks.winch_spatial import winch_command
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
 
-TICK_NS = 10_000_000
-TICK = TICK_NS * 1e-9
 CONTROL_EVERY = 2  # ticks
 EXPOSURE_TICKS = 10  # of the camera, 0.1 s
 _HEARD = (
@@ -94,7 +95,7 @@ class Start:
         rover, winch = scenario.rover, scenario.winch
         assert rover is not None
         assert winch is not None
-        frequency = math.sqrt(scenario.gravity / (self.length + 0.203))
+        frequency = HangingParameters().swing_frequency(self.length)
         # Sideways at the plane's end, without turning about the tether.
         cone = math.degrees(frequency) * self.minor / self.major if self.major > 0.0 else 0.0
         changed: dict[str, object] = {
@@ -147,7 +148,7 @@ class Picture(NamedTuple):
 
 
 @dataclass
-class Flight:
+class HangingFlight:
     """A rover on the tether, with its controllers.
 
     Args:
@@ -167,11 +168,9 @@ class Flight:
         self.rover = PhaseA(self.parameters)
         self.ticks = 0
         self.pictures: list[Picture] = []
-        self.changes: list[tuple[float, DescentChange]] = []
+        self.changes: list[tuple[float, Transition]] = []
         self.refusals: list[str] = []
-        self.largest_wheel_rate = 0.0
-        self.largest_flywheel_rate = 0.0
-        self.largest_travel = 0.0
+        self.spent: dict[str, float] = {}  # when a rotor first left its budget, by its axis [s]
         self._drive: DriveCommand | None = None
         self._orders = Orders(None, None, None, None, None)
         self._mode = ""
@@ -268,12 +267,7 @@ class Flight:
         self._orders = orders
 
     def _command(self) -> Command:
-        winch = None
-        if self._drive is not None:
-            drive = self._drive
-            winch = WinchCommand(
-                drive.length, drive.rate, drive.feed_forward, drive.release_brake, drive.limit
-            )
+        winch = None if self._drive is None else winch_command(self._drive)
         orders = self._orders
         wheel = None
         if orders.wheel_rate is not None:
@@ -310,11 +304,18 @@ class Flight:
 
     def _watch(self) -> None:
         state = self.state
-        self.largest_wheel_rate = max(self.largest_wheel_rate, *map(abs, state.wheel_rates))
-        self.largest_flywheel_rate = max(self.largest_flywheel_rate, abs(state.flywheel_rate))
+        rotors = self.parameters.rotors
         centre = -0.5 * self.plant.model.jump.free_travel
         travel = abs(state.nut - centre) / self.plant.model.jump.pitch
-        self.largest_travel = max(self.largest_travel, travel)
+        over = {
+            self.rover.wheels.axis.name: max(map(abs, state.wheel_rates))
+            > (1.0 + rotors.wheel_share) * abs(rotors.wheel_bias),
+            self.rover.flywheel.axis.name: abs(state.flywheel_rate) > rotors.flywheel_rate
+            or travel > rotors.travel,
+        }
+        for name, is_over in over.items():
+            if is_over:
+                self.spent.setdefault(name, self.time)
         still_open = []
         for told, closes, rates, tilts in self._open:
             rates.append(float(np.linalg.norm(state.omega)))

@@ -17,9 +17,10 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
 )
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
+from msg_schemas.transition import Transition
 from tether_winch.requests import Mode
 from tether_winch.servo import DriveCommand
-from tether_winch.winch import Transition, Winch
+from tether_winch.winch import Winch
 
 TICK_NS = 10_000_000  # of controller and sensors
 TICK = TICK_NS * 1e-9

@@ -47,6 +47,13 @@ def on_floor(depth: float) -> dict[str, object]:
     return {"place.floor": {"height": -(depth + TALLEST), "material": "rock"}}
 
 
+def winch_command(order: DriveCommand) -> WinchCommand:
+    """What the plant's drive is told when a winch's controller gives an order."""
+    return WinchCommand(
+        order.length, order.rate, order.feed_forward, order.release_brake, order.limit
+    )
+
+
 class SpatialRig:
     """A spatial plant under a winch controller.
 
@@ -79,15 +86,7 @@ class SpatialRig:
         Raises:
             RuntimeError: the plant cannot go on.
         """
-        told = None
-        if command is not None:
-            told = WinchCommand(
-                command.length,
-                command.rate,
-                command.feed_forward,
-                command.release_brake,
-                command.limit,
-            )
+        told = None if command is None else winch_command(command)
         self.state, result = self._plant.step(self.state, Command(self.jump, told, self.wheel), dt)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.state.time:.3g} s")

@@ -180,3 +180,14 @@ def test_an_abort_forgets_everything_and_says_so():
         world.step()
     assert world.length == pytest.approx(here)
     assert world.ended() == ["aborted"]
+
+
+def test_a_stop_that_is_left_on_the_way_has_none_of_the_last_ones_pictures():
+    world = World(5.0, 0.05)
+    world.ask(6.0)
+    world.ask(30.0)
+    while world.profile.phase is not DescentPhase.TRAVELLING or world.pictures == 0:
+        world.step()
+    world.profile.abort(world.length, world.now)
+    ended = [each for each in world.profile.take_changes() if each.name == "stop_ended"]
+    assert [each.values["pictures"] for each in ended] == [PROFILE.exposures, 0]
