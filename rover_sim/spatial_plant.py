@@ -15,7 +15,7 @@ from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
-from rover_sim.physics.parts import parts
+from rover_sim.physics.parts import parts, whole
 from rover_sim.physics.spatial import Machines, Orders
 from rover_sim.physics.spatial_step import Model, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
@@ -180,18 +180,14 @@ class SpatialPlant:
             body[spatial_rover.SLIDE] = pose.slide
             body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
             body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
-        length = self.scenario.tether.length
-        drum_length = min(max(length, self._model.drum.min_length), self._model.drum.max_length)
-        drum = drums.initial_state(self._model.drum, drum_length)
+        machines = self._machines(spin_x, spin_y)
         if pose.payout_rate != 0.0:
+            drum = machines.drum
             turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
             radius = drums.radius_at(self._model.drum, turns)
-            drum = drum._replace(rate=pose.payout_rate / radius, braked=False)
-        machines = Machines(
-            jump_drive.initial_state(self._model.jump)._replace(body_rate=spin_x),
-            drum,
-            wheel_drive.WheelState()._replace(body_rate=spin_y),
-        )
+            machines = machines._replace(
+                drum=drum._replace(rate=pose.payout_rate / radius, braked=False)
+            )
         elements = len(pose.nodes) - 1
         book = np.zeros(spatial_book.BOOK_SIZE)
         book[spatial_book.ELEMENTS] = elements
@@ -211,6 +207,16 @@ class SpatialPlant:
         if twist is None:
             twist = math.radians(self.scenario.start.twist)
         return self._started(state, twist, self._carried(float(self.tension(state)[-1])))
+
+    def _machines(self, spin_x: float, spin_y: float) -> Machines:
+        """Drives at rest relative to a Body 1 that turns so [rad/s]."""
+        model = self._model
+        length = min(max(self.scenario.tether.length, model.drum.min_length), model.drum.max_length)
+        return Machines(
+            jump_drive.initial_state(model.jump)._replace(body_rate=spin_x),
+            drums.initial_state(model.drum, length),
+            wheel_drive.WheelState()._replace(body_rate=spin_y),
+        )
 
     def _carried(self, tension: float) -> Phase:
         """What a rover does that touches nothing."""
@@ -399,18 +405,24 @@ class SpatialPlant:
         return self._state_from((straight if is_straight else hanging)(self.scenario))
 
     def compile_parts(self) -> None:
-        """Compile what `warm_up` comes to last, beside another process that calls `warm_up`."""
-        typeof: Any = numba.typeof
-        for function, arguments in parts(self._model, self._solvers.own()):
-            function.compile(tuple(typeof(argument) for argument in arguments))
+        """Compile what `warm_up` comes to late, beside another process that calls `warm_up`."""
+        for part in parts(self._model, self._solvers.own(), self._machines(0.0, 0.0)):
+            _compile(*part)
 
     def warm_up(self) -> None:
         """Compile everything a step needs, or load it from the cache."""
-        state = self._some_state()
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
+        _compile(*whole(self._model, self._solvers.own(), self._machines(0.0, 0.0), orders))
+        state = self._some_state()
         self._advance(self._model, state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
+
+
+def _compile(function: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile a function for arguments of these types, or load it from the cache."""
+    typeof: Any = numba.typeof
+    function.compile(tuple(typeof(argument) for argument in arguments))
 
 
 def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -1,27 +1,43 @@
-"""What of a step in space two processes can compile side by side."""
+"""A step in space as two processes compile it side by side: the whole, and parts ahead of it."""
 
 from typing import Any
 
-from rover_sim.physics.energy_momentum import assemble, end_step, solve_increment
+import numpy as np
+
+from rover_sim.physics import spatial, spatial_book
+from rover_sim.physics.energy_momentum import end_step, solve_increment
 from rover_sim.physics.remesh import merge_first, split_first
 from rover_sim.physics.rover_contact import add_feet, begin_feet, end_feet
+from rover_sim.physics.spatial import Machines, Orders
+from rover_sim.physics.spatial_book import remember_torques, report_loads
 from rover_sim.physics.spatial_rover import Pose
 from rover_sim.physics.spatial_step import Model, Solver
 from rover_sim.physics.tether_contact import add_tether_contact, end_tether_contact
 from rover_sim.physics.variable_length import Payout, end_exit_step
 
 
-def parts(model: Model, solver: Solver) -> list[tuple[Any, tuple[Any, ...]]]:
-    """Functions that take a third of the time in which `spatial.advance` is compiled.
+def whole(
+    model: Model, solver: Solver, machines: Machines, orders: Orders
+) -> tuple[Any, tuple[Any, ...]]:
+    """`spatial.advance`, with arguments of the types that it is called with."""
+    book, report = np.zeros(spatial_book.BOOK_SIZE), np.zeros(spatial_book.REPORT_SIZE)
+    events = np.zeros((spatial_book.MAX_EVENTS, spatial_book.EVENT_SIZE))
+    arguments = (model, solver.after, machines, orders, book, model.step, events, report, solver)
+    return spatial.advance, arguments
 
-    First those that it calls late enough for another process to be ahead of it, then from its end
-    on.
+
+def parts(model: Model, solver: Solver, machines: Machines) -> list[tuple[Any, tuple[Any, ...]]]:
+    """Functions that take half of the time in which `whole` is compiled.
+
+    In the order in which it comes to them, first those that it calls late enough for another
+    process to be ahead of it.
 
     Returns:
         Each with arguments of the types that it is called with there.
     """
     tether, h, motion = model.tether, model.step, solver.after
     work, contact, exit_ = solver.work, solver.contact, solver.exit
+    book, report = np.zeros(spatial_book.BOOK_SIZE), np.zeros(spatial_book.REPORT_SIZE)
     q, v, anchors, mouth = motion.q, motion.v, motion.tether_anchors, motion.mouth
     body, feet_anchors = motion.body, motion.feet_anchors
     terrain, feet, ground = model.terrain, model.feet, model.tether_ground
@@ -43,5 +59,7 @@ def parts(model: Model, solver: Solver) -> list[tuple[Any, tuple[Any, ...]]]:
         (add_tether_contact, (terrain, ground, tether, h, anchors, work, contact)),
         (merge_first, (tether, 1.0, 0.0, mouth, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, mouth, q, v, anchors)),
-        (assemble, (tether, h, work)),
+        (remember_torques, (model, solver, body, body, book)),
+        (report_loads, (model, solver, True, report)),
+        (spatial.energies, (model, motion, machines, book, solver)),
     ]

@@ -180,10 +180,10 @@ def compiled_in_vain(batch: Batch) -> Measured:
         check=True,
         timeout=_LONGEST_START,
     )
-    model = SpatialPlant(load_spatial(_START)).model
-    solver = make_solver(2, len(model.feet.corners))
+    plant = SpatialPlant(load_spatial(_START))
+    solver = make_solver(2, len(plant.model.feet.corners))
     details: dict[str, float | str] = {}
-    for function, _ in parts(model, solver):
+    for function, _ in parts(plant.model, solver, plant.initial_state().machines):
         name = function.py_func.__qualname__
         details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
     made = [kinds for kinds in details.values() if kinds != 1]
