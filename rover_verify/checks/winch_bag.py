@@ -5,7 +5,6 @@ Requests go out on the contract's topics; what became of them is read from the b
 
 from __future__ import annotations
 
-import json
 import shutil
 from functools import cache
 from pathlib import Path
@@ -16,15 +15,14 @@ from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_bags.read import Bag
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_spatial import spatial_plant
+from rover_verify.checks.winch_nodes import arm, start_winch_and_sim
 from rover_verify.stage import Observer, Process, Stage, open_stage
 from rover_verify.stage.lockstep import Lockstep
 from rover_verify.stage.recording import recorded_topics, wait_until_recording
 from rover_verify.winch_flight import Flight, flight_of_bag
 
-SCENARIO = "free_hang"
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
-_SIM, _WINCH, _RECORD = "rover_sim.sim_node", "tether_winch.winch_node", "rover_bags.record"
+_RECORD = "rover_bags.record"
 _REST = 5.0  # of simulated time between the ways, and after them [s]
 _PATIENCE = 1200.0  # by the wall clock, for one way of 160 s [s]
 _ATTEMPTS = 2  # in real time; then in lockstep
@@ -72,13 +70,9 @@ def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
     Raises:
         Stalled: the drive or the winch braked because the machine stood still.
     """
-    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
     with open_stage(folder) as stage:
         observer, recorder, bag = _begin(stage, folder, seed)
-        answer = observer.call(topics.WINCH_REARM)
-        if not answer.success:
-            raise RuntimeError(f"the winch cannot be armed: {answer.message}")
-        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        arm(observer)
         lockstep = None if in_real_time else Lockstep(observer, topics.WINCH_COMMAND)
         for length in (BOTTOM, TOP):
             _go(observer, length, lockstep)
@@ -89,27 +83,9 @@ def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
 
 def _begin(stage: Stage, folder: Path, seed: int) -> tuple[Observer, Process, Path]:
     bag = folder / "bag"
-    overrides = {"tether.length": TOP, "sensors.quality": "real"}
-    given = {
-        "scenario": SCENARIO,
-        "overrides": json.dumps(overrides),
-        "seed": seed,
-        "real_time_factor": 1.0,
-    }
     recorder = stage.processes.start(_RECORD, {"output": str(bag)})
-    stage.processes.start(_SIM, given)
-    stage.processes.start(_WINCH, {"use_sim_time": True})
-    observer = stage.observer()
-    for name in (
-        topics.CLOCK,
-        topics.EVENTS,
-        topics.DIAGNOSTICS,
-        topics.WINCH_MODE,
-        topics.WINCH_COMMAND,
-    ):
-        observer.listen(name)
-    for node in ("sim_node", "winch_node"):
-        observer.wait_until_ready(node)
+    heard = (topics.WINCH_MODE, topics.WINCH_COMMAND)
+    _, observer = start_winch_and_sim(stage, heard, TOP, seed)
     wait_until_recording(bag)
     observer.wait_until(
         lambda: recorded_topics(bag) >= _OF_WINCH, "the recorder does not hear the winch"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -16,10 +16,18 @@ from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_spatial import WEIGHT, spatial_plant
-from rover_verify.stage import Observer, Process, open_stage
+from rover_verify.stage import Observer, Process, Stage, open_stage
 from rover_verify.stage.lockstep import Lockstep
 
+SCENARIO = "free_hang"
 _SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
+_HEARD = (
+    topics.WINCH_MODE,
+    topics.WINCH_STATE,
+    topics.WINCH_COMMAND,
+    topics.WINCH_ESTIMATE,
+    topics.LOAD_CELL,
+)
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
 _RATE = 0.3  # [m/s]
 _RUN_UP = 1.5  # way in which the rate is reached [m]
@@ -51,41 +59,56 @@ class Killed(NamedTuple):
     in_real_time: bool
 
 
+def start_winch_and_sim(
+    stage: Stage, heard: Iterable[str], length: float, seed: int, **parameters: object
+) -> tuple[Process, Observer]:
+    """Start a sim_node with the rover hanging and a winch_node.
+
+    Args:
+        stage: to start them on.
+        heard: topics to listen to, beside the clock, events and diagnostics.
+        length: of the tether [m].
+        seed: of the sensors' errors.
+        parameters: of the simulator.
+
+    Returns:
+        The winch's process, and an observer, once both nodes are ready.
+    """
+    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
+    overrides = {"tether.length": length, "sensors.quality": "real"}
+    given = {
+        "scenario": SCENARIO,
+        "overrides": json.dumps(overrides),
+        "seed": seed,
+        "real_time_factor": 1.0,
+        **parameters,
+    }
+    stage.processes.start(_SIM, given)
+    winch = stage.processes.start(_WINCH, {"use_sim_time": True})
+    observer = stage.observer()
+    for name in (topics.CLOCK, topics.EVENTS, topics.DIAGNOSTICS, *heard):
+        observer.listen(name)
+    for node in ("sim_node", "winch_node"):
+        observer.wait_until_ready(node)
+    return winch, observer
+
+
+def arm(observer: Observer) -> None:
+    """Arm the winch, and wait until it holds."""
+    answer = observer.call(topics.WINCH_REARM)
+    if not answer.success:
+        raise RuntimeError(f"the winch cannot be armed: {answer.message}")
+    observer.wait_for_text(topics.WINCH_MODE, "hold")
+
+
 @contextmanager
 def winch_and_sim(
     folder: Path, length: float, seed: int = 1, **parameters: object
 ) -> Iterator[tuple[Process, Observer]]:
     """An armed winch_node and a sim_node with the rover hanging, as processes."""
-    overrides = {"tether.length": length, "sensors.quality": "real"}
-    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
     with open_stage(folder) as stage:
-        given = {
-            "scenario": "free_hang",
-            "overrides": json.dumps(overrides),
-            "seed": seed,
-            "real_time_factor": 1.0,
-            **parameters,
-        }
-        stage.processes.start(_SIM, given)
-        winch = stage.processes.start(_WINCH, {"use_sim_time": True})
-        observer = stage.observer()
-        for name in (
-            topics.CLOCK,
-            topics.EVENTS,
-            topics.DIAGNOSTICS,
-            topics.WINCH_MODE,
-            topics.WINCH_STATE,
-            topics.WINCH_COMMAND,
-            topics.WINCH_ESTIMATE,
-            topics.LOAD_CELL,
-        ):
-            observer.listen(name)
-        for node in ("sim_node", "winch_node"):
-            observer.wait_until_ready(node)
-        answer = observer.call(topics.WINCH_REARM)
-        if not answer.success:
-            raise RuntimeError(f"the winch cannot be armed: {answer.message}")
-        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        winch, observer = start_winch_and_sim(stage, _HEARD, length, seed, **parameters)
+        arm(observer)
         yield winch, observer
 
 
