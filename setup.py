@@ -9,6 +9,7 @@ PACKAGE = "mother_rover"
 EXECUTABLES = {
     "sim_node": "rover_sim.sim_node:main",
     "jump_node": "rover_control.jump_node:main",
+    "descent_node": "rover_control.descent_node:main",
     "winch_node": "tether_winch.winch_node:main",
     "bag_record": "rover_bags.record:main",
     "bag_recover": "rover_bags.recover:main",

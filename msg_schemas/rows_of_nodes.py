@@ -23,6 +23,7 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
 )
 from msg_schemas.row_kinds import (
     UNUSED,
@@ -77,8 +78,8 @@ _WINCH = (
     Topic(
         topics.WINCH_REQUEST,
         "an operator or the mission asks the winch for a motion; the joint's name is the mode. "
-        "Length and slack end by themselves; rate and tension end after the node's own timeout "
-        "unless they are renewed",
+        "Length and slack end by themselves. Others must be renewed within the node's own timeout: "
+        "rate and tension end in a fault otherwise, a renewed length that is not reached in a hold",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -88,6 +89,18 @@ _WINCH = (
             *joint_fields(
                 WINCH_TO_LENGTH,
                 ("m", "length at the drum to go to", 0.0, MAX_LENGTH),
+                _LARGEST_RATE,
+                _LARGEST_TENSION,
+                _LATER_0,
+            ),
+            *joint_fields(
+                WINCH_WHILE_RENEWED,
+                (
+                    "m",
+                    "length at the drum to go to for a controller that may die on the way",
+                    0.0,
+                    MAX_LENGTH,
+                ),
                 _LARGEST_RATE,
                 _LARGEST_TENSION,
                 _LATER_0,
@@ -114,7 +127,9 @@ _WINCH = (
                 _LATER_0,
             ),
         ),
-        joints=(WINCH_TO_LENGTH, WINCH_AT_RATE, WINCH_AT_TENSION, WINCH_SLACK),
+        joints=(
+            WINCH_TO_LENGTH, WINCH_WHILE_RENEWED, WINCH_AT_RATE, WINCH_AT_TENSION, WINCH_SLACK,
+        ),
         one_joint=True,
         stale=_STALE_REQUEST,
     ),
@@ -124,8 +139,8 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "descent controller (one owner)",
-        20.0,
+        "descent_node (one owner)",
+        50.0,
         fields=joint_fields(
             WINCH_DRUM,
             velocity=("m/s", "rate to add, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),

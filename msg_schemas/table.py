@@ -5,9 +5,9 @@ and units, within which limits, and what happens when it falls silent or comes
 late. Nodes, recorder, reports and the generated document all read this table;
 no topic name stands anywhere else.
 
-The rows stand in ``rows_of_plant`` and ``rows_of_nodes``; what a row can say in
-``row_kinds``; frames, joints and largest values in ``machine``. Others import all
-of it from here.
+The rows stand in ``rows_of_plant``, ``rows_of_descent`` and ``rows_of_nodes``; what
+a row can say in ``row_kinds``; frames, joints and largest values in ``machine``.
+Others import all of it from here.
 """
 
 from __future__ import annotations
@@ -20,10 +20,17 @@ from msg_schemas.machine import (
     BODY1_FRAME,
     BODY2_FRAME,
     BODY_SWITCH,
+    CAMERA_RATE,
+    DEPTH,
+    DEPTH_GOAL,
     ENERGY_NAMES,
     FLOOR_SWITCH,
     FLYWHEEL,
+    FLYWHEEL_BUDGET,
+    FLYWHEEL_MOMENTUM,
+    FLYWHEEL_TRAVEL,
     FRAMES,
+    HEADING,
     JUMP_LATCH,
     JUMP_MOTOR,
     JUMP_SCREW,
@@ -40,16 +47,30 @@ from msg_schemas.machine import (
     MAX_TENSION,
     MAX_WHEEL_RATE,
     MAX_WHEEL_TORQUE,
+    OBSERVATION_STOP,
     PAYOUT,
+    PICTURE,
+    PLAIN_STOP,
     REFERENCE,
     SMALLEST_LIMIT,
     SMEAR,
+    STOPS_LEFT,
     STRETCHED,
+    SWING_ERROR,
+    SWING_FREQUENCY,
+    SWING_MAJOR,
+    SWING_MINOR,
+    SWING_PLANE,
     TENSION,
     TETHER_OUT,
+    TILT_X,
+    TILT_Y,
+    TRAVEL_BUDGET,
     WALL_DISTANCE,
+    WHEEL_BUDGET,
     WHEEL_DRIVE,
     WHEEL_LEFT,
+    WHEEL_MOMENTUM,
     WHEEL_MOTOR,
     WHEEL_RIGHT,
     WINCH_AT_RATE,
@@ -60,7 +81,9 @@ from msg_schemas.machine import (
     WINCH_MOTOR,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
     WORLD_FRAME,
+    YAW_ERROR,
 )
 from msg_schemas.row_kinds import (
     Audience,
@@ -71,6 +94,7 @@ from msg_schemas.row_kinds import (
     Topic,
     Unstamped,
 )
+from msg_schemas.rows_of_descent import DESCENT_SERVICES, DESCENT_TOPICS
 from msg_schemas.rows_of_nodes import NODE_SERVICES, NODE_TOPICS
 from msg_schemas.rows_of_plant import PLANT_SERVICES, PLANT_TOPICS
 
@@ -79,11 +103,18 @@ __all__ = [
     "BODY1_FRAME",
     "BODY2_FRAME",
     "BODY_SWITCH",
+    "CAMERA_RATE",
     "CONTRACT_VERSION",
+    "DEPTH",
+    "DEPTH_GOAL",
     "ENERGY_NAMES",
     "FLOOR_SWITCH",
     "FLYWHEEL",
+    "FLYWHEEL_BUDGET",
+    "FLYWHEEL_MOMENTUM",
+    "FLYWHEEL_TRAVEL",
     "FRAMES",
+    "HEADING",
     "JUMP_LATCH",
     "JUMP_MOTOR",
     "JUMP_SCREW",
@@ -100,18 +131,32 @@ __all__ = [
     "MAX_TENSION",
     "MAX_WHEEL_RATE",
     "MAX_WHEEL_TORQUE",
+    "OBSERVATION_STOP",
     "PAYOUT",
+    "PICTURE",
+    "PLAIN_STOP",
     "REFERENCE",
     "SERVICES",
     "SMALLEST_LIMIT",
     "SMEAR",
+    "STOPS_LEFT",
     "STRETCHED",
+    "SWING_ERROR",
+    "SWING_FREQUENCY",
+    "SWING_MAJOR",
+    "SWING_MINOR",
+    "SWING_PLANE",
     "TENSION",
     "TETHER_OUT",
+    "TILT_X",
+    "TILT_Y",
     "TOPICS",
+    "TRAVEL_BUDGET",
     "WALL_DISTANCE",
+    "WHEEL_BUDGET",
     "WHEEL_DRIVE",
     "WHEEL_LEFT",
+    "WHEEL_MOMENTUM",
     "WHEEL_MOTOR",
     "WHEEL_RIGHT",
     "WINCH_AT_RATE",
@@ -122,7 +167,9 @@ __all__ = [
     "WINCH_MOTOR",
     "WINCH_SLACK",
     "WINCH_TO_LENGTH",
+    "WINCH_WHILE_RENEWED",
     "WORLD_FRAME",
+    "YAW_ERROR",
     "Audience",
     "Field",
     "Intent",
@@ -132,11 +179,11 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.0.0"
+CONTRACT_VERSION = "2.1.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
-    {row.name: row for row in (*PLANT_TOPICS, *NODE_TOPICS)}
+    {row.name: row for row in (*PLANT_TOPICS, *DESCENT_TOPICS, *NODE_TOPICS)}
 )
 SERVICES: Mapping[str, Service] = MappingProxyType(
-    {row.name: row for row in (*PLANT_SERVICES, *NODE_SERVICES)}
+    {row.name: row for row in (*PLANT_SERVICES, *DESCENT_SERVICES, *NODE_SERVICES)}
 )

@@ -13,12 +13,16 @@ import yaml
 from msg_schemas.fields import rule_of
 from msg_schemas.node import ContractNode
 from msg_schemas.parameters import from_mapping
+from rover_control.descent import DescentParameters
+from rover_control.descent_node import DescentNode
 from rover_control.jump_node import JumpNode
+from rover_control.swing_damping import DampingParameters
 from rover_sim.sim_node import SimNode
+from tether_winch.servo import ServoParameters
 from tether_winch.winch_node import WinchNode
 
 CONFIG = Path(__file__).parents[1] / "config"
-NODES: list[type[ContractNode]] = [SimNode, JumpNode, WinchNode]
+NODES: list[type[ContractNode]] = [SimNode, JumpNode, WinchNode, DescentNode]
 
 
 def fields_of(node: type[ContractNode]) -> Iterator[tuple[type[Any], Any]]:
@@ -27,8 +31,8 @@ def fields_of(node: type[ContractNode]) -> Iterator[tuple[type[Any], Any]]:
             yield cls, field
 
 
-def values_of(node: type[ContractNode]) -> dict[str, Any]:
-    content = yaml.safe_load((CONFIG / f"{node.NAME}.yaml").read_text(encoding="utf-8"))
+def values_of(node: type[ContractNode], name: str = "") -> dict[str, Any]:
+    content = yaml.safe_load((CONFIG / f"{name or node.NAME}.yaml").read_text(encoding="utf-8"))
     assert list(content) == [f"/**/{node.NAME}"]
     values = content[f"/**/{node.NAME}"]["ros__parameters"]
     assert isinstance(values, dict)
@@ -57,3 +61,22 @@ def test_the_unit_of_every_quantity_stands_beside_it(node: type[ContractNode]):
             continue
         (line,) = [each for each in lines if each.strip().startswith(f"{field.name}:")]
         assert f"[{rule_of(field).unit}]" in line
+
+
+def test_the_winch_of_a_descent_has_room_for_all_that_the_trim_may_ask_for():
+    given = values_of(WinchNode, "winch_descent")
+    servo = from_mapping(ServoParameters, given)
+    assert servo.trim_rate >= DampingParameters().trim_rate > ServoParameters().trim_rate
+    assert servo.trim_acceleration >= DampingParameters().trim_acceleration
+    lines = (CONFIG / "winch_descent.yaml").read_text(encoding="utf-8").splitlines()
+    for field in dataclasses.fields(ServoParameters):
+        if field.name in given:
+            (line,) = [each for each in lines if each.strip().startswith(f"{field.name}:")]
+            assert f"[{rule_of(field).unit}]" in line
+
+
+def test_a_descent_goes_no_further_than_its_winch():
+    winch = from_mapping(ServoParameters, values_of(WinchNode, "winch_descent"))
+    descent = DescentParameters()
+    assert descent.shallowest >= winch.shortest_length + winch.soft_margin - 1e-9
+    assert descent.deepest <= winch.longest_length - winch.soft_margin

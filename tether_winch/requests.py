@@ -14,6 +14,7 @@ from msg_schemas.machine import (
     WINCH_AT_TENSION,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -77,6 +78,7 @@ class Accepted(NamedTuple):
     mode: Mode
     goal: Goal
     reason: str
+    is_renewed: bool = False  # it ends where it is not renewed on the way
 
 
 class RequestJudge:
@@ -101,6 +103,7 @@ class RequestJudge:
         """
         take = {
             WINCH_TO_LENGTH: self._to_length,
+            WINCH_WHILE_RENEWED: self._while_renewed,
             WINCH_AT_RATE: self._at_rate,
             WINCH_AT_TENSION: self._at_tension,
             WINCH_SLACK: self._slack,
@@ -156,6 +159,9 @@ class RequestJudge:
         _check_direction(length - now.length, now)
         goal = Goal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
         return Accepted(Mode.LENGTH, goal, f"to {length:g} m")
+
+    def _while_renewed(self, value: JointValue, now: Situation) -> Accepted:
+        return self._to_length(value, now)._replace(is_renewed=True)
 
     def _at_rate(self, value: JointValue, now: Situation) -> Accepted:
         _, rate, tension = value

@@ -5,7 +5,8 @@ It is told what sensors and operators say, and stepped by time; it returns what 
 ========  ====================================================================================
 disarmed  brake closed; armed by service only
 hold      brake closed, or about to be, by itself when a motion has ended
-length    to a length by an S-curve; ends in hold, or at a touchdown or snag
+length    to a length by an S-curve; ends in hold, or at a touchdown or snag, or where a request
+          that is to be renewed is not
 rate      at a rate, renewed by its request
 tension   holds a tension at the fairlead, renewed by its request
 slack     gives slack beyond the taut length and then keeps it, or takes it up
@@ -96,6 +97,7 @@ class Winch:
         self._in_mode_since = 0.0
         self._driven = 0  # steps of the servo since the mode began
         self._renewed = 0.0
+        self._is_renewed = False  # the length is gone to only while its request is renewed
         self._trimmed: float | None = None
         self._jump = ""
         self._jump_since = 0.0
@@ -224,6 +226,7 @@ class Winch:
         self._tight_since = None
         self._accept(accepted, now)
         self._renewed = now
+        self._is_renewed = accepted.is_renewed
 
     def hold(self, now_ns: int) -> str:
         """Come to rest smoothly and close the brake.
@@ -364,6 +367,12 @@ class Winch:
         if self.mode in _RENEWED and now - self._renewed > p.guard.command_timeout:
             reason = f"the {self.mode} request was not renewed within {p.guard.command_timeout:g} s"
             self.latch(Fault.COMMAND_SILENCE, reason, now_ns)
+        elif self._is_forgotten(now):
+            goal = at_rest_quickly(self._goal)
+            reason = (
+                f"who asked for {self._goal.length:g} m is silent, at {self.payout.length:.4g} m"
+            )
+            self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
         elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
             goal = at_rest_quickly(self._goal)
             self._enter(Mode.HOLD, f"touchdown at {self.payout.length:.4g} m", goal, now)
@@ -397,6 +406,15 @@ class Winch:
         # By time alone a stalled node would take a motion that has not begun for one that is over.
         begun = self._driven >= _BEGINNING and now - self._in_mode_since > 0.05
         return begun and self._trimmed is None and self.servo.rests
+
+    def _is_forgotten(self, now: float) -> bool:
+        """Whether a length is gone to for somebody who does not renew the request any more."""
+        return (
+            self._is_renewed
+            and self.mode is Mode.LENGTH
+            and now - self._renewed > self.parameters.guard.command_timeout
+            and self.servo.motion.rate != 0.0
+        )
 
     def _pays_out(self) -> bool:
         return self.servo.reference.rate > 0.0 or self._goal.rate > 0.0

@@ -14,6 +14,7 @@ from msg_schemas.machine import (
     WINCH_AT_TENSION,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
@@ -56,6 +57,32 @@ def test_a_length_is_reached_without_overshoot_and_braked():
     assert lengths.max() < 14.003
     assert np.abs(made.column("length") - made.column("reference")).max() < 0.01
     assert made.ticks[-1].torque == 0.0
+
+
+def test_a_length_that_is_not_renewed_on_the_way_ends_in_a_hold():
+    made = session()
+    for _ in range(8):
+        made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+        made.run(0.5)
+    assert made.winch.mode is Mode.LENGTH
+    assert len(made.told("winch_hold")) == 1  # when it was armed
+    renewed, length = made.time, made.ticks[-1].length
+    made.run_until_rest(10.0)
+    _, told = made.told("winch_hold")
+    assert told - renewed == pytest.approx(made.winch.parameters.guard.command_timeout, abs=0.6)
+    assert made.ticks[-1].length - length < 0.7
+    assert made.winch.fault is None
+    made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+    for _ in range(30):
+        made.run(0.5)
+        if made.winch.mode is Mode.LENGTH:
+            made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+    assert made.ticks[-1].length == pytest.approx(14.0, abs=0.003)
+    made.run(3.0)  # there it needs no renewal
+    assert made.ticks[-1].mode is Mode.HOLD
+    made.ask(WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a length of the other kind
+    made.run(3.0)
+    assert made.winch.mode is Mode.LENGTH
 
 
 def test_a_stalled_controller_does_not_end_a_motion_before_it_began():

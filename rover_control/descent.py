@@ -1,0 +1,402 @@
+"""The descent as a service to operators: what the controller of the hanging rover needs around it.
+
+Pure. Nothing is driven before a stop was asked for, and nothing any more after a release. While
+there is something to be done, sensors that fall silent, or a winch that somebody else moves, holds
+or stops, end in a hold with the reason: it goes on when that is asked for. Each picture is told
+with what the camera says of it, as soon as that is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WINCH_DRUM
+from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, Level
+from msg_schemas.transition import Transition
+from rover_control.attitude import FlywheelReaction, WheelReaction
+from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
+from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters, WinchAsk
+from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
+
+RELEASED = "released"
+"""The word for what is driven by nobody here, beside the words of the phases."""
+
+_NANO = 1e9
+_JUMPING = frozenset({"compressing", "letting_down", "flight", "landed"})
+
+
+@dataclass(frozen=True)
+class DescentParameters:
+    """What stops may ask for, and patience with sensors and camera."""
+
+    shallowest: float = parameter(
+        1.6, "m", "smallest depth of a stop, as length at the drum", 0.1, 1e3
+    )
+    deepest: float = parameter(
+        48.0, "m", "largest depth of a stop: the floor's, less the rover's height", 0.1, 1e3
+    )
+    sensor_steps: int = parameter(
+        25, "-", "steps on end with a silent sensor after which it is lost", 1, 10000
+    )
+    picture_time: float = parameter(
+        0.1, "s", "from the order of a picture to the end of its exposure", 0.0, 10.0
+    )
+    picture_wait: float = parameter(
+        1.0, "s", "for what the camera says of a picture, before it is told without", 0.0, 60.0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse limits that leave no room."""
+        if self.shallowest >= self.deepest:
+            msg = f"shallowest is {self.shallowest:g} m, it must be less than deepest, "
+            raise ParameterError(msg + f"{self.deepest:g} m")
+
+
+@dataclass(frozen=True)
+class DescentSettings:
+    """All parameters of a descent."""
+
+    descent: DescentParameters = field(default_factory=DescentParameters)
+    link: WinchLinkParameters = field(default_factory=WinchLinkParameters)
+    phase_a: PhaseAParameters = field(default_factory=PhaseAParameters)
+
+
+class Observation(NamedTuple):
+    """A picture with what the camera says of it."""
+
+    number: int  # since the start, from 1
+    exposure: Exposure
+    smear: float  # [px]; NaN = the camera was not heard
+    wall_distance: float  # [m]; NaN = the camera was not heard
+
+
+class Drives(NamedTuple):
+    """What to send now; None = nothing."""
+
+    wheel_rate: float | None = None  # of the left wheel [rad/s]
+    flywheel_torque: float | None = None  # [N m]
+    winch: WinchAsk | None = None  # to be renewed
+    trim: float | None = None  # [m/s]
+
+
+class Descent:
+    """The controller with its supervision.
+
+    Args:
+        settings: all parameters.
+    """
+
+    def __init__(self, settings: DescentSettings) -> None:
+        self.settings = settings
+        self.length = math.nan
+        self.screw = math.nan  # angle of the flywheel's screw [rad]
+        self._is_retuned = False  # other parameters wait for the release
+        self._pictures = 0
+        self._open: deque[Observation] = deque()
+        self._taken: list[Observation] = []
+        self._changes: list[Transition] = []
+        self._jump = ""
+        self._mode = ""
+        self._wheel_rate = 0.0  # as sent last [rad/s]
+        self._stepped_ns = 0
+        self._make(0.0)
+
+    def _make(self, heading: float) -> None:
+        settings = self.settings
+        self._is_retuned = False
+        self.controller = PhaseA(settings.phase_a)
+        self.controller.heading = heading
+        self.controller.hear_winch_mode(self._mode)
+        self.link = WinchLink(settings.link, settings.phase_a.profile.near_enough)
+        self.link.hear_mode(self._mode, -math.inf)
+        self.is_engaged = False
+        self._hands_off = True  # the winch is left to others
+        self._silent_steps = 0
+        self.interruption = ""  # why the descent is held, where nobody has asked for that
+
+    # --- what is known ---------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> str:
+        """The word of the contract for what is done."""
+        return self.controller.profile.phase.value if self.is_engaged else RELEASED
+
+    @property
+    def stops_left(self) -> int:
+        """Stops that wait behind the present one."""
+        return len(self.controller.profile.stops)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is being done that a lost sensor or winch would spoil."""
+        profile = self.controller.profile
+        held = profile.phase is DescentPhase.HOLDING
+        return self.is_engaged and not profile.is_idle and not held
+
+    def waiting_for(self, now_ns: int) -> tuple[str, ...]:
+        """Topics of the sensors that are silent."""
+        return self.controller.waiting_for(now_ns)
+
+    def take_changes(self) -> list[Transition]:
+        """Return what changed since the last call, and forget it."""
+        taken, self._changes = self._changes, []
+        return taken + self.controller.take_changes()
+
+    def take_observations(self) -> list[Observation]:
+        """Return the pictures that are complete since the last call, and forget them."""
+        taken, self._taken = self._taken, []
+        return taken
+
+    # --- sensors ---------------------------------------------------------------------------------
+
+    def hear_drum(self, sample: JointSample, now_ns: int) -> None:
+        """Take the state of drum and brake."""
+        self.length = sample.joints[WINCH_DRUM].position
+        self.controller.hear_drum(sample, now_ns)
+
+    def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
+        """Take the wheels' rates."""
+        self.controller.hear_wheels(sample, now_ns)
+
+    def hear_flywheel(self, sample: JointSample, now_ns: int) -> None:
+        """Take angle and rate of the flywheel."""
+        self.screw = sample.joints[FLYWHEEL].position
+        self.controller.hear_flywheel(sample, now_ns)
+
+    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+        """Take a reading of the IMU."""
+        self.controller.hear_imu(sample, now_ns)
+
+    def hear_winch_mode(self, mode: str, now_ns: int) -> None:
+        """Take what the winch is doing."""
+        self._mode = mode
+        self.controller.hear_winch_mode(mode)
+        self.link.hear_mode(mode, now_ns / _NANO)
+
+    def hear_jump(self, phase: str) -> None:
+        """Take what the jump is doing: it needs the same motor."""
+        self._jump = phase
+
+    def hear_camera(self, sample: JointSample) -> None:
+        """Take what the camera tells of its last picture; what waited for it is complete."""
+        self.controller.hear_camera(sample)
+        smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
+        ready = sample.stamp_ns - round(self.settings.descent.picture_time * _NANO)
+        while self._open and round(self._open[0].exposure.time * _NANO) <= ready:
+            done = self._open.popleft()
+            self._taken.append(done._replace(smear=smear, wall_distance=wall))
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def request(self, stop: Stop, now_ns: int) -> None:
+        """Add a stop; the first one takes the drives.
+
+        Raises:
+            Refusal: out of limits, the rover jumps, or what the controller refuses.
+        """
+        p = self.settings.descent
+        if not p.shallowest <= stop.depth <= p.deepest:
+            raise Refusal(
+                topics.DESCENT_REQUEST,
+                RefusalCode.OUT_OF_LIMITS,
+                f"depth is {stop.depth!r} m, it must lie in {p.shallowest:g} .. {p.deepest:g} m",
+            )
+        if self._jump in _JUMPING:
+            raise Refusal(
+                topics.DESCENT_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the rover jumps ({self._jump}), its motor is needed",
+            )
+        with _refused_by(topics.DESCENT_REQUEST):
+            self.controller.request(stop, now_ns)
+        if not self.is_engaged:
+            self.is_engaged = True
+            self._changes.append(Transition("descent_engaged", "a stop is asked for"))
+        self._take_winch()
+
+    def hold(self, now_ns: int) -> str:
+        """Come to rest where it is.
+
+        Raises:
+            Refusal: nothing is under way.
+        """
+        self._check_engaged(topics.DESCENT_HOLD)
+        return self.controller.hold(now_ns)
+
+    def resume(self, now_ns: int) -> str:
+        """Go on after a hold.
+
+        Raises:
+            Refusal: nothing is held, a sensor is silent, or the winch is not free.
+        """
+        self._check_engaged(topics.DESCENT_RESUME)
+        silent = self.waiting_for(now_ns)
+        if silent:
+            text = f"{', '.join(silent)} not heard"
+            raise Refusal(topics.DESCENT_RESUME, RefusalCode.STALE, text)
+        if self._mode not in FREE:
+            raise Refusal(
+                topics.DESCENT_RESUME,
+                RefusalCode.NOT_ARMED,
+                f"the winch is in {self._mode or 'no known mode'}, it must hold",
+            )
+        with _refused_by(topics.DESCENT_RESUME):
+            done = self.controller.resume(now_ns)
+        self._take_winch()
+        return done
+
+    def abort(self, now_ns: int) -> str:
+        """Forget what was to be done and stay."""
+        self.interruption = ""
+        return self.controller.abort(now_ns)
+
+    def release(self) -> str:
+        """Give the drives back.
+
+        Raises:
+            Refusal: stops are left.
+        """
+        if self.is_engaged and not self.controller.profile.is_idle:
+            raise Refusal(
+                topics.DESCENT_RELEASE,
+                RefusalCode.WRONG_PHASE,
+                f"the descent is in {self.phase}; {topics.DESCENT_ABORT} forgets what is left",
+            )
+        if self.is_engaged:
+            self._let_go("asked for")
+        return "winch, wheels and flywheel are free"
+
+    def retune(self, settings: DescentSettings) -> None:
+        """Go by other parameters: at once where nothing is driven, else after the release."""
+        self.settings = settings
+        self._is_retuned = True
+        if not self.is_engaged:
+            self._make(self.controller.heading)
+
+    def _check_engaged(self, subject: str) -> None:
+        if not self.is_engaged:
+            raise Refusal(subject, RefusalCode.WRONG_PHASE, "no descent is under way")
+
+    def _take_winch(self) -> None:
+        """Use the winch again; where others have moved it, there it is now."""
+        self.interruption = ""
+        if not self._hands_off:
+            return
+        self._hands_off = False
+        profile = self.controller.profile
+        if not abs(self.length - profile.keeps) <= profile.parameters.near_enough:
+            profile.keeps = math.nan
+
+    def _leave_winch(self) -> None:
+        self._hands_off = True
+        self.link.let_go()
+
+    def _let_go(self, reason: str) -> None:
+        controller = self.controller
+        self._changes += controller.take_changes()
+        if self._is_retuned:
+            self._make(controller.heading)
+        else:
+            # What is known of the swing stays known; the rotors begin from rest.
+            p = controller.parameters
+            controller.wheels = WheelReaction(p.hanging, p.rotors, p.design)
+            controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
+            self.is_engaged = False
+            self.interruption = ""
+            self._leave_winch()
+        self._changes.append(Transition(f"descent_{RELEASED}", reason))
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(self, now_ns: int) -> Drives:
+        """Advance to now; returns what is to be sent."""
+        now = now_ns / _NANO
+        h, self._stepped_ns = (now_ns - self._stepped_ns) / _NANO, now_ns
+        while self._open and now - self._open[0].exposure.time > self.settings.descent.picture_wait:
+            self._taken.append(self._open.popleft())
+        if not self.is_engaged:
+            return Drives(self._run_down(h))
+        self._look_at_sensors(now_ns)
+        orders = self.controller.step(now_ns)
+        if orders.exposure is not None:
+            self._pictures += 1
+            nan = math.nan
+            self._open.append(Observation(self._pictures, orders.exposure, nan, nan))
+        if orders.wheel_rate is not None:
+            self._wheel_rate = orders.wheel_rate
+        ask, trim = self._winch(orders, now)
+        return Drives(orders.wheel_rate, orders.flywheel_torque, ask, trim)
+
+    def halt(self) -> Drives:
+        """What to send last, when nobody steps any more."""
+        if not self.is_engaged:
+            return Drives()
+        uses = self.settings.phase_a.uses_rotors
+        stops = not self._hands_off and self._mode == "length"
+        ask = WinchAsk(self.length, 0.0) if stops and math.isfinite(self.length) else None
+        off = 0.0 if uses else None
+        self.controller.abort(self._stepped_ns)
+        self._let_go("the node stops")
+        return Drives(off, off, ask)
+
+    def _look_at_sensors(self, now_ns: int) -> None:
+        silent = self.waiting_for(now_ns)
+        # By steps and not by time: one that comes late finds what was said meanwhile still unread.
+        self._silent_steps = self._silent_steps + 1 if silent else 0
+        if self._silent_steps >= self.settings.descent.sensor_steps and self.is_busy:
+            self._interrupt(f"{', '.join(silent)} not heard", now_ns)
+
+    def _winch(self, orders: Orders, now: float) -> tuple[WinchAsk | None, float | None]:
+        if self._hands_off:
+            return None, None
+        profile = self.controller.profile
+        if not self.is_busy:
+            if self.link.rests(now) or self._mode not in FREE:
+                self._leave_winch()
+                return None, None
+            return self.link.step(orders.winch, self.length, now, moves=False), None
+        trouble = self.link.trouble(self.length, now)
+        if trouble:
+            self._interrupt(trouble, round(now * _NANO))
+            return None, None
+        trims = self.settings.phase_a.uses_winch
+        moves = profile.phase is DescentPhase.TRAVELLING or (
+            profile.phase is DescentPhase.DAMPING and trims
+        )
+        if self._silent_steps:
+            return None, None
+        return self.link.step(orders.winch, self.length, now, moves=moves), orders.trim
+
+    def _interrupt(self, reason: str, now_ns: int) -> None:
+        self._changes += self.controller.take_changes()
+        self.controller.hold(now_ns)
+        self._leave_winch()
+        self.interruption = reason
+        self._changes.append(Transition("descent_interrupted", reason, Level.WARN))
+
+    def _run_down(self, h: float) -> float | None:
+        """The left wheel is brought to rest gently after a release."""
+        if self._wheel_rate == 0.0:
+            return None
+        change = self.settings.phase_a.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
+        rate = self._wheel_rate
+        self._wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
+        return self._wheel_rate
+
+
+@contextmanager
+def _refused_by(subject: str) -> Iterator[None]:
+    """What the controller refuses is refused by the topic or service that asked for it."""
+    try:
+        yield
+    except Refusal as refusal:
+        named = subject if refusal.subject == SUBJECT else refusal.subject
+        raise Refusal(named, refusal.code, refusal.reason) from None

@@ -1,0 +1,259 @@
+"""The ``descent_node`` executable: descends, looks and ascends on request."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    FLYWHEEL,
+    OBSERVATION_STOP,
+    WHEEL_DRIVE,
+    WINCH_DRUM,
+    WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
+)
+from msg_schemas.node import ContractNode, run
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import (
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    Status,
+    TextSample,
+)
+from rover_control.attitude import RotorParameters
+from rover_control.attitude_gains import AttitudeDesign
+from rover_control.descent import Descent, DescentParameters, DescentSettings, Drives
+from rover_control.descent_profile import ProfileParameters, Stop
+from rover_control.descent_report import observation_sample, state_sample
+from rover_control.hanging_rover import HangingParameters
+from rover_control.phase_a import PhaseAParameters
+from rover_control.swing_damping import DampingParameters
+from rover_control.swing_estimator import EstimatorParameters
+from rover_control.winch_link import WinchLinkParameters
+
+
+@dataclass(frozen=True)
+class DescentNodeParameters:
+    """How often the node acts, and with what."""
+
+    command_rate: float = parameter(
+        50.0, "Hz", "how often the controller is stepped and the drives told", 20.0, 100.0,
+        read_only=True,
+    )  # fmt: skip
+    state_rate: float = parameter(
+        10.0, "Hz", "how often the estimates are told", 0.1, 50.0, read_only=True
+    )
+    uses_winch: bool = parameter(True, "-", "the winch's trim is used against the swing")
+    uses_rotors: bool = parameter(True, "-", "wheels and flywheel are used")
+
+
+class DescentNode(ContractNode):
+    """Takes the hanging rover from stop to stop, steady enough to image the wall."""
+
+    NAME = "descent_node"
+    PARAMETERS = (
+        DescentNodeParameters,
+        DescentParameters,
+        WinchLinkParameters,
+        ProfileParameters,
+        HangingParameters,
+        EstimatorParameters,
+        DampingParameters,
+        AttitudeDesign,
+        RotorParameters,
+    )
+
+    def setup(self) -> None:
+        """Open topics and services."""
+        self._wheel_outlet = self.publisher(topics.WHEEL_COMMAND)
+        self._flywheel_outlet = self.publisher(topics.FLYWHEEL_COMMAND)
+        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
+        self._trim_outlet = self.publisher(topics.WINCH_TRIM)
+        self._phase_outlet = self.publisher(topics.DESCENT_PHASE)
+        self._state_outlet = self.publisher(topics.DESCENT_STATE)
+        self._observation_outlet = self.publisher(topics.DESCENT_OBSERVATION)
+        self._begin()
+        self.subscribe(topics.IMU, self._on_imu)
+        self.subscribe(topics.WINCH_STATE, self._on_drum)
+        self.subscribe(topics.WHEEL_STATE, self._on_wheels)
+        self.subscribe(topics.FLYWHEEL_STATE, self._on_flywheel)
+        self.subscribe(topics.CAMERA, self._on_camera)
+        self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
+        self.subscribe(topics.JUMP_PHASE, self._on_jump)
+        self.serve(topics.DESCENT_HOLD, self._on_hold)
+        self.serve(topics.DESCENT_RESUME, self._on_resume)
+        self.serve(topics.DESCENT_ABORT, self._on_abort)
+        self.serve(topics.DESCENT_RELEASE, self._on_release)
+        self.subscribe(topics.DESCENT_REQUEST, self._on_request)
+
+    def start(self) -> None:
+        """Drive nothing until a stop is asked for."""
+        self._begin()
+        rates = self.parameters_of(DescentNodeParameters)
+        self.every(1.0 / rates.command_rate, self._step)
+        self.every(1.0 / rates.state_rate, self._tell_state)
+
+    def stop(self) -> None:
+        """The winch comes to rest, the rotors' motors are off."""
+        self._send(self._descent.halt(), WINCH_TO_LENGTH)
+        self._tell_changes()
+
+    def parameters_changed(self) -> None:
+        """Take new parameters: at once while nothing is driven, else after the release."""
+        if self.active:
+            self._descent.retune(self._settings())
+
+    def clock_jumped(self) -> None:
+        """Start over: what was timed means nothing any more."""
+        if self.active:
+            self._send(self._descent.halt(), WINCH_TO_LENGTH)
+            self._tell_changes()
+            mode = self._descent.link.mode
+            self._begin()
+            self._descent.hear_winch_mode(mode, self.now_ns())
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """The sensors that are silent: stops are refused until they are heard."""
+        return self._descent.waiting_for(self.now_ns())
+
+    def health(self) -> tuple[Status, ...]:
+        """The phase, and which axis cannot hold the attitude."""
+        if not self.active:
+            return ()
+        descent = self._descent
+        axes = (descent.controller.wheels.axis, descent.controller.flywheel.axis)
+        spent = [axis.cannot_hold for axis in axes if axis.cannot_hold]
+        level = Level.WARN if descent.interruption else Level.OK
+        text = descent.phase + (f": {descent.interruption}" if descent.interruption else "")
+        return (
+            Status(f"{self.NAME}: descent", text, level, self.NAME),
+            Status(
+                f"{self.NAME}: attitude",
+                "; ".join(spent) or "within its budgets",
+                Level.WARN if spent else Level.OK,
+                self.NAME,
+            ),
+        )
+
+    # --- what is heard ---------------------------------------------------------------------------
+
+    def _on_imu(self, sample: ImuSample) -> None:
+        self._descent.hear_imu(sample, self.now_ns())
+
+    def _on_drum(self, sample: JointSample) -> None:
+        self._descent.hear_drum(sample, self.now_ns())
+
+    def _on_wheels(self, sample: JointSample) -> None:
+        self._descent.hear_wheels(sample, self.now_ns())
+
+    def _on_flywheel(self, sample: JointSample) -> None:
+        self._descent.hear_flywheel(sample, self.now_ns())
+
+    def _on_camera(self, sample: JointSample) -> None:
+        self._descent.hear_camera(sample)
+
+    def _on_winch_mode(self, sample: TextSample) -> None:
+        self._descent.hear_winch_mode(sample.text, self.now_ns())
+
+    def _on_jump(self, sample: TextSample) -> None:
+        self._descent.hear_jump(sample.text)
+
+    def _on_request(self, sample: JointSample) -> None:
+        ((name, (depth, rate, _)),) = sample.joints.items()
+        stop = Stop(depth=depth, observes=name == OBSERVATION_STOP, rate=rate)
+        self._descent.request(stop, self.now_ns())
+        what = "an observation" if stop.observes else "a stop"
+        values = {"depth": depth, "stops": self._descent.stops_left}
+        self.event("stop_accepted", f"{what} at {depth:g} m", values=values)
+        self._tell_changes()
+
+    def _on_hold(self) -> tuple[bool, str]:
+        return self._done(self._descent.hold(self.now_ns()))
+
+    def _on_resume(self) -> tuple[bool, str]:
+        return self._done(self._descent.resume(self.now_ns()))
+
+    def _on_abort(self) -> tuple[bool, str]:
+        return self._done(self._descent.abort(self.now_ns()))
+
+    def _on_release(self) -> tuple[bool, str]:
+        return self._done(self._descent.release())
+
+    def _done(self, answer: str) -> tuple[bool, str]:
+        self._step()
+        return True, answer
+
+    # --- what is told ----------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        self._descent = Descent(self._settings())
+        self._told_phase = ""
+        self._tell_changes()
+
+    def _settings(self) -> DescentSettings:
+        own = self.parameters_of(DescentNodeParameters)
+        return DescentSettings(
+            self.parameters_of(DescentParameters),
+            self.parameters_of(WinchLinkParameters),
+            PhaseAParameters(
+                hanging=self.parameters_of(HangingParameters),
+                estimator=self.parameters_of(EstimatorParameters),
+                damping=self.parameters_of(DampingParameters),
+                design=self.parameters_of(AttitudeDesign),
+                rotors=self.parameters_of(RotorParameters),
+                profile=self.parameters_of(ProfileParameters),
+                uses_winch=own.uses_winch,
+                uses_rotors=own.uses_rotors,
+            ),
+        )
+
+    def _step(self) -> None:
+        self._send(self._descent.step(self.now_ns()), WINCH_WHILE_RENEWED)
+        self._tell_changes()
+
+    def _send(self, drives: Drives, winch_joint: str) -> None:
+        now_ns = self.now_ns()
+        if drives.wheel_rate is not None:
+            torque = self.parameters_of(RotorParameters).wheel_torque
+            value = JointValue(0.0, drives.wheel_rate, torque)
+            self._wheel_outlet.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+        if drives.flywheel_torque is not None:
+            value = JointValue(effort=drives.flywheel_torque)
+            self._flywheel_outlet.send(JointSample(now_ns, {FLYWHEEL: value}))
+        if drives.winch is not None:
+            value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
+            self._winch_outlet.send(JointSample(now_ns, {winch_joint: value}))
+        if drives.trim is not None:
+            value = JointValue(velocity=drives.trim)
+            self._trim_outlet.send(JointSample(now_ns, {WINCH_DRUM: value}))
+
+    def _tell_changes(self) -> None:
+        descent = self._descent
+        for change in descent.take_changes():
+            self.event(change.name, change.reason, change.level, change.values)
+            if change.level is not Level.OK:
+                name = f"{self.NAME}: {change.name}"
+                self.report(Status(name, change.reason, change.level, self.NAME))
+        if descent.phase != self._told_phase:
+            self._told_phase = descent.phase
+            self._phase_outlet.send(TextSample(descent.phase))
+        for observation in descent.take_observations():
+            self._observation_outlet.send(observation_sample(observation))
+
+    def _tell_state(self) -> None:
+        sample = state_sample(self._descent, self.now_ns())
+        if sample is not None:
+            self._state_outlet.send(sample)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(DescentNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

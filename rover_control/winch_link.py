@@ -1,0 +1,112 @@
+"""What a controller asks of the winch from another process: sent, renewed, and watched. Pure.
+
+A length is asked for with a request that must be renewed: a winch whose controller has died comes
+to rest by itself. The other way round, a winch that does not do what it was asked has been taken
+away, by an operator or by itself, and is not asked again before somebody says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from msg_schemas.parameters import parameter
+from rover_control.phase_a import WinchAsk
+
+_HOLD, _LENGTH = "hold", "length"  # modes of the winch
+FREE = frozenset({_HOLD, _LENGTH})
+"""Modes in which nobody else moves the winch."""
+
+
+@dataclass(frozen=True)
+class WinchLinkParameters:
+    """Patience with the winch."""
+
+    renewal: float = parameter(0.25, "s", "between two renewals of a request", 0.02, 10.0)
+    winch_answer: float = parameter(
+        2.0, "s", "in which the winch must take a request for a length", 0.1, 60.0
+    )
+    winch_rest: float = parameter(
+        0.3, "s", "a winch that rests for longer where it should move was stopped", 0.02, 10.0
+    )
+
+
+class WinchLink:
+    """One request at a time.
+
+    Args:
+        parameters: patience.
+        near: so near is at a length [m].
+    """
+
+    def __init__(self, parameters: WinchLinkParameters, near: float) -> None:
+        self.parameters = parameters
+        self.near = near
+        self.mode = ""
+        self._mode_since = -math.inf
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Forget what was asked: it is not renewed any more."""
+        self._asked: WinchAsk | None = None
+        self._sent = -math.inf
+        self._begun: float | None = None  # when this motion was asked for first
+        self._is_taken = False
+        self._moves = False
+
+    def hear_mode(self, mode: str, now: float) -> None:
+        """Take what the winch is doing."""
+        if mode != self.mode:
+            self.mode, self._mode_since = mode, now
+
+    def rests(self, now: float) -> bool:
+        """Whether the winch holds, and has done so for a while."""
+        return self.mode == _HOLD and now - self._mode_since > self.parameters.winch_rest
+
+    def step(
+        self, ask: WinchAsk | None, length: float, now: float, *, moves: bool
+    ) -> WinchAsk | None:
+        """What to send now.
+
+        Args:
+            ask: what the controller asks for, anew or again.
+            length: paid out [m].
+            now: [s].
+            moves: whether the winch is meant to be on its way, or to be trimmed.
+        """
+        differs = ask is not None and (self._asked is None or ask.length != self._asked.length)
+        if differs or (moves and not self._moves):
+            self._begun, self._is_taken = None, False
+        self._moves = moves
+        self._asked = ask or self._asked
+        if self._asked is None:
+            return None
+        if self.mode == _LENGTH and self._begun is not None:
+            self._is_taken = True
+        if self._begun is None and ask is not None:
+            self._begun = now
+        elif now - self._sent < self.parameters.renewal:
+            return None
+        elif self.mode == _LENGTH:
+            # Near its goal it needs no renewal, and one that comes late opens the brake again.
+            if not moves and abs(length - self._asked.length) < self.near:
+                return None
+        elif ask is None or (self._is_taken and moves):
+            return None
+        self._sent = now
+        return self._asked
+
+    def trouble(self, length: float, now: float) -> str:
+        """Why the winch does not do what it was asked; empty = it does."""
+        if self.mode not in FREE:
+            return f"the winch is in {self.mode or 'no known mode'}"
+        if self._asked is None or self._begun is None or not self._moves:
+            return ""
+        if self._is_taken and self.rests(now):
+            return f"the winch was stopped at {length:.4g} m, its events say why"
+        if not self._is_taken and now - self._begun > self.parameters.winch_answer:
+            return (
+                f"the winch has not taken the request for {self._asked.length:g} m, its "
+                "diagnostics say why"
+            )
+        return ""

@@ -1,0 +1,403 @@
+"""The descent's supervision with the winch's own controller on a reduced hoist, without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+from hanging_machine import WALL, HangingMachine
+from winch_hoist import Hoist, HoistParameters
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    DEPTH,
+    PICTURE,
+    SMEAR,
+    WALL_DISTANCE,
+    WINCH_AT_RATE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
+)
+from msg_schemas.parameters import ParameterError
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS
+from msg_schemas.transition import Transition
+from rover_control.descent import (
+    RELEASED,
+    Descent,
+    DescentParameters,
+    DescentSettings,
+    Drives,
+    Observation,
+)
+from rover_control.descent_profile import DescentPhase, ProfileParameters, Stop
+from rover_control.descent_report import observation_sample, state_sample
+from rover_control.phase_a import PhaseAParameters
+from rover_verify.checks.winch_rig import TICK, Readings, Session
+from tether_winch.requests import Mode
+from tether_winch.winch import Winch, WinchParameters
+
+QUICK = ProfileParameters(first_look=0.5, steady_time=0.3, exposures=2, exposure_time=0.2)
+NOTHING = Drives()
+
+
+class World:
+    """A descent, a winch at work, and the rover that hangs on it."""
+
+    def __init__(self, length: float = 5.0) -> None:
+        self.winch = Session(Winch(WinchParameters()), Hoist(HoistParameters(start_length=length)))
+        self.rover = HangingMachine(length)
+        self.descent = Descent(DescentSettings(phase_a=PhaseAParameters(profile=QUICK)))
+        self.silent: set[str] = set()
+        self.sent: list[Drives] = []
+        self.changes: list[Transition] = []
+        self.observations: list[Observation] = []
+        self.readings: Readings | None = None
+        self._mode = ""
+
+    @property
+    def length(self) -> float:
+        assert self.readings is not None
+        return self.readings.length
+
+    def tick(self, *, is_alive: bool = True) -> None:
+        self.readings = readings = self.winch.tick()
+        self.rover.step(readings.length, readings.rate)
+        if not is_alive:
+            return
+        now, descent = self.winch.now_ns, self.descent
+        hear: dict[str, Callable[..., None]] = {
+            topics.IMU: descent.hear_imu,
+            topics.WHEEL_STATE: descent.hear_wheels,
+            topics.FLYWHEEL_STATE: descent.hear_flywheel,
+        }
+        for name, sample in self.rover.samples(now):
+            if name in self.silent:
+                continue
+            if name == topics.CAMERA:
+                descent.hear_camera(sample)  # type: ignore[arg-type]
+            else:
+                hear[name](sample, now)
+        drum = {
+            WINCH_DRUM: JointValue(readings.length, readings.rate),
+            WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
+        }
+        if topics.WINCH_STATE not in self.silent:
+            descent.hear_drum(JointSample(now, drum), now)
+        if self.winch.winch.mode.value != self._mode:
+            self._mode = self.winch.winch.mode.value
+            descent.hear_winch_mode(self._mode, now)
+        if len(self.winch.ticks) % 2 == 0:
+            self.control()
+
+    def control(self) -> None:
+        drives = self.descent.step(self.winch.now_ns)
+        self.sent.append(drives)
+        self.changes += self.descent.take_changes()
+        self.observations += self.descent.take_observations()
+        if drives.wheel_rate is not None:
+            self.rover.wheel_rate = drives.wheel_rate
+        self.rover.flywheel_torque = drives.flywheel_torque or 0.0
+        if drives.winch is not None:
+            self.winch.ask(WINCH_WHILE_RENEWED, *drives.winch)
+        if drives.trim is not None and self.winch.winch.mode is Mode.LENGTH:
+            self.winch.winch.trim(drives.trim, self.winch.now_ns)
+
+    def run(self, duration: float, *, is_alive: bool = True) -> None:
+        for _ in range(round(duration / TICK)):
+            self.tick(is_alive=is_alive)
+
+    def run_until(self, condition: Callable[[], bool], limit: float = 60.0) -> None:
+        for _ in range(round(limit / TICK)):
+            if condition():
+                return
+            self.tick()
+        raise AssertionError(f"not within {limit:g} s; it told {self.changes}")
+
+    def arm(self) -> None:
+        self.run(0.2)
+        self.winch.winch.rearm(self.winch.now_ns)
+        self.run(0.2)
+
+    def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
+        self.descent.request(Stop(depth, observes, rate), self.winch.now_ns)
+
+    def travel(self) -> None:
+        self.arm()
+        self.ask(9.0, rate=0.2)
+        self.run_until(lambda: self.length > 5.5)
+
+    def told(self, name: str) -> list[str]:
+        return [change.reason for change in self.changes if change.name == name]
+
+    @property
+    def done(self) -> bool:
+        return self.descent.is_engaged and self.descent.controller.profile.is_idle
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def refused(act: Callable[[], object]) -> Refusal:
+    with pytest.raises(Refusal) as caught:
+        act()
+    return caught.value
+
+
+# ------------------------------------------------------------------------------------ what it does
+
+
+def test_a_stop_is_gone_to_and_every_picture_is_told_with_what_the_camera_says(world: World):
+    world.arm()
+    assert world.descent.phase == RELEASED
+    world.ask(6.0)
+    world.run_until(lambda: world.done)
+    world.run(0.5)
+    assert world.length == pytest.approx(6.0, abs=0.01)
+    assert [o.number for o in world.observations] == [1, 2]
+    for observation in world.observations:
+        assert observation.exposure.depth == pytest.approx(6.0, abs=0.01)
+        # The camera's reading whose exposure began with the order or later.
+        of = observation.smear * 1e3
+        assert 0.1 <= of - observation.exposure.time < 0.2 + TICK
+        assert observation.wall_distance == WALL
+
+
+def test_nothing_is_driven_before_a_stop_is_asked_for_and_after_the_release(world: World):
+    world.arm()
+    world.run(1.0)
+    assert set(world.sent) == {NOTHING}
+    world.ask(5.5, observes=False)
+    world.run_until(lambda: world.done)
+    assert refused(lambda: world.ask(5.5, rate=1.0)).code is RefusalCode.OUT_OF_LIMITS
+    world.run(0.5)
+    assert world.sent[-1].wheel_rate is not None
+    heading = world.descent.controller.heading = 0.7
+    assert "free" in world.descent.release()
+    before = world.rover.wheel_rate
+    assert before < -0.5
+    world.run(6.0)
+    assert world.told(f"descent_{RELEASED}") == ["asked for"]
+    assert world.sent[-1] == NOTHING
+    assert world.rover.wheel_rate == 0.0
+    rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
+    assert max(abs(b - a) for a, b in pairwise(rates)) < 0.03
+    assert world.descent.controller.heading == pytest.approx(heading, abs=1e-3)
+
+
+def test_stops_are_done_in_their_order(world: World):
+    world.arm()
+    for depth in (5.4, 5.8, 5.6):
+        world.ask(depth)
+    assert world.descent.stops_left == 3
+    world.run_until(lambda: world.done)
+    world.run(0.5)
+    depths = [round(o.exposure.depth, 1) for o in world.observations]
+    assert depths == [5.4, 5.4, 5.8, 5.8, 5.6, 5.6]
+
+
+def test_it_is_held_resumed_and_aborted_on_the_way(world: World):
+    world.travel()
+    assert "holding" in world.descent.hold(world.winch.now_ns)
+    world.run(4.0)
+    held = world.length
+    assert held == pytest.approx(5.5, abs=0.1)
+    assert world.winch.winch.mode is Mode.HOLD
+    assert refused(lambda: world.ask(6.0)).subject == topics.DESCENT_REQUEST
+    assert "1 stops" in world.descent.resume(world.winch.now_ns)
+    world.run_until(lambda: world.length > 6.5)
+    assert "1 stops" in world.descent.abort(world.winch.now_ns)
+    world.run(4.0)
+    assert world.length == pytest.approx(6.5, abs=0.1)
+    assert world.done
+    assert world.winch.winch.mode is Mode.HOLD
+
+
+# ---------------------------------------------------------------------------------- what it refuses
+
+
+@pytest.mark.parametrize("depth", [1.0, 60.0, math.nan])
+def test_a_depth_out_of_reach_is_refused_with_what_would_be_right(world: World, depth: float):
+    world.arm()
+    refusal = refused(lambda: world.ask(depth))
+    assert (refusal.subject, refusal.code) == (topics.DESCENT_REQUEST, RefusalCode.OUT_OF_LIMITS)
+    assert "1.6 .. 48 m" in refusal.reason
+    assert not world.descent.is_engaged
+
+
+def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
+    assert refused(lambda: world.ask(6.0)).code is RefusalCode.STALE
+    world.run(0.5)
+    unarmed = refused(lambda: world.ask(6.0))
+    assert unarmed.code is RefusalCode.NOT_ARMED
+    assert topics.WINCH_REARM in unarmed.reason
+    world.arm()
+    now = world.winch.now_ns
+    assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
+    assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
+    world.descent.hear_jump("flight")
+    assert "jumps" in refused(lambda: world.ask(6.0)).reason
+    world.descent.hear_jump("standby")
+    world.ask(6.0)
+    assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
+
+
+def test_limits_that_leave_no_room_are_refused():
+    with pytest.raises(ParameterError, match="less than deepest"):
+        DescentParameters(shallowest=10.0, deepest=9.0)
+
+
+# ---------------------------------------------------------------------- what takes it off its way
+
+
+@pytest.mark.parametrize(
+    "topic", [topics.IMU, topics.WINCH_STATE, topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
+)
+def test_a_sensor_that_falls_silent_ends_in_a_hold_that_only_a_resume_ends(
+    world: World, topic: str
+):
+    world.travel()
+    world.silent.add(topic)
+    world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
+    assert world.told("descent_interrupted") == [f"{topic} not heard"]
+    assert topic in world.descent.interruption
+    world.run(3.0)
+    assert world.winch.winch.mode is Mode.HOLD
+    assert set(world.sent[-50:]) == {NOTHING}
+    assert refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.STALE
+    world.silent.clear()
+    length = world.length
+    world.run(3.0)
+    assert world.length == length
+    world.descent.resume(world.winch.now_ns)
+    world.run_until(lambda: world.length > length + 0.5)
+
+
+def test_a_step_that_comes_late_does_not_take_its_sensors_for_lost(world: World):
+    world.travel()
+    for _ in range(3):
+        world.run(0.6, is_alive=False)
+        world.control()  # before it has heard what was said meanwhile
+        world.run(0.2)
+    assert not world.told("descent_interrupted")
+    assert world.descent.phase == DescentPhase.TRAVELLING
+
+
+def stopped(world: World) -> None:
+    world.winch.winch.stop("asked to stop", world.winch.now_ns)
+
+
+def held(world: World) -> None:
+    world.winch.winch.hold(world.winch.now_ns)
+
+
+def driven_by_hand(world: World) -> None:
+    world.winch.ask(WINCH_AT_RATE, 0.0, -0.05)
+
+
+@pytest.mark.parametrize(
+    ("act", "why"), [(stopped, "in stop"), (held, "was stopped"), (driven_by_hand, "in rate")]
+)
+def test_a_winch_that_others_take_is_left_to_them_until_a_resume(
+    world: World, act: Callable[[World], None], why: str
+):
+    world.travel()
+    act(world)
+    world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
+    (reason,) = world.told("descent_interrupted")
+    assert why in reason
+    asked = [d.winch for d in world.sent[-10:] if d.winch is not None]
+    world.run(3.0)
+    assert [d.winch for d in world.sent[-100:] if d.winch is not None] == []
+    assert len(asked) <= 1
+    if not world.winch.winch.mode.is_armed:
+        assert (
+            refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.NOT_ARMED
+        )
+        world.winch.winch.rearm(world.winch.now_ns)
+    length = world.length
+    world.run(2.0)
+    assert world.length == length
+    world.descent.resume(world.winch.now_ns)
+    world.run_until(lambda: world.length > length + 0.5)
+
+
+def test_a_winch_that_does_not_take_the_request_ends_in_a_hold_with_the_reason(world: World):
+    world.arm()
+    world.ask(6.0)
+    world.winch.ask = lambda *_, **__: None  # type: ignore[method-assign]
+    world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 10.0)
+    (reason,) = world.told("descent_interrupted")
+    assert "not taken the request for 6 m" in reason
+
+
+def test_a_winch_moved_by_hand_between_two_stops_is_not_moved_back(world: World):
+    world.arm()
+    world.ask(5.5, observes=False)
+    world.run_until(lambda: world.done)
+    world.run(1.0)
+    world.winch.ask(WINCH_TO_LENGTH, 7.0, 0.3)
+    world.run(10.0)
+    assert world.length == pytest.approx(7.0, abs=0.01)
+    world.ask(6.5, observes=False)
+    world.run_until(lambda: world.done)
+    assert world.length == pytest.approx(6.5, abs=0.02)
+    assert min(t.length for t in world.winch.ticks[-500:]) > 6.4
+
+
+def test_a_winch_whose_controller_dies_comes_to_rest_by_itself(world: World):
+    world.travel()
+    length = world.length
+    world.run(3.0, is_alive=False)
+    assert world.winch.winch.mode is Mode.HOLD
+    assert length < world.length < length + 0.2 * 1.1 + 0.1
+    (silent,) = [t for _, t in world.winch.transitions if "is silent" in t.reason]
+    assert silent.name == "winch_hold"
+
+
+def test_halted_it_stops_the_winch_and_turns_the_motors_off(world: World):
+    world.travel()
+    last = world.descent.halt()
+    assert (last.wheel_rate, last.flywheel_torque) == (0.0, 0.0)
+    assert last.winch is not None
+    assert last.winch.length == world.length
+    assert world.descent.halt() == NOTHING
+
+
+# ------------------------------------------------------------------------------------ what it tells
+
+
+def test_what_it_tells_is_by_the_contract(world: World):
+    words = {RELEASED, *(phase.value for phase in DescentPhase)}
+    assert set(TOPICS[topics.DESCENT_PHASE].words) == words
+    assert state_sample(world.descent, 0) is None
+    world.arm()
+    world.run(0.1)
+    sample = state_sample(world.descent, world.winch.now_ns)
+    assert sample is not None
+    assert set(sample.joints) == set(TOPICS[topics.DESCENT_STATE].joints)
+    assert sample.joints[DEPTH].position == pytest.approx(5.0, abs=0.01)
+    world.ask(5.5)
+    world.run_until(lambda: world.done)
+    world.run(0.5)
+    told = observation_sample(world.observations[0])
+    assert told.joints[PICTURE].position == 1.0
+    assert told.stamp_ns == round(world.observations[0].exposure.time * 1e9)
+    without = observation_sample(world.observations[0]._replace(smear=math.nan))
+    assert SMEAR not in without.joints
+    assert WALL_DISTANCE in without.joints
+
+
+def test_without_a_camera_pictures_are_told_without_their_smear(world: World):
+    world.silent.add(topics.CAMERA)
+    world.arm()
+    world.ask(5.5)
+    world.run_until(lambda: len(world.observations) == 2)
+    assert all(math.isnan(o.smear) for o in world.observations)

@@ -1,0 +1,269 @@
+"""descent_node and winch_node as processes, with a mother machine and a rover of the test's own."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+from descent_mother import DescentMother
+from graph import forbidden_to_controllers, subscriptions_of
+from hanging_machine import WALL
+from winch_hoist import Hoist, HoistParameters
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.table import (
+    CAMERA_RATE,
+    DEPTH,
+    HEADING,
+    OBSERVATION_STOP,
+    PICTURE,
+    PLAIN_STOP,
+    SMEAR,
+    SWING_MAJOR,
+    WALL_DISTANCE,
+)
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Process, Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+MODULE, NODE = "rover_control.descent_node", "descent_node"
+WINCH, WINCH_NODE = "tether_winch.winch_node", "winch_node"
+QUICK = {"first_look": 0.5, "steady_time": 0.3, "exposures": 2, "exposure_time": 0.2}
+START = 5.0  # [m]
+FAR = 20.0  # a depth that is not reached [m]
+
+
+class Bench:
+    """Both nodes and what they act on."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self.observer: Observer = stage.observer()
+        for name in (
+            topics.DIAGNOSTICS, topics.WINCH_MODE, topics.DESCENT_STATE,
+            topics.DESCENT_OBSERVATION, topics.WINCH_REQUEST,
+        ):  # fmt: skip
+            self.observer.listen(name)
+        hoist = Hoist(HoistParameters(start_length=START))
+        hoist.step(None, 0.01)  # compiled here, not while time runs
+        stage.processes.start(WINCH, {"use_sim_time": True})
+        self.process = self.start()
+        self.mother = DescentMother(self.observer, hoist, START)
+        self.mother.begin()
+        self.observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+        self.observer.wait_until_ready(WINCH_NODE)
+
+    def start(self) -> Process:
+        return self.stage.processes.start(MODULE, {"use_sim_time": True, **QUICK})
+
+    def wait_until_ready(self, since: int = 0) -> None:
+        self.observer.wait_until_ready(NODE, since)
+
+    def arm(self) -> None:
+        answer = self.observer.call(topics.WINCH_REARM)
+        assert answer.success, answer.message
+        self.observer.wait_for_text(topics.WINCH_MODE, "hold")
+
+    def ask(self, joint: str, depth: float, rate: float = 0.0) -> None:
+        """Ask as an operator does: without a stamp."""
+        self.observer.send_joint(topics.DESCENT_REQUEST, joint, depth, rate, stamp_ns=0)
+
+    def ask_and_wait(self, joint: str, depth: float, rate: float = 0.0) -> None:
+        since = len(self.observer.listen(topics.EVENTS))
+        self.ask(joint, depth, rate)
+        self.observer.wait_for_event("stop_accepted", since)
+        self.mother.descends = True
+
+    def travel(self) -> None:
+        """Ask for a stop, and wait until the tether is paid out."""
+        self.ask_and_wait(OBSERVATION_STOP, FAR, 0.2)
+        self.mother.wait(lambda: self.mother.last.rate > 0.19, "the drum does not pay out")
+
+    def wait_until_braked(self) -> None:
+        def braked() -> bool:
+            last = self.mother.last
+            return last.rate == 0.0 and not last.brake_is_open
+
+        self.mother.wait(braked, "the drum is not braked")
+
+    def refused(self, code: str, since: int = 0) -> str:
+        return self.observer.wait_for_refusal(topics.DESCENT_REQUEST, code, since).message
+
+    def diagnostics(self) -> int:
+        return len(self.observer.listen(topics.DIAGNOSTICS))
+
+    def phases(self) -> int:
+        return len(self.observer.listen(topics.DESCENT_PHASE))
+
+
+@pytest.fixture
+def bench(stage: Stage) -> Iterator[Bench]:
+    made = Bench(stage)
+    try:
+        yield made
+    finally:
+        made.mother.end()
+
+
+# A bench takes some seconds to set up, so each test takes it through several things.
+
+
+def test_a_stop_is_asked_for_by_topic_and_its_pictures_are_told(bench: Bench):
+    refuse_what_is_wrong(bench)
+    assert bench.observer.listen(topics.DESCENT_PHASE).wait().text == "released"
+    assert len(bench.observer.listen(topics.WHEEL_COMMAND)) == 0
+    bench.ask_and_wait(OBSERVATION_STOP, 5.5)
+    bench.ask_and_wait(PLAIN_STOP, 5.3, 0.1)
+    look_at_pictures(bench)
+    release(bench)
+    be_stopped(bench)
+
+
+def refuse_what_is_wrong(bench: Bench) -> None:
+    """Refusals say what, why and what would be right, and nothing moves."""
+    bench.mother.spoil = lambda name, m: None if name == topics.IMU else m
+    bench.observer.wait_for_status(
+        topics.DIAGNOSTICS,
+        lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.IMU}",
+    )
+    bench.ask(OBSERVATION_STOP, 6.0)
+    assert f"{topics.IMU} not heard" in bench.refused("stale")
+    bench.mother.spoil = lambda _, message: message
+    bench.wait_until_ready(bench.diagnostics())
+    bench.ask(OBSERVATION_STOP, 6.0)
+    assert topics.WINCH_REARM in bench.refused("not_armed")
+    bench.arm()
+    bench.ask(OBSERVATION_STOP, 60.0)
+    assert "1.6 .. 48 m" in bench.refused("out_of_limits")
+    good = JointSample(bench.mother.now_ns, {PLAIN_STOP: JointValue(6.0)})
+    message = encode(topics.DESCENT_REQUEST, good)
+    message.position[0] = math.nan
+    bench.observer.publisher(topics.DESCENT_REQUEST).publish(message)
+    assert "plain_stop.position is nan" in bench.refused("not_finite")
+    bench.mother.wait(lambda: bench.mother.time > 4.0, "time does not run")
+    stale = JointSample(bench.mother.now_ns - 2_900_000_000, good.joints)
+    bench.observer.send(topics.DESCENT_REQUEST, stale)
+    bench.observer.wait_for_status(
+        topics.DIAGNOSTICS, lambda s: topics.DESCENT_REQUEST in s.name and "s ago" in s.message
+    )
+    for service in (topics.DESCENT_HOLD, topics.DESCENT_RESUME):
+        answer = bench.observer.call(service)
+        assert not answer.success
+        assert "wrong_phase" in answer.message
+    assert bench.mother.last.length == START
+    assert len(bench.observer.listen(topics.WINCH_REQUEST)) == 0
+    heard = subscriptions_of(bench.observer, NODE)
+    assert {topics.IMU, topics.WINCH_STATE} <= heard
+    assert not heard & forbidden_to_controllers()
+
+
+def look_at_pictures(bench: Bench) -> None:
+    observations = bench.observer.listen(topics.DESCENT_OBSERVATION)
+    for number, sample in enumerate(observations.wait_for_count(2), start=1):
+        assert sample.joints[PICTURE].position == number
+        assert sample.joints[DEPTH].position == pytest.approx(5.5, abs=0.02)
+        assert sample.joints[WALL_DISTANCE].position == WALL
+        assert math.radians(0.2) > sample.joints[CAMERA_RATE].velocity >= 0.0
+        assert abs(sample.joints[HEADING].position) < 0.1
+        # A reading of the camera whose exposure began with the order or later.
+        assert sample.joints[SMEAR].position * 1e3 - sample.stamp_ns * 1e-9 >= 0.1 - 1e-6
+    ended = bench.observer.wait_for_event("stop_ended")
+    assert ended.values["pictures"] == "2"
+    bench.observer.wait_for_status(
+        topics.EVENTS, lambda s: s.name == "stop_ended" and s.values["depth"] == "5.3"
+    )
+    state = bench.observer.listen(topics.DESCENT_STATE)
+    state.wait(lambda s: abs(s.joints[DEPTH].position - 5.3) < 0.02)
+    assert state.last.joints[SWING_MAJOR].position < math.radians(1.0)
+
+
+def release(bench: Bench) -> None:
+    bench.mother.descends = False
+    since = bench.phases()
+    answer = bench.observer.call(topics.DESCENT_RELEASE)
+    assert answer.success, answer.message
+    bench.observer.wait_for_text(topics.DESCENT_PHASE, "released", since=since)
+
+
+def be_stopped(bench: Bench) -> None:
+    """A node that is stopped on the way leaves the drum braked."""
+    bench.travel()
+    bench.mother.descends = False
+    assert bench.process.stop(signal.SIGINT) == 0
+    bench.wait_until_braked()
+    assert bench.mother.last.length < FAR - 0.1
+    assert bench.process.group_is_gone()
+    assert "Traceback" not in bench.process.output
+
+
+def test_whatever_happens_on_the_way_it_moves_only_when_it_is_asked(bench: Bench):
+    bench.wait_until_ready()
+    bench.arm()
+    hold_resume_and_abort(bench)
+    lose_a_sensor(bench)
+    be_killed(bench)
+
+
+def hold_resume_and_abort(bench: Bench) -> None:
+    bench.travel()
+    assert bench.observer.call(topics.DESCENT_HOLD).success
+    bench.wait_until_braked()
+    held = bench.mother.last.length
+    bench.ask(PLAIN_STOP, 6.0)
+    assert "resumed" in bench.refused("wrong_phase")
+    assert bench.observer.call(topics.DESCENT_RESUME).success
+    bench.mother.wait(lambda: bench.mother.last.length > held + 0.2, "it does not go on")
+    answer = bench.observer.call(topics.DESCENT_ABORT)
+    assert (answer.success, answer.message) == (True, "1 stops are dropped")
+    bench.wait_until_braked()
+    assert bench.mother.last.length < FAR - 0.1
+    again = bench.observer.call(topics.DESCENT_RESUME)
+    assert not again.success
+    assert topics.DESCENT_RESUME in again.message
+
+
+def lose_a_sensor(bench: Bench) -> None:
+    """A sensor that falls silent ends in a hold, with the reason."""
+    bench.travel()
+    bench.mother.descends = False
+    bench.mother.spoil = lambda name, m: None if name == topics.IMU else m
+    told = bench.observer.wait_for_event("descent_interrupted")
+    assert told.level is Level.WARN
+    assert told.message == f"{topics.IMU} not heard"
+    bench.wait_until_braked()
+    assert bench.mother.last.length < FAR - 0.1
+    bench.mother.spoil = lambda _, message: message
+    bench.wait_until_ready(bench.diagnostics())
+    assert bench.observer.call(topics.DESCENT_RESUME).success
+    bench.mother.descends = True
+    bench.mother.wait(lambda: bench.mother.last.rate > 0.19, "it does not go on")
+
+
+def be_killed(bench: Bench) -> None:
+    """The winch stops by itself, and a node that is started again moves nothing."""
+    bench.mother.descends = False
+    bench.process.send(signal.SIGKILL)
+    bench.process.wait()
+    bench.observer.wait_for_status(
+        topics.EVENTS, lambda s: s.name == "winch_hold" and "is silent" in s.message
+    )
+    bench.wait_until_braked()
+    length = bench.mother.last.length
+    assert length < FAR - 0.1
+    since, asked = bench.diagnostics(), len(bench.observer.listen(topics.WINCH_REQUEST))
+    phases = bench.phases()
+    bench.start()
+    bench.wait_until_ready(since)
+    bench.observer.wait_for_text(topics.DESCENT_PHASE, "released", since=phases)
+    bench.mother.wait_for(2.0)
+    assert bench.mother.last.length == length
+    assert len(bench.observer.listen(topics.WINCH_REQUEST)) == asked
+    bench.ask_and_wait(PLAIN_STOP, length + 0.3)
+    bench.mother.wait(lambda: bench.mother.last.length > length + 0.2, "it does not go on")

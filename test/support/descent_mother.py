@@ -1,0 +1,77 @@
+"""A mother machine with the rover that hangs on it, for winch and descent nodes together.
+
+As `winch_mother`, it waits for the answers of both nodes, so that a busy machine makes it slow and
+not wrong.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from hanging_machine import HangingMachine
+from winch_hoist import Hoist
+from winch_mother import Mother
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample
+from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE
+from rover_verify.checks.winch_rig import Readings
+from rover_verify.stage import Observer
+from rover_verify.stage.observer import Feed
+
+_LAG_NS = 60_000_000  # by which the descent's commands may be behind
+_PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
+_ANSWER = 0.05  # the same of one that did not answer the last tick [s]
+_LOOK = 0.002  # [s]
+
+
+class DescentMother(Mother):
+    """Runs in a thread of its own from ``begin`` on.
+
+    Attributes:
+        descends: whether a descent node is waited for, as it drives the flywheel.
+    """
+
+    def __init__(self, observer: Observer, hoist: Hoist, length: float) -> None:
+        super().__init__(observer, hoist)
+        self.rover = HangingMachine(length)
+        self.descends = False
+        self._keeps_up = False  # the descent answered the last tick
+        self._wheel = observer.listen(topics.WHEEL_COMMAND)
+        self._flywheel = observer.listen(topics.FLYWHEEL_COMMAND)
+        self._phase = observer.listen(topics.DESCENT_PHASE)
+        for name in (topics.IMU, topics.WHEEL_STATE, topics.FLYWHEEL_STATE, topics.CAMERA):
+            self._outlets[name] = observer.publisher(name)
+
+    def _heeded(self, feed: Feed) -> JointSample | None:
+        """The last command of a drive, while it is not too old."""
+        sample: JointSample | None = feed.last
+        if sample is None:
+            return None
+        silence = (self.now_ns - sample.stamp_ns) * 1e-9
+        return sample if 0.0 <= silence < TOPICS[feed.name].stale.silence else None
+
+    def _tell(self, readings: Readings) -> None:
+        wheel, flywheel = self._heeded(self._wheel), self._heeded(self._flywheel)
+        self.rover.wheel_rate = wheel.joints[WHEEL_DRIVE].velocity if wheel else 0.0
+        self.rover.flywheel_torque = flywheel.joints[FLYWHEEL].effort if flywheel else 0.0
+        self.rover.step(readings.length, readings.rate)
+        for name, sample in self.rover.samples(self.now_ns):
+            message = self.spoil(name, encode(name, sample))
+            if message is not None:
+                self._outlets[name].publish(message)
+        super()._tell(readings)
+
+    def _await_answer(self, heard: int) -> None:
+        super()._await_answer(heard)
+        begun = time.monotonic()
+        pause = threading.Event()
+        patience = _PATIENCE if self._keeps_up else _ANSWER
+        while self.descends and not self._ended.is_set():
+            last = self._flywheel.last
+            self._keeps_up = last is not None and self.now_ns - last.stamp_ns <= _LAG_NS
+            if self._keeps_up or time.monotonic() - begun > patience:
+                return
+            pause.wait(_LOOK)

@@ -1,0 +1,60 @@
+"""The hanging rover as its sensors and drives tell it: what a descent's controller hears."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hanging_model import HangingModel
+
+from msg_schemas import topics
+from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WHEEL_RIGHT
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample
+from rover_control.attitude import RotorParameters
+from rover_control.hanging_rover import HangingParameters
+from rover_verify.checks.winch_rig import TICK
+
+WALL = 3.0  # distance [m]
+_CAMERA_EVERY = 10  # ticks
+
+
+class HangingMachine:
+    """Wheels and flywheel follow what they are told, and turn the rover the other way.
+
+    Attributes:
+        wheel_rate: of the left wheel [rad/s].
+        flywheel_torque: [N m].
+    """
+
+    def __init__(self, length: float) -> None:
+        self.wheel_rate = 0.0
+        self.flywheel_torque = 0.0
+        self._hanging = HangingParameters()
+        self._model = HangingModel(self._hanging, length, 0.0, 0.0)
+        self._wheel = 0.0
+        self._angle = RotorParameters().travel_centre
+        self._rate = 0.0
+        self._ticks = 0
+
+    def step(self, length: float, payout_rate: float) -> None:
+        """Advance by a tick with so much tether [m], paid out at a rate [m/s]."""
+        self._model.length, self._model.payout_rate = length, payout_rate
+        friction = RotorParameters().flywheel_friction * math.tanh(self._rate)
+        turning = self.flywheel_torque - friction
+        self._rate += TICK * turning / self._hanging.flywheel_inertia
+        self._angle += TICK * self._rate
+        rolling = self._hanging.wheel_inertia * (self.wheel_rate - self._wheel) / TICK
+        self._wheel = self.wheel_rate
+        self._gyro, self._force = self._model.step((turning, rolling))
+        self._ticks += 1
+
+    def samples(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
+        """What its sensors say now, by topic; the smear tells the time [px = 1000 s]."""
+        yield topics.IMU, ImuSample(stamp_ns, self._gyro, self._force)
+        left, right = JointValue(0.0, self._wheel), JointValue()
+        yield topics.WHEEL_STATE, JointSample(stamp_ns, {WHEEL_LEFT: left, WHEEL_RIGHT: right})
+        turning = JointValue(self._angle, self._rate)
+        yield topics.FLYWHEEL_STATE, JointSample(stamp_ns, {FLYWHEEL: turning})
+        if self._ticks % _CAMERA_EVERY == 0:
+            seen = {WALL_DISTANCE: JointValue(WALL), SMEAR: JointValue(stamp_ns * 1e-12)}
+            yield topics.CAMERA, JointSample(stamp_ns, seen)
