@@ -32,7 +32,7 @@ SIMULATOR = {
     "scenario": ("marius_hills", "name of a spatial scenario, or path of a .yaml file"),
     "model": ("spatial", "a planar scenario is refused: it has neither wheels nor flywheel"),
     "overrides": (
-        '{"winch.min_length": 1.4}',
+        '{"winch.min_length": 1.4, "tether.element_length": 0.9}',
         "changes to the scenario by dotted path; by default the rover may come up to 1.6 m",
     ),
 }

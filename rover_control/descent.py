@@ -46,6 +46,12 @@ class DescentParameters:
     sensor_steps: int = parameter(
         25, "-", "steps on end with a silent sensor after which it is lost", 1, 10000
     )
+    largest_delay: float = parameter(
+        0.1, "s", "from the gyro's sample to a step; the rotors follow no later one", 0.02, 5.0
+    )
+    delay_recovery: float = parameter(
+        2.0, "s", "without such a delay, before the rotors follow again", 0.0, 60.0
+    )
     picture_time: float = parameter(
         0.1, "s", "from the order of a picture to the end of its exposure", 0.0, 10.0
     )
@@ -107,6 +113,7 @@ class Descent:
         self._mode = ""
         self._wheel_rate = 0.0  # as sent last [rad/s]
         self._stepped_ns = 0
+        self._imu_ns = 0  # the newest reading's stamp
         self._make(0.0)
 
     def _make(self, heading: float) -> None:
@@ -120,6 +127,10 @@ class Descent:
         self.is_engaged = False
         self._hands_off = True  # the winch is left to others
         self._silent_steps = 0
+        self._back_since = -math.inf  # all sensors, after one of them was silent [s]
+        self._late_until = -math.inf  # the rotors do not follow [s]
+        self._is_late = False
+        self._catches_up = False  # the wheel is brought to where it should be gently
         self.interruption = ""  # why the descent is held, where nobody has asked for that
 
     # --- what is known ---------------------------------------------------------------------------
@@ -142,8 +153,9 @@ class Descent:
         return self.is_engaged and not profile.is_idle and not held
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics of the sensors that are silent."""
-        return self.controller.waiting_for(now_ns)
+        """Topics that are silent, and the winch's mode where it was never told."""
+        silent = self.controller.waiting_for(now_ns)
+        return silent if self._mode else (*silent, topics.WINCH_MODE)
 
     def take_changes(self) -> list[Transition]:
         """Return what changed since the last call, and forget it."""
@@ -173,6 +185,7 @@ class Descent:
 
     def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a reading of the IMU."""
+        self._imu_ns = sample.stamp_ns or now_ns
         self.controller.hear_imu(sample, now_ns)
 
     def hear_winch_mode(self, mode: str, now_ns: int) -> None:
@@ -215,6 +228,16 @@ class Descent:
                 RefusalCode.WRONG_PHASE,
                 f"the rover jumps ({self._jump}), its motor is needed",
             )
+        rotors = self.settings.phase_a.rotors
+        away = self.screw - rotors.travel_centre
+        if self.settings.phase_a.uses_rotors and abs(away) > rotors.travel:
+            raise Refusal(
+                topics.DESCENT_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the screw stands {away:.3g} rad from the middle of the nut's free travel, it may "
+                f"stand {rotors.travel:g} rad off; {topics.JUMP_MOTOR_COMMAND} drives it clear",
+            )
+        self._check_known(topics.DESCENT_REQUEST, now_ns)
         with _refused_by(topics.DESCENT_REQUEST):
             self.controller.request(stop, now_ns)
         if not self.is_engaged:
@@ -238,10 +261,7 @@ class Descent:
             Refusal: nothing is held, a sensor is silent, or the winch is not free.
         """
         self._check_engaged(topics.DESCENT_RESUME)
-        silent = self.waiting_for(now_ns)
-        if silent:
-            text = f"{', '.join(silent)} not heard"
-            raise Refusal(topics.DESCENT_RESUME, RefusalCode.STALE, text)
+        self._check_known(topics.DESCENT_RESUME, now_ns)
         if self._mode not in FREE:
             raise Refusal(
                 topics.DESCENT_RESUME,
@@ -284,6 +304,15 @@ class Descent:
     def _check_engaged(self, subject: str) -> None:
         if not self.is_engaged:
             raise Refusal(subject, RefusalCode.WRONG_PHASE, "no descent is under way")
+
+    def _check_known(self, subject: str, now_ns: int) -> None:
+        silent = self.waiting_for(now_ns)
+        if silent:
+            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        left = self.settings.phase_a.profile.first_look - (now_ns / _NANO - self._back_since)
+        if left > 0.0:
+            text = f"a sensor was silent, the swing is known again in {left:.1f} s"
+            raise Refusal(subject, RefusalCode.STALE, text)
 
     def _take_winch(self) -> None:
         """Use the winch again; where others have moved it, there it is now."""
@@ -330,10 +359,8 @@ class Descent:
             self._pictures += 1
             nan = math.nan
             self._open.append(Observation(self._pictures, orders.exposure, nan, nan))
-        if orders.wheel_rate is not None:
-            self._wheel_rate = orders.wheel_rate
-        ask, trim = self._winch(orders, now)
-        return Drives(orders.wheel_rate, orders.flywheel_torque, ask, trim)
+        rotors = self._rotors(orders, h, now)
+        return Drives(*rotors, *self._winch(orders, now))
 
     def halt(self) -> Drives:
         """What to send last, when nobody steps any more."""
@@ -348,11 +375,39 @@ class Descent:
         return Drives(off, off, ask)
 
     def _look_at_sensors(self, now_ns: int) -> None:
-        silent = self.waiting_for(now_ns)
+        silent = self.controller.waiting_for(now_ns)
         # By steps and not by time: one that comes late finds what was said meanwhile still unread.
         self._silent_steps = self._silent_steps + 1 if silent else 0
+        if silent:
+            self._back_since = now_ns / _NANO
         if self._silent_steps >= self.settings.descent.sensor_steps and self.is_busy:
             self._interrupt(f"{', '.join(silent)} not heard", now_ns)
+
+    def _rotors(self, orders: Orders, h: float, now: float) -> tuple[float | None, float | None]:
+        """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
+        rate, torque = orders.wheel_rate, orders.flywheel_torque
+        if rate is None or torque is None:
+            return rate, torque
+        p = self.settings.descent
+        delay = max(now - self._imu_ns / _NANO, h)
+        if delay > p.largest_delay:
+            self._late_until = now + p.delay_recovery
+        late, self._is_late = self._is_late, now < self._late_until
+        if self._is_late and not late:
+            text = f"the gyro's reading is {delay:.2g} s old, the rotors do not follow it"
+            self._changes.append(Transition("rotors_late", text, Level.WARN))
+        elif late and not self._is_late:
+            self._changes.append(Transition("rotors_follow", "the gyro is heard in time again"))
+            self._catches_up = True
+        if self._is_late:
+            return self._wheel_rate, 0.0
+        if self._catches_up:
+            change = self.settings.phase_a.rotors.wheel_ramp * h
+            way = rate - self._wheel_rate
+            self._catches_up = abs(way) > change
+            rate = self._wheel_rate + min(max(way, -change), change)
+        self._wheel_rate = rate
+        return rate, torque
 
     def _winch(self, orders: Orders, now: float) -> tuple[WinchAsk | None, float | None]:
         if self._hands_off:
@@ -362,18 +417,17 @@ class Descent:
             if self.link.rests(now) or self._mode not in FREE:
                 self._leave_winch()
                 return None, None
-            return self.link.step(orders.winch, self.length, now, moves=False), None
+            return self.link.step(orders.winch, self.length, now), None
         trouble = self.link.trouble(self.length, now)
         if trouble:
             self._interrupt(trouble, round(now * _NANO))
             return None, None
-        trims = self.settings.phase_a.uses_winch
-        moves = profile.phase is DescentPhase.TRAVELLING or (
-            profile.phase is DescentPhase.DAMPING and trims
-        )
         if self._silent_steps:
             return None, None
-        return self.link.step(orders.winch, self.length, now, moves=moves), orders.trim
+        moves = profile.phase is DescentPhase.TRAVELLING
+        trims = orders.trim is not None
+        ask = self.link.step(orders.winch, self.length, now, moves=moves, trims=trims)
+        return ask, orders.trim
 
     def _interrupt(self, reason: str, now_ns: int) -> None:
         self._changes += self.controller.take_changes()

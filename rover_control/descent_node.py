@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.machine import (
@@ -25,15 +27,18 @@ from msg_schemas.samples import (
     TextSample,
 )
 from rover_control.attitude import RotorParameters
-from rover_control.attitude_gains import AttitudeDesign
 from rover_control.descent import Descent, DescentParameters, DescentSettings, Drives
-from rover_control.descent_profile import ProfileParameters, Stop
+from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
-from rover_control.hanging_rover import HangingParameters
 from rover_control.phase_a import PhaseAParameters
-from rover_control.swing_damping import DampingParameters
-from rover_control.swing_estimator import EstimatorParameters
 from rover_control.winch_link import WinchLinkParameters
+
+# The controller's parameters are parts of its own, by their name there.
+_PARTS: Mapping[str, type[Any]] = {
+    part.name: type(value)
+    for part in fields(PhaseAParameters)
+    if is_dataclass(value := getattr(PhaseAParameters(), part.name))
+}
 
 
 @dataclass(frozen=True)
@@ -56,16 +61,8 @@ class DescentNode(ContractNode):
 
     NAME = "descent_node"
     PARAMETERS = (
-        DescentNodeParameters,
-        DescentParameters,
-        WinchLinkParameters,
-        ProfileParameters,
-        HangingParameters,
-        EstimatorParameters,
-        DampingParameters,
-        AttitudeDesign,
-        RotorParameters,
-    )
+        DescentNodeParameters, DescentParameters, WinchLinkParameters, *_PARTS.values()
+    )  # fmt: skip
 
     def setup(self) -> None:
         """Open topics and services."""
@@ -200,12 +197,7 @@ class DescentNode(ContractNode):
             self.parameters_of(DescentParameters),
             self.parameters_of(WinchLinkParameters),
             PhaseAParameters(
-                hanging=self.parameters_of(HangingParameters),
-                estimator=self.parameters_of(EstimatorParameters),
-                damping=self.parameters_of(DampingParameters),
-                design=self.parameters_of(AttitudeDesign),
-                rotors=self.parameters_of(RotorParameters),
-                profile=self.parameters_of(ProfileParameters),
+                **{name: self.parameters_of(part) for name, part in _PARTS.items()},
                 uses_winch=own.uses_winch,
                 uses_rotors=own.uses_rotors,
             ),

@@ -10,12 +10,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from msg_schemas import topics
 from msg_schemas.parameters import parameter
+from msg_schemas.table import TOPICS
 from rover_control.phase_a import WinchAsk
 
 _HOLD, _LENGTH = "hold", "length"  # modes of the winch
 FREE = frozenset({_HOLD, _LENGTH})
 """Modes in which nobody else moves the winch."""
+# A winch that is trimmed does not come to rest by itself before the trim has been silent so long.
+_TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.silence  # [s]
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class WinchLink:
         self._begun: float | None = None  # when this motion was asked for first
         self._is_taken = False
         self._moves = False
+        self._trimmed = -math.inf
 
     def hear_mode(self, mode: str, now: float) -> None:
         """Take what the winch is doing."""
@@ -64,7 +69,13 @@ class WinchLink:
         return self.mode == _HOLD and now - self._mode_since > self.parameters.winch_rest
 
     def step(
-        self, ask: WinchAsk | None, length: float, now: float, *, moves: bool
+        self,
+        ask: WinchAsk | None,
+        length: float,
+        now: float,
+        *,
+        moves: bool = False,
+        trims: bool = False,
     ) -> WinchAsk | None:
         """What to send now.
 
@@ -72,17 +83,22 @@ class WinchLink:
             ask: what the controller asks for, anew or again.
             length: paid out [m].
             now: [s].
-            moves: whether the winch is meant to be on its way, or to be trimmed.
+            moves: whether the winch is meant to be on its way.
+            trims: whether it is trimmed now.
         """
         differs = ask is not None and (self._asked is None or ask.length != self._asked.length)
         if differs or (moves and not self._moves):
             self._begun, self._is_taken = None, False
         self._moves = moves
+        if trims:
+            self._trimmed = now
         self._asked = ask or self._asked
         if self._asked is None:
             return None
         if self.mode == _LENGTH and self._begun is not None:
             self._is_taken = True
+        if self._trim_was_ended:
+            return None
         if self._begun is None and ask is not None:
             self._begun = now
         elif now - self._sent < self.parameters.renewal:
@@ -96,14 +112,21 @@ class WinchLink:
         self._sent = now
         return self._asked
 
+    @property
+    def _trim_was_ended(self) -> bool:
+        return self.mode == _HOLD and self._mode_since - self._trimmed < _TRIM_LASTS
+
     def trouble(self, length: float, now: float) -> str:
         """Why the winch does not do what it was asked; empty = it does."""
         if self.mode not in FREE:
             return f"the winch is in {self.mode or 'no known mode'}"
+        stopped = f"the winch was stopped at {length:.4g} m, its events say why"
+        if self._trim_was_ended and self.rests(now):
+            return stopped
         if self._asked is None or self._begun is None or not self._moves:
             return ""
         if self._is_taken and self.rests(now):
-            return f"the winch was stopped at {length:.4g} m, its events say why"
+            return stopped
         if not self._is_taken and now - self._begun > self.parameters.winch_answer:
             return (
                 f"the winch has not taken the request for {self._asked.length:g} m, its "

@@ -49,9 +49,9 @@ NOTHING = Drives()
 class World:
     """A descent, a winch at work, and the rover that hangs on it."""
 
-    def __init__(self, length: float = 5.0) -> None:
+    def __init__(self, length: float = 5.0, swing: float = 0.0) -> None:
         self.winch = Session(Winch(WinchParameters()), Hoist(HoistParameters(start_length=length)))
-        self.rover = HangingMachine(length)
+        self.rover = HangingMachine(length, swing)
         self.descent = Descent(DescentSettings(phase_a=PhaseAParameters(profile=QUICK)))
         self.silent: set[str] = set()
         self.sent: list[Drives] = []
@@ -245,6 +245,9 @@ def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
     world.descent.hear_jump("flight")
     assert "jumps" in refused(lambda: world.ask(6.0)).reason
     world.descent.hear_jump("standby")
+    screw, world.descent.screw = world.descent.screw, 0.0
+    assert "94.2 rad from the middle" in refused(lambda: world.ask(6.0)).reason
+    world.descent.screw = screw
     world.ask(6.0)
     assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
 
@@ -274,6 +277,8 @@ def test_a_sensor_that_falls_silent_ends_in_a_hold_that_only_a_resume_ends(
     assert refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.STALE
     world.silent.clear()
     length = world.length
+    world.run(0.2)
+    assert "known again in" in refused(lambda: world.descent.resume(world.winch.now_ns)).reason
     world.run(3.0)
     assert world.length == length
     world.descent.resume(world.winch.now_ns)
@@ -287,6 +292,25 @@ def test_a_step_that_comes_late_does_not_take_its_sensors_for_lost(world: World)
         world.control()  # before it has heard what was said meanwhile
         world.run(0.2)
     assert not world.told("descent_interrupted")
+    assert world.descent.phase == DescentPhase.TRAVELLING
+
+
+def test_rotors_do_not_follow_a_gyro_that_is_heard_late(world: World):
+    world.travel()
+    rate = world.rover.wheel_rate
+    for _ in range(3):
+        world.run(0.2, is_alive=False)
+        world.control()
+        assert world.sent[-1][:2] == (rate, 0.0)
+        world.run(0.04)
+    assert len(world.told("rotors_late")) == 1
+    world.run(1.8)
+    assert {d[:2] for d in world.sent[-90:]} == {(rate, 0.0)}
+    world.run(4.0)
+    assert len(world.told("rotors_follow")) == 1
+    rates = [d.wheel_rate for d in world.sent[-300:] if d.wheel_rate is not None]
+    assert max(abs(b - a) for a, b in pairwise(rates)) < 0.05
+    assert rates[-1] == world.rover.wheel_rate != rate
     assert world.descent.phase == DescentPhase.TRAVELLING
 
 
@@ -327,6 +351,22 @@ def test_a_winch_that_others_take_is_left_to_them_until_a_resume(
     assert world.length == length
     world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > length + 0.5)
+
+
+def test_a_winch_that_is_stopped_while_it_is_trimmed_is_left_to_others():
+    world = World(swing=math.radians(3.0))
+    world.arm()
+    world.ask(8.0)
+    world.run_until(lambda: world.descent.phase == DescentPhase.DAMPING)
+    world.run_until(lambda: world.winch.winch.mode is Mode.LENGTH)
+    world.run(2.0)
+    assert max(abs(d.trim or 0.0) for d in world.sent) > 0.05
+    assert not world.told("descent_interrupted")
+    held(world)
+    world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
+    assert "was stopped" in world.told("descent_interrupted")[0]
+    world.run(3.0)
+    assert {(d.winch, d.trim) for d in world.sent[-100:]} == {(None, None)}
 
 
 def test_a_winch_that_does_not_take_the_request_ends_in_a_hold_with_the_reason(world: World):

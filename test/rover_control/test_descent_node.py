@@ -241,7 +241,9 @@ def lose_a_sensor(bench: Bench) -> None:
     assert bench.mother.last.length < FAR - 0.1
     bench.mother.spoil = lambda _, message: message
     bench.wait_until_ready(bench.diagnostics())
-    assert bench.observer.call(topics.DESCENT_RESUME).success
+    bench.mother.wait_for(QUICK["first_look"])  # the swing must be learnt anew
+    answer = bench.observer.call(topics.DESCENT_RESUME)
+    assert answer.success, answer.message
     bench.mother.descends = True
     bench.mother.wait(lambda: bench.mother.last.rate > 0.19, "it does not go on")
 

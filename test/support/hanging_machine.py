@@ -21,16 +21,20 @@ _CAMERA_EVERY = 10  # ticks
 class HangingMachine:
     """Wheels and flywheel follow what they are told, and turn the rover the other way.
 
+    Args:
+        length: of the tether [m].
+        swing: displacement along x from which it is let go [rad].
+
     Attributes:
         wheel_rate: of the left wheel [rad/s].
         flywheel_torque: [N m].
     """
 
-    def __init__(self, length: float) -> None:
+    def __init__(self, length: float, swing: float = 0.0) -> None:
         self.wheel_rate = 0.0
         self.flywheel_torque = 0.0
         self._hanging = HangingParameters()
-        self._model = HangingModel(self._hanging, length, 0.0, 0.0)
+        self._model = HangingModel(self._hanging, length, swing, 0.0, swing)
         self._wheel = 0.0
         self._angle = RotorParameters().travel_centre
         self._rate = 0.0
