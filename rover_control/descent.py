@@ -26,6 +26,7 @@ from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
 from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters, WinchAsk
 from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
 
+_NO_ORDERS = Orders(None, None, None, None, None)
 RELEASED = "released"
 """The word for what is driven by nobody here, beside the words of the phases."""
 
@@ -340,7 +341,6 @@ class Descent:
             controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
             self.is_engaged = False
             self.interruption = ""
-            self._leave_winch()
         self._changes.append(Transition(f"descent_{RELEASED}", reason))
 
     # --- stepped by time -------------------------------------------------------------------------
@@ -352,7 +352,9 @@ class Descent:
         while self._open and now - self._open[0].exposure.time > self.settings.descent.picture_wait:
             self._taken.append(self._open.popleft())
         if not self.is_engaged:
-            return Drives(self._run_down(h))
+            # A winch that still comes to rest is asked to go on with that.
+            ask, _ = self._winch(_NO_ORDERS, now)
+            return Drives(*self._run_down(h), ask)
         self._look_at_sensors(now_ns)
         orders = self.controller.step(now_ns)
         if orders.exposure is not None:
@@ -372,6 +374,7 @@ class Descent:
         off = 0.0 if uses else None
         self.controller.abort(self._stepped_ns)
         self._let_go("the node stops")
+        self._leave_winch()
         return Drives(off, off, ask)
 
     def _look_at_sensors(self, now_ns: int) -> None:
@@ -436,14 +439,14 @@ class Descent:
         self.interruption = reason
         self._changes.append(Transition("descent_interrupted", reason, Level.WARN))
 
-    def _run_down(self, h: float) -> float | None:
-        """The left wheel is brought to rest gently after a release."""
-        if self._wheel_rate == 0.0:
-            return None
-        change = self.settings.phase_a.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
+    def _run_down(self, h: float) -> tuple[float | None, float | None]:
+        """After a release the left wheel is brought to rest gently; the flywheel coasts."""
         rate = self._wheel_rate
+        if rate == 0.0:
+            return None, None
+        change = self.settings.phase_a.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
         self._wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
-        return self._wheel_rate
+        return self._wheel_rate, 0.0
 
 
 @contextmanager

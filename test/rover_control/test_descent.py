@@ -214,10 +214,14 @@ def test_it_is_held_resumed_and_aborted_on_the_way(world: World):
     assert "1 stops" in world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > 6.5)
     assert "1 stops" in world.descent.abort(world.winch.now_ns)
+    assert world.done
+    world.run(0.1)
+    world.descent.release()  # while the winch still comes to rest
     world.run(4.0)
     assert world.length == pytest.approx(6.5, abs=0.1)
-    assert world.done
     assert world.winch.winch.mode is Mode.HOLD
+    assert not [t for _, t in world.winch.transitions if "is silent" in t.reason]
+    assert all(drives.winch is None for drives in world.sent[-50:])
 
 
 # ---------------------------------------------------------------------------------- what it refuses
