@@ -52,7 +52,7 @@ class RotorParameters:
         1.0, "rad/s", "rate over which the make-up for it builds up", 1e-3, 100.0
     )
     flywheel_viscous: float = parameter(1.0e-5, "N m s/rad", "its viscous friction", 0.0, 0.1)
-    flywheel_tracking: float = parameter(10.0, "1/s", "gain of its rate loop", 0.1, 100.0)
+    flywheel_tracking: float = parameter(20.0, "1/s", "gain of its rate loop", 0.1, 100.0)
     flywheel_bias: float = parameter(
         1.5, "rad/s", "rate about which it reacts while pictures are taken", 0.0, 100.0
     )
@@ -60,8 +60,11 @@ class RotorParameters:
         -94.2, "rad", "angle of the screw in the middle of the nut's free travel", -1e4, 1e4
     )
     travel: float = parameter(70.0, "rad", "by which it may leave the middle", 0.1, 1e4)
+    travel_braking: float = parameter(
+        3.0, "1/s", "rate of the screw over what is left of its travel, at most", 0.1, 100.0
+    )
     travel_time: float = parameter(
-        30.0, "s", "in which the nut is brought back to the middle", 1.0, 600.0
+        8.0, "s", "in which the nut is brought back to the middle", 1.0, 600.0
     )
 
 
@@ -177,6 +180,7 @@ class FlywheelReaction:
         )
         self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
         self._side = 0.0  # to which the bias turns
+        self._pumped = 0.0  # [N m s]
         self._away = 0.0  # from the middle of the travel [rad]
 
     @property
@@ -184,11 +188,23 @@ class FlywheelReaction:
         """Whether the nut has come too near an end for a bias."""
         return abs(self._away) > 0.7 * self.rotors.travel
 
-    def step(self, tilt_rate: float, angle: float, rate: float, h: float, *, quiet: bool) -> float:
+    def step(
+        self,
+        tilt_rate: float,
+        pumped: float,
+        swept: float,
+        angle: float,
+        rate: float,
+        h: float,
+        *,
+        quiet: bool,
+    ) -> float:
         """Advance by h; returns the motor's torque [N m].
 
         Args:
-            tilt_rate: along y [rad/s].
+            tilt_rate: along y, without the pumping's own [rad/s].
+            pumped: momentum to pump with, along y [N m s].
+            swept: what that sums up to, about a mean of none [N m s^2].
             angle: of the screw [rad].
             rate: of the flywheel [rad/s].
             h: duration [s].
@@ -203,12 +219,16 @@ class FlywheelReaction:
             self._side = 0.0
         elif self._side == 0.0:
             self._side = -math.copysign(1.0, away)
-        wanted = momentum / self.inertia + self._side * p.flywheel_bias
+        wanted = (momentum + pumped) / self.inertia + self._side * p.flywheel_bias
         if not quiet:
-            wanted -= away / p.travel_time
-        if abs(away) >= p.travel:
-            wanted = min(wanted, 0.0) if away > 0.0 else max(wanted, 0.0)
-        torque = (momentum - before) / h + p.flywheel_tracking * self.inertia * (wanted - rate)
+            wanted -= (away - swept / self.inertia) / p.travel_time
+        # Slower the nearer the end, never against it.
+        room = p.travel - math.copysign(away, away * wanted)
+        most = max(p.travel_braking * room, 0.0)
+        wanted = min(max(wanted, -most), most)
+        change = momentum + pumped - before - self._pumped
+        self._pumped = pumped
+        torque = change / h + p.flywheel_tracking * self.inertia * (wanted - rate)
         friction = p.flywheel_friction * math.tanh(wanted / p.flywheel_friction_rate)
         torque += friction + p.flywheel_viscous * rate
         return min(max(torque, -p.flywheel_torque), p.flywheel_torque)

@@ -27,10 +27,13 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
 from msg_schemas.transition import Transition
 from rover_control.hanging_rover import HangingParameters
+from rover_control.stillness import best_span, still_span
 from rover_control.swing_estimator import SwingEstimate
+from rover_control.yaw_keeper import Handing
 
 SUBJECT = "descent"  # of refusals
 _BEGIN = 1.25  # damping begins where this much above where it ends
+_PERIODS = 1.3  # of the swing that a settling may take at least
 _ROUND = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
 
 
@@ -69,6 +72,23 @@ class ProfileParameters:
         60.0, "s", "decay time up to which a swing is damped even for a stop that it cannot help",
         1.0, 1e4,
     )  # fmt: skip
+    handed_rate: float = parameter(
+        0.001,
+        "rad/s",
+        "camera rate by a cone at the next stop from which its momentum is handed on, 0.06 deg/s",
+        1e-5,
+        0.1,
+    )
+    kept_swing: float = parameter(
+        0.009, "rad", "plane swing that is kept while a momentum is handed on", 0.0, 0.1
+    )
+    hand_limit: float = parameter(400.0, "s", "longest time to hand a momentum on", 0.0, 1e4)
+    least_pull: float = parameter(
+        5.0e-5, "rad/s^2", "yaw acceleration by twist that is small enough to go on", 1e-6, 0.1
+    )
+    unwound_yaw: float = parameter(
+        0.0025, "rad/s", "yaw rate that is small enough to go on, 0.14 deg/s", 1e-5, 0.1
+    )
     exposures: int = parameter(3, "-", "pictures of a stop", 1, 1000)
     exposure_time: float = parameter(0.5, "s", "between two pictures", 0.05, 60.0)
     largest_swing: float = parameter(
@@ -101,7 +121,8 @@ class Wish(NamedTuple):
     trims: bool  # the winch against the swing
     pumps: bool  # the wheels against swing and yaw
     quiet: bool  # for pictures, now or soon
-    may_spin: bool  # a cone may be turned into spin about the tether
+    hands_on: bool  # the momentum of a cone to the mother, through the twisted tether
+    unwinds: bool  # the tether, that was twisted for that
     exposes: bool  # a picture now
 
 
@@ -134,6 +155,9 @@ class DescentProfile:
         self._trials = 0
         self._last_exposure = -math.inf
         self._known_since = math.nan
+        self._handing = Handing(0.0, math.inf, 0.0)
+        self._hands_on = self._unwinds = False
+        self._keeps_swing = False
         self._changes: list[Transition] = []
 
     def take_changes(self) -> list[Transition]:
@@ -220,6 +244,7 @@ class DescentProfile:
         swing: SwingEstimate,
         length: float,
         *,
+        handing: Handing,
         winch_rests: bool,
         rotors_rest: bool,
         now: float,
@@ -229,6 +254,7 @@ class DescentProfile:
         Args:
             swing: as estimated.
             length: paid out [m].
+            handing: what it would take to rid the rover of its momentum about the plumb line.
             winch_rests: the winch stands with its brake closed.
             rotors_rest: the wheels do not turn for the pumping any more.
             now: [s].
@@ -239,6 +265,7 @@ class DescentProfile:
         if math.isnan(self._since):
             self._since = now
         exposes = False
+        self._handing = handing
         if self.phase is DescentPhase.STANDBY:
             if self.stops and now - self._known_since >= p.first_look:
                 self._begin(swing, length, now)
@@ -256,12 +283,22 @@ class DescentProfile:
         return Wish(
             self.keeps,
             self._rate(length),
-            self.phase is DescentPhase.DAMPING,
+            self.phase is DescentPhase.DAMPING and self._trims(swing, length),
             self.phase in (DescentPhase.DAMPING, DescentPhase.TRAVELLING),
             self.phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING),
-            self._stop is not None and not self._stop.observes and self._is_there,
+            self._hands_on,
+            self._unwinds,
             exposes,
         )
+
+    def _trims(self, swing: SwingEstimate, length: float) -> bool:
+        """Whether the winch damps; rotors that hand a momentum on need swing to push against."""
+        if not self._hands_on:
+            return self._swings(swing, length)
+        plane = swing.ellipse.major - abs(swing.ellipse.minor)
+        most = self.parameters.kept_swing * (2.0 if self._keeps_swing else 1.0)
+        self._keeps_swing = plane < most
+        return not self._keeps_swing
 
     def _rate(self, length: float) -> float:
         p = self.parameters
@@ -303,6 +340,9 @@ class DescentProfile:
 
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
+        handed = self._hands_on
+        self._hands_on = self._must_hand_on()
+        self._unwinds = not self._hands_on and (handed or self._unwinds) and self._is_wound(swing)
         enough = swing.swing_error < p.known_error and not self._too_much(swing, length)
         late = now - self._arrived > p.stop_limit
         if late and not self._is_there:
@@ -322,15 +362,9 @@ class DescentProfile:
         steady = swing.camera_rate < p.steady_rate and all_rests
         known = swing.swing_error < p.known_error
         if stop.observes and known and now - self._since > 0.5 and not steady:
-            left = self._circle_rate(swing, length, length)
-            if left > p.steady_rate:
-                self._give_up(
-                    f"a cone of {_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)} turns "
-                    f"the camera by {math.degrees(left):.2f} deg/s, its momentum about the plumb "
-                    "line cannot be damped",
-                    length,
-                    now,
-                )
+            why = self._hopeless(swing, length, length)
+            if why:
+                self._give_up(why, length, now)
                 return
         if not stop.observes:
             if not self._too_much(swing, length):
@@ -338,6 +372,7 @@ class DescentProfile:
                 self._enter(DescentPhase.STANDBY, f"reached {length:.4g} m", now)
                 return
             steady = False
+        patience = max(p.settle_limit, _PERIODS * math.tau / swing.frequency)
         if not steady:
             self._steady_since = math.nan
         elif math.isnan(self._steady_since):
@@ -345,22 +380,27 @@ class DescentProfile:
         if steady and now - self._steady_since >= p.steady_time:
             self._enter(DescentPhase.EXPOSING, f"steady at {length:.4g} m", now)
         elif now - self._arrived > p.stop_limit or (
-            self._trials >= p.settle_trials and now - self._since > p.settle_limit
+            self._trials >= p.settle_trials and now - self._since > patience
         ):
             self._give_up(self._unsteady(swing, now), length, now)
         elif (
             all_rests
             and not steady
-            and (self._too_much(swing, length) or now - self._since > p.settle_limit)
+            and (self._too_much(swing, length) or now - self._since > patience)
         ):
             self._steady_since = math.nan
-            self._trials += now - self._since > p.settle_limit
+            self._trials += now - self._since > patience
             ellipse = swing.ellipse
             text = f"swings by {_deg(ellipse.major)} x {_deg(ellipse.minor)}"
             self._enter(DescentPhase.DAMPING, text, now)
 
     def _expose(self, swing: SwingEstimate, now: float) -> bool:
         p = self.parameters
+        if self._stop is None:
+            # The last picture is still being taken.
+            if now - self._last_exposure >= p.exposure_time:
+                self._enter(DescentPhase.STANDBY, "pictures taken", now)
+            return False
         if swing.camera_rate >= p.steady_rate:
             if now - self._last_exposure > 2.0 * p.exposure_time and now - self._since > 2.0:
                 self._steady_since = math.nan
@@ -371,15 +411,25 @@ class DescentProfile:
         self._last_exposure = now
         self._taken += 1
         if self._taken >= p.exposures:
-            assert self._stop is not None
             self._end_stop(f"{self._taken} pictures", Level.OK, self._stop.depth)
-            self._enter(DescentPhase.STANDBY, "pictures taken", now)
         return True
 
     # --- judgement -------------------------------------------------------------------------------
 
     def _too_much(self, swing: SwingEstimate, length: float) -> bool:
         """Whether there is more swing than the stop that is meant bears."""
+        stop = self._stop
+        assert stop is not None
+        if self._must_hand_on() or self._unwinds or self._swings(swing, length):
+            return True
+        limit = self.parameters.damped_yaw
+        # What damping leaves must not begin it again at once.
+        if self.phase is DescentPhase.SETTLING:
+            limit *= 2.0
+        return stop.observes and self._is_there and abs(swing.yaw_rate) > limit
+
+    def _swings(self, swing: SwingEstimate, length: float) -> bool:
+        """Whether there is more for the winch to damp than the stop that is meant bears."""
         stop = self._stop
         assert stop is not None
         p, ellipse = self.parameters, swing.ellipse
@@ -391,21 +441,64 @@ class DescentProfile:
             return plane > p.largest_swing
         if not stop.observes:
             return self._is_there and there > 0.5 * p.largest_swing
-        rate = there * self.hanging.swing_frequency(stop.depth)
-        hopeless = self._circle_rate(swing, length, stop.depth) > p.steady_rate
-        if hopeless and not self._is_there and self.decay_time(length) > p.quick_damping:
+        quick = self.decay_time(length) < p.quick_damping
+        if self._hopeless(swing, length, stop.depth) and (self._is_there or not quick):
             return False
-        least = max(p.damped_rate, _ROUND * self._circle_rate(swing, length, stop.depth))
-        # What damping leaves must not begin it again at once.
-        ease = _BEGIN if self.phase is DescentPhase.SETTLING else 1.0
-        spins = self._is_there and abs(swing.yaw_rate) > ease * p.damped_yaw
-        return rate > ease * least or spins
+        w = self.hanging.swing_frequency(stop.depth)
+        if quick and not self._is_there:
+            return there * w > max(p.damped_rate, _ROUND * self._circle_rate(stop.depth))
+        minor = self.hanging.grown(ellipse.minor, length, stop.depth)
+        span = still_span(there, minor, w, p.damped_rate)
+        settling = self.phase is DescentPhase.SETTLING
+        return span < self._needed / (_BEGIN if settling else 1.0)
 
-    def _circle_rate(self, swing: SwingEstimate, length: float, depth: float) -> float:
-        """Rate [rad/s] that is left at a depth when all but the swing's momentum is damped."""
-        circle = math.sqrt(swing.ellipse.major * abs(swing.ellipse.minor))
-        there = self.hanging.grown(circle, length, depth)
-        return there * self.hanging.swing_frequency(depth)
+    @property
+    def _needed(self) -> float:
+        """Time [s] that the rover must be still for a stop's pictures."""
+        p = self.parameters
+        return p.steady_time + (p.exposures + 1) * p.exposure_time
+
+    def _hopeless(self, swing: SwingEstimate, length: float, depth: float) -> str:
+        """Why no damping makes the rover still enough for pictures at a depth, if so."""
+        p, w = self.parameters, self.hanging.swing_frequency(depth)
+        major, minor = (
+            self.hanging.grown(abs(each), length, depth)
+            for each in (swing.ellipse.major, swing.ellipse.minor)
+        )
+        if best_span(major, minor, w, p.steady_rate) >= self._needed:
+            return ""
+        rate = math.degrees(math.sqrt(major * minor) * w)
+        return (
+            f"a cone of {_deg(major)} x {_deg(minor)} turns the camera, by {rate:.2f} deg/s when "
+            "it is round, and its momentum about the plumb line cannot be damped"
+        )
+
+    def _circle_rate(self, depth: float) -> float:
+        """Rate [rad/s] that is left at a depth when all but the momentum is damped.
+
+        Of the circle that has the momentum m (l + d)^2 w a^2.
+        """
+        w, inertia = self.hanging.swing_frequency(depth), self.hanging.reach_inertia(depth)
+        return math.sqrt(abs(self._handing.momentum) * w / inertia)
+
+    def _must_hand_on(self) -> bool:
+        """Whether a cone's momentum is to be handed to the mother here, and can be."""
+        stop, p = self._stop, self.parameters
+        assert stop is not None
+        if self._handing.time > p.hand_limit:
+            return False
+        limit = p.handed_rate
+        if not stop.observes:
+            limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
+            if not self._is_there:
+                return False
+        ease = 1.0 if self._hands_on else _BEGIN
+        return self._circle_rate(stop.depth) > ease * limit
+
+    def _is_wound(self, swing: SwingEstimate) -> bool:
+        """Whether the tether's twist would spin the rover, or it still turns by it."""
+        p = self.parameters
+        return abs(self._handing.pull) > p.least_pull or abs(swing.yaw_rate) > p.unwound_yaw
 
     def _touches(self, swing: SwingEstimate, length: float, depth: float) -> str:
         p = self.parameters
@@ -438,6 +531,8 @@ class DescentProfile:
     def _enter(self, phase: DescentPhase, reason: str, now: float, level: Level = Level.OK) -> None:
         self.phase = phase
         self._since = now
+        if phase is not DescentPhase.DAMPING:
+            self._hands_on = self._unwinds = False
         self._changes.append(Transition(f"descent_{phase}", reason, level))
 
 

@@ -38,11 +38,18 @@ class HangingParameters:
     inertia_about_y: float = parameter(
         0.177, "kg m^2", "about the centre of mass, wheels included", 1e-3, 1e2
     )
+    inertia_about_z: float = parameter(
+        0.153, "kg m^2", "about the centre of mass, rotors included", 1e-3, 1e2
+    )
     rover_gravity: float = parameter(1.62, "m/s^2", "where the rover hangs", 0.01, 30.0)
     imu_below: float = parameter(
         0.077, "m", "height of the centre of mass above the IMU", -1.0, 1.0
     )
     tether_density: float = parameter(5.0e-3, "kg/m", "mass of the tether by length", 0.0, 10.0)
+    twist_stiffness: float = parameter(1.0e-4, "N m^2", "GJ of the tether", 0.0, 1.0)
+    swivel_friction: float = parameter(
+        1.0e-3, "N m", "largest torque that the swivel passes on", 0.0, 10.0
+    )
     wheel_inertia: float = parameter(6.0e-3, "kg m^2", "of one wheel about the axle", 1e-5, 1.0)
     flywheel_inertia: float = parameter(1.0e-3, "kg m^2", "of the flywheel", 1e-6, 1.0)
 
@@ -63,6 +70,14 @@ class HangingParameters:
         """
         heavier = self.tether_density * length / (6.0 * self.rover_mass)
         return self.rover_gravity * (1.0 + heavier)
+
+    def torsion(self, length: float) -> float:
+        """Torque by which so much tether [m] answers to its twist, GJ/l [N m/rad]."""
+        return self.twist_stiffness / length
+
+    def reach_inertia(self, length: float) -> float:
+        """Of the swing about the fairlead, m (l + d)^2 [kg m^2]."""
+        return self.rover_mass * (length + self.lever) ** 2
 
     def swing_frequency(self, length: float) -> float:
         """Angular frequency [rad/s] of the swing on so much tether [m]."""

@@ -33,14 +33,20 @@ from rover_control.descent_profile import (
     Wish,
 )
 from rover_control.hanging_rover import HangingParameters
-from rover_control.swing_damping import DampingParameters, WheelPump, WinchTrim
+from rover_control.pointing import SUBJECT as POINTING
+from rover_control.pointing import Forecast, Pointing, PointingParameters
+from rover_control.rotor_pump import Pumping, RotorPump
+from rover_control.steady_swing import SteadySwing
+from rover_control.swing_damping import DampingParameters, WinchTrim
 from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
+from rover_control.yaw_keeper import YawKeeper, YawParameters
 
 _NANO = 1e9
 _SILENCE = 0.3  # a sensor that was not heard for longer is lost [s]
 _LONGEST_STEP = 0.2  # of the estimator; after a longer gap it starts anew [s]
 _OPEN = 0.5  # a brake's position from here on means released
 _RENEWAL = 1.0  # between two requests to the winch while its rate changes [s]
+_EASING = 5.0  # in which the pumping comes and goes [s]
 _LENGTH = "length"  # modes of the winch that take a trim
 _ARMED = frozenset({"hold", _LENGTH, "rate"})
 
@@ -52,7 +58,9 @@ class PhaseAParameters:
     hanging: HangingParameters = field(default_factory=HangingParameters)
     estimator: EstimatorParameters = field(default_factory=EstimatorParameters)
     damping: DampingParameters = field(default_factory=DampingParameters)
+    yaw: YawParameters = field(default_factory=YawParameters)
     design: AttitudeDesign = field(default_factory=AttitudeDesign)
+    pointing: PointingParameters = field(default_factory=PointingParameters)
     rotors: RotorParameters = field(default_factory=RotorParameters)
     profile: ProfileParameters = field(default_factory=ProfileParameters)
     uses_winch: bool = True  # for the swing
@@ -102,11 +110,15 @@ class PhaseA:
         p = parameters
         self.estimator = SwingEstimator(p.estimator, p.hanging)
         self.trim = WinchTrim(p.damping)
-        self.pump = WheelPump(p.damping, p.hanging)
+        self.pump = RotorPump(p.damping, p.hanging)
+        self.steady = SteadySwing()
+        self._pushes = 0
+        self.yaw = YawKeeper(p.yaw, p.hanging)
         self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
         self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
         self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
-        self.heading = 0.0
+        self.pointing = Pointing(p.pointing, p.hanging)
+        self.twist = 0.0  # of the tether: the heading, without ever jumping [rad]
         self._heard: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._length = math.nan
@@ -121,9 +133,18 @@ class PhaseA:
         self._asked: WinchAsk | None = None
         self._asked_at = -math.inf
         self._trims = False
-        self._pumped = 0.0
+        self._ease = 0.0  # of the pumping, 0..1
         self._told: dict[str, str] = {}
         self._changes: list[Transition] = []
+
+    @property
+    def heading(self) -> float:
+        """About the plumb line, since the start, by the gyro [rad]; setting it sets the twist."""
+        return math.remainder(self.twist, math.tau)
+
+    @heading.setter
+    def heading(self, heading: float) -> None:
+        self.twist = heading
 
     def _decay_time(self, length: float) -> float:
         if not self.parameters.uses_winch:
@@ -179,7 +200,7 @@ class PhaseA:
             momentum[1] - before[1] + turned * momentum[0],
         )
         self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
-        self.heading = math.remainder(self.heading + self.estimator.yaw_rate * h, math.tau)
+        self.twist += self.estimator.twisted
 
     def hear_winch_mode(self, mode: str) -> None:
         """Take what the winch is doing."""
@@ -228,6 +249,39 @@ class PhaseA:
             )
         self.profile.request(stop, self.swing, self._length)
 
+    def point(self, turn: float, now_ns: int) -> Forecast:
+        """Turn about the tether by so much [rad], and hold the heading until another request.
+
+        Returns:
+            How long it takes, and how long the heading is held.
+
+        Raises:
+            Refusal: sensors are silent, a stop is being worked at, or the turn cannot be held.
+        """
+        silent = self.waiting_for(now_ns)
+        swing = self.swing
+        if silent or swing is None:
+            raise Refusal(
+                POINTING, RefusalCode.STALE, f"{', '.join(silent) or 'the swing'} not heard"
+            )
+        if not self.parameters.uses_rotors or not self.profile.is_idle:
+            raise Refusal(
+                POINTING,
+                RefusalCode.WRONG_PHASE,
+                f"the descent is in {self.profile.phase}, headings are turned to in standby"
+                if self.parameters.uses_rotors
+                else "the rotors are not used",
+            )
+        forecast = self.pointing.request(
+            turn, self.twist, self._length, yaw_error=swing.yaw_error, twist=self.twist
+        )
+        text = (
+            f"turns by {math.degrees(turn):.0f} deg within {forecast.turning:.0f} s, holds for "
+            f"{forecast.holding:.0f} s, limited by {forecast.limit}"
+        )
+        self._changes.append(Transition("pointing_begun", text, Level.OK))
+        return forecast
+
     def hold(self, now_ns: int) -> str:
         """Stand still."""
         return self.profile.hold(self._length, now_ns / _NANO)
@@ -259,7 +313,9 @@ class PhaseA:
             swing,
             self._length,
             winch_rests=not self._brake_is_open,
-            rotors_rest=self.wheels.is_quiet or not self.parameters.uses_rotors,
+            handing=self.yaw.handing(swing, self.twist, self._length),
+            rotors_rest=(self.wheels.is_quiet and self._ease == 0.0)
+            or not self.parameters.uses_rotors,
             now=now,
         )
         wheel_rate, torque = self._react(swing, wish, h)
@@ -274,13 +330,36 @@ class PhaseA:
     ) -> tuple[float | None, float | None]:
         if not self.parameters.uses_rotors:
             return None, None
-        wanted = self.pump.momentum(swing, may_spin=wish.may_spin) if wish.pumps else 0.0
         # Comes and goes softly, as its steps would tilt the rover.
-        self._pumped += min(h / 2.0, 1.0) * (wanted - self._pumped)
-        own = self.pump.own_tilt_rate(self._pumped, swing.frequency)
-        rate = self.wheels.step(swing.tilt_rate[0] - own, self._pumped, h, pumps=wish.pumps)
+        change = h / _EASING
+        self._ease = min(max(float(wish.pumps), self._ease - change), self._ease + change)
+        if self.estimator.pushes != self._pushes:
+            self._pushes = self.estimator.pushes
+            self.steady.restart()
+        lasting = self.steady.step(swing, self.twist, h)
+        torque = self.yaw.step(
+            swing,
+            self.twist,
+            self._length,
+            self.pump.largest_torque(lasting, self._length),
+            h,
+            hands_on=wish.hands_on,
+            unwinds=wish.unwinds,
+        )
+        wanted = self.pump.momenta(
+            lasting, self._length, torque, damps=not (wish.hands_on or wish.unwinds)
+        )
+        pumped = Pumping(*(self._ease * each for each in wanted))
+        coned = self._cone(h)
+        own = self.pointing.own_tilt_rates(coned)
+        own_x = self.pump.own_tilt_rate(pumped.x, swing.frequency) + own[0]
+        own_y = self.pump.own_tilt_rate(pumped.y, swing.frequency) + own[1]
+        pumped = Pumping(*(sum(each) for each in zip(pumped, coned, strict=True)))
+        pumps = wish.pumps or self.pointing.is_active
+        rate = self.wheels.step(swing.tilt_rate[0] - own_x, pumped.x, h, pumps=pumps)
+        quiet = wish.quiet and not self.flywheel.far_off
         torque = self.flywheel.step(
-            swing.tilt_rate[1], *self._screw, h, quiet=wish.quiet and not self.flywheel.far_off
+            swing.tilt_rate[1] - own_y, pumped.y, pumped.y_swept, *self._screw, h, quiet=quiet
         )
         for axis in (self.wheels.axis, self.flywheel.axis):
             if axis.cannot_hold != self._told.get(axis.name, ""):
@@ -289,6 +368,25 @@ class PhaseA:
                 text = axis.cannot_hold or f"{axis.name} holds the attitude again"
                 self._changes.append(Transition("attitude_budget", text, level))
         return rate, torque
+
+    def _cone(self, h: float) -> Pumping:
+        """Momenta that turn the rover to its heading; with a stop to go to, none."""
+        if self.pointing.is_active and not self.profile.is_idle:
+            self.pointing.stop()
+            text = "the heading is let go, a stop was asked for"
+            self._changes.append(Transition("pointing_ended", text, Level.OK))
+        # The tilt of the coning hides how the swing turns.
+        self.estimator.keeps_yaw_bias = self.pointing.is_coning
+        momenta = self.pointing.step(self.twist, self.twist, self._length, h)
+        reached = self.pointing.take_reached()
+        if reached is not None:
+            text = (
+                f"the heading is reached after {reached.turning:.0f} s, and will be held for "
+                f"{reached.holding:.0f} s, limited by {reached.limit}"
+            )
+            values = {"turning": reached.turning, "holding": reached.holding}
+            self._changes.append(Transition("pointing_reached", text, Level.OK, values))
+        return momenta
 
     def _winch(
         self, swing: SwingEstimate, wish: Wish, now: float

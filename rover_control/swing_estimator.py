@@ -45,7 +45,10 @@ _EYE = np.eye(_SIZE)
 _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
 _MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
+_PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
+_MASS_ERROR = 0.2  # part by which the mass may be off
 _LEAST_PULL = 0.3  # of the weight, below which the tether is not taut
+_MOST_PULL = 3.0  # of the weight, that is believed
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,8 @@ class SwingEstimator:
         self.hanging = hanging
         self.length = math.nan
         self.rate = 0.0
+        self.keeps_yaw_bias = False  # learns nothing about it: while the tilt turns fast
+        self.pushes = 0  # times that something pushed the rover
         self.restart()
 
     def restart(self) -> None:
@@ -143,7 +148,10 @@ class SwingEstimator:
         self._state: Array = np.zeros(_SIZE)
         self._spread: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
         self._gyro_z = 0.0
+        self._step = self._swept = 0.0
+        self.turned = 0.0  # about its own axis in the last step [rad]
         self._missed = [0.0, 0.0]
+        self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
         unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
         self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
         stiffness, g = self.hanging.stiffness, self.hanging.rover_gravity
@@ -165,6 +173,14 @@ class SwingEstimator:
         """Rate about the tether [rad/s]."""
         return self._gyro_z - float(self._state[_YAW_BIAS])
 
+    @property
+    def twisted(self) -> float:
+        """By how much the tether was twisted in the last step [rad].
+
+        What base_link turns about its own axis, less the solid angle that this axis sweeps.
+        """
+        return self.turned + 0.5 * self._step * self._swept
+
     def step(
         self,
         gyro: Vector,
@@ -183,9 +199,13 @@ class SwingEstimator:
         """
         if math.isnan(self.length):
             return
-        # The yaw is slow; a sample of the gyro is as noisy as a steady camera may turn.
+        # A sample of the gyro is as noisy as a steady camera may turn; what turns is their sum.
         self._gyro_z += min(h / _YAW_TIME, 1.0) * (gyro[2] - self._gyro_z)
-        self._predict(momentum_change, h)
+        self.turned = (gyro[2] - float(self._state[_YAW_BIAS])) * h
+        # What rights the tilt is the tether's pull, which a winch that accelerates changes.
+        pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MOST_PULL)
+        self._predict(momentum_change, pull, h)
+        self._step = h
         variance = self.parameters.gyro_noise**2 / h
         # At the start, and just after a push, there is nothing to miss.
         settled = float(self._spread[_V, _V]) < self.parameters.shock**2
@@ -208,20 +228,23 @@ class SwingEstimator:
                 noise = (self.parameters.force_noise * scale) ** 2 / h
                 self._update(pulled, force[k] * scale - known, noise)
 
-    def _predict(self, momentum_change: tuple[float, float], h: float) -> None:
+    def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:
         d, length = self.hanging.lever, self.length
         share = d / length
         flow = np.zeros((_SIZE, _SIZE))
         state = self._state
-        yaw = self.yaw_rate
+        yaw = self.turned / h
         x, vx, y, vy = (float(state[at]) for at in (_U, _V, _AXIS + _U, _AXIS + _V))
+        phi_x, phi_y = (float(state[at + _U] + state[at + _P]) for at in (0, _AXIS))
+        rate_x, rate_y = (float(state[at + _V] + state[at + _Q]) for at in (0, _AXIS))
+        self._swept = phi_x * rate_y - phi_y * rate_x
         # Large swings: a^2 + b^2 of the ellipse slows it down, a b turns its axes.
         size = x * x + y * y + (vx * vx + vy * vy) / self.hanging.swing_frequency(length) ** 2
         pull = self.hanging.pull(length) * (1.0 - size / 8.0)
         turning = yaw - 0.375 * (x * vy - y * vx)
         for k, inertia in enumerate(self.hanging.inertias):
             at, other = k * _AXIS, (1 - k) * _AXIS
-            right = self.hanging.stiffness / inertia
+            right = pulled * self.hanging.stiffness / inertia
             flow[at + _U, at + _V] = 1.0
             flow[at + _V, at + _U] = -pull / length
             flow[at + _V, at + _V] = -2.0 * self.rate / length
@@ -248,6 +271,12 @@ class SwingEstimator:
             forward[_AXIS + n, _YAW_BIAS] = h * state[n]
         self._state = moved
         spread = forward @ self._spread @ forward.T + h * self._noise
+        # A mass that is off pushes the swing otherwise than the rotors tell.
+        reach = self.hanging.reach_inertia(length)
+        for k, change in enumerate(momentum_change):
+            self._pushed[k] += min(h / _PUSH_TIME, 1.0) * (change / h - self._pushed[k])
+            unknown = _MASS_ERROR * self._pushed[k] / reach
+            spread[k * _AXIS + _V, k * _AXIS + _V] += h * _PUSH_TIME * unknown**2
         self._spread = 0.5 * (spread + spread.T)
 
     def _update(self, row: Array, measured: float, variance: float) -> float:
@@ -259,6 +288,8 @@ class SwingEstimator:
         expected = float(row @ along) + variance
         missed = measured - float(row @ self._state)
         gain = along / expected
+        if self.keeps_yaw_bias:
+            gain[_YAW_BIAS] = 0.0
         self._state = self._state + gain * missed
         kept = _EYE - gain[:, None] * row[None, :]
         self._spread = kept @ self._spread @ kept.T + variance * gain[:, None] * gain[None, :]
@@ -266,6 +297,7 @@ class SwingEstimator:
 
     def _shaken(self) -> None:
         """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
+        self.pushes += 1
         self._missed = [0.0, 0.0]
         push = self.parameters.first_swing * self.hanging.swing_frequency(self.length)
         aside = 0.1 * self.parameters.first_swing

@@ -74,7 +74,7 @@ class Start:
         tilt: of the rover against the tether, about its x and y [deg].
         mass: of the rover over what the controllers take it for.
         friction: of all drives over the same.
-        swivel_friction: largest torque that the swivel passes on [N m].
+        swivel_friction: largest torque that the swivel passes on [N m]; None: the scenario's.
         seed: of the sensors' errors.
     """
 
@@ -86,7 +86,7 @@ class Start:
     tilt: tuple[float, float] = (0.0, 0.0)
     mass: float = 1.0
     friction: float = 1.0
-    swivel_friction: float = 1.0e-5
+    swivel_friction: float | None = None
     seed: int = 0
 
     def overrides(self) -> dict[str, object]:
@@ -106,12 +106,13 @@ class Start:
             "start.body_rate": [0.0, 0.0, -cone],
             "start.heading": self.heading,
             "start.tilt": [*self.tilt, 0.0],
-            "tether.swivel_friction": self.swivel_friction,
             "rover.m1": rover.m1 * self.mass,
             "rover.m2": rover.m2 * self.mass,
             "rover.inertia1": [self.mass * each for each in rover.inertia1],
             "rover.inertia2": [self.mass * each for each in rover.inertia2],
         }
+        if self.swivel_friction is not None:
+            changed["tether.swivel_friction"] = self.swivel_friction
         frictions = {
             "winch.friction": winch.friction,
             "rover.jump_drive.friction": rover.jump_drive.friction,

@@ -77,7 +77,7 @@ def flown(tilt_rate: float) -> tuple[float, float]:
     swept = [0.0, 0.0]
     for k in range(round(4.0 / H)):
         after = wheels.step(vx, 0.0, H, pumps=True)
-        torque = flywheel.step(vy, angle, rate, H, quiet=False)
+        torque = flywheel.step(vy, 0.0, 0.0, angle, rate, H, quiet=False)
         # Rotors react about +y, which displaces toward -x, and about +x, toward +y.
         wheel_torque = HANGING.wheel_inertia * (after - wheel) / H
         wheel = after
@@ -115,10 +115,10 @@ def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
 def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     centre, travel = ROTORS.travel_centre, ROTORS.travel
-    assert flywheel.step(0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
-    assert flywheel.step(0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
+    assert flywheel.step(0.0, 0.0, 0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
+    assert flywheel.step(0.0, 0.0, 0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
     # Beyond its travel nothing is asked that leads farther out.
-    assert flywheel.step(0.05, centre + 1.01 * travel, 0.0, H, quiet=False) < (
+    assert flywheel.step(0.05, 0.0, 0.0, centre + 1.01 * travel, 0.0, H, quiet=False) < (
         ROTORS.flywheel_friction + 0.05 * flywheel.axis.gains.rate
     )
     assert "travel" in flywheel.axis.cannot_hold
@@ -127,5 +127,5 @@ def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
 def test_friction_is_made_up_for_in_the_direction_of_motion():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     flywheel.axis.momentum = 0.02  # 20 rad/s
-    torque = flywheel.step(0.0, ROTORS.travel_centre, 20.0, H, quiet=False)
+    torque = flywheel.step(0.0, 0.0, 0.0, ROTORS.travel_centre, 20.0, H, quiet=False)
     assert torque == pytest.approx(ROTORS.flywheel_friction, abs=2e-3)

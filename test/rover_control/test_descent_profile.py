@@ -16,6 +16,7 @@ from rover_control.descent_profile import (
 )
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
+from rover_control.yaw_keeper import Handing
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1
@@ -29,6 +30,7 @@ class World:
         self.length = length
         self.major, self.minor = math.radians(major), math.radians(minor)
         self.yaw_rate = 0.0
+        self.hands_on = False  # whether the tether passes a momentum on
         self.now = 0.0
         self.rates: list[float] = []
         self.pictures = 0
@@ -42,6 +44,12 @@ class World:
         zero = (0.0, 0.0)
         return SwingEstimate(u, v, zero, zero, zero, self.yaw_rate, frequency, 1e-5, 1e-5)
 
+    @property
+    def handing(self) -> Handing:
+        inertia = HANGING.reach_inertia(self.length)
+        momentum = inertia * HANGING.swing_frequency(self.length) * self.major * self.minor
+        return Handing(momentum, 100.0 if self.hands_on else math.inf, 0.0)
+
     def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
         self.profile.request(Stop(depth, observes, rate), self.swing, self.length)
 
@@ -49,7 +57,12 @@ class World:
         self.now += H
         at_rest = math.isnan(self.profile.keeps) or self.length == self.profile.keeps
         wish = self.profile.step(
-            self.swing, self.length, winch_rests=rests and at_rest, rotors_rest=True, now=self.now
+            self.swing,
+            self.length,
+            handing=self.handing,
+            winch_rests=rests and at_rest,
+            rotors_rest=True,
+            now=self.now,
         )
         if wish.length > self.length:
             self.length = min(wish.length, self.length + H * wish.rate)
@@ -60,6 +73,8 @@ class World:
             round_ = math.copysign(math.sqrt(self.major * abs(self.minor)), self.minor)
             self.major += H / 30.0 * (abs(round_) - self.major)
             self.minor += H / 30.0 * (round_ - self.minor)
+        if wish.hands_on:
+            self.minor -= H / 30.0 * self.minor
         self.pictures += wish.exposes
         return wish
 
@@ -110,6 +125,45 @@ def test_a_cone_that_nothing_can_damp_ends_the_stop_with_the_reason():
     assert "cone" in reason
     assert "momentum" in reason
     assert world.pictures == 0
+
+
+def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
+    world = World(2.0, 3.0, 1.5)
+    world.hands_on = True
+    world.ask(7.5)
+    handed = 0
+    while world.length == 2.0:
+        wish = world.step()
+        handed += wish.hands_on
+        assert wish.pumps or not wish.hands_on
+        assert world.now < 400.0
+    assert handed > 300
+    assert math.degrees(world.minor) < 0.5
+    world.run(400.0)
+    assert world.ended() == [f"{PROFILE.exposures} pictures"]
+
+
+def test_deep_down_pictures_are_taken_where_the_swing_turns_back():
+    # 0.6 deg at 30 m turn the camera by 0.14 deg/s at most.
+    world = World(29.8, 0.6)
+    world.ask(30.0)
+    rates = [world.swing.camera_rate for _ in range(1500) if world.step().exposes]
+    assert len(rates) == PROFILE.exposures
+    assert max(rates) < PROFILE.steady_rate
+
+
+def test_the_last_picture_is_taken_before_the_rover_goes_on():
+    world = World(5.0, 0.05)
+    world.ask(6.0)
+    world.ask(9.0)
+    last = math.nan
+    while world.length < 6.1:
+        if world.step().exposes:
+            last = world.now
+        assert world.now < 100.0
+        if world.length > 6.0 and world.pictures == PROFILE.exposures:
+            break
+    assert world.now - last >= PROFILE.exposure_time - 1e-9
 
 
 def test_a_rover_that_spins_takes_no_pictures_and_says_so():

@@ -1,0 +1,136 @@
+"""Wheels and flywheel against the swing, and between the swing and the rover's spin. Pure.
+
+A rotor whose momentum h changes tilts the rover, and so shifts its weight against the tether: on
+the pendulum acts the force -h'/(l + d). Momentum in step with the displacement, h = H x/A_x, is a
+force against the velocity, and takes from the amplitude along base_link x
+
+    dA_x/dt = -H/(2 m (l + d)^2).
+
+What no internal torque can take is the angular momentum about the plumb line, the swing's
+m (l + d)^2 (x y' - y x') and the rover's spin together: the tether's pull has no lever about that
+line. Between the two, rotors can move it. Momenta at right angles to the swing's velocity,
+
+    h_x = g y',   h_y = -g x',
+
+turn the rover about the plumb line by the torque g |u'|^2, and the swing by its opposite. On a long
+tether the swing hardly changes by that, as its momentum has the lever (l + d)^2.
+
+So the pump has two tasks: a torque about the plumb line, which goes first, and with what is left of
+the rotors the plane part of the swing, which leaves the momentum alone: with its share
+r = (x y' - y x')/(w A_y^2), h_x = H (x - r y'/w)/A, which is nothing on a circle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_damping import DampingParameters
+from rover_control.swing_estimator import SwingEstimate
+
+_TINY = 1e-12
+
+
+class Pumping(NamedTuple):
+    """Momenta of both rotors, as `hanging_rover` counts them, and their integral over the swing."""
+
+    x: float  # of the wheels [N m s]
+    y: float  # of the flywheel [N m s]
+    y_swept: float  # what the flywheel's momentum sums up to, about a mean of none [N m s^2]
+
+
+NO_PUMPING = Pumping(0.0, 0.0, 0.0)
+
+
+class RotorPump:
+    """Momenta of both rotors for swing and spin.
+
+    Args:
+        parameters: their bounds.
+        hanging: the rover.
+    """
+
+    def __init__(self, parameters: DampingParameters, hanging: HangingParameters) -> None:
+        self.parameters = parameters
+        self.hanging = hanging
+
+    def bounds(self, swing: SwingEstimate, length: float) -> tuple[float, float]:
+        """Largest momenta along x and y [N m s] against a swing on so much tether [m].
+
+        The flywheel's is bounded by the screw's travel as well: it turns by h/(I w) each way. Both
+        are bounded so that the swing they go by changes little within a period.
+        """
+        p, w = self.parameters, swing.frequency
+        travelled = p.pump_travel * w * self.hanging.flywheel_inertia
+        change = p.pump_share * self.hanging.reach_inertia(length) * w * swing.ellipse.major
+        return min(p.pump_momentum, change), min(p.flywheel_momentum, travelled, change)
+
+    def largest_torque(self, swing: SwingEstimate, length: float) -> float:
+        """Mean torque about the plumb line that this swing lets the rotors use [N m]."""
+        across = _amplitudes(swing)
+        largest = self.bounds(swing, length)
+        return 0.5 * swing.frequency * (largest[0] * across[1] + largest[1] * across[0])
+
+    def momenta(
+        self, swing: SwingEstimate, length: float, torque: float, *, damps: bool
+    ) -> Pumping:
+        """Momenta that the rotors are to have.
+
+        Args:
+            swing: as estimated.
+            length: paid out [m].
+            torque: on the rover about the plumb line, which the swing gives [N m].
+            damps: whether the plane part of the swing is pumped, too.
+        """
+        p, w = self.parameters, swing.frequency
+        (x, y), (vx, vy) = swing.direction, swing.direction_rate
+        fade = p.pump_fade
+        along = _amplitudes(swing)
+        ax, ay = math.hypot(along[0], fade), math.hypot(along[1], fade)
+        hx, hy = self.bounds(swing, length)
+        # The gain at which each rotor is at its bound; the other then takes what is left.
+        most_x, most_y = hx / (w * ay), hy / (w * ax)
+        share_x, share_y = 0.5 * (w * along[1]) ** 2, 0.5 * (w * along[0]) ** 2
+        gain_x, gain_y = _split(abs(torque), share_x, share_y, most_x, most_y)
+        sign = math.copysign(1.0, torque)
+        first, second = sign * gain_x * vy, -sign * gain_y * vx
+        # As x'' = -w^2 x, the sum of x' is x, that of x is -x'/w^2.
+        swept = -sign * gain_y * x
+        if damps:
+            spin = (x * vy - y * vx) / w
+            plane_x, phase_x = x - spin / ay**2 * vy / w, vx / w + spin / ay**2 * y
+            plane_y, phase_y = y + spin / ax**2 * vx / w, vy / w - spin / ax**2 * x
+            left_x, left_y = hx - gain_x * w * ay, hy - gain_y * w * ax
+            first += max(left_x, 0.0) * plane_x / max(math.hypot(plane_x, phase_x), fade)
+            rest = max(left_y, 0.0) / max(math.hypot(plane_y, phase_y), fade)
+            second += rest * plane_y
+            swept -= rest * phase_y / w
+        return Pumping(min(max(first, -hx), hx), min(max(second, -hy), hy), swept)
+
+    def decay(self, length: float) -> float:
+        """Rate [rad/s] at which the wheels let the amplitude along x fall on this length [m]."""
+        return self.parameters.pump_momentum / (2.0 * self.hanging.reach_inertia(length))
+
+    def own_tilt_rate(self, momentum: float, frequency: float) -> float:
+        """Tilt rate [rad/s] that the pumping itself causes, as p = -h'/(m g d): w^2 h/(m g d)."""
+        return frequency**2 * momentum / self.hanging.stiffness
+
+
+def _amplitudes(swing: SwingEstimate) -> tuple[float, float]:
+    """Of the swing along x and y [rad]."""
+    w = swing.frequency
+    (x, y), (vx, vy) = swing.direction, swing.direction_rate
+    return math.hypot(x, vx / w), math.hypot(y, vy / w)
+
+
+def _split(
+    torque: float, share_x: float, share_y: float, most_x: float, most_y: float
+) -> tuple[float, float]:
+    """Gains of both rotors that together make a torque, or as much of it as they can."""
+    gain = torque / max(share_x + share_y, _TINY)
+    if gain > most_x:
+        return most_x, min((torque - most_x * share_x) / max(share_y, _TINY), most_y)
+    if gain > most_y:
+        return min((torque - most_y * share_y) / max(share_x, _TINY), most_x), most_y
+    return gain, gain

@@ -1,0 +1,75 @@
+"""Spin stopped by the swing, and a cone's momentum handed to the mother through the tether."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from rope_pendulum import HANGING, H, Pendulum, swinging
+
+from rover_control.hanging_rover import HangingParameters
+from rover_control.rotor_pump import RotorPump
+from rover_control.swing_damping import DampingParameters
+from rover_control.yaw_keeper import YawKeeper, YawParameters
+
+
+def kept(rover: Pendulum, seconds: float, *, hands_on: bool) -> list[float]:
+    """Go on; returns the twists [rad]."""
+    pump, keeper = RotorPump(DampingParameters(), HANGING), YawKeeper(YawParameters(), HANGING)
+    twists = []
+    for _ in range(round(seconds / H)):
+        swing = rover.estimate()
+        largest = pump.largest_torque(swing, rover.length)
+        torque = keeper.step(swing, rover.yaw, rover.length, largest, H, hands_on=hands_on)
+        momenta = pump.momenta(swing, rover.length, torque, damps=False)
+        rover.step(0.0, complex(momenta.x, momenta.y))
+        twists.append(rover.yaw)
+    return twists
+
+
+def whole(rover: Pendulum) -> float:
+    return rover.momentum + HANGING.inertia_about_z * rover.yaw_rate
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("length", [7.5, 20.0])
+def test_a_spinning_rover_is_stopped_by_its_swing(sign: float, length: float):
+    rover = swinging(length, 0.6, 0.5)
+    rover.yaw_rate = sign * math.radians(0.5)
+    kept(rover, 200.0, hands_on=False)
+    assert abs(rover.yaw_rate) < math.radians(0.05)
+    assert math.degrees(rover.amplitude) < 0.75
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_cone_s_momentum_leaves_through_the_twisted_tether(sign: float):
+    rover = swinging(2.0, 3.0, sign * 1.5)
+    rover.torsion = True
+    keeper = YawKeeper(YawParameters(), HANGING)
+    before = whole(rover)
+    foretold = keeper.handing(rover.estimate(), 0.0, 2.0).time
+    twists = kept(rover, foretold, hands_on=True)
+    assert abs(whole(rover)) < 0.05 * abs(before)
+    # It was turned the way of the cone, within the bound, and back again.
+    bound = keeper.twist_bound(2.0)
+    assert 0.5 * bound < max(sign * each for each in twists) < 1.2 * bound
+    assert abs(twists[-1]) < 0.15 * bound
+    assert abs(rover.yaw_rate) < 0.05
+
+
+def test_a_rope_without_torsion_passes_nothing_on():
+    rover = swinging(2.0, 3.0, 1.5)
+    loose = HangingParameters(twist_stiffness=0.0)
+    keeper = YawKeeper(YawParameters(), loose)
+    assert keeper.handing(rover.estimate(), 0.0, 2.0).time == math.inf
+    assert keeper.twist_bound(2.0) == 0.0
+    # It is then only kept from turning.
+    rover.yaw_rate = 0.01
+    assert keeper.step(rover.estimate(), 0.0, 2.0, 1e-3, 10.0, hands_on=True) < 0.0
+
+
+def test_a_swivel_that_slips_early_bounds_the_twist():
+    slippery = HangingParameters(swivel_friction=1.0e-4)
+    keeper = YawKeeper(YawParameters(), slippery)
+    share = YawParameters().swivel_share
+    assert keeper.twist_bound(2.0) * slippery.torsion(2.0) == pytest.approx(share * 1.0e-4)

@@ -1,0 +1,81 @@
+"""A rover as one point on a rope that also twists; small angles, in space."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+from rover_control.hanging_rover import HangingParameters
+from rover_control.swing_estimator import SwingEstimate
+
+HANGING = HangingParameters()
+H = 0.02
+
+
+@dataclass
+class Pendulum:
+    """What swings and spins; the tilt follows the rotors at once.
+
+    Attributes:
+        length: of the rope [m].
+        u, v: its direction against the plumb line, and its rate, in space [rad], [rad/s].
+        yaw, yaw_rate: of the rover [rad], [rad/s].
+        trimmed: length that was paid out [m].
+        torsion: whether the rope's twist turns the rover back.
+    """
+
+    length: float
+    u: complex
+    v: complex
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
+    trimmed: float = 0.0
+    torsion: bool = False
+    momentum_in_space: complex = 0j
+
+    def estimate(self) -> SwingEstimate:
+        """What a perfect estimator would say."""
+        turned = cmath.exp(-1j * self.yaw)
+        u, v = self.u * turned, self.v * turned
+        frequency = HANGING.swing_frequency(self.length)
+        zero = (0.0, 0.0)
+        return SwingEstimate(
+            (u.real, u.imag), (v.real, v.imag), zero, zero, zero, self.yaw_rate, frequency, 0.0, 0.0
+        )
+
+    def step(self, rate: float = 0.0, rotors: complex = 0j) -> None:
+        """Advance by H with a payout rate [m/s] and momenta of the rotors [N m s]."""
+        reach = self.length + HANGING.lever
+        lever = HANGING.reach_inertia(self.length)
+        in_space = rotors * cmath.exp(1j * self.yaw)
+        push = -(in_space - self.momentum_in_space) / H / lever
+        self.momentum_in_space = in_space
+        pull = HANGING.pull(self.length) / reach
+        for _ in range(4):
+            self.v += 0.25 * H * (-pull * self.u - 2.0 * rate / reach * self.v + push)
+            self.u += 0.25 * H * self.v
+        self.length += H * rate
+        self.trimmed += H * rate
+        # What the swing gains in momentum about the plumb line, the rover loses.
+        torque = -lever * (self.u.conjugate() * push).imag
+        if self.torsion:
+            torque -= HANGING.torsion(self.length) * self.yaw
+        self.yaw_rate += H * torque / HANGING.inertia_about_z
+        self.yaw += H * self.yaw_rate
+
+    @property
+    def amplitude(self) -> float:
+        """Major amplitude [rad]."""
+        return self.estimate().ellipse.major
+
+    @property
+    def momentum(self) -> float:
+        """Of the swing about the plumb line [N m s]."""
+        return HANGING.reach_inertia(self.length) * (self.u.conjugate() * self.v).imag
+
+
+def swinging(length: float, major: float, minor: float = 0.0) -> Pendulum:
+    """A pendulum at the end of its major axis, amplitudes in deg."""
+    frequency = HANGING.swing_frequency(length)
+    return Pendulum(length, complex(math.radians(major)), 1j * math.radians(minor) * frequency)
