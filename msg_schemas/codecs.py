@@ -23,6 +23,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     TETHER_COLUMNS,
     ClockSample,
+    Colour,
     DrawingSample,
     ImuSample,
     JointSample,
@@ -447,14 +448,15 @@ def _decode_statuses(topic: Topic, message: Message) -> StatusSample:
     return StatusSample(from_time(message.header.stamp), tuple(statuses))
 
 
-# visualization_msgs/Marker: CUBE, CYLINDER, LINE_STRIP.
-_MARKER_TYPES = {"box": 1, "cylinder": 3, "line": 4}
+# visualization_msgs/Marker: ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST.
+_MARKER_TYPES = {"arrow": 0, "box": 1, "sphere": 2, "cylinder": 3, "line": 4, "triangles": 11}
 _MARKER_KINDS = {number: kind for kind, number in _MARKER_TYPES.items()}
 
 
 def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
     marker_class = message_class("visualization_msgs/msg/Marker")
     point_class = message_class("geometry_msgs/msg/Point")
+    colour_class = message_class("std_msgs/msg/ColorRGBA")
     message = message_class(topic.message)()
     for index, shape in enumerate(sample.shapes):
         marker = marker_class()
@@ -468,6 +470,7 @@ def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
         _set(marker.pose.position, shape.position)
         _set(marker.pose.orientation, shape.orientation, "xyzw")
         marker.points = [point_class(x=x, y=y, z=z) for x, y, z in shape.points]
+        marker.colors = [colour_class(r=r, g=g, b=b, a=a) for r, g, b, a in shape.colours]
         message.markers.append(marker)
     return message
 
@@ -482,6 +485,10 @@ def _marker_kind(topic: Topic, number: int) -> str:
     return _MARKER_KINDS[number]
 
 
+def _colour(message: Message) -> Colour:
+    return (float(message.r), float(message.g), float(message.b), float(message.a))
+
+
 def _decode_drawing(topic: Topic, message: Message) -> DrawingSample:
     stamp = from_time(message.markers[0].header.stamp) if message.markers else 0
     shapes = tuple(
@@ -489,11 +496,12 @@ def _decode_drawing(topic: Topic, message: Message) -> DrawingSample:
             str(m.ns),
             _marker_kind(topic, int(m.type)),
             str(m.header.frame_id),
-            (float(m.color.r), float(m.color.g), float(m.color.b), float(m.color.a)),
+            _colour(m.color),
             _vector(m.scale),
             tuple(_vector(p) for p in m.points),
             _vector(m.pose.position),
             _quaternion(m.pose.orientation),
+            tuple(_colour(each) for each in m.colors),
         )
         for m in message.markers
     )

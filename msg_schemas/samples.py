@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Colour = tuple[float, float, float, float]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -186,18 +187,21 @@ class StatusSample:
 class Shape(NamedTuple):
     """One thing to draw.
 
-    ``kind`` is ``line`` (points, the width in ``size``), ``box`` (pose, size along its axes) or
-    ``cylinder`` (pose, two diameters and the height along its z).
+    ``kind`` is ``line`` (points, the width in ``size``), ``arrow`` (from the first point to the
+    second; diameters of shaft and head, length of the head), ``triangles`` (three points each),
+    ``box`` (pose, size along its axes), ``sphere`` (pose, diameters) or ``cylinder`` (pose, two
+    diameters and the height along its z). Points of a line may have ``colours`` of their own.
     """
 
     namespace: str
     kind: str
     frame: str
-    colour: tuple[float, float, float, float]
+    colour: Colour
     size: Vector
     points: tuple[Vector, ...] = ()
     position: Vector = ZERO
     orientation: Quaternion = IDENTITY
+    colours: tuple[Colour, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ EVENTS = "events"
 DIAGNOSTICS = "diagnostics"
 SIM_STATUS = "sim/status"
 MARKERS = "markers"
+PLACE = "place"
 
 SIM_PAUSE = "sim/pause"
 SIM_STEP = "sim/step"

@@ -1,31 +1,63 @@
-"""Shapes to look at: the tether as a line, the rover's bodies and wheels."""
+"""Shapes to look at: tether, rover, contact forces, and the place around them."""
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msg_schemas.samples import Quaternion, Shape, Vector
+from msg_schemas.samples import Colour, Quaternion, Shape, Vector
 from msg_schemas.table import WORLD_FRAME
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
+from rover_sim.physics.boulders import cap_radius
+from rover_sim.physics.terrain import Terrain, boulder_list, floor_height, wall_profile, wall_radius
 
 TETHER_COLOUR: Final = (0.95, 0.75, 0.20, 1.0)
+"""Of a tether that carries what usually hangs on it."""
+SLACK_COLOUR: Final = (0.45, 0.60, 0.85, 1.0)
+TIGHT_COLOUR: Final = (0.90, 0.15, 0.10, 1.0)
+TIGHT: Final = 3.0
+"""A tether is drawn in `TIGHT_COLOUR` from this many times its usual tension on."""
+FORCE_COLOUR: Final = (0.25, 0.75, 0.35, 1.0)
+FLOOR_COLOUR: Final = (0.42, 0.41, 0.39, 1.0)
+BOULDER_COLOUR: Final = (0.34, 0.32, 0.30, 1.0)
+WALL_COLOUR: Final = (0.50, 0.47, 0.44, 0.35)  # to be looked through
 BODY1_COLOUR: Final = (0.30, 0.45, 0.65, 1.0)
 BODY2_COLOUR: Final = (0.80, 0.35, 0.25, 1.0)
 WHEEL_COLOUR: Final = (0.35, 0.35, 0.38, 1.0)
 _TETHER_WIDTH = 0.01
 _POINTS_PER_ELEMENT = 4
+_FORCE_SCALE = 0.02  # [m/N]
+_FORCE_SIZE = (0.015, 0.03, 0.04)  # diameters of shaft and head, length of the head [m]
+_BARE_FLOOR = 20.0  # side of the floor that is drawn where there is no patch [m]
+_FLOOR_MESH = 0.5  # [m]
+_WALL_SECTORS = 48
+_WALL_MESH = 2.0  # over depth [m]
 
 
-def tether_line(nodes: Array, arc_lengths: Array) -> Shape:
-    """The tether as a line through its nodes, along its cubics.
+def usual_tension(carried: float, line_density: float, length: float, gravity: float) -> float:
+    """Of a tether at rest at its upper end [N]; 1 N where nothing has weight.
+
+    Args:
+        carried: by the tether [kg].
+        line_density: of the tether [kg/m].
+        length: of the tether [m].
+        gravity: [m/s^2].
+    """
+    return gravity * (carried + line_density * length) or 1.0
+
+
+def tether_line(nodes: Array, arc_lengths: Array, tension: Array, usual: float) -> Shape:
+    """The tether as a line through its nodes, along its cubics, coloured by its tension.
 
     Args:
         nodes: positions and slopes in map, (n + 1, 2, 3).
         arc_lengths: undeformed, from the fairlead to the nodes [m], (n + 1,).
+        tension: at the nodes [N], (n + 1,).
+        usual: tension of a tether that carries what usually hangs on it [N].
     """
     inside = np.arange(_POINTS_PER_ELEMENT) / _POINTS_PER_ELEMENT
     weights = ancf.shape_functions(inside, 1.0)
@@ -33,6 +65,8 @@ def tether_line(nodes: Array, arc_lengths: Array) -> Shape:
     ends = np.stack([nodes[:-1, 0], lengths * nodes[:-1, 1], nodes[1:, 0], lengths * nodes[1:, 1]])
     points = np.einsum("pk,kei->epi", weights, ends).reshape(-1, 3)
     line = np.concatenate([points, nodes[-1:, 0]])
+    along = np.arange(len(line)) / _POINTS_PER_ELEMENT
+    loads = np.interp(along, np.arange(len(tension)), tension) / usual
     return Shape(
         "tether",
         "line",
@@ -40,7 +74,99 @@ def tether_line(nodes: Array, arc_lengths: Array) -> Shape:
         TETHER_COLOUR,
         (_TETHER_WIDTH, 0.0, 0.0),
         tuple(as_vector(point) for point in line),
+        colours=tuple(_tether_colour(load) for load in loads.tolist()),
     )
+
+
+def _tether_colour(load: float) -> Colour:
+    """Between the colours of a slack, a usual and a tight tether, by its tension over the usual."""
+    stops = (SLACK_COLOUR, TETHER_COLOUR, TIGHT_COLOUR)
+    red, green, blue, alpha = (
+        float(np.interp(load, (0.0, 1.0, TIGHT), part)) for part in zip(*stops, strict=True)
+    )
+    return (red, green, blue, alpha)
+
+
+def contact_force(name: str, place: ArrayLike, force: ArrayLike) -> Shape:
+    """A force of the ground, an arrow to the place where it acts, 20 mm for each newton."""
+    to = np.asarray(place, dtype=np.float64)
+    tail = to - _FORCE_SCALE * np.asarray(force, dtype=np.float64)
+    points = (as_vector(tail), as_vector(to))
+    return Shape(name, "arrow", WORLD_FRAME, FORCE_COLOUR, _FORCE_SIZE, points)
+
+
+def ground(terrain: Terrain) -> tuple[Shape, ...]:
+    """Floor, boulders and the wall of the hole, with its rim and the ground around it."""
+    shapes = [_floor(terrain)]
+    for x, y, z, diameter, height in boulder_list(terrain).tolist():
+        radius = float(cap_radius(np.array(diameter), height / diameter))
+        size = (2.0 * radius, 2.0 * radius, 2.0 * radius)
+        centre = (x, y, z + height - radius)
+        shapes.append(Shape("boulders", "sphere", WORLD_FRAME, BOULDER_COLOUR, size, (), centre))
+    if terrain.has_hole:
+        shapes.append(_wall(terrain))
+    return tuple(shapes)
+
+
+def _floor(terrain: Terrain) -> Shape:
+    """The patch, and around it as much of the plane as lies in the hole."""
+    corner, width = (terrain.patch_x, terrain.patch_y), terrain.patch_width
+    if width == 0.0:
+        corner, width = (-0.5 * _BARE_FLOOR, -0.5 * _BARE_FLOOR), _BARE_FLOOR
+    cells = [_cells(terrain, corner, width, max(1, round(width / _FLOOR_MESH)))]
+    if terrain.has_hole:
+        # Around the patch in squares as large as the patch's side divides into.
+        side = width / max(1, round(width / _WALL_MESH))
+        rings = math.ceil(2.0 * wall_radius(terrain, terrain.floor_height)[0] / side)
+        start = (corner[0] - rings * side, corner[1] - rings * side)
+        plane = width + 2.0 * rings * side
+        around = _cells(terrain, start, plane, round(plane / side))
+        middle = around[:, [0, 2], :2].mean(axis=1)
+        beside = np.abs(middle - np.add(corner, 0.5 * width)).max(axis=1) > 0.5 * width
+        cells.append(around[beside])
+    found = np.concatenate(cells)
+    if terrain.has_hole:
+        middle = found[:, [0, 2]].mean(axis=1)
+        reach = [wall_radius(terrain, z)[0] for z in middle[:, 2].tolist()]
+        found = found[np.hypot(middle[:, 0] - terrain.axis_x, middle[:, 1]) < reach]
+    return _triangles("floor", FLOOR_COLOUR, found)
+
+
+def _cells(terrain: Terrain, corner: tuple[float, float], width: float, count: int) -> Array:
+    """Corners of a square piece of floor's meshes, in turn, (count^2, 4, 3)."""
+    x, y = (start + np.linspace(0.0, width, count + 1) for start in corner)
+    return _meshes(
+        np.array([[(a, b, floor_height(terrain, a, b)) for b in y.tolist()] for a in x.tolist()])
+    )
+
+
+def _wall(terrain: Terrain) -> Shape:
+    outline = wall_profile(terrain)
+    depth = np.cumsum(np.hypot(*np.diff(outline, axis=0, prepend=outline[:1]).T))
+    at = np.linspace(0.0, depth[-1], max(2, round(depth[-1] / _WALL_MESH) + 1))
+    radius, z = (np.interp(at, depth, values) for values in outline.T)
+    angle = np.linspace(0.0, 2.0 * np.pi, _WALL_SECTORS + 1)
+    grid = np.stack(
+        [
+            terrain.axis_x + np.outer(radius, np.cos(angle)),
+            np.outer(radius, np.sin(angle)),
+            np.repeat(z[:, None], angle.size, axis=1),
+        ],
+        axis=-1,
+    )
+    return _triangles("wall", WALL_COLOUR, _meshes(grid))
+
+
+def _meshes(grid: Array) -> Array:
+    """Corners of the meshes of a surface through a grid of points, (rows, columns, 3)."""
+    around = (grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:])
+    return np.stack(around, axis=2).reshape(-1, 4, 3)
+
+
+def _triangles(name: str, colour: Colour, meshes: Array) -> Shape:
+    corners = meshes[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    points = tuple(as_vector(point) for point in corners)
+    return Shape(name, "triangles", WORLD_FRAME, colour, (1.0, 1.0, 1.0), points)
 
 
 def solid(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
 
-from msg_schemas.samples import Sample
+from msg_schemas.samples import DrawingSample, Sample
 from rover_sim.actuators import DriveStates, Equipment
 from rover_sim.plant import Plant, State, StepResult
 
@@ -51,3 +51,10 @@ class PlantInterface(Protocol[S]):
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of what was last taken, for the topics that are due."""
+
+    def place(self, stamp_ns: int) -> DrawingSample:
+        """What stands around the plant, to be looked at; nothing changes it.
+
+        Args:
+            stamp_ns: to be drawn with.
+        """

@@ -38,6 +38,7 @@ from rover_sim.drawing import (
     as_vector,
     solid,
     tether_line,
+    usual_tension,
 )
 from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
@@ -200,8 +201,12 @@ class PlanarInterface:
         state = moment.after
         length = self._scenario.tether.length
         nodes = rep103.vector(state.nodes)
-        shapes = [tether_line(nodes, np.linspace(0.0, length, len(nodes)))]
         rover = self._scenario.rover
+        carried = self._scenario.tip_mass if rover is None else rover.mass
+        density = self._scenario.tether.section.line_density
+        usual = usual_tension(carried, density, length, self._scenario.gravity)
+        arcs = np.linspace(0.0, length, len(nodes))
+        shapes = [tether_line(nodes, arcs, moment.tension, usual)]
         if rover is not None:
             orientation = rep103.quaternion(state.theta)
             for name, (width, height), colour, centre in (
@@ -212,6 +217,10 @@ class PlanarInterface:
                 place = rep103.vector(centre)
                 shapes.append(solid(name, "box", colour, size, place, orientation))
         return DrawingSample(moment.stamp_ns, tuple(shapes))
+
+    def place(self, stamp_ns: int) -> DrawingSample:
+        """Nothing: the plane has no ground; see `interface.PlantInterface.place`."""
+        return DrawingSample(stamp_ns, ())
 
 
 class _Moment:

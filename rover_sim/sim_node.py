@@ -160,6 +160,7 @@ class SimNode(ContractNode):
         self._outlets = {name: self.publisher(name) for name in outside.topics}
         self._phase_outlet = self.publisher(topics.TRUTH_PHASE)
         self._status_outlet = self.publisher(topics.SIM_STATUS)
+        self._place_outlet = self.publisher(topics.PLACE)
         runner = SimRunner(
             simulation,
             wanted.real_time_factor,
@@ -178,6 +179,7 @@ class SimNode(ContractNode):
     def start(self) -> None:
         """Let simulated time run."""
         if self._runner is not None:
+            self._place_outlet.send(self._simulation.interface.place(self.now_ns()))
             self._runner.start()
         period = 1.0 / _table_rate(topics.SIM_STATUS)
         self.every(period, self._publish_status, by_wall_clock=True)

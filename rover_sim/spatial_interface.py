@@ -23,6 +23,7 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
     Sample,
+    Shape,
     WrenchSample,
 )
 from msg_schemas.table import (
@@ -50,8 +51,11 @@ from rover_sim.drawing import (
     WHEEL_COLOUR,
     as_quaternion,
     as_vector,
+    contact_force,
+    ground,
     solid,
     tether_line,
+    usual_tension,
 )
 from rover_sim.machine import Rover
 from rover_sim.physics import drum as drums
@@ -172,9 +176,10 @@ class SpatialInterface:
     def restart(self, state: SpatialState, stamp_ns: int) -> None:
         """Take a state with no tick before it: sensors are switched on anew."""
         # Nothing was stepped yet, so no forces are known but what the state remembers.
-        self._sensors = self._suite.start(self._truth(state, Forces()))
+        forces = Forces()
+        self._sensors = self._suite.start(self._truth(state, forces))
         self._readings = None
-        self._moment = _Moment(state, stamp_ns, self.plant.energies(state))
+        self._moment = _Moment(state, stamp_ns, self.plant.energies(state), forces)
 
     def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
         """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
@@ -184,7 +189,7 @@ class SpatialInterface:
         if state.time > self._sensors.truth.time:
             truth = self._truth(state, result.forces)
             self._sensors, self._readings = self._suite.step(self._sensors, truth)
-        self._moment = _Moment(state, stamp_ns, result.energies)
+        self._moment = _Moment(state, stamp_ns, result.energies, result.forces)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of what was last taken, for the topics that are due."""
@@ -242,7 +247,17 @@ class SpatialInterface:
 
     def _markers(self, moment: _Moment) -> Sample:
         state, rover = moment.state, self._scenario.rover
-        shapes = [tether_line(self.plant.to_full_nodes(state), self.plant.to_arc_lengths(state))]
+        scenario = self._scenario
+        density = scenario.tether.section.line_density
+        usual = usual_tension(scenario.tip_mass, density, self._length(state), scenario.gravity)
+        shapes = [
+            tether_line(
+                self.plant.to_full_nodes(state),
+                self.plant.to_arc_lengths(state),
+                self.plant.tension(state),
+                usual,
+            )
+        ]
         if rover is not None:
             turned, orientation = state.rotation, state.orientation
             centre = state.G1 + turned @ np.array(rover.body1_centre)
@@ -256,7 +271,38 @@ class SpatialInterface:
             for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
                 middle = state.G1 + turned @ np.array(place)
                 shapes.append(solid(name, "cylinder", WHEEL_COLOUR, size, middle, axle))
+            shapes += self._contact_forces(moment, rover)
         return DrawingSample(moment.stamp_ns, tuple(shapes))
+
+    def _contact_forces(self, moment: _Moment, rover: Rover) -> list[Shape]:
+        """Normal forces of the ground on wheels and bodies, along the floor's normal."""
+        terrain, forces = self.plant.model.terrain, moment.forces
+        normal = terrain.floor_cosine * np.array([-terrain.slope_x, -terrain.slope_y, 1.0])
+        below = rover.wheels.radius * normal
+        turned, state = moment.state.rotation, moment.state
+        loads = (
+            (
+                WHEEL_LEFT,
+                forces.left_wheel,
+                state.G1 + turned @ np.array(rover.wheels.left) - below,
+            ),
+            (
+                WHEEL_RIGHT,
+                forces.right_wheel,
+                state.G1 + turned @ np.array(rover.wheels.right) - below,
+            ),
+            (BODY_SWITCH, forces.body, state.G1),
+        )
+        return [
+            contact_force(f"force_{name}", place, load * normal)
+            for name, load, place in loads
+            if load > 0.0
+        ]
+
+    def place(self, stamp_ns: int) -> DrawingSample:
+        """The ground, if there is any; see `interface.PlantInterface.place`."""
+        model = self.plant.model
+        return DrawingSample(stamp_ns, ground(model.terrain) if model.has_ground else ())
 
     # --- sensors that need more than their readings ----------------------------------------------
 
@@ -298,6 +344,7 @@ class _Moment(NamedTuple):
     state: SpatialState
     stamp_ns: int
     energies: Energies
+    forces: Forces
 
 
 def _odometry(moment: _Moment, centre: Array, rate: Array) -> OdometrySample:

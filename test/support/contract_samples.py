@@ -124,5 +124,10 @@ def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
             position=(1.0, 0.0, -2.0),
         )  # fmt: skip
         wheel = box._replace(namespace="wheel", kind="cylinder", size=(0.3, 0.3, 0.06))
-        return st.builds(DrawingSample, stamps(), st.just((line, box, wheel)))
+        coloured = line._replace(colours=((0.0, 0.25, 0.5, 1.0), (1.0, 0.5, 0.25, 0.5)))
+        arrow = line._replace(namespace="force", kind="arrow", size=(0.1, 0.2, 0.3))
+        boulder = box._replace(namespace="boulders", kind="sphere")
+        floor = line._replace(kind="triangles", points=(*line.points, (0.0, 1.0, 0.0)))
+        shapes = (line, box, wheel, coloured, arrow, boulder, floor)
+        return st.builds(DrawingSample, stamps(), st.just(shapes))
     raise NotImplementedError(kind)

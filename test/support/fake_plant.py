@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from msg_schemas import topics
-from msg_schemas.samples import ClockSample, JointSample, JointValue, Sample
+from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
 from rover_sim.actuators import DriveStates, Equipment, Nut
 from rover_sim.plant import (
@@ -166,6 +166,9 @@ class FakeInterface:
             topics.WINCH_STATE: JointSample(stamp_ns, {WINCH_DRUM: drum, WINCH_BRAKE: brake}),
         }
         return ((name, made[name]) for name in due)
+
+    def place(self, stamp_ns: int) -> DrawingSample:
+        return DrawingSample(stamp_ns, ())
 
 
 def fake_interface(equipment: Equipment = HELD_BY_THE_GROUND, **options: Any) -> FakeInterface:
