@@ -74,7 +74,8 @@ def local_processes(count: int, scenarios: Iterable[AnyScenario] = ()) -> Iterat
     )
     try:
         with _ctrl_c_ignored():
-            pool.submit(_nothing)  # starts them all
+            for _ in range(count):
+                pool.submit(_nothing)  # starts one, as none has come to rest yet
         yield Workers(pool, count, f"{count} process{'es' if count > 1 else ''}")
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
@@ -103,11 +104,12 @@ def _ctrl_c_ignored() -> Iterator[None]:
 
 
 def _nothing() -> None:
-    """A task that starts the pool."""
+    """A task that starts a worker."""
 
 
 def _start_worker() -> None:
-    """Do not outlive the parent."""
+    """Leave Ctrl-C to the parent, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 
 

@@ -228,7 +228,7 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path: Path):
         text=True,
         start_new_session=True,
         # What is started in the background of a shell ignores it, and so would its children.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
     wait_for_parts(process, out, 1)  # type: ignore[arg-type]
     os.killpg(process.pid, signal.SIGINT)
