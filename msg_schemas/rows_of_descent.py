@@ -13,6 +13,8 @@ from msg_schemas.machine import (
     FLYWHEEL_MOMENTUM,
     FLYWHEEL_TRAVEL,
     HEADING,
+    HEADING_GOAL,
+    HEADING_TURN,
     MAX_LENGTH,
     MAX_PAYOUT_RATE,
     OBSERVATION_STOP,
@@ -87,6 +89,7 @@ _STATE: tuple[tuple[str, Entry, Entry], ...] = (
     (TILT_X, _angle("of the rover against the tether, about base_link x"), _rate("its rate")),
     (TILT_Y, _angle("of the rover against the tether, about base_link y"), _rate("its rate")),
     (HEADING, _angle("about the plumb line since the start, by the gyro"), _rate("its rate")),
+    (HEADING_GOAL, _angle("heading that is turned to or held; without one the present"), UNUSED),
     (YAW_ERROR, UNUSED, _rate("standard deviation of the heading's rate")),
     (CAMERA_RATE, UNUSED, _rate("magnitude of the rate at which the camera turns")),
     (
@@ -114,7 +117,8 @@ DESCENT_TOPICS = (
         topics.DESCENT_REQUEST,
         "an operator or the mission asks for a stop of the descent or ascent; the joint's name "
         "says whether pictures are taken there. Each message adds one stop to those that are "
-        "still to come",
+        "still to come. Where none is left, a heading can be turned to, and is held until the "
+        "next request",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -123,8 +127,15 @@ DESCENT_TOPICS = (
         fields=(
             *_stop(OBSERVATION_STOP, "to go to and take pictures at"),
             *_stop(PLAIN_STOP, "to go to"),
+            *joint_fields(
+                HEADING_TURN,
+                _angle("to turn by about the plumb line, counter-clockwise from above", pi),
+                UNUSED,
+                UNUSED,
+                _LATER_0,
+            ),
         ),
-        joints=(OBSERVATION_STOP, PLAIN_STOP),
+        joints=(OBSERVATION_STOP, PLAIN_STOP, HEADING_TURN),
         one_joint=True,
         stale=StalePolicy(max_age=2.0, max_lead=0.5),
     ),

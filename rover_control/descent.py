@@ -24,6 +24,7 @@ from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, WheelReaction
 from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
 from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters, WinchAsk
+from rover_control.pointing import SUBJECT as POINTING
 from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
 
 _NO_ORDERS = Orders(None, None, None, None, None)
@@ -223,6 +224,29 @@ class Descent:
                 RefusalCode.OUT_OF_LIMITS,
                 f"depth is {stop.depth!r} m, it must lie in {p.shallowest:g} .. {p.deepest:g} m",
             )
+        self._check_drives(now_ns)
+        with _refused_by(topics.DESCENT_REQUEST):
+            self.controller.request(stop, now_ns)
+        self._engage("a stop is asked for")
+        self._take_winch()
+
+    def turn(self, angle: float, now_ns: int) -> None:
+        """Turn about the plumb line by so much [rad], and hold the heading until another request.
+
+        Raises:
+            Refusal: stops are left, the rover jumps, or the heading cannot be reached or held.
+        """
+        self._check_drives(now_ns)
+        with _refused_by(topics.DESCENT_REQUEST):
+            self.controller.point(angle, now_ns)
+        self._engage("a heading is asked for")
+
+    def _engage(self, reason: str) -> None:
+        if not self.is_engaged:
+            self.is_engaged = True
+            self._changes.append(Transition("descent_engaged", reason))
+
+    def _check_drives(self, now_ns: int) -> None:
         if self._jump in _JUMPING:
             raise Refusal(
                 topics.DESCENT_REQUEST,
@@ -239,12 +263,6 @@ class Descent:
                 f"stand {rotors.travel:g} rad off; {topics.JUMP_MOTOR_COMMAND} drives it clear",
             )
         self._check_known(topics.DESCENT_REQUEST, now_ns)
-        with _refused_by(topics.DESCENT_REQUEST):
-            self.controller.request(stop, now_ns)
-        if not self.is_engaged:
-            self.is_engaged = True
-            self._changes.append(Transition("descent_engaged", "a stop is asked for"))
-        self._take_winch()
 
     def hold(self, now_ns: int) -> str:
         """Come to rest where it is.
@@ -275,8 +293,9 @@ class Descent:
         return done
 
     def abort(self, now_ns: int) -> str:
-        """Forget what was to be done and stay."""
+        """Forget what was to be done and stay; a heading is let go."""
         self.interruption = ""
+        self.controller.pointing.stop()
         return self.controller.abort(now_ns)
 
     def release(self) -> str:
@@ -331,6 +350,7 @@ class Descent:
 
     def _let_go(self, reason: str) -> None:
         controller = self.controller
+        controller.pointing.stop()
         self._changes += controller.take_changes()
         if self._is_retuned:
             self._make(controller.heading)
@@ -383,8 +403,14 @@ class Descent:
         self._silent_steps = self._silent_steps + 1 if silent else 0
         if silent:
             self._back_since = now_ns / _NANO
-        if self._silent_steps >= self.settings.descent.sensor_steps and self.is_busy:
-            self._interrupt(f"{', '.join(silent)} not heard", now_ns)
+        if self._silent_steps < self.settings.descent.sensor_steps:
+            return
+        reason = f"{', '.join(silent)} not heard"
+        if self.is_busy:
+            self._interrupt(reason, now_ns)
+        elif self.controller.pointing.is_active:
+            self.controller.pointing.stop()
+            self._changes.append(Transition("pointing_ended", reason, Level.WARN))
 
     def _rotors(self, orders: Orders, h: float, now: float) -> tuple[float | None, float | None]:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
@@ -455,5 +481,5 @@ def _refused_by(subject: str) -> Iterator[None]:
     try:
         yield
     except Refusal as refusal:
-        named = subject if refusal.subject == SUBJECT else refusal.subject
+        named = subject if refusal.subject in (SUBJECT, POINTING) else refusal.subject
         raise Refusal(named, refusal.code, refusal.reason) from None

@@ -10,6 +10,7 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.machine import (
     FLYWHEEL,
+    HEADING_TURN,
     OBSERVATION_STOP,
     WHEEL_DRIVE,
     WINCH_DRUM,
@@ -160,12 +161,15 @@ class DescentNode(ContractNode):
         self._descent.hear_jump(sample.text)
 
     def _on_request(self, sample: JointSample) -> None:
-        ((name, (depth, rate, _)),) = sample.joints.items()
-        stop = Stop(depth=depth, observes=name == OBSERVATION_STOP, rate=rate)
-        self._descent.request(stop, self.now_ns())
-        what = "an observation" if stop.observes else "a stop"
-        values = {"depth": depth, "stops": self._descent.stops_left}
-        self.event("stop_accepted", f"{what} at {depth:g} m", values=values)
+        ((name, (amount, rate, _)),) = sample.joints.items()
+        if name == HEADING_TURN:
+            self._descent.turn(amount, self.now_ns())
+        else:
+            stop = Stop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
+            self._descent.request(stop, self.now_ns())
+            what = "an observation" if stop.observes else "a stop"
+            values = {"depth": amount, "stops": self._descent.stops_left}
+            self.event("stop_accepted", f"{what} at {amount:g} m", values=values)
         self._tell_changes()
 
     def _on_hold(self) -> tuple[bool, str]:

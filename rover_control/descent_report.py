@@ -12,6 +12,7 @@ from msg_schemas.machine import (
     FLYWHEEL_MOMENTUM,
     FLYWHEEL_TRAVEL,
     HEADING,
+    HEADING_GOAL,
     PICTURE,
     SMEAR,
     STOPS_LEFT,
@@ -43,6 +44,8 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
     rotors = controller.parameters.rotors
     travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.travel_centre
     goal = controller.profile.keeps
+    pointing = controller.pointing
+    way = pointing.error(controller.twist) if pointing.is_active else 0.0
     # A displacement along +x is a negative rotation about +y, one along +y a positive about +x.
     values = {
         DEPTH: JointValue(descent.length, controller.estimator.rate),
@@ -56,6 +59,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
         TILT_X: JointValue(swing.tilt[1], swing.tilt_rate[1]),
         TILT_Y: JointValue(-swing.tilt[0], -swing.tilt_rate[0]),
         HEADING: JointValue(controller.heading, swing.yaw_rate),
+        HEADING_GOAL: JointValue(math.remainder(controller.twist + way, math.tau)),
         YAW_ERROR: JointValue(velocity=swing.yaw_error),
         CAMERA_RATE: JointValue(velocity=swing.camera_rate),
         WHEEL_MOMENTUM: JointValue(-wheels.momentum),

@@ -13,6 +13,8 @@ from winch_hoist import Hoist, HoistParameters
 from msg_schemas import topics
 from msg_schemas.machine import (
     DEPTH,
+    HEADING,
+    HEADING_GOAL,
     PICTURE,
     SMEAR,
     WALL_DISTANCE,
@@ -222,6 +224,31 @@ def test_it_is_held_resumed_and_aborted_on_the_way(world: World):
     assert world.winch.winch.mode is Mode.HOLD
     assert not [t for _, t in world.winch.transitions if "is silent" in t.reason]
     assert all(drives.winch is None for drives in world.sent[-50:])
+
+
+def test_a_heading_is_turned_to_where_no_stop_is_left(world: World):
+    world.arm()
+    now = world.winch.now_ns
+    assert refused(lambda: world.descent.turn(math.pi, now)).subject == topics.DESCENT_REQUEST
+    world.descent.turn(0.05, now)
+    assert world.descent.is_engaged
+    world.run(0.5)
+    (begun,) = world.told("pointing_begun")
+    assert "turns by 3 deg" in begun
+    state = state_sample(world.descent, world.winch.now_ns)
+    assert state is not None
+    goal = state.joints[HEADING_GOAL].position - state.joints[HEADING].position
+    assert goal == pytest.approx(0.05, abs=0.01)
+    world.ask(5.5, observes=False)
+    assert refused(lambda: world.descent.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
+    world.run_until(lambda: world.done)
+    assert len(world.told("pointing_ended")) == 1
+    world.run(0.5)
+    world.descent.turn(0.05, world.winch.now_ns)
+    world.silent.add(topics.IMU)
+    world.run(1.5)
+    assert world.told("pointing_ended")[1:] == [f"{topics.IMU} not heard"]
+    assert not world.descent.controller.pointing.is_active
 
 
 # ---------------------------------------------------------------------------------- what it refuses
