@@ -204,7 +204,7 @@ DESCENT_SERVICES = (
     Service(topics.DESCENT_RESUME, "goes on with what a hold has left", _TRIGGER, _NODE),
     Service(
         topics.DESCENT_ABORT,
-        "forgets all stops, comes to rest where it is and keeps the attitude",
+        "forgets all stops and a heading, comes to rest where it is and keeps the attitude",
         _TRIGGER,
         _NODE,
     ),
