@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WINCH_DRUM
+from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, Level
@@ -114,6 +114,7 @@ class Descent:
         self._jump = ""
         self._mode = ""
         self._wheel_rate = 0.0  # as sent last [rad/s]
+        self._wheel_told = 0.0  # by its encoder [rad/s]
         self._stepped_ns = 0
         self._imu_ns = 0  # the newest reading's stamp
         self._make(0.0)
@@ -178,6 +179,7 @@ class Descent:
 
     def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
+        self._wheel_told = sample.joints[WHEEL_LEFT].velocity
         self.controller.hear_wheels(sample, now_ns)
 
     def hear_flywheel(self, sample: JointSample, now_ns: int) -> None:
@@ -416,7 +418,9 @@ class Descent:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
         rate, torque = orders.wheel_rate, orders.flywheel_torque
         if rate is None or torque is None:
-            return rate, torque
+            # Without commands the wheel coasts; it will be taken up from there.
+            self._wheel_rate, self._catches_up = self._wheel_told, True
+            return None, None
         p = self.settings.descent
         delay = max(now - self._imu_ns / _NANO, h)
         if delay > p.largest_delay:

@@ -102,8 +102,8 @@ class World:
         self.sent.append(drives)
         self.changes += self.descent.take_changes()
         self.observations += self.descent.take_observations()
-        if drives.wheel_rate is not None:
-            self.rover.wheel_rate = drives.wheel_rate
+        coasts = self.rover.wheel_rate * 0.9
+        self.rover.wheel_rate = coasts if drives.wheel_rate is None else drives.wheel_rate
         self.rover.flywheel_torque = drives.flywheel_torque or 0.0
         if drives.winch is not None:
             self.winch.ask(WINCH_WHILE_RENEWED, *drives.winch)
@@ -307,13 +307,16 @@ def test_a_sensor_that_falls_silent_ends_in_a_hold_that_only_a_resume_ends(
     assert set(world.sent[-50:]) == {NOTHING}
     assert refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.STALE
     world.silent.clear()
-    length = world.length
+    length, begun = world.length, len(world.sent)
     world.run(0.2)
     assert "known again in" in refused(lambda: world.descent.resume(world.winch.now_ns)).reason
     world.run(3.0)
     assert world.length == length
     world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > length + 0.5)
+    rates = [d.wheel_rate for d in world.sent[begun:] if d.wheel_rate is not None]
+    assert abs(rates[0]) < 0.1  # the wheel has come to rest, and is taken up from there
+    assert max(abs(b - a) for a, b in pairwise(rates[:10])) < 0.03
 
 
 def test_a_step_that_comes_late_does_not_take_its_sensors_for_lost(world: World):

@@ -35,7 +35,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 MODULE, NODE = "rover_control.descent_node", "descent_node"
 WINCH, WINCH_NODE = "tether_winch.winch_node", "winch_node"
-QUICK = {"first_look": 0.5, "steady_time": 0.3, "exposures": 2, "exposure_time": 0.2}
+QUICK = {"first_look": 1.5, "steady_time": 0.3, "exposures": 2, "exposure_time": 0.2}
 START = 5.0  # [m]
 FAR = 20.0  # a depth that is not reached [m]
 

@@ -6,6 +6,7 @@ not wrong.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
@@ -17,7 +18,7 @@ from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample
 from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE
-from rover_verify.checks.winch_rig import Readings
+from rover_verify.checks.winch_rig import TICK, Readings
 from rover_verify.stage import Observer
 from rover_verify.stage.observer import Feed
 
@@ -25,6 +26,7 @@ _LAG_NS = 60_000_000  # by which the descent's commands may be behind
 _PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
 _ANSWER = 0.05  # the same of one that did not answer the last tick [s]
 _LOOK = 0.002  # [s]
+_COASTING = 3.0  # of a wheel without commands, by its friction [rad/s^2]
 
 
 class DescentMother(Mother):
@@ -55,7 +57,9 @@ class DescentMother(Mother):
 
     def _tell(self, readings: Readings) -> None:
         wheel, flywheel = self._heeded(self._wheel), self._heeded(self._flywheel)
-        self.rover.wheel_rate = wheel.joints[WHEEL_DRIVE].velocity if wheel else 0.0
+        rate = self.rover.wheel_rate
+        coasting = math.copysign(max(abs(rate) - _COASTING * TICK, 0.0), rate)
+        self.rover.wheel_rate = wheel.joints[WHEEL_DRIVE].velocity if wheel else coasting
         self.rover.flywheel_torque = flywheel.joints[FLYWHEEL].effort if flywheel else 0.0
         self.rover.step(readings.length, readings.rate)
         for name, sample in self.rover.samples(self.now_ns):
