@@ -133,6 +133,7 @@ class Descent:
         self._back_since = -math.inf  # all sensors, after one of them was silent [s]
         self._late_until = -math.inf  # the rotors do not follow [s]
         self._is_late = False
+        self._coasts = False  # no command is sent to the rotors
         self._catches_up = False  # the wheel is brought to where it should be gently
         self.interruption = ""  # why the descent is held, where nobody has asked for that
 
@@ -418,9 +419,11 @@ class Descent:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
         rate, torque = orders.wheel_rate, orders.flywheel_torque
         if rate is None or torque is None:
-            # Without commands the wheel coasts; it will be taken up from there.
-            self._wheel_rate, self._catches_up = self._wheel_told, True
+            self._coasts = True
             return None, None
+        if self._coasts:
+            # Without commands the wheel has come to another rate, and is taken up from there.
+            self._wheel_rate, self._catches_up, self._coasts = self._wheel_told, True, False
         p = self.settings.descent
         delay = max(now - self._imu_ns / _NANO, h)
         if delay > p.largest_delay:
@@ -451,11 +454,11 @@ class Descent:
                 self._leave_winch()
                 return None, None
             return self.link.step(orders.winch, self.length, now), None
+        if self._silent_steps:
+            return None, None
         trouble = self.link.trouble(self.length, now)
         if trouble:
             self._interrupt(trouble, round(now * _NANO))
-            return None, None
-        if self._silent_steps:
             return None, None
         moves = profile.phase is DescentPhase.TRAVELLING
         trims = orders.trim is not None
