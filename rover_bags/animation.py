@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from rover_bags.metrics import Jump, Motion, Window, motion
+from rover_bags.jumps import Jump, Motion, Window, motion
 from rover_bags.read import Bag, Floats
 
 LEAD: Final = 0.25
@@ -25,6 +25,8 @@ LEAD: Final = 0.25
 TRAIL: Final = 0.45
 """Simulated time [s] shown after touchdown."""
 _MOST_FRAMES: Final = 600
+_MOST_PICTURES: Final = 200
+"""Of a GIF of a whole run."""
 _FINE: Final = 2
 """Pictures are drawn so many times finer and then scaled down, for smooth edges."""
 _SIZES: Final = {"body1_size": (0.30, 0.15), "body2_size": (0.20, 0.10)}
@@ -52,6 +54,11 @@ class Scene:
         low, high: Corners (x, z) of what is in view [m].
         near: Corners of the view of the rover from near [m].
         strongest: Tension at the strong end of the colour scale [N].
+        ground_lines: x and z [m] of ground and walls, (k, 2) each; empty: level ground at `ground`.
+        wheels: x and z of the wheels' centres and half their width and height as seen [m], shape
+            (F, wheels, 4).
+        follow: Half the width of the view from near, which then follows Body 1 [m]; 0: it stands.
+        is_run: Whether times are simulated times of a whole run rather than since a take-off.
     """
 
     time: Floats
@@ -65,6 +72,10 @@ class Scene:
     high: tuple[float, float]
     near: tuple[tuple[float, float], tuple[float, float]]
     strongest: float
+    ground_lines: tuple[Floats, ...] = ()
+    wheels: Floats | None = None
+    follow: float = 0.0
+    is_run: bool = False
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for the player."""
@@ -81,6 +92,10 @@ class Scene:
             "near": [list(corner) for corner in self.near],
             "strongest": self.strongest,
             "scale": [list(colour) for colour in _SCALE],
+            "lines": [np.round(line, 3).tolist() for line in self.ground_lines],
+            "wheels": None if self.wheels is None else np.round(self.wheels, 4).tolist(),
+            "follow": self.follow,
+            "run": self.is_run,
         }
 
 
@@ -175,7 +190,7 @@ def _element(bag: Bag, nodes: Floats) -> float:
     return float(length) / count
 
 
-# --- GIF ------------------------------------------------------------------------------------------
+# --- GIF ----------------------------------------------------------------------------------------
 
 
 def write_gif(
@@ -191,9 +206,12 @@ def write_gif(
         rate: Pictures per second.
     """
     span = float(scene.time[-1] - scene.time[0])
-    step = max(1.0 / (rate * slower), span / _MOST_FRAMES)
+    most = _MOST_PICTURES if scene.is_run else _MOST_FRAMES
+    step = max(1.0 / (rate * slower), span / most)
     times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
-    pictures = [_picture(scene, float(time), width, slower) for time in times]
+    pace = step * rate
+    words = f"{1.0 / pace:.3g} times slower" if pace < 1.0 else f"{pace:.3g} times faster"
+    pictures = [_picture(scene, float(time), width, words) for time in times]
     palette = pictures[len(pictures) // 2].quantize(64)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = [round(1000.0 / rate)] * len(frames)
@@ -228,7 +246,7 @@ class _View:
         return (self._x + self.scale * x, self._z - self.scale * z)
 
 
-def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Image:
+def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
     """Left the whole scene, right the rover from near."""
     height = round(0.62 * width)
     image = Image.new("RGB", (_FINE * width, _FINE * height), "white")
@@ -239,7 +257,7 @@ def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Imag
     middle, right = round(0.42 * width) * _FINE, (width - 8) * _FINE
     views = (
         _View(scene.low, scene.high, (8 * _FINE, top, middle, bottom)),
-        _View(*scene.near, (middle + 10 * _FINE, top, right, bottom)),
+        _View(*_near_box(scene, poses[0]), (middle + 10 * _FINE, top, right, bottom)),
     )
     for view in views:
         panel = Image.new("RGB", view.size, "white")
@@ -248,14 +266,22 @@ def _picture(scene: Scene, time: float, width: int, slower: float) -> Image.Imag
         edge = (*view.corner, view.corner[0] + view.size[0], view.corner[1] + view.size[1])
         draw.rectangle(edge, outline=(206, 212, 218), width=_FINE)
     large, small = (_font(size) for size in (15, 12))
-    draw.text((10 * _FINE, 7 * _FINE), f"{time:+.2f} s after take-off", fill=_TEXT, font=large)
+    title = f"{time:.1f} s" if scene.is_run else f"{time:+.2f} s after take-off"
+    draw.text((10 * _FINE, 7 * _FINE), title, fill=_TEXT, font=large)
     rise = poses[0][1] - scene.body1[0, 1]
-    note = (
-        f"rise {rise:.3f} m,  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  "
-        f"{slower:g} times slower"
-    )
+    place = f"depth {-poses[0][1]:.2f} m" if scene.is_run else f"rise {rise:.3f} m"
+    note = f"{place},  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  {pace}"
     draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
     return image.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _near_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Corners of the view from near."""
+    half = scene.follow
+    if not half:
+        return scene.near
+    x, z = float(pose[0]), float(pose[1])
+    return (x - half, z - half), (x + half, z + half)
 
 
 @cache
@@ -274,15 +300,21 @@ def _draw_scene(
     _draw_ground(draw, view, scene)
     past = scene.body1[scene.time <= time]
     if len(past) > 1:
-        draw.line([view.at(x, z) for x, z, _ in past], fill=(150, 160, 170), width=_FINE)
+        draw.line([view.at(x, z) for x, z in past[:, :2]], fill=(150, 160, 170), width=_FINE)
     _draw_tether(draw, view, scene, tether)
-    draw.line([view.at(*pose[:2]) for pose in poses], fill=(134, 142, 150), width=4 * _FINE)
+    rod = [*poses, tether[-1]] if scene.follow else poses
+    draw.line([view.at(*point[:2]) for point in rod], fill=(134, 142, 150), width=4 * _FINE)
     for pose, name, colour in (
         (poses[1], "body2_size", _BODY2),
         (poses[0], "body1_size", _BODY1),
     ):
         corners = [view.at(*corner) for corner in _corners(pose, scene.sizes[name])]
         draw.polygon(corners, fill=colour, outline="white")
+    if scene.wheels is not None:
+        for x, z, wide, high in _at(scene, scene.wheels, time):
+            left, top = view.at(x - wide, z + high)
+            right, bottom = view.at(x + wide, z - high)
+            draw.ellipse((left, top, right, bottom), outline=_TEXT, width=2 * _FINE)
     x, z = view.at(*tether[0, :2])
     draw.rectangle((x - 6, z - 6, x + 6, z + 6), fill=_TEXT)
     _draw_ruler(draw, view)
@@ -298,16 +330,21 @@ def _at(scene: Scene, values: Floats, time: float) -> Floats:
 
 def _corners(pose: Floats, size: tuple[float, float]) -> list[tuple[float, float]]:
     c, s = math.cos(pose[2]), math.sin(pose[2])
+    width = float(pose[3]) if len(pose) > 3 else size[0]
     return [
         (
-            pose[0] + c * a * size[0] / 2 - s * b * size[1] / 2,
-            pose[1] + s * a * size[0] / 2 + c * b * size[1] / 2,
+            pose[0] + c * a * width / 2 - s * b * size[1] / 2,
+            pose[1] + s * a * width / 2 + c * b * size[1] / 2,
         )
         for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
 
 
 def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
+    for line in scene.ground_lines:
+        draw.line([view.at(x, z) for x, z in line], fill=(120, 110, 100), width=4)
+    if scene.ground_lines:
+        return
     # Only under the rover: where the mother machine stands there is none at this height.
     reach = scene.body1[:, 0]
     left, right = float(reach.min()) - 0.35, float(reach.max()) + 0.35

@@ -54,6 +54,10 @@ _IN_DATA: Final = frozenset(
 _LARGEST_CHUNK: Final = 1 << 30
 """A chunk that claims to be larger [byte] when unpacked is taken for damaged."""
 
+_RELEASED: Final = 1 << 25
+"""After so many bytes of the file those behind are let go."""
+_PAGE: Final = mmap.PAGESIZE
+
 
 @dataclass(frozen=True)
 class _Chunk:
@@ -81,6 +85,7 @@ class McapScan:
         unverified: Messages by topic that were yielded though no checksum protects them.
         announced: Every topic that the file describes.
         metadata: Metadata records by name, in their order.
+        done: Bytes that have been read.
         foreign: Attachments, which carry no messages and are not read.
         expected: Messages by topic as the index at the end counts them; None without one.
     """
@@ -93,6 +98,7 @@ class McapScan:
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.foreign = 0
         self.expected: dict[str, int] | None = None
+        self.done = 0
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
         self._topics: dict[int, Topic] = {}
@@ -123,7 +129,7 @@ class McapScan:
                 with contextlib.suppress(BufferError):
                     mapped.close()
 
-    # --- the walk over the file -------------------------------------------------------------------
+    # --- the walk over the file ------------------------------------------------------------------
 
     def _walk(self, view: memoryview, mapped: mmap.mmap) -> Iterator[Message]:
         end = len(view)
@@ -132,6 +138,7 @@ class McapScan:
             position = self._first_chunk(view, mapped)
         self._read_summary(view)
         checksum = zlib.crc32(view[:position])
+        released = 0
         while position < end:
             following, opcode = self._frame(view, mapped, position)
             body = view[position + _FRAME.size : following]
@@ -144,6 +151,11 @@ class McapScan:
                 yield from self._record(view, opcode, body, position, following)
             checksum = zlib.crc32(view[position:following], checksum)
             position = following
+            self.done = position
+            if position - released > _RELEASED:
+                # What was read need not stay in memory: a bag may be larger than that.
+                mapped.madvise(mmap.MADV_DONTNEED, released, position // _PAGE * _PAGE - released)
+                released = position // _PAGE * _PAGE
         if position >= end and self.closed:
             self._leave_out(end, 0, "the record that ends the data is missing")
         self._count_orphans()
@@ -298,7 +310,7 @@ class McapScan:
         lost = channel.schema_id != 0 and channel.schema_id not in self._schemas
         return spare if lost and spare is not None and spare.name == topic.name else topic
 
-    # --- what stands around the data --------------------------------------------------------------
+    # --- what stands around the data -------------------------------------------------------------
 
     def _keep_metadata(self, record: Metadata) -> None:
         values: dict[str, str] = record.metadata

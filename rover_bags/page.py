@@ -51,7 +51,7 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px;
 th, td { padding: 4px 7px; border-bottom: 1px solid var(--line); text-align: right;
          vertical-align: top; white-space: nowrap; }
 th { color: var(--soft); font-weight: 600; border-bottom: 2px solid #adb5bd;
-     vertical-align: bottom; }
+     vertical-align: bottom; white-space: normal; min-width: 44px; }
 th:first-child, td:first-child, .words { text-align: left; }
 td.words { white-space: normal; }
 td.bad { color: var(--bad); font-weight: 600; }
@@ -96,7 +96,8 @@ for (const box of document.querySelectorAll('.player')) {
     const share = (now - scene.time[low]) / (scene.time[low + 1] - scene.time[low]);
     const part = Math.min(Math.max(share, 0), 1);
     return { body1: blend(scene.body1, low, part), body2: blend(scene.body2, low, part),
-             tether: blend(scene.tether, low, part), index: low };
+             tether: blend(scene.tether, low, part), index: low,
+             wheels: scene.wheels ? blend(scene.wheels, low, part) : [] };
   }
   function colour(tension) {
     const place = Math.min(Math.max(tension / scene.strongest, 0), 1) * (scene.scale.length - 1);
@@ -117,10 +118,13 @@ for (const box of document.querySelectorAll('.player')) {
     pen.font = '12px system-ui, sans-serif';
     const at = moment(), middle = Math.round(0.46 * width);
     panel(at, scene.low, scene.high, [52, 34, middle - 10, height - 40]);
-    panel(at, scene.near[0], scene.near[1], [middle + 52, 34, width - 12, height - 40]);
+    const [x, z] = at.body1, f = scene.follow;
+    const near = f ? [[x - f, z - f], [x + f, z + f]] : scene.near;
+    panel(at, near[0], near[1], [middle + 52, 34, width - 12, height - 40]);
     legend(width < 560);
-    output.textContent = (now < 0 ? '\u2212' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
-      (at.body1[1] - scene.body1[0][1]).toFixed(3) + ' m';
+    output.textContent = scene.run ? now.toFixed(2) + ' s, depth ' + (-z).toFixed(2) + ' m' :
+      (now < 0 ? '\u2212' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
+      (z - scene.body1[0][1]).toFixed(3) + ' m';
     slider.value = now;
     for (const plot of plots) {
       const d = plot.dataset, share = (now - d.begin) / (d.end - d.begin);
@@ -154,13 +158,16 @@ for (const box of document.querySelectorAll('.player')) {
     pen.restore();
     pen.save();
     pen.beginPath(); pen.rect(left, top, right - left, bottom - top); pen.clip();
-    const reach = scene.body1.map(pose => pose[0]);
-    const begin = Math.min(...reach) - 0.35, end = Math.max(...reach) + 0.35;
     pen.strokeStyle = '#8d8272'; pen.lineWidth = 2;
-    line([[X(begin), Z(scene.ground)], [X(end), Z(scene.ground)]]);
-    pen.lineWidth = 1;
-    for (let x = begin; x <= end; x += 10 / scale)
-      line([[X(x), Z(scene.ground)], [X(x) - 6, Z(scene.ground) + 7]]);
+    for (const points of scene.lines) line(points.map(p => [X(p[0]), Z(p[1])]));
+    if (!scene.lines.length && !scene.run && !scene.follow) {
+      const reach = scene.body1.map(pose => pose[0]);
+      const begin = Math.min(...reach) - 0.35, end = Math.max(...reach) + 0.35;
+      line([[X(begin), Z(scene.ground)], [X(end), Z(scene.ground)]]);
+      pen.lineWidth = 1;
+      for (let x = begin; x <= end; x += 10 / scale)
+        line([[X(x), Z(scene.ground)], [X(x) - 6, Z(scene.ground) + 7]]);
+    }
     pen.strokeStyle = '#868e96'; pen.setLineDash([3, 4]);
     line(scene.body1.slice(0, at.index + 1).concat([at.body1]).map(p => [X(p[0]), Z(p[1])]));
     pen.setLineDash([]);
@@ -176,9 +183,15 @@ for (const box of document.querySelectorAll('.player')) {
       pen.stroke();
     }
     pen.strokeStyle = '#868e96'; pen.lineWidth = 4;
-    line([at.body1, at.body2].map(p => [X(p[0]), Z(p[1])]));
+    const tip = scene.follow ? [at.tether[at.tether.length - 1]] : [];
+    line([at.body1, at.body2, ...tip].map(p => [X(p[0]), Z(p[1])]));
     body(at.body2, scene.sizes.body2_size, '#d55e00');
     body(at.body1, scene.sizes.body1_size, '#0072b2');
+    pen.strokeStyle = '#212529'; pen.lineWidth = 2;
+    for (const [u, w, wide, high] of at.wheels) {
+      pen.beginPath(); pen.ellipse(X(u), Z(w), scale * wide, scale * high, 0, 0, 2 * Math.PI);
+      pen.stroke();
+    }
     pen.fillStyle = '#212529';
     const root = at.tether[0];
     pen.fillRect(X(root[0]) - 5, Z(root[1]) - 5, 10, 10);
@@ -196,7 +209,7 @@ for (const box of document.querySelectorAll('.player')) {
       pen.save();
       pen.translate(X(pose[0]), Z(pose[1])); pen.rotate(-pose[2]);
       pen.fillStyle = fill; pen.strokeStyle = '#fff'; pen.lineWidth = 1.5;
-      const w = scale * size[0], h = scale * size[1];
+      const w = scale * (pose.length > 3 ? pose[3] : size[0]), h = scale * size[1];
       pen.fillRect(-w / 2, -h / 2, w, h); pen.strokeRect(-w / 2, -h / 2, w, h);
       pen.restore();
     }

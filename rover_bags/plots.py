@@ -22,8 +22,11 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
 from rover_bags.animation import LEAD, TRAIL, Scene, element_curve, shown
-from rover_bags.metrics import GAP, Jump, Metrics, Window, motion, paced
+from rover_bags.geometry import headings, tilts
+from rover_bags.jumps import Jump, Window, is_spatial, motion
+from rover_bags.metrics import Metrics, paced
 from rover_bags.read import Bag, Floats, Track
+from rover_bags.tracks import GAP, LARGEST
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#a50026", "#212529",
@@ -36,7 +39,7 @@ _ENERGY_COLOURS: Final = {
 }  # fmt: skip
 _FONT: Final = "DejaVu Sans"
 _PAGE_FONTS: Final = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-_STYLE: Final[Any] = {
+STYLE: Final[Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "mother_rover",
     "font.family": _FONT,
@@ -89,7 +92,7 @@ class Plot:
 
 def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
     """Height, attitude, tension and energy over a jump, and its path in the plane."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         plots = [
             _height(bag, jump),
             _attitude(bag, jump),
@@ -98,19 +101,19 @@ def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
             _drift(bag, jump),
             _along(bag, jump),
         ]
-        if scene is not None:
+        if scene is not None and not scene.follow:
             plots.append(_path(scene, jump))
     return [plot for plot in plots if plot is not None]
 
 
 def bag_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
     """The whole recording: height over time, and how steadily each topic came."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         plots = [_overview(bag, metrics), _strips(bag)]
     return [plot for plot in plots if plot is not None]
 
 
-# --- one jump -------------------------------------------------------------------------------------
+# --- one jump -----------------------------------------------------------------------------------
 
 
 def _time_axes(
@@ -130,7 +133,8 @@ def _time_axes(
     return figure, axes
 
 
-def _legend(axes: Axes, columns: int) -> None:
+def legend(axes: Axes, columns: int) -> None:
+    """A legend above the axes."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(-0.02, 0.985), ncol=columns, handlelength=1.3,
         columnspacing=1.1, handletextpad=0.5, borderaxespad=0.0, labelspacing=0.25,
@@ -141,7 +145,7 @@ def _time_plot(figure: Figure, axes: Axes, alt: str) -> Plot:
     box = axes.get_position()
     begin, end = axes.get_xlim()
     return Plot(
-        str(figure.get_label()), _svg(figure), alt, box.x0, box.x1, float(begin), float(end)
+        str(figure.get_label()), as_svg(figure), alt, box.x0, box.x1, float(begin), float(end)
     )
 
 
@@ -162,8 +166,25 @@ def _height(bag: Bag, jump: Jump) -> Plot | None:
         textcoords="offset points", ha="center", fontsize=10, fontweight="bold",
     )  # fmt: skip
     axes.margins(y=0.16)
-    _legend(axes, 2)
+    legend(axes, 2)
     alt = f"Height over time; the apex is {jump.jump_height_m:.4f} m over the start"
+    return _time_plot(figure, axes, alt)
+
+
+def _tilt(bag: Bag, jump: Jump) -> Plot | None:
+    """Tilt and turn of a body that turns in space."""
+    track = bag.track(topics.TRUTH_BODY1)
+    if track is None:
+        return None
+    body = motion(track)
+    chosen = shown(body, jump).indices(track)
+    time = body.time[chosen] - jump.take_off_s
+    figure, axes = _time_axes(jump, "attitude", "Attitude of the rover", "angle [deg]")
+    heading = np.degrees(headings(track)[chosen])
+    axes.plot(time, np.degrees(tilts(track)[chosen]), color=BLUE, label="tilt from the vertical")
+    axes.plot(time, heading - heading[0], color=GREEN, label="turn about the vertical")
+    legend(axes, 2)
+    alt = f"Attitude over time; it lands tilted by {math.degrees(jump.tilt_rad):.1f} degrees"
     return _time_plot(figure, axes, alt)
 
 
@@ -171,6 +192,8 @@ def _attitude(bag: Bag, jump: Jump) -> Plot | None:
     track = bag.track(topics.TRUTH_BODY1)
     if track is None:
         return None
+    if is_spatial(bag):
+        return _tilt(bag, jump)
     body = motion(track)
     chosen = shown(body, jump).indices(track)
     time = body.time[chosen] - jump.take_off_s
@@ -185,7 +208,7 @@ def _attitude(bag: Bag, jump: Jump) -> Plot | None:
         textcoords="offset points", ha="right", fontsize=10, fontweight="bold",
     )  # fmt: skip
     axes.margins(y=0.16)
-    _legend(axes, 2)
+    legend(axes, 2)
     alt = f"Attitude over time; it changes by {jump.attitude_variation_rad:+.4f} rad"
     return _time_plot(figure, axes, alt)
 
@@ -197,9 +220,9 @@ def _tension(bag: Bag, jump: Jump) -> Plot | None:
         return None
     window = shown(motion(body), jump)
     figure, axes = _time_axes(jump, "tension", "Tension of the tether", "tension [N]")
-    if tether is not None and tether.nodes is not None:
+    if tether is not None and LARGEST in tether.columns:
         chosen = window.indices(tether)
-        strongest = tether.nodes[chosen, :, _TENSION].max(axis=1)
+        strongest = tether.columns[LARGEST][chosen]
         axes.plot(
             tether.time[chosen] - jump.take_off_s, strongest, color=ORANGE,
             label="largest along the tether",
@@ -211,7 +234,7 @@ def _tension(bag: Bag, jump: Jump) -> Plot | None:
             load.time[chosen] - jump.take_off_s, force, color=BLUE, lw=1.4,
             label="load cell at the fairlead",
         )  # fmt: skip
-    _legend(axes, 2)
+    legend(axes, 2)
     return _time_plot(figure, axes, "Tension of the tether over time")
 
 
@@ -243,7 +266,7 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
             track.time[chosen] - jump.take_off_s, change, style, color=_ENERGY_COLOURS[name],
             label=name, lw=1.6,
         )  # fmt: skip
-    _legend(axes, math.ceil(len(seen) / rows))
+    legend(axes, math.ceil(len(seen) / rows))
     return _time_plot(figure, axes, "Energies over time")
 
 
@@ -263,20 +286,21 @@ def _drift(bag: Bag, jump: Jump) -> Plot | None:
         track.time[chosen] - jump.take_off_s, drift / 10.0**power, color=RED,
         label="stored - initial - input + dissipated",
     )  # fmt: skip
-    _legend(axes, 1)
+    legend(axes, 1)
     return _time_plot(figure, axes, "Drift of the energy balance over time")
 
 
 def _along(bag: Bag, jump: Jump) -> Plot | None:
     """Tension by place along the tether and time."""
     body, tether = bag.track(topics.TRUTH_BODY1), bag.track(topics.TRUTH_TETHER)
-    if body is None or tether is None or tether.nodes is None:
+    if body is None or tether is None or not tether.shapes:
         return None
     chosen = shown(motion(body), jump).indices(tether)
-    if len(chosen) < 2:
+    shapes = [tether.shapes[index] for index in chosen.tolist()]
+    if len(chosen) < 2 or len({shape.shape for shape in shapes}) != 1:
         return None
     time = tether.time[chosen] - jump.take_off_s
-    tension = tether.nodes[chosen, :, _TENSION].T
+    tension = np.stack(shapes)[:, :, _TENSION].T
     place = np.linspace(0.0, 1.0, tension.shape[0])
     length = (bag.scenario.get("tether") or {}).get("length")
     figure = Figure(figsize=(5.6, 3.4), dpi=180)
@@ -345,7 +369,7 @@ def _path(scene: Scene, jump: Jump) -> Plot:
         columnspacing=1.1, handletextpad=0.5, borderaxespad=0.0,
     )  # fmt: skip
     alt = "Tether and rover before take-off, at the apex and at touchdown, drawn to scale"
-    return Plot("path", _svg(figure), alt, wide=True)
+    return Plot("path", as_svg(figure), alt, wide=True)
 
 
 def _fit(axes: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:
@@ -370,7 +394,7 @@ def _box(pose: Floats, size: tuple[float, float]) -> Floats:
     return turned
 
 
-# --- the whole bag --------------------------------------------------------------------------------
+# --- the whole bag ------------------------------------------------------------------------------
 
 
 def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
@@ -399,7 +423,7 @@ def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
             )  # fmt: skip
     axes.set_xlim(float(time.min()), float(time.max()))
     figure.set_label("overview")
-    return Plot("overview", _svg(figure), "Height of Body 1 over the whole recording", wide=True)
+    return Plot("overview", as_svg(figure), "Height of Body 1 over the whole recording", wide=True)
 
 
 def _strips(bag: Bag) -> Plot | None:
@@ -420,7 +444,7 @@ def _strips(bag: Bag) -> Plot | None:
     axes.set_xlabel("simulated time [s]")
     for row, (_, rate, track) in enumerate(rows):
         for steady, colour in ((True, SKY), (False, RED)):
-            spans = _spans(track, GAP / rate, steady=steady)
+            spans = _spans(track, GAP / rate * track.stride, steady=steady)
             axes.broken_barh(
                 [(begin, end - begin) for begin, end in spans], (row + 0.15, 0.7),
                 facecolors=colour,
@@ -441,7 +465,7 @@ def _strips(bag: Bag) -> Plot | None:
     )
     figure.set_label("strips")
     alt = "For each topic when it came at its promised rate and when it paused"
-    return Plot("strips", _svg(figure), alt, wide=True)
+    return Plot("strips", as_svg(figure), alt, wide=True)
 
 
 def _spans(track: Track, longest: float, *, steady: bool) -> list[tuple[float, float]]:
@@ -452,10 +476,10 @@ def _spans(track: Track, longest: float, *, steady: bool) -> list[tuple[float, f
     return [(float(time[a]), float(time[b])) for a, b in edges.reshape(-1, 2)]
 
 
-# --- SVG ------------------------------------------------------------------------------------------
+# --- SVG ----------------------------------------------------------------------------------------
 
 
-def _svg(figure: Figure) -> str:
+def as_svg(figure: Figure) -> str:
     """The figure as an element for a page: scalable, no metadata, no addresses."""
     target = io.StringIO()
     FigureCanvasSVG(figure).print_svg(target, metadata={"Date": None, "Creator": None})

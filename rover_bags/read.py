@@ -5,19 +5,21 @@ split, compressed, closed or killed, with or without ``metadata.yaml``. Every ch
 against its checksum, every message against the contract; what fails is counted and named, and
 nothing wrong is returned. What no checksum protects is counted as such.
 
+However long the bag is, tracks can be asked to hold no more than so many messages; stretches of it
+are then read again in full.
+
 Nothing here needs ROS.
 """
 
 import json
-import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -25,18 +27,49 @@ from rosbags.typesys.store import Typestore
 from msg_schemas import topics
 from msg_schemas.codecs import decode
 from msg_schemas.refusal import Refusal
-from msg_schemas.samples import DrawingSample, Status, StatusSample, TetherSample, TextSample
-from msg_schemas.table import TOPICS, Topic
+from msg_schemas.table import TOPICS
+from rover_bags.layouts import Layout, layout_of
 from rover_bags.records import Damage, Message
 from rover_bags.scan import BagScan
 from rover_bags.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
+from rover_bags.tracks import (
+    LARGEST,
+    Clock,
+    Floats,
+    GrowingTrack,
+    Pace,
+    Rows,
+    Stamps,
+    Track,
+    largest_tensions,
+    rows_of_samples,
+)
 
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+__all__ = [
+    "Arrival", "Bag", "Floats", "ReadError", "Rejected", "Stamps", "Track", "arrivals", "read_bag",
+    "windows",
+]  # fmt: skip
+
+Progress = Callable[[int], None]
+"""Told how many bytes of the bag have been read."""
 
 _STORE: Final[Typestore] = get_typestore(Stores.ROS2_JAZZY)
 _EXAMPLES: Final = 5
-_DAY_NS: Final = 86_400_000_000_000
+_BLOCK: Final = 512
+"""So many messages of a topic are taken apart at once."""
+_TOLD_EVERY: Final = 4096
+_FINER: Final = 8
+_FINE: Final = frozenset(
+    {
+        topics.CONTACT,
+        topics.WINCH_STATE,
+        topics.WHEEL_STATE,
+        topics.JUMP_MOTOR_STATE,
+        topics.ROVER_LOAD_CELL,
+        topics.MOTOR_CURRENTS,
+    }
+)
+"""By these activities are told apart: their tracks may hold so many times more messages."""
 
 
 class ReadError(BagError):
@@ -50,43 +83,6 @@ class Rejected:
     topic: str
     log_ns: int
     reason: str
-
-
-@dataclass(frozen=True)
-class Track:
-    """All that one topic said, in the order of its arrival.
-
-    Attributes:
-        topic: Name in the contract's table.
-        full_name: Name in the bag.
-        time: Simulated time of each message [s], shape (N,): its own stamp, or the recorded
-            clock's time when it came. Without a recorded clock stamps are taken as they are.
-        log_ns: When it was received [ns since 1970], shape (N,).
-        publish_ns: When it was sent [ns since 1970], shape (N,).
-        columns: Numbers by the contract's field path, shape (N,) each, in the field's unit; NaN
-            where a message of a topic with several kinds of requests had no such field.
-        nodes: The tether's nodes, shape (N, n + 1, 7), columns as ``TETHER_COLUMNS``; None for
-            other topics and where the number of nodes changes.
-        texts: What a text topic said.
-        statuses: What a status topic said.
-    """
-
-    topic: str
-    full_name: str
-    time: Floats
-    log_ns: Stamps
-    publish_ns: Stamps
-    columns: Mapping[str, Floats] = field(default_factory=dict)
-    nodes: Floats | None = None
-    texts: tuple[str, ...] = ()
-    statuses: tuple[tuple[Status, ...], ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.log_ns)
-
-    def vector(self, prefix: str, axes: str = "xyz") -> Floats:
-        """Columns ``prefix.x``, ``prefix.y`` ... side by side, shape (N, len(axes))."""
-        return np.stack([self.columns[f"{prefix}.{axis}"] for axis in axes], axis=1)
 
 
 @dataclass(frozen=True)
@@ -113,6 +109,8 @@ class Bag:
         unverified: Messages that no checksum protects, by full topic name.
         rejected: Messages that the contract turns away, by its topic name.
         examples: The first few of those.
+        paces: How the messages of each topic read followed one another, by the contract's name.
+        clock: Turns stamps into the tracks' time.
     """
 
     path: Path
@@ -133,6 +131,8 @@ class Bag:
     unverified: Mapping[str, int]
     rejected: Mapping[str, int]
     examples: tuple[Rejected, ...]
+    paces: Mapping[str, Pace] = field(default_factory=dict)
+    clock: Clock | None = None
 
     def track(self, topic: str) -> Track | None:
         """The track of a topic, None where the bag holds no good message of it."""
@@ -147,6 +147,11 @@ class Bag:
             if isinstance(scenario, Mapping):
                 return scenario
         return {}
+
+    @property
+    def thinned(self) -> bool:
+        """Whether tracks hold only a part of their messages."""
+        return any(track.stride > 1 for track in self.tracks.values())
 
     @property
     def seed(self) -> int | None:
@@ -203,93 +208,82 @@ def arrivals(
         yield Arrival(name, item.log_ns, item.publish_ns, item.sequence, sample, message)
 
 
-class _Growing:
-    """A track while it is read."""
+class _Decoder:
+    """Takes the messages of one topic apart, many at once where they are alike."""
 
-    def __init__(self, row: Topic, full_name: str) -> None:
-        self.row = row
-        self.full_name = full_name
-        self.log_ns: list[int] = []
-        self.publish_ns: list[int] = []
-        self.stamp_ns: list[int] = []
-        self.values: list[list[float]] = []
-        self.paths: list[str] = []
-        self.nodes: list[Floats] = []
-        self.texts: list[str] = []
-        self.statuses: list[tuple[Status, ...]] = []
+    def __init__(self, name: str, growing: GrowingTrack) -> None:
+        self.growing = growing
+        self.rejected = 0
+        self.examples: list[Rejected] = []
+        self._name = name
+        self._waiting: list[Message] = []
+        self._layouts: dict[int, Layout | None] = {}
 
-    def add(self, message: Message, sample: Any) -> None:
-        self.log_ns.append(message.log_ns)
-        self.publish_ns.append(message.publish_ns)
-        self.stamp_ns.append(getattr(sample, "stamp_ns", 0))
-        if isinstance(sample, TetherSample):
-            self.nodes.append(sample.nodes)
-        elif isinstance(sample, TextSample):
-            self.texts.append(sample.text)
-        elif isinstance(sample, StatusSample):
-            self.statuses.append(sample.statuses)
-        elif not isinstance(sample, DrawingSample):
-            pairs = dict(sample.scalars())
-            # Messages of one topic may carry different fields, as requests of several kinds do.
-            self.paths += [path for path in pairs if path not in self.paths]
-            self.values.append([pairs.get(path, math.nan) for path in self.paths])
+    def add(self, message: Message) -> None:
+        self._waiting.append(message)
+        if len(self._waiting) >= _BLOCK:
+            self.flush()
 
-    def finished(self, clock: "_Clock") -> Track:
-        log_ns = np.array(self.log_ns, dtype=np.int64)
-        stamp_ns = np.array(self.stamp_ns, dtype=np.int64)
-        table = np.full((len(self.values), len(self.paths)), math.nan)
-        for row, values in zip(table, self.values, strict=True):
-            row[: len(values)] = values
-        same = len({nodes.shape for nodes in self.nodes}) == 1
-        return Track(
-            topic=self.row.name,
-            full_name=self.full_name,
-            time=clock.times(stamp_ns, log_ns),
-            log_ns=log_ns,
-            publish_ns=np.array(self.publish_ns, dtype=np.int64),
-            columns={path: table[:, column].copy() for column, path in enumerate(self.paths)},
-            nodes=np.stack(self.nodes) if same else None,
-            texts=tuple(self.texts),
-            statuses=tuple(self.statuses),
-        )
+    def flush(self) -> None:
+        """Take apart what has come."""
+        waiting, self._waiting = self._waiting, []
+        for length, group in groupby(waiting, key=lambda message: len(message.data)):
+            for rows in self._rows(length, list(group)):
+                self.growing.add(rows)
 
+    def _rows(self, length: int, group: list[Message]) -> Iterator[Rows]:
+        first = group[0]
+        if length not in self._layouts and first.topic.type == TOPICS[self._name].message:
+            sample = self._decoded(first, counted=False)
+            row = TOPICS[self._name]
+            self._layouts[length] = None if sample is None else layout_of(row, first.data, sample)
+        layout = self._layouts.get(length)
+        if layout is None or any(message.topic is not first.topic for message in group):
+            yield from self._one_by_one(group)
+            return
+        taken = layout.take([message.data for message in group])
+        log_ns = np.array([message.log_ns for message in group], dtype=np.int64)
+        publish_ns = np.array([message.publish_ns for message in group], dtype=np.int64)
+        edges = np.flatnonzero(np.diff(taken.good)) + 1
+        for part in np.split(np.arange(len(group)), edges):
+            if not taken.good[part[0]]:
+                yield from self._one_by_one([group[index] for index in part.tolist()])
+                continue
+            paths, values, shapes = layout.paths, taken.values[part], []
+            if taken.nodes is not None:
+                shapes = list(taken.nodes[part])
+                paths, values = (LARGEST,), largest_tensions(taken.nodes[part])
+            yield Rows(
+                log_ns[part], publish_ns[part], taken.stamp_ns[part], paths, values, shapes, []
+            )
 
-class _Clock:
-    """Turns stamps and log times into seconds of one time axis.
+    def _one_by_one(self, group: Iterable[Message]) -> Iterator[Rows]:
+        items = []
+        for message in group:
+            sample = self._decoded(message)
+            if sample is not None:
+                items.append((message.log_ns, message.publish_ns, sample))
+        yield from rows_of_samples(items)
 
-    With a recorded clock that axis is simulated time; a stamp far outside the clock's range
-    comes from a node that does not follow it, and the time of arrival is taken instead.
-    """
-
-    _SLACK_NS = 1_000_000_000
-
-    def __init__(
-        self, growing: _Growing | None, start_ns: int, first: tuple[int, int] | None
-    ) -> None:
-        self._start_ns = start_ns
-        self._log = np.array(growing.log_ns if growing else [], dtype=np.int64)
-        self._stamp = np.array(growing.stamp_ns if growing else [], dtype=np.int64)
-        stamp, log = first or (start_ns, start_ns)
-        self._behind = log - stamp
-        # Stamps near the machine's time are that time; others count from their own zero.
-        self._origin = start_ns if abs(self._behind) < _DAY_NS else 0
-
-    def times(self, stamp_ns: Stamps, log_ns: Stamps) -> Floats:
-        if not len(self._stamp):
-            told = np.where(stamp_ns > 0, stamp_ns, log_ns - self._behind)
-            return (told - self._origin) * 1e-9
-        arrived = np.interp(
-            (log_ns - self._start_ns).astype(np.float64),
-            (self._log - self._start_ns).astype(np.float64),
-            self._stamp.astype(np.float64),
-        )
-        low, high = self._stamp.min() - self._SLACK_NS, self._stamp.max() + self._SLACK_NS
-        follows = (stamp_ns > 0) & (stamp_ns >= low) & (stamp_ns <= high)
-        return np.where(follows, stamp_ns.astype(np.float64), arrived) * 1e-9
+    def _decoded(self, message: Message, *, counted: bool = True) -> Any:
+        """The sample, None where it is turned away."""
+        try:
+            return decode(self._name, _message(self._name, message))
+        except (Refusal, SerdeError, KeyError) as error:
+            if counted:
+                self.rejected += 1
+                if self.rejected <= _EXAMPLES:
+                    self.examples.append(Rejected(self._name, message.log_ns, str(error)))
+            return None
 
 
 def read_bag(
-    path: Path, wanted: Collection[str] | None = None, *, namespace: str | None = None
+    path: Path,
+    wanted: Collection[str] | None = None,
+    *,
+    namespace: str | None = None,
+    most: int | None = None,
+    progress: Progress | None = None,
 ) -> Bag:
     """Reads a bag.
 
@@ -297,43 +291,46 @@ def read_bag(
         path: Its folder, or one of its files.
         wanted: Contract topics to decode; all but the markers by default. Others are counted.
         namespace: Which rover, where the bag holds several.
+        most: Tracks hold up to twice so many messages, thinned beyond; None = all. Those of
+            switches, encoders and currents that tell activities apart may hold 8 times as many.
+        progress: Told how far it has come.
 
     Raises:
         ScanError: It is no bag, or of a kind that cannot be read.
         ReadError: It holds no message, or several rovers and no ``namespace``.
     """
-    decoded = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
+    names = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
     full_names, space = _names(path, namespace)
-    by_full_name = {full: name for name, full in full_names.items()}
+    by_full_name = {full: name for name, full in full_names.items() if name in names}
     scan = BagScan(path)
     counts: Counter[str] = Counter()
     types: dict[str, str] = {}
-    growing: dict[str, _Growing] = {}
-    rejected: Counter[str] = Counter()
-    examples: list[Rejected] = []
-    first_ns, last_ns = None, 0
+    decoders: dict[str, _Decoder] = {}
+    first_ns, last_ns, total = None, 0, 0
     for message in scan:
-        full = message.topic.name
+        full, kind = message.topic.name, message.topic.type
         counts[full] += 1
-        types[full] = message.topic.type
+        types[full] = kind
         first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
         last_ns = max(last_ns, message.log_ns)
+        total += 1
+        if progress is not None and total % _TOLD_EVERY == 0:
+            progress(scan.done)
         name = by_full_name.get(full)
-        if name is None or name not in decoded:
+        if name is None:
             continue
-        try:
-            sample = _decoded(name, message)
-        except (Refusal, SerdeError, KeyError) as error:
-            rejected[name] += 1
-            if rejected[name] <= _EXAMPLES:
-                examples.append(Rejected(name, message.log_ns, str(error)))
-            continue
-        growing.setdefault(name, _Growing(TOPICS[name], full)).add(message, sample)
+        if name not in decoders:
+            held = most if most is None or name not in _FINE else _FINER * most
+            decoders[name] = _Decoder(name, GrowingTrack(TOPICS[name], full, held))
+        decoders[name].add(message)
     if first_ns is None:
         why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
         raise ReadError(f"the bag {path} holds no message that can be read: {why}")
-    clock = _Clock(growing.get(topics.CLOCK), first_ns, _first_stamp(growing))
-    tracks = {name: item.finished(clock) for name, item in growing.items()}
+    for decoder in decoders.values():
+        decoder.flush()
+    growing = {name: decoder.growing for name, decoder in decoders.items()}
+    clock = Clock(growing.get(topics.CLOCK), first_ns, _first_stamp(growing))
+    tracks = {name: item.finished(clock) for name, item in growing.items() if item.pace.count}
     records = list(scan.metadata)
     dropped, missed = _losses(records)
     return Bag(
@@ -353,22 +350,82 @@ def read_bag(
         damage=tuple(scan.damage),
         lost=scan.lost,
         unverified=dict(scan.unverified),
-        rejected=dict(rejected),
-        examples=tuple(examples),
+        rejected={name: item.rejected for name, item in decoders.items() if item.rejected},
+        examples=tuple(example for item in decoders.values() for example in item.examples),
+        paces={name: item.pace for name, item in growing.items() if item.pace.count},
+        clock=clock,
     )
 
 
-def _first_stamp(growing: Mapping[str, _Growing]) -> tuple[int, int] | None:
+def windows(
+    bag: Bag,
+    spans: Sequence[tuple[int, int]],
+    wanted: Collection[str],
+    *,
+    progress: Progress | None = None,
+) -> Iterator[Bag]:
+    """Reads stretches of a bag again, in full, one after the other in one pass.
+
+    Args:
+        bag: As it was read, thinned.
+        spans: Log times [ns since 1970] of the stretches, in order; they may overlap.
+        wanted: Contract topics to read.
+        progress: Told how far it has come.
+
+    Yields:
+        For each stretch the bag with these topics' tracks of the stretch alone.
+    """
+    by_full_name = {full: name for name, full in bag.full_names.items() if name in wanted}
+    waiting = list(spans)
+    open_spans: list[tuple[int, dict[str, _Decoder]]] = []
+    scan = BagScan(bag.path)
+    total = 0
+    for message in scan:
+        total += 1
+        if progress is not None and total % _TOLD_EVERY == 0:
+            progress(scan.done)
+        # Messages are in the order of the file, which is nearly that of their log times.
+        while open_spans and message.log_ns > open_spans[0][0] + _OUT_OF_ORDER_NS:
+            yield _window(bag, open_spans.pop(0)[1])
+        while waiting and message.log_ns >= waiting[0][0]:
+            open_spans.append((waiting.pop(0)[1], {}))
+        name = by_full_name.get(message.topic.name)
+        if name is None:
+            continue
+        for end, decoders in open_spans:
+            if message.log_ns <= end:
+                if name not in decoders:
+                    row = TOPICS[name]
+                    decoders[name] = _Decoder(name, GrowingTrack(row, message.topic.name))
+                decoders[name].add(message)
+    for _, decoders in open_spans:
+        yield _window(bag, decoders)
+
+
+_OUT_OF_ORDER_NS: Final = 1_000_000_000
+
+
+def _window(bag: Bag, decoders: Mapping[str, _Decoder]) -> Bag:
+    for decoder in decoders.values():
+        decoder.flush()
+    if bag.clock is None:
+        raise AssertionError("a bag that was read has a clock")
+    tracks = {
+        name: decoder.growing.finished(bag.clock)
+        for name, decoder in decoders.items()
+        if decoder.growing.pace.count
+    }
+    return replace(bag, tracks={**bag.tracks, **tracks})
+
+
+def _first_stamp(growing: Mapping[str, GrowingTrack]) -> tuple[int, int] | None:
     """Stamp and log time of the first stamped message of a topic that only the plant sends."""
     for name in (topics.TRUTH_BODY1, topics.IMU, topics.LOAD_CELL):
         if name in growing:
-            pairs = zip(growing[name].stamp_ns, growing[name].log_ns, strict=True)
+            log_ns, stamp_ns = growing[name].clock_rows
+            pairs = zip(stamp_ns.tolist(), log_ns.tolist(), strict=True)
             return next((pair for pair in pairs if pair[0] > 0), None)
     return None
-
-
-def _decoded(name: str, message: Message) -> Any:
-    return decode(name, _message(name, message))
 
 
 def _message(name: str, message: Message) -> Any:

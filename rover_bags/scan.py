@@ -41,6 +41,7 @@ class FileScan(Protocol):
     metadata: list[tuple[str, dict[str, str]]]
     foreign: int
     expected: dict[str, int] | None
+    done: int
 
     @property
     def announced(self) -> list[Topic]:
@@ -61,6 +62,7 @@ class PackedScan:
         self.foreign = 0
         self.expected: dict[str, int] | None = None
         self.announced: list[Topic] = []
+        self.done = 0
 
     def __iter__(self) -> Iterator[Message]:
         with tempfile.TemporaryDirectory(prefix="mother_rover_") as folder:
@@ -71,6 +73,7 @@ class PackedScan:
             self.metadata = inner.metadata
             try:
                 yield from inner
+                self.done = self.path.stat().st_size
             except ScanError as error:
                 why = str(error).replace(str(plain), str(self.path))
                 raise ScanError(f"{trouble}; {why}" if trouble else why) from None
@@ -189,6 +192,16 @@ class BagScan:
         except (KeyError, TypeError, ValueError):
             pass
         return Damage(name, 0, 0, reason, {}, span)
+
+    @property
+    def size(self) -> int:
+        """Of its files [byte]."""
+        return sum(file.path.stat().st_size for file in self.files)
+
+    @property
+    def done(self) -> int:
+        """Bytes of its files that have been read."""
+        return sum(file.done for file in self.files)
 
     @property
     def closed(self) -> bool:

@@ -50,6 +50,7 @@ class SqliteScan:
         self.announced: list[Topic] = []
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.foreign = 0
+        self.done = 0
         self.expected: dict[str, int] | None = None
         self._name = name or path.name
         self._surplus = 0
@@ -113,7 +114,7 @@ class SqliteScan:
                 stream.truncate(copy.stat().st_size - self._surplus)
         return copy
 
-    # --- rows -------------------------------------------------------------------------------------
+    # --- rows ------------------------------------------------------------------------------------
 
     def _read(self, database: sqlite3.Connection) -> Iterator[Message]:
         # Lets a file be opened that is shorter than its header says.
@@ -136,6 +137,7 @@ class SqliteScan:
                     last_id, last_ns = number, stamp
                     message = self._message(topics, row)
                     if message is not None:
+                        self.done += len(message.data)
                         yield message
             except sqlite3.Error as error:
                 following = self._next_readable(database, last_id + 1)
@@ -227,7 +229,7 @@ class SqliteScan:
                 ),
             )
 
-    # --- what is lost -----------------------------------------------------------------------------
+    # --- what is lost ----------------------------------------------------------------------------
 
     def _lose(self, count: int, before_ns: int | None, after_ns: int | None) -> None:
         known = [stamp for stamp in (before_ns, after_ns) if stamp is not None]

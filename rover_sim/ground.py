@@ -11,11 +11,14 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
+import numpy as np
+
 from rover_sim import configuration
 from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity
 from rover_sim.mirrored import Mirrored, refuse_what_is_refused_by
 from rover_sim.physics import boulders, contact, places, tether_contact, wheel_soil
-from rover_sim.physics.terrain import Terrain, build_terrain
+from rover_sim.physics.ancf import Array
+from rover_sim.physics.terrain import Terrain, build_terrain, floor_heights, wall_profile
 from rover_sim.physics.wheel_contact import WheelLaw
 
 Material: TypeAlias = Literal["regolith", "rock"]
@@ -303,6 +306,26 @@ class Place(Configuration):
             hole = self.hole.parameters()
             return -hole.fairlead_height - hole.depth
         return self.floor.height
+
+    def outline(self, y: float = 0.0) -> tuple[Array, ...]:
+        """What a cut along the x axis shows, for drawing: lines of x and z [m], (k, 2) each.
+
+        Args:
+            y: where it is cut [m]; the hole is always cut through its axis.
+        """
+        if self.floor is None:
+            return ()
+        terrain = self.build()
+        if not terrain.has_hole:
+            middle, half = self.patch.centre[0], self.patch.half_width
+            x = np.linspace(middle - half, middle + half, 401)
+            return (np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]]),)
+        wall = wall_profile(terrain)
+        right = wall * [1.0, 1.0] + [terrain.axis_x, 0.0]
+        left = wall * [-1.0, 1.0] + [terrain.axis_x, 0.0]
+        x = np.linspace(left[-1, 0], right[-1, 0], 401)
+        floor = np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]])
+        return (left, floor, right)
 
     def wheel_law(self, table: Any) -> WheelLaw:
         """Law of a wheel on this soil, from the table of its stresses."""

@@ -10,8 +10,8 @@ from rover_bags.folder import ScanError
 from rover_bags.metrics import measure
 from rover_bags.read import read_bag
 from rover_bags.recover import recover
-from rover_bags.report import as_text
 from rover_bags.scan import BagScan
+from rover_bags.summary import as_text
 from rover_verify.stage.foreign_bags import (
     KINDS,
     METADATA,

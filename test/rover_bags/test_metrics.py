@@ -21,7 +21,7 @@ from contract_bag import (
 from msg_schemas import topics
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
 from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
-from rover_bags import metrics
+from rover_bags import jumps
 from rover_bags.folder import ScanError
 from rover_bags.metrics import Metrics, measure
 from rover_bags.read import ReadError, read_bag
@@ -32,7 +32,7 @@ def measured(made: MadeUp, path: Path, **options: object) -> Metrics:
     return measure(read_bag(made.write(path / "bag", **options)))  # type: ignore[arg-type]
 
 
-def assert_is(found: metrics.Jump, jump: Parabola, tolerance: float = 1e-9) -> None:
+def assert_is(found: jumps.Jump, jump: Parabola, tolerance: float = 1e-9) -> None:
     assert found.take_off_s == pytest.approx(jump.take_off, abs=tolerance)
     assert found.apex_s == pytest.approx(jump.take_off + jump.up / 9.81, abs=1e-6)
     assert found.touchdown_s == pytest.approx(jump.take_off + jump.flight_time, abs=tolerance)
@@ -228,7 +228,7 @@ def test_columns_follow_the_contract(tmp_path: Path):
     assert set(body.columns) == paths
     assert len(body) == 121
     np.testing.assert_allclose(body.time, np.arange(121) / 100.0, atol=1e-12)
-    moved = metrics.motion(body)
+    moved = jumps.motion(body)
     poses = np.array([Parabola().at(time)[0] for time in body.time])
     np.testing.assert_allclose(moved.position[:, [0, 2]], poses[:, :2], atol=1e-12)
     np.testing.assert_allclose(moved.theta, poses[:, 2], atol=1e-12)
@@ -260,7 +260,7 @@ def test_world_velocity_is_the_twist_turned_by_the_attitude(tmp_path: Path):
     pose, rates = np.array([0.0, 0.0, 0.9]), np.array([0.3, -1.2, 2.0])
     for time in (0.0, 0.1):
         made.add(time, topics.TRUTH_BODY1, odometry(time, pose, rates))
-    moved = metrics.motion(read_bag(made.write(tmp_path / "bag")).tracks[topics.TRUTH_BODY1])
+    moved = jumps.motion(read_bag(made.write(tmp_path / "bag")).tracks[topics.TRUTH_BODY1])
     np.testing.assert_allclose(moved.velocity[0], [0.3, 0.0, -1.2], atol=1e-12)
     np.testing.assert_allclose(moved.theta_rate, 2.0)
 

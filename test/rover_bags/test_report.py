@@ -15,7 +15,7 @@ from contract_bag import MadeUp, Parabola
 from PIL import Image
 
 from msg_schemas import topics
-from rover_bags import report
+from rover_bags import report, summary
 from rover_bags.animation import scene_of
 from rover_bags.metrics import measure
 from rover_bags.read import read_bag
@@ -206,7 +206,7 @@ def test_refused_and_unwritable_have_their_exit_codes(tmp_path: Path, bag: Path,
 
 
 def test_numbers_that_are_not_finite_become_null():
-    assert report._finite({"a": [math.nan, 1.0], "b": math.inf}) == {"a": [None, 1.0], "b": None}
+    assert summary.finite({"a": [math.nan, 1.0], "b": math.inf}) == {"a": [None, 1.0], "b": None}
 
 
 def test_the_scene_holds_everything_that_moves(bag: Path):

@@ -1,0 +1,401 @@
+"""Several bags side by side: their figures in columns, differences marked, their lines overlaid."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from msg_schemas import topics
+from msg_schemas.table import WINCH_DRUM
+from rover_bags.activities import swing_angles
+from rover_bags.jumps import motion
+from rover_bags.markup import escaped, figures, whole_page
+from rover_bags.plots import BLUE, GREEN, ORANGE, PINK, PURPLE, STYLE, TEAL, YELLOW, Plot, as_svg
+from rover_bags.read import Bag, Floats, windows
+from rover_bags.run_plots import envelope
+from rover_bags.summary import as_mapping
+from rover_bags.survey import Reading, survey
+
+DIFFERS: Final = 0.01
+"""Numbers further apart than so much of the largest are marked."""
+_COLOURS: Final = (BLUE, ORANGE, GREEN, PINK, PURPLE, TEAL, YELLOW)
+_DASHES: Final = ("-", "--", "-.", ":")
+_AROUND_NS: Final = 1_000_000_000
+_SETTINGS: Final = "settings"
+
+Value = float | str | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of all bags.
+
+    Attributes:
+        group: Of what it is.
+        name: With its unit.
+        values: Of each bag; None where it has none.
+        spread: Largest less smallest, where all are numbers.
+        differs: Whether they are marked as different.
+    """
+
+    group: str
+    name: str
+    values: tuple[Value, ...]
+    spread: float | None
+    differs: bool
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line to overlay."""
+
+    time: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Bags side by side.
+
+    Attributes:
+        names: Of the bags, each once.
+        reports: The report of each for machines.
+        rows: Their figures.
+        plots: Their lines, overlaid.
+    """
+
+    names: tuple[str, ...]
+    reports: tuple[Mapping[str, Any], ...]
+    rows: tuple[Row, ...]
+    plots: tuple[Plot, ...]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "bags": list(self.names),
+            "differing": sum(row.differs for row in self.rows),
+            "rows": [asdict(row) for row in self.rows],
+            "reports": list(self.reports),
+        }
+
+    def as_text(self) -> str:
+        """For a terminal: differences are marked by a star."""
+        table = [["", "", *self.names, "spread"]]
+        group = ""
+        for row in self.rows:
+            if row.group != group:
+                group = row.group
+                table.append(["", group.upper(), *("" for _ in self.names), ""])
+            cells = [_text(value) for value in row.values]
+            spread = "" if row.spread is None else _text(row.spread)
+            table.append(["*" if row.differs else "", row.name, *cells, spread])
+        widths = [max(len(line[i]) for line in table) for i in range(len(table[0]))]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if index < 2 else cell.rjust(width)
+                for index, (cell, width) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in table
+        ]
+        differing = sum(row.differs for row in self.rows)
+        lines.append(f"\n{differing} of {len(self.rows)} figures differ by more than 1 % (*)")
+        return "\n".join(lines)
+
+    def as_page(self) -> str:
+        """For people: one page that needs nothing else."""
+        names = ", ".join(self.names)
+        differing = sum(row.differs for row in self.rows)
+        parts = [
+            f"<h1>Bags compared: {escaped(names)}</h1>",
+            (
+                f'<p class="soft">{differing} of {len(self.rows)} figures differ by more than 1 %: '
+                "they are marked. Times count from each bag's begin.</p>"
+            ),
+            figures(self.plots),
+        ]
+        for group in dict.fromkeys(row.group for row in self.rows):
+            rows = [row for row in self.rows if row.group == group]
+            parts.append(f"<section><h2>{escaped(group.capitalize())}</h2>{self._table(rows)}")
+            parts.append("</section>")
+        return whole_page(f"Bags compared: {names}", parts)
+
+    def _table(self, rows: Sequence[Row]) -> str:
+        heads = "".join(f"<th>{escaped(name)}</th>" for name in ("", *self.names, "spread"))
+        body = []
+        for row in rows:
+            mark = ' class="bad"' if row.differs else ""
+            cells = "".join(f"<td{mark}>{escaped(_text(value))}</td>" for value in row.values)
+            spread = "" if row.spread is None else _text(row.spread)
+            body.append(f"<tr><td>{escaped(row.name)}</td>{cells}<td>{spread}</td></tr>")
+        return (
+            f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>'
+            f"<tbody>{''.join(body)}</tbody></table></div>"
+        )
+
+
+def _text(value: Value) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        return value
+    return f"{value:.6g}"
+
+
+def compare(
+    paths: Sequence[Path],
+    *,
+    namespace: str | None = None,
+    reading: Reading | None = None,
+) -> Comparison:
+    """Read bags one after the other and put their figures side by side.
+
+    Args:
+        paths: Of the bags.
+        namespace: Which rover, where bags hold several.
+        reading: Makes the progress bar of a pass.
+
+    Raises:
+        BagError: One of them cannot be read.
+    """
+    reports, tables, lines, scenarios = [], [], [], []
+    for path in paths:
+        found = survey(path, namespace=namespace, drawn=False, reading=reading)
+        report = as_mapping(found.bag, found.metrics)
+        reports.append(report)
+        tables.append(dict(_figures(report)))
+        scenarios.append(dict(_flat(found.bag.scenario)))
+        lines.append(_lines(found.bag, report))
+    names = _names(paths)
+    rows = [*_rows(tables), *_settings(scenarios)]
+    return Comparison(names, tuple(reports), tuple(rows), tuple(_plots(names, lines)))
+
+
+def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
+    """Write ``comparison.json`` and ``comparison.html``; raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers, page = folder / "comparison.json", folder / "comparison.html"
+    text = json.dumps(comparison.to_mapping(), indent=2) + "\n"
+    numbers.write_text(text, encoding="utf-8")
+    page.write_text(comparison.as_page(), encoding="utf-8")
+    return [numbers, page]
+
+
+def _names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Short names that differ: as many of a path's last parts as that takes."""
+    whole = [path.resolve() for path in paths]
+    for parts in range(1, 1 + max(len(path.parts) for path in whole)):
+        names = ["/".join(path.parts[-parts:]) for path in whole]
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(f"{path.name} ({number})" for number, path in enumerate(whole, 1))
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+Key = tuple[str, str]
+
+
+def _figures(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
+    """Group, name and value of each figure of a report."""
+    for name in ("seed", "package_version", "contract_version"):
+        value = report.get(name)
+        yield ("recording", name.replace("_", " ")), None if value is None else str(value)
+    yield ("recording", "duration [s]"), report["duration_s"]
+    yield ("recording", "simulated [s]"), report["simulated_s"]
+    yield ("recording", "closed"), "yes" if report["closed"] else "no"
+    yield ("recording", "complaints"), float(len(report["complaints"]))
+    times: dict[str, list[float]] = {}
+    for phase in report["phases"]:
+        times.setdefault(phase["what"], []).append(phase["end_s"] - phase["begin_s"])
+    for what, spans in times.items():
+        yield ("activities", f"{what} [s]"), sum(spans)
+        yield ("activities", f"{what}, times"), float(len(spans))
+    kinds: dict[str, int] = {}
+    for moment in report["moments"]:
+        kinds[moment["what"]] = kinds.get(moment["what"], 0) + 1
+    for what, count in kinds.items():
+        yield ("activities", f"{what.replace('_', ' ')}, times"), float(count)
+    for group, one in (("descents", "descent"), ("drives", "drive"), ("exposures", "stop"),
+                       ("jumps", "jump")):  # fmt: skip
+        for number, item in enumerate(report[group], 1):
+            for name, value in item.items():
+                if isinstance(value, bool) or not isinstance(value, int | float | None):
+                    continue
+                yield (group, f"{one} {number}: {_named(name)}"), value
+    yield from _audit_figures(report["audits"])
+    for topic, item in report["topics"].items():
+        for name in ("count", "rate_hz", "max_gap_s", "gaps", "latency_p50_ms", "latency_p99_ms",
+                     "age_p99_ms", "dropped", "missed", "rejected"):  # fmt: skip
+            value = item[name]
+            yield ("topics", f"{topic}: {_named(name)}"), None if value is None else float(value)
+
+
+def _audit_figures(audits: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
+    energy = audits["energy"]
+    for name in ("turnover_J", "missed_J", "share", "gravity_error_J"):
+        if energy is not None:
+            yield ("audits", f"energy: {_named(name)}"), energy[name]
+    for rotor in audits["rotors"]:
+        name = f"{rotor['name'].replace('_', ' ')}: largest [N m s]"
+        yield ("audits", name), rotor["largest_N_m_s"]
+    for number, flight in enumerate(audits["flights"], 1):
+        for name in ("gained_N_s", "unexplained_N_s", "turned_N_m_s"):
+            yield ("audits", f"flight {number}: {_named(name)}"), flight[name]
+
+
+_UNITS: Final = (("_N_m_s", "N m s"), ("_N_s", "N s"), ("_m_s", "m/s"), ("_hz", "Hz"),
+                 ("_rad", "rad"), ("_ms", "ms"), ("_px", "px"), ("_s", "s"), ("_m", "m"),
+                 ("_N", "N"), ("_J", "J"))  # fmt: skip
+
+
+def _named(name: str) -> str:
+    """A figure's name in words, with its unit."""
+    for ending, unit in _UNITS:
+        if name.endswith(ending):
+            return f"{name.removesuffix(ending).replace('_', ' ')} [{unit}]"
+    return name.replace("_", " ")
+
+
+def _rows(tables: Sequence[Mapping[Key, Value]]) -> Iterator[Row]:
+    keys = dict.fromkeys(key for table in tables for key in table)
+    order = list(dict.fromkeys(group for group, _ in keys))
+    for group, name in sorted(keys, key=lambda key: order.index(key[0])):
+        yield _row(group, name, tuple(table.get((group, name)) for table in tables))
+
+
+def _row(group: str, name: str, values: tuple[Value, ...]) -> Row:
+    numbers = [float(v) for v in values if isinstance(v, int | float) and math.isfinite(v)]
+    if len(numbers) == len(values):
+        spread = max(numbers) - min(numbers)
+        size = max(abs(number) for number in numbers)
+        return Row(group, name, values, spread, spread > DIFFERS * size)
+    return Row(group, name, values, None, len(set(values)) > 1)
+
+
+def _settings(scenarios: Sequence[Mapping[str, Value]]) -> Iterator[Row]:
+    """Settings of the scenarios that are not the same."""
+    for name in dict.fromkeys(key for scenario in scenarios for key in scenario):
+        values = tuple(scenario.get(name) for scenario in scenarios)
+        if len(set(values)) > 1:
+            row = _row(_SETTINGS, name, values)
+            yield Row(row.group, row.name, row.values, row.spread, differs=True)
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Value]]:
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{prefix}{name}", float(value)
+        elif name != "about":
+            yield f"{prefix}{name}", json.dumps(value)
+
+
+# --- lines ----------------------------------------------------------------------------------------
+
+_TITLES: Final = {
+    "height": ("Height of Body 1", "z [m]"),
+    "length": ("Length at the drum", "[m]"),
+    "tension": ("Tension at the fairlead", "[N]"),
+    "swing": ("Swing from the vertical", "[deg]"),
+    "jump": ("The first jump: rise of Body 1", "rise [m]"),
+    "drift": ("What the energy balance misses", "[J]"),
+}
+
+
+def _lines(bag: Bag, report: Mapping[str, Any]) -> dict[str, Line]:
+    """What is overlaid, thinned to what can be seen."""
+    found: dict[str, Line] = {}
+    body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
+    cell, energy = bag.track(topics.LOAD_CELL), bag.track(topics.TRUTH_ENERGY)
+
+    def put(name: str, time: Floats, low: Floats, high: Floats) -> None:
+        if len(time) > 1 and float(np.ptp(high)) > 0.0:
+            at, values = envelope(time - float(time[0]), low, high)
+            found[name] = Line(at, values)
+
+    if body is not None:
+        path = "position.z"
+        put("height", body.time, body.lowest(path), body.highest(path))
+        if any(
+            phase["what"] in {"hanging", "descending", "ascending"} for phase in report["phases"]
+        ):
+            swing = np.degrees(swing_angles(body.vector("position")))
+            put("swing", body.time, swing, swing)
+    if drum is not None:
+        path = f"{WINCH_DRUM}.position"
+        put("length", drum.time, drum.lowest(path), drum.highest(path))
+    if cell is not None:
+        size = np.linalg.norm(cell.vector("force"), axis=1)
+        put("tension", cell.time, size, cell.largest("force") if cell.stride > 1 else size)
+    if energy is not None:
+        path = "drift.position"
+        put("drift", energy.time, energy.lowest(path), energy.highest(path))
+    jump = _first_jump(bag, report)
+    if jump is not None:
+        found["jump"] = jump
+    return found
+
+
+def _first_jump(bag: Bag, report: Mapping[str, Any]) -> Line | None:
+    track = bag.track(topics.TRUTH_BODY1)
+    if track is None or not report["jumps"]:
+        return None
+    jump = report["jumps"][0]
+    begin, end = jump["take_off_s"] - 0.1, jump["take_off_s"] + jump["flight_time_s"] + 0.2
+    at = int(np.argmin(np.abs(track.time - jump["take_off_s"])))
+    if track.stride > 1:
+        log = int(track.log_ns[at])
+        span = round((end - begin) * 10e9)
+        parts = windows(bag, [(log - span, log + span)], [topics.TRUTH_BODY1])
+        track = next(parts).tracks[topics.TRUTH_BODY1]
+    body = motion(track)
+    inside = (body.time >= begin) & (body.time <= end)
+    if inside.sum() < 2:
+        return None
+    time = body.time[inside] - jump["take_off_s"]
+    height = body.position[inside, 2]
+    return Line(time, height - float(np.interp(0.0, time, height)))
+
+
+def _plots(names: Sequence[str], lines: Sequence[Mapping[str, Line]]) -> Iterator[Plot]:
+    with mpl.rc_context(STYLE):
+        for name, (title, unit) in _TITLES.items():
+            if any(name in found for found in lines):
+                yield _plot(name, title, unit, names, lines)
+
+
+def _plot(
+    name: str, title: str, unit: str, names: Sequence[str], lines: Sequence[Mapping[str, Line]]
+) -> Plot:
+    rows = math.ceil(len(names) / 3)
+    figure = Figure(figsize=(5.6, 3.2 + 0.2 * rows))
+    tall = figure.get_figheight()
+    axes = figure.add_axes((0.13, 0.5 / tall, 0.85, 2.1 / tall))
+    for index, (bag, found) in enumerate(zip(names, lines, strict=True)):
+        if name not in found:
+            continue
+        style = _DASHES[(index // len(_COLOURS)) % len(_DASHES)]
+        colour = _COLOURS[index % len(_COLOURS)]
+        line = found[name]
+        axes.plot(line.time, line.values, style, color=colour, lw=1.3, alpha=0.85, label=bag)
+    axes.set_title(title, pad=10 + 15 * rows, x=-0.125)
+    axes.set_ylabel(unit)
+    since = "take-off" if name == "jump" else "the begin"
+    axes.set_xlabel(f"time since {since} [s]")
+    axes.yaxis.set_major_locator(MaxNLocator(6))
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncol=3, handlelength=1.5,
+        columnspacing=1.1, handletextpad=0.5, borderaxespad=0.0, labelspacing=0.25,
+    )  # fmt: skip
+    figure.set_label(f"compared-{name}")
+    return Plot(f"compared-{name}", as_svg(figure), f"{title} of each bag over time")

@@ -1,0 +1,239 @@
+"""The report of bags: activities against a script's truth, memory on a long bag, comparisons."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
+from pathlib import Path
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.samples import DrawingSample, TextSample
+from msg_schemas.table import TOPICS
+from rover_bags.read import read_bag
+from rover_bags.records import Message
+from rover_bags.scan import BagScan
+from rover_bags.store import BagWriter, standard_type
+from rover_bags.timeline import MomentKind, Timeline, timeline_of
+from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.scripted_bag import Deed, record_mission
+
+LARGE = 2_000_000_000
+"""Size of a large bag [byte]."""
+_MISSIONS = 5
+_FAULT = "fault"
+_MEGA = 1e6
+_STAMP = struct.Struct("<iI")
+_STAMP_AT = 4  # behind the bytes that tell how a message is encoded
+_NANO = 1_000_000_000
+
+Told = list[tuple[str, float]]  # of each activity its word and begin
+
+
+# --- activities -----------------------------------------------------------------------------------
+
+
+@functools.cache
+def _missions(batch: Batch) -> list[tuple[list[Deed], Timeline]]:
+    """What a script did, and what is found in its bag."""
+    found = []
+    for index, generator in enumerate(batch.generators(_MISSIONS)):
+        path = batch.folder / f"mission_{index}"
+        deeds = record_mission(path, generator)
+        found.append((deeds, timeline_of(read_bag(path))))
+        shutil.rmtree(path)
+    return found
+
+
+def _scripted(deeds: Sequence[Deed]) -> Told:
+    """The script's activities in their order, neighbours of a kind as one."""
+    told: Told = []
+    for deed in sorted(deeds, key=lambda deed: deed.begin):
+        if deed.what != _FAULT and (not told or told[-1][0] != deed.what):
+            told.append((deed.what, deed.begin))
+    return told
+
+
+def _found(timeline: Timeline) -> Told:
+    return [(phase.what.value, phase.begin_s) for phase in timeline.phases]
+
+
+def phases(batch: Batch) -> Measured:
+    """Activities of scripted missions that are not found in their bags, or found in none."""
+    wrong, right, details = 0, 0, {}
+    for index, (deeds, timeline) in enumerate(_missions(batch)):
+        wanted, got = _scripted(deeds), _found(timeline)
+        matcher = SequenceMatcher(None, [w for w, _ in wanted], [w for w, _ in got], autojunk=False)
+        same = sum(block.size for block in matcher.get_matching_blocks())
+        faults = sum(deed.what == _FAULT for deed in deeds)
+        told = sum(moment.what is MomentKind.FAULT for moment in timeline.moments)
+        missed = len(wanted) - same + len(got) - same + abs(faults - told)
+        if missed:
+            text = ", ".join(f"{word} {at:.1f}" for word, at in got)
+            details[f"mission {index}"] = f"{missed} wrong; found {text}"
+        wrong += missed
+        right += same
+    return Measured(wrong, f"{right} found in {_MISSIONS} missions", details)
+
+
+def phase_times(batch: Batch) -> Measured:
+    """Largest distance of an activity's begin in the bag from the script's [s]."""
+    worst, details = 0.0, {}
+    for index, (deeds, timeline) in enumerate(_missions(batch)):
+        wanted, got = _scripted(deeds), _found(timeline)
+        if [word for word, _ in wanted] != [word for word, _ in got]:
+            return Measured(float("nan"), "the activities are not the script's")
+        apart = {
+            f"{w} at {a:.2f} s": abs(a - b) for (w, a), (_, b) in zip(wanted, got, strict=True)
+        }
+        moments = [m.time_s for m in timeline.moments if m.what is MomentKind.FAULT]
+        for deed in deeds:
+            if deed.what == _FAULT:
+                near = min((abs(at - deed.begin) for at in moments), default=float("nan"))
+                apart[f"fault at {deed.begin:.2f} s"] = near
+        what = max(apart, key=lambda name: apart[name])
+        details[f"mission {index}: {what}"] = apart[what]
+        worst = max(worst, apart[what])
+    return Measured(worst, f"of {_MISSIONS} missions", details)
+
+
+# --- a large bag ----------------------------------------------------------------------------------
+
+
+def repeat(source: Path, target: Path, size: int) -> int:
+    """Write a bag anew, over and over with later stamps, until it has a size [byte].
+
+    Nothing is compressed: as many messages as that size can hold of these.
+
+    Returns:
+        How many times it was written.
+    """
+    messages = list(BagScan(source))
+    begin = min(message.log_ns for message in messages)
+    span = max(message.log_ns for message in messages) - begin + 10_000_000
+    count = 0
+    with BagWriter(
+        target, compression="none", chunk_period=1e9, chunk_bytes=1 << 20, sync=False
+    ) as writer:
+        channels = {
+            topic.name: writer.add_topic(topic.name, standard_type(topic.type))
+            for topic in dict.fromkeys(message.topic for message in messages)
+        }
+        while writer.summary.size < size:
+            for message in messages:
+                later = count * span
+                writer.write(
+                    channels[message.topic.name],
+                    message.log_ns + later,
+                    message.publish_ns + later,
+                    _restamped(message, later) if later else message.data,
+                )
+            count += 1
+    return count
+
+
+def _restamped(message: Message, later: int) -> bytes:
+    """The message with a later stamp, where it has one at its begin."""
+    name = message.topic.name
+    row = TOPICS.get(name) or TOPICS.get(name.strip("/"))
+    if row is None or row.sample in {TextSample, DrawingSample}:
+        return message.data
+    seconds, nanos = _STAMP.unpack_from(message.data, _STAMP_AT)
+    stamp = seconds * _NANO + nanos + later
+    head, tail = message.data[:_STAMP_AT], message.data[_STAMP_AT + _STAMP.size :]
+    return head + _STAMP.pack(stamp // _NANO, stamp % _NANO) + tail
+
+
+def memory(batch: Batch) -> Measured:
+    """Peak resident memory of `bag_report` on a bag of 2 GB [MB]; infinite if it misses a jump."""
+    if shutil.disk_usage(batch.folder).free < 2 * LARGE:
+        raise NotPossible(f"less than {2 * LARGE / 1e9:g} GB are free in {batch.folder}")
+    source, large = batch.folder / "mission", batch.folder / "large"
+    (generator,) = batch.generators(1)
+    record_mission(source, generator)
+    alone = read_bag(source)
+    jumps = sum(m.what is MomentKind.TAKE_OFF for m in timeline_of(alone).moments)
+    times = repeat(source, large, LARGE)
+    size = sum(file.stat().st_size for file in large.iterdir())
+    try:
+        peak, seconds, words = _reported(large, batch.folder / "report")
+    finally:
+        shutil.rmtree(large)
+    told = json.loads((batch.folder / "report" / "metrics.json").read_text(encoding="utf-8"))
+    page = (batch.folder / "report" / "report.html").stat().st_size
+    counted = told["topics"][topics.TRUTH_BODY1]["count"]
+    expected = times * alone.counts[alone.full_names[topics.TRUTH_BODY1]]
+    details: dict[str, float | str] = {
+        "size [MB]": size / _MEGA,
+        "messages": float(sum(item["count"] for item in told["topics"].values())),
+        "time [s]": seconds,
+        "page [MB]": page / _MEGA,
+        "missions in it": float(times),
+        "jumps measured": float(len(told["jumps"])),
+        "progress shown": "yes" if "100%" in words else "no",
+    }
+    if len(told["jumps"]) != times * jumps or counted != expected or "100%" not in words:
+        return Measured(float("inf"), "the report is not of the whole bag", details)
+    return Measured(peak, f"a bag of {size / 1e9:.2f} GB in {seconds:.0f} s", details)
+
+
+def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
+    """Peak memory [MB], time [s] and standard error of the command on a bag."""
+    command = [sys.executable, "-m", "rover_bags.report", str(bag), "--out", str(folder)]
+    log = folder.with_suffix(".log")
+    with log.open("w", encoding="utf-8") as stream:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stream)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    words = log.read_text(encoding="utf-8")
+    if process.returncode != 0:
+        raise RuntimeError(f"bag_report ended with {process.returncode}:\n{words[-2000:]}")
+    return usage.ru_maxrss * 1024.0 / _MEGA, usage.ru_utime + usage.ru_stime, words
+
+
+# --- comparisons ----------------------------------------------------------------------------------
+
+
+def comparison(batch: Batch) -> Measured:
+    """Differences between bags that `bag_report A B C` marks wrongly or not at all."""
+    (generator,) = batch.generators(1)
+    first = batch.folder / "first"
+    record_mission(first, generator)
+    same, other = batch.folder / "same", batch.folder / "other"
+    shutil.copytree(first, same)
+    record_mission(other, np.random.default_rng([batch.seed, 1]))
+    wrong, details = 0, {}
+    for names, wanted in (((first, same), False), ((first, same, other), True)):
+        out = batch.folder / f"compared_{len(names)}"
+        command = [sys.executable, "-m", "rover_bags.report", "--quiet", *map(str, names)]
+        subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
+        told = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+        page = (out / "comparison.html").read_text(encoding="utf-8")
+        marked = [row["name"] for row in told["rows"] if row["differs"]]
+        wrong += sum(1 for _ in _misjudged(told["rows"])) + (bool(marked) is not wanted)
+        wrong += sum(name not in page for name in told["bags"])
+        wrong += len(told["reports"]) != len(names) or "<svg" not in page
+        details[f"{len(names)} bags"] = f"{len(marked)} of {len(told['rows'])} figures marked"
+    return Measured(wrong, "the same bag twice, and with another", details)
+
+
+def _misjudged(rows: Sequence[dict[str, object]]) -> Iterator[str]:
+    """Rows whose mark is not what their values say."""
+    for row in rows:
+        values = row["values"]
+        assert isinstance(values, list)
+        numbers = [value for value in values if isinstance(value, int | float)]
+        if len(numbers) == len(values):
+            far = max(numbers) - min(numbers) > 0.01 * max(abs(number) for number in numbers)
+        else:
+            far = len({json.dumps(value) for value in values}) > 1
+        if far is not row["differs"] and row["group"] != "settings":
+            yield str(row["name"])

@@ -1,0 +1,365 @@
+"""A bag of the default rover's mission by a script, with what it did when: what a report must find.
+
+Simulator, drives and sensors are the suite's own, without processes: every tick is made when the
+one before is written. The script tells its own truth, from what it commanded and from what the
+plant reports, and never from the bag. To have such a bag:
+
+    python -m rover_verify.scripted_bag --seed 3 BAG
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rclpy.serialization import serialize_message
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample, TextSample
+from msg_schemas.table import (
+    JUMP_SCREW,
+    TOPICS,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from rover_bags.store import BagWriter, standard_type
+from rover_sim import (
+    Phase,
+    Simulation,
+    SpatialState,
+    build_interface,
+    build_plant,
+    load_spatial,
+)
+
+TICK = 0.01  # [s]
+DEPTH = 8.0  # of the floor below the fairlead [m]
+_NANO = 1_000_000_000
+_EPOCH_NS = 1_790_000_000_000_000_000
+_DELAY_NS = 300_000  # from sending to reception
+_RAMP = 0.5  # at which the winch's rate changes [m/s^2]
+_SLOW, _NEAR = 0.1, 1.0  # [m/s] within [m] of the floor
+_AT_REST = 0.05  # of the wheels [rad/s]
+_RATES: Mapping[str, float] = {
+    name: row.rate for name, row in TOPICS.items() if row.rate is not None
+}
+
+Orders = dict[str, dict[str, JointValue]]
+
+
+@dataclass(frozen=True)
+class Deed:
+    """What the script did.
+
+    Attributes:
+        what: A word of the report's.
+        begin, end: When [s].
+        detail: Its figures, by name, as the script or the plant knows them.
+    """
+
+    what: str
+    begin: float
+    end: float
+    detail: Mapping[str, float] = field(default_factory=dict)
+
+
+class Recording:
+    """A simulation whose every sample, command and event is written into a bag.
+
+    Args:
+        path: The bag's folder.
+        scenario: Of the spatial model.
+        overrides: Changes to it.
+        seed: Of the sensors' errors.
+    """
+
+    def __init__(
+        self, path: Path, scenario: str, overrides: Mapping[str, object], seed: int
+    ) -> None:
+        self.scenario = load_spatial(scenario, dict(overrides))
+        plant = build_plant(self.scenario)
+        self.simulation = Simulation(build_interface(plant, seed), TICK)
+        self.events: list[tuple[str, float]] = []
+        self._writer = BagWriter(path, sync=False, chunk_period=1e9)
+        self._channels: dict[str, int] = {}
+        self._phase: Phase | None = None
+        content = {"node": "/sim_node", "scenario": self.scenario.to_mapping(), "seed": seed}
+        self.tell(topics.CONFIG, TextSample(json.dumps(content)))
+        outside = self.simulation.interface
+        self._due([name for name in outside.topics if name not in outside.measured_over_a_tick])
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.simulation.stamp_ns / _NANO
+
+    @property
+    def state(self) -> SpatialState:
+        """Of the plant."""
+        state: SpatialState = self.simulation.state
+        return state
+
+    def tell(self, name: str, sample: Sample) -> None:
+        """Write one sample."""
+        full = name if name.startswith("/") else f"/{name}"
+        if full not in self._channels:
+            kind = standard_type(TOPICS[name].message)
+            self._channels[full] = self._writer.add_topic(full, kind)
+        sent = _EPOCH_NS + self.simulation.stamp_ns
+        data = bytes(serialize_message(encode(name, sample)))
+        self._writer.write(self._channels[full], sent + _DELAY_NS, sent, data)
+
+    def step(self, orders: Orders) -> None:
+        """Give the commands, make a tick, write what is due."""
+        simulation = self.simulation
+        for name, joints in orders.items():
+            sample = JointSample(max(simulation.stamp_ns, 1), joints)
+            simulation.take(name, sample)
+            self.tell(name, sample)
+        before_ns = simulation.stamp_ns
+        tick = simulation.tick()
+        if tick.after.phase.final:
+            raise RuntimeError(f"the plant ended: {tick.after.phase.value} at {self.time:.2f} s")
+        self._due(
+            name
+            for name in simulation.interface.topics
+            if _count(tick.stamp_ns, name) > _count(before_ns, name)
+        )
+        for item in tick.happenings:
+            self.events.append((item.name, item.stamp_ns / _NANO))
+            values = {key: str(value) for key, value in item.values.items()}
+            status = Status(item.name, item.message, item.level, "sim_node", values)
+            self.tell(topics.EVENTS, StatusSample(item.stamp_ns, (status,)))
+
+    def when(self, name: str, after: float) -> float:
+        """When the plant told an event first after a time [s]."""
+        return next(time for told, time in self.events if told == name and time >= after)
+
+    def close(self) -> None:
+        """End the bag."""
+        self._writer.close()
+
+    def _due(self, names: Iterable[str]) -> None:
+        for name, sample in self.simulation.interface.samples(names):
+            self.tell(name, sample)
+        if self.simulation.phase is not self._phase:
+            self._phase = self.simulation.phase
+            self.tell(topics.TRUTH_PHASE, TextSample(self._phase.value))
+
+
+def _count(stamp_ns: int, name: str) -> int:
+    return math.floor(stamp_ns * _RATES[name] / _NANO + 1e-6)
+
+
+class Script:
+    """Takes a rover through a mission and notes what it did.
+
+    Args:
+        recording: Of a rover that hangs above a floor.
+        generator: Draws depths, rates and times.
+    """
+
+    def __init__(self, recording: Recording, generator: np.random.Generator) -> None:
+        self.run = recording
+        self.deeds: list[Deed] = []
+        self._draw = generator
+        scenario = recording.scenario
+        self._weight = scenario.tip_mass * scenario.gravity
+        self._rate = 0.0
+
+    def fly(self) -> list[Deed]:
+        """The mission: down by parts, up a little, a fault, the floor, drives, a jump, up again."""
+        deeper = self.run.state.length + self._between(1.5, 2.2)
+        self._wait("hanging", self._between(2.0, 4.0))
+        self._pay_out("descending", self._between(0.15, 0.3), lambda: self._length >= deeper)
+        self._wait("hanging", self._between(2.0, 4.0))
+        higher = self._length - self._between(0.6, 1.0)
+        self._pay_out("ascending", -self._between(0.1, 0.25), lambda: self._length <= higher)
+        self._wait("hanging", self._between(2.0, 4.0))
+        silent = self._length + self._between(0.8, 1.2)
+        rate = self._between(0.15, 0.3)
+        self._pay_out("descending", rate, lambda: self._length >= silent, ends=False)
+        self._wait("hanging", self._between(2.0, 4.0))
+        at = self.run.when("winch_silent", self.deeds[-1].begin - TICK)
+        self.deeds.append(Deed("fault", at, at))
+        self._pay_out("descending", self._between(0.2, 0.3), self._stands, slow=True)
+        slack = self._length + self._between(2.0, 2.5)
+        self._pay_out("slack", 0.25, lambda: self._length >= slack)
+        self._wait("standing", self._between(3.0, 4.0))
+        self._drive(self._between(1.5, 2.5), self._between(3.0, 5.0))
+        self._drive(-self._between(1.5, 2.5), self._between(3.0, 5.0))
+        self._drive(self._between(1.5, 2.5), self._between(2.0, 3.0))
+        self._jump(self._between(0.12, 0.16))
+        self._wait("standing", self._between(3.0, 4.0))
+        self._reel_in(3.0)
+        self._wait("hanging", self._between(2.0, 4.0))
+        return self.deeds
+
+    # --- legs ------------------------------------------------------------------------------------
+
+    def _wait(self, what: str, duration: float) -> None:
+        self._go(what, dict, lambda: False, duration)
+
+    def _pay_out(
+        self, what: str, rate: float, until: Callable[[], bool], *, slow: bool = False,
+        ends: bool = True,
+    ) -> None:  # fmt: skip
+        """Move the drum until something is so; without an end the commands just cease."""
+
+        def orders() -> Orders:
+            height = float(self.run.state.G1[2]) + DEPTH
+            return self._winch(math.copysign(_SLOW, rate) if slow and height < _NEAR else rate)
+
+        begun = self._length
+        first = self.run.time
+        self._go(what, orders, until, 120.0, told=False)
+        if ends:
+            self._go(what, lambda: self._winch(0.0), lambda: self._rate == 0.0, 5.0, told=False)
+            self.run.step(self._winch(0.0, brake=0.0))
+        self._rate = 0.0
+        figures = {"from": begun, "to": self._length}
+        landed = [at for name, at in self.run.events if name == "touchdown" and at > first]
+        if landed and what == "descending":
+            # The drum runs on for a moment when the floor carries the rover.
+            self.deeds.append(Deed(what, first, landed[0], figures))
+            self.deeds.append(Deed("slack", landed[0], self.run.time))
+        else:
+            self.deeds.append(Deed(what, first, self.run.time, figures))
+
+    def _reel_in(self, length: float) -> None:
+        """Take up the slack, lift off and go up."""
+        begun, first, lifted = self._length, self.run.time, self.run.time
+        while self._length > length or self._rate != 0.0:
+            self.run.step(self._winch(-0.2 if self._length > length else 0.0))
+            if self.run.state.phase is Phase.GROUNDED:
+                lifted = self.run.time
+        self.run.step(self._winch(0.0, brake=0.0))
+        self.deeds.append(Deed("slack", first, lifted, {"from": begun}))
+        self.deeds.append(Deed("ascending", lifted, self.run.time, {"to": self._length}))
+
+    def _drive(self, rate: float, duration: float) -> None:
+        """Turn the wheels, forward to go straight, backward to turn on the spot, and rest."""
+        command = {topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, rate, 20.0)}}
+        halt = {topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 20.0)}}
+        start = self.run.state
+        what = "driving" if rate > 0.0 else "turning"
+        begin = self.run.time
+        self._go(what, lambda: self._at(20.0, command), lambda: False, duration, told=False)
+        # The wheels are free to overrun the motor: it rests when they do.
+        self._go(what, lambda: self._at(20.0, halt), self._wheels_rest, 5.0, told=False)
+        way = np.linalg.norm(self.run.state.G1[:2] - start.G1[:2])
+        self.deeds.append(Deed(what, begin, self.run.time, {"way": float(way)}))
+        self._go("standing", lambda: self._at(20.0, halt), lambda: False, self._between(2.0, 3.0))
+
+    def _wheels_rest(self) -> bool:
+        return max(abs(rate) for rate in self.run.state.wheel_rates) < _AT_REST
+
+    def _jump(self, compression: float) -> None:
+        nut = {topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(compression, 0.06, 400.0)}}
+        first = self.run.time
+        heard = len(self.run.events)
+
+        def seen(name: str) -> bool:
+            return any(told == name for told, _ in self.run.events[heard:])
+
+        def orders() -> Orders:
+            return {} if seen("latch_released") else self._at(20.0, nut)
+
+        self._go("jumping", orders, lambda: seen("touchdown"), 30.0, told=False)
+        released = self.run.when("latch_compressing", first)
+        take_off, landing = (self.run.when(name, first) for name in ("take_off", "touchdown"))
+        self.deeds.append(Deed("compressing", released, self.run.when("latch_released", first)))
+        self.deeds.append(Deed("flight", take_off, landing))
+
+    # --- what the legs are made of ---------------------------------------------------------------
+
+    def _go(
+        self, what: str, orders: Callable[[], Orders], until: Callable[[], bool], longest: float,
+        *, told: bool = True,
+    ) -> None:  # fmt: skip
+        begin = self.run.time
+        while not until() and self.run.time - begin < longest - 0.5 * TICK:
+            self.run.step(orders())
+        if told:
+            self.deeds.append(Deed(what, begin, self.run.time))
+
+    @property
+    def _length(self) -> float:
+        return self.run.state.length
+
+    def _stands(self) -> bool:
+        result = self.run.simulation.last
+        if result is None:
+            return False
+        forces = result.forces
+        return forces.left_wheel + forces.right_wheel + forces.body > 0.9 * self._weight
+
+    def _winch(self, rate: float, brake: float = 1.0) -> Orders:
+        ramp = TICK * _RAMP
+        self._rate = min(max(rate, self._rate - ramp), self._rate + ramp)
+        drum = JointValue(self._length, self._rate, self._weight)
+        joints = {
+            WINCH_DRUM: drum,
+            WINCH_BRAKE: JointValue(brake),
+            WINCH_LIMIT: JointValue(effort=60.0),
+        }
+        return {topics.WINCH_COMMAND: joints}
+
+    def _at(self, rate: float, orders: Orders) -> Orders:
+        """The orders at some ticks of a slower rate [Hz]."""
+        every = round(1.0 / (rate * TICK))
+        return orders if round(self.run.time / TICK) % every == 0 else {}
+
+    def _between(self, low: float, high: float) -> float:
+        return float(self._draw.uniform(low, high))
+
+
+def record_mission(path: Path, generator: np.random.Generator) -> list[Deed]:
+    """Fly a mission above a floor of rubble and record it.
+
+    Args:
+        path: The bag's folder.
+        generator: Draws the ground, the sensors' errors and the script.
+    """
+    seed = int(generator.integers(1, 1000))
+    overrides = {
+        "place.seed": seed,
+        "place.floor": {"height": -DEPTH},
+        "place.patch": {"centre": [0.0, 0.0], "half_width": 8.0},
+        "place.boulders.density": 0.3,
+        "place.boulders.clear_radius": 2.5,
+        "tether.length": 2.0,
+        "tether.max_length": 30.0,
+        "winch.min_length": 1.0,
+        "start": {"kind": "hanging", "heading": 0.0},
+    }
+    recording = Recording(path, "floor_rubble", overrides, seed)
+    try:
+        return Script(recording, generator).fly()
+    finally:
+        recording.close()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Record a mission and print what was done when."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bag", type=Path, help="folder of the bag, which must not exist")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    for deed in record_mission(options.bag, np.random.default_rng(options.seed)):
+        figures = ", ".join(f"{name} {value:.3f}" for name, value in deed.detail.items())
+        print(f"{deed.begin:8.2f}{deed.end:8.2f}  {deed.what:12} {figures}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
