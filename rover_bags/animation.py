@@ -211,9 +211,13 @@ def write_gif(
     times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
     pace = step * rate
     words = f"{1.0 / pace:.3g} times slower" if pace < 1.0 else f"{pace:.3g} times faster"
-    pictures = [_picture(scene, float(time), width, words) for time in times]
-    palette = pictures[len(pictures) // 2].quantize(64)
-    frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    palette = _picture(scene, float(times[len(times) // 2]), width, words).quantize(64)
+    frames = [
+        _picture(scene, float(time), width, words).quantize(
+            palette=palette, dither=Image.Dither.NONE
+        )
+        for time in times
+    ]
     duration = [round(1000.0 / rate)] * len(frames)
     duration[-1] = 1200
     frames[0].save(

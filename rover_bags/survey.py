@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from msg_schemas import topics
 from rover_bags.animation import LEAD, TRAIL, Scene, scene_of
@@ -102,14 +103,14 @@ def survey(
     audits: list[FlightAudit] = []
     scenes: list[Scene | None] = []
     plots: list[tuple[Plot, ...]] = []
-    parts = windows(bag, [span for span, _ in spans], _OF_JUMPS, progress=progress)
-    for part, (_, timeline) in zip(parts, spans, strict=False):
+    parts = windows(bag, [flight.span for flight in spans], _OF_JUMPS, progress=progress)
+    for part, flight in zip(parts, spans, strict=False):
+        timeline = flight.timeline
         found = list(jumps_of(part, metrics.events, timeline))
         if not found:
             continue
-        # A planar jump is found by its motion: of those in the stretch it is the middle one.
-        middle = 0.5 * sum(part.tracks[topics.TRUTH_BODY1].time[[0, -1]])
-        jump = min(found, key=lambda one: abs(one.take_off_s + 0.5 * one.flight_time_s - middle))
+        # The stretch may hold others, too.
+        jump = min(found, key=partial(_apart, flight.begin_s))
         jumps.append(jump)
         audits += flight_audits(part, timeline)
         if drawn and len(jumps) <= SHOWN_IN_FULL:
@@ -125,23 +126,35 @@ def survey(
     return Survey(bag, metrics, replace(drawings, scenes=tuple(scenes), plots=tuple(plots)))
 
 
-def _spans(bag: Bag, timeline: Timeline) -> list[tuple[tuple[int, int], Timeline]]:
-    """Log times around each flight, and a timeline of it alone."""
+class _Flight(NamedTuple):
+    """Where a flight is: log times around it, when it began, and a timeline of it alone."""
+
+    span: tuple[int, int]
+    begin_s: float
+    timeline: Timeline
+
+
+def _apart(begin_s: float, jump: Jump) -> float:
+    return abs(jump.take_off_s - begin_s)
+
+
+def _spans(bag: Bag, timeline: Timeline) -> list[_Flight]:
     track = bag.track(topics.TRUTH_BODY1)
     if track is None or len(track) < 3:
         return []
     found = []
     if is_spatial(bag):
         for phase, _ in jumped(timeline):
-            edges = (phase.log_begin, phase.log_end)
             alone = replace(timeline, phases=tuple(_around(timeline, phase.log_begin)))
-            found.append((edges, alone))
+            span = (phase.log_begin - _AROUND_NS, phase.log_end + _AROUND_NS)
+            found.append(_Flight(span, phase.begin_s, alone))
     else:
         for first, last, _ in flights(bag, motion(track)):
             after = min(last + 1, len(track) - 1)
-            edges = (int(track.log_ns[first]), int(track.log_ns[after]))
-            found.append((edges, timeline))
-    return [((begin - _AROUND_NS, end + _AROUND_NS), told) for (begin, end), told in found]
+            begin, end = int(track.log_ns[first]), int(track.log_ns[after])
+            span = (begin - _AROUND_NS, end + _AROUND_NS)
+            found.append(_Flight(span, float(track.time[first]), timeline))
+    return found
 
 
 def _around(timeline: Timeline, log_begin: int) -> list[Phase]:

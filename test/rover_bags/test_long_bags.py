@@ -1,0 +1,145 @@
+"""Long bags: many messages taken apart at once, tracks thinned, stretches read again."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contract_bag import MadeUp, Parabola, cdr, ns
+from made_up_mission import SHORT, write_mission
+
+from msg_schemas import topics
+from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
+from msg_schemas.table import JUMP_SCREW, TOPICS
+from rover_bags import report
+from rover_bags.metrics import measure
+from rover_bags.read import Bag, arrivals, read_bag, windows
+from rover_bags.survey import survey
+from rover_bags.tracks import LARGEST
+
+
+@pytest.fixture(scope="module")
+def jumps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = MadeUp()
+    second = Parabola(take_off=2.0, up=1.0, forward=-0.2, turning=0.3, start=Parabola().landing)
+    made.jumps([Parabola(), second], until=2.8)
+    return made.write(tmp_path_factory.mktemp("jumps") / "bag")
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mission(tmp_path_factory.mktemp("mission") / "bag", legs=SHORT)
+
+
+@pytest.mark.parametrize("bag", ["jumps", "mission"])
+def test_what_is_taken_at_once_is_what_the_decoder_gives(bag: str, request: pytest.FixtureRequest):
+    path = request.getfixturevalue(bag)
+    read = read_bag(path)
+    place = dict.fromkeys(read.tracks, 0)
+    for arrival in arrivals(path):
+        track, index = read.tracks[arrival.name], place[arrival.name]
+        place[arrival.name] += 1
+        assert track.log_ns[index] == arrival.log_ns
+        assert track.publish_ns[index] == arrival.publish_ns
+        if isinstance(arrival.sample, TetherSample):
+            np.testing.assert_array_equal(track.shapes[index], arrival.sample.nodes)
+            assert track.columns[LARGEST][index] == arrival.sample.nodes[:, 6].max()
+        elif isinstance(arrival.sample, TextSample):
+            assert track.texts[index] == arrival.sample.text
+        else:
+            for column, value in arrival.sample.scalars():
+                assert track.columns[column][index] == value
+    assert all(place[name] == len(track) for name, track in read.tracks.items())
+
+
+def test_a_bad_message_among_good_ones_is_turned_away_alone(tmp_path: Path):
+    made = MadeUp()
+    good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
+    data = cdr(topics.JUMP_MOTOR_COMMAND, good)
+    number = data.index(np.float64(10.0).tobytes())
+    spoilt = {
+        3: data[:number] + np.float64(math.inf).tobytes() + data[number + 8 :],
+        7: data.replace(JUMP_SCREW.encode(), JUMP_SCREW.upper().encode()),
+        8: data[:number] + np.float64(-5.0).tobytes() + data[number + 8 :],
+    }
+    for index in range(20):
+        made.add_raw(0.1 * index, topics.JUMP_MOTOR_COMMAND, spoilt.get(index, data))
+    bag = read_bag(made.write(tmp_path / "bag"))
+    assert len(bag.tracks[topics.JUMP_MOTOR_COMMAND]) == 17
+    assert bag.rejected == {topics.JUMP_MOTOR_COMMAND: 3}
+    reasons = " ".join(item.reason for item in bag.examples)
+    assert "finite" in reasons
+    assert "JUMP_SCREW" in reasons
+    assert "-5.0" in reasons
+
+
+def assert_same_figures(full: Bag, thin: Bag) -> None:
+    before, after = measure(full).topics, measure(thin).topics
+    for name, row in before.items():
+        for field in ("count", "rate_hz", "wall_rate_hz", "max_gap_s", "max_gap_at_s", "gaps",
+                      "latency_max_ms", "rejected"):  # fmt: skip
+            assert getattr(after[name], field) == pytest.approx(getattr(row, field)), (name, field)
+
+
+def test_thinned_tracks_keep_extremes_and_topics_their_figures(mission: Path):
+    full, thin = read_bag(mission), read_bag(mission, most=100)
+    assert thin.thinned
+    assert not full.thinned
+    assert_same_figures(full, thin)
+    for name in (topics.TRUTH_BODY1, topics.LOAD_CELL, topics.TRUTH_ENERGY):
+        a, b = full.tracks[name], thin.tracks[name]
+        assert len(b) <= 200
+        assert len(b) == math.ceil(len(a) / b.stride)
+        np.testing.assert_array_equal(b.time, a.time[:: b.stride])
+        for path in a.columns:
+            np.testing.assert_array_equal(b.columns[path], a.columns[path][:: b.stride])
+            low = np.minimum.reduceat(a.columns[path], np.arange(0, len(a), b.stride))
+            high = np.maximum.reduceat(a.columns[path], np.arange(0, len(a), b.stride))
+            np.testing.assert_array_equal(b.lowest(path), low)
+            np.testing.assert_array_equal(b.highest(path), high)
+
+
+def test_a_stretch_read_again_is_the_whole_truth(mission: Path):
+    full, thin = read_bag(mission), read_bag(mission, most=100)
+    body = full.tracks[topics.TRUTH_BODY1]
+    spans = [(int(body.log_ns[a]), int(body.log_ns[b])) for a, b in ((100, 300), (250, 500))]
+    parts = list(windows(thin, spans, [topics.TRUTH_BODY1]))
+    assert len(parts) == 2
+    for part, (begin, end) in zip(parts, spans, strict=True):
+        inside = (body.log_ns >= begin) & (body.log_ns <= end)
+        track = part.tracks[topics.TRUTH_BODY1]
+        np.testing.assert_array_equal(track.time, body.time[inside])
+        np.testing.assert_array_equal(
+            track.columns["position.z"], body.columns["position.z"][inside]
+        )
+
+
+@pytest.mark.parametrize("bag", ["jumps", "mission"])
+def test_jumps_of_a_thinned_bag_are_measured_in_full(bag: str, request: pytest.FixtureRequest):
+    path = request.getfixturevalue(bag)
+    full = survey(path, drawn=False).metrics
+    found = survey(path, drawn=False, most=40)
+    assert found.bag.thinned
+    assert len(found.metrics.jumps) == len(full.jumps)
+    for thin, whole in zip(found.metrics.jumps, full.jumps, strict=True):
+        for name, value in dataclasses.asdict(whole).items():
+            if isinstance(value, float):
+                assert getattr(thin, name) == pytest.approx(value, abs=1e-9), name
+    assert [p.what for p in found.metrics.timeline.phases] == [p.what for p in full.timeline.phases]
+
+
+def test_a_pass_shows_how_far_it_has_come(jumps: Path, capsys: pytest.CaptureFixture[str]):
+    assert report.main([str(jumps), "--json"]) == 0
+    shown = capsys.readouterr()
+    assert "reading" in shown.err
+    assert "100%" in shown.err
+    assert json.loads(shown.out)["jumps"]
+    assert report.main([str(jumps), "--json", "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_every_kind_of_number_has_a_layout(mission: Path):
+    names = {name for name, row in TOPICS.items() if row.rate == 100.0}
+    assert len(names & set(read_bag(mission).tracks)) >= 8
