@@ -58,6 +58,8 @@ _EXAMPLES: Final = 5
 _BLOCK: Final = 512
 """So many messages of a topic are taken apart at once."""
 _TOLD_EVERY: Final = 4096
+_LEADING: Final = 4096
+"""A recorder that tells who it is does so before so many messages."""
 _FINER: Final = 8
 _FINE: Final = frozenset(
     {
@@ -446,6 +448,11 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
             written = json.loads(identity["topics"])
             names = {name: str(full) for name, full in written.items() if name in TOPICS}
             return names, identity.get("namespace", "/")
+        if sum(scan.counts.values()) >= _LEADING and len(scan.files) == 1 and scan.closed:
+            announced = {(topic.name, topic.type) for topic in scan.announced}
+            if announced:  # its index tells all topics, and nobody wrote more about them
+                present |= announced
+                break
     spaces = _namespaces(present)
     if namespace is None:
         if len(spaces) > 1:

@@ -6,6 +6,7 @@ full, measured, drawn where it is among the first, and let go.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -117,6 +118,7 @@ def survey(
             scene = _jump_scene(part, jump)
             scenes.append(scene)
             plots.append(tuple(jump_plots(part, jump, scene)))
+            gc.collect()  # figures are rings of references, and each is large
     metrics = replace(
         metrics, jumps=tuple(jumps), audits=replace(metrics.audits, flights=tuple(audits))
     )
