@@ -24,6 +24,7 @@ from rover_bags.entries import Entry, entries_of
 from rover_bags.jumps import Jump, jumps_of
 from rover_bags.read import Bag, Floats, Track
 from rover_bags.timeline import Timeline, timeline_of
+from rover_bags.wall_coverage import Coverage, measure_coverage, observations_of
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class Metrics:
     drives: tuple[Drive, ...]
     travels: tuple[Travel, ...]
     exposures: tuple[Exposure, ...]
+    coverage: Coverage | None
     audits: Audits
     jumps: tuple[Jump, ...]
     topics: Mapping[str, TopicFigures]
@@ -114,6 +116,7 @@ class Metrics:
             "drives": [asdict(drive) for drive in self.drives],
             "travels": [asdict(travel) for travel in self.travels],
             "exposures": [asdict(exposure) for exposure in self.exposures],
+            "coverage": None if self.coverage is None else asdict(self.coverage),
             "audits": asdict(self.audits),
             "jumps": [asdict(jump) for jump in self.jumps],
             "topics": {name: asdict(figures) for name, figures in self.topics.items()},
@@ -127,12 +130,14 @@ def measure(bag: Bag) -> Metrics:
     clock = bag.track(topics.CLOCK)
     events = tuple(entries_of(bag.track(topics.EVENTS)))
     timeline = timeline_of(bag)
+    pictures = bag.track(topics.DESCENT_OBSERVATION)
     return Metrics(
         timeline=timeline,
         descents=descents_of(bag, timeline),
         drives=drives_of(bag, timeline),
         travels=travels_of(bag, timeline),
         exposures=exposures_of(bag, timeline),
+        coverage=None if pictures is None else measure_coverage(observations_of(pictures)),
         audits=audits_of(bag, timeline),
         jumps=tuple(jumps_of(bag, events, timeline)),
         topics=_topic_figures(bag),

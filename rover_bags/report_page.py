@@ -64,6 +64,8 @@ def _run_section(metrics: Metrics, drawings: Drawings) -> str:
     parts.append(figures(drawings.overall))
     sections = [*activity_sections(metrics), *figure_sections(metrics)]
     parts += [f"<h3>{escaped(item.name)}</h3>{item.as_html()}" for item in sections]
+    if metrics.coverage is not None:
+        parts.append(f"<h3>Wall</h3><p>{escaped(metrics.coverage.summary)}.</p>")
     phases = phase_section(metrics)
     if phases is not None:
         count = len(metrics.timeline.phases)

@@ -45,6 +45,7 @@ from rover_bags.plots import (
 )
 from rover_bags.read import Bag, Floats, Track
 from rover_bags.timeline import Activity, MomentKind
+from rover_bags.wall_coverage import draw_coverage, observations_of
 
 COLOURS: Final = {
     Activity.HANGING: "#c9d3dc", Activity.DESCENDING: BLUE, Activity.ASCENDING: SKY,
@@ -67,6 +68,7 @@ def run_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
             _winch(bag, metrics),
             _swing(bag, metrics),
             _pictures(bag),
+            _coverage(bag),
             _floor(bag, metrics),
             _ledger(bag),
             _rotors(bag),
@@ -289,6 +291,16 @@ def _pictures(bag: Bag) -> Plot | None:
     axes.set_ylabel("smear [px]")
     legend(axes, 2)
     return _plot(figure, [axes], "Smear of the pictures over time", bag)
+
+
+def _coverage(bag: Bag) -> Plot | None:
+    """Where on the wall the pictures lie that the descent has logged."""
+    track = bag.track(topics.DESCENT_OBSERVATION)
+    figure = None if track is None else draw_coverage(observations_of(track))
+    if figure is None:
+        return None
+    alt = "Pictures on the unrolled wall, over heading and depth"
+    return Plot(str(figure.get_label()), as_svg(figure), alt, wide=True)
 
 
 # --- the way on the floor -------------------------------------------------------------------------

@@ -33,6 +33,8 @@ def as_text(bag: Bag, metrics: Metrics) -> str:
     lines = [f"{bag.path}: {in_short(bag, metrics)}"]
     lines += [f"! {text}" for text in complaints(bag, metrics)]
     lines += texts([*activity_sections(metrics), *figure_sections(metrics)])
+    if metrics.coverage is not None:
+        lines += ["", f"wall: {metrics.coverage.summary}"]
     for number, jump in enumerate(metrics.jumps, 1):
         lines += ["", f"jump {number}, take-off at {jump.take_off_s:.3f} s"]
         lines += [

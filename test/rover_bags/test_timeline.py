@@ -6,10 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contract_bag import MadeUp, Parabola, ns
 from made_up_mission import FORWARD, GRAVITY, MISSION, RADIUS, RIPPLE, SLIP, UP, Leg, write_mission
 
+from msg_schemas import topics
+from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, PICTURE, SMEAR, WALL_DISTANCE
+from msg_schemas.samples import JointSample, JointValue
 from rover_bags.metrics import Metrics, measure
 from rover_bags.read import read_bag
+from rover_bags.run_plots import run_plots
 from rover_bags.signals import closed, opened, runs
 from rover_bags.timeline import MomentKind
 
@@ -80,6 +85,27 @@ def test_pictures_count_where_the_rover_hangs_and_sees_the_wall(metrics: Metrics
     assert metrics.exposures[0].wall_m == 3.0
 
 
+def test_pictures_that_a_descent_has_logged_are_mapped(tmp_path: Path):
+    made = MadeUp()
+    for index, smear in enumerate((0.1, 0.2, 3.0)):
+        joints = {
+            PICTURE: JointValue(1.0 + index),
+            DEPTH: JointValue(10.0 + 2.0 * index),
+            HEADING: JointValue(0.3),
+            CAMERA_RATE: JointValue(velocity=1e-3),
+            SMEAR: JointValue(smear),
+            WALL_DISTANCE: JointValue(3.0),
+        }
+        time = 1.0 + index
+        made.add(time, topics.DESCENT_OBSERVATION, JointSample(ns(time), joints))
+    bag = read_bag(made.write(tmp_path / "bag"))
+    found = measure(bag)
+    assert found.coverage is not None
+    assert (found.coverage.pictures, found.coverage.sharp, found.coverage.stops) == (3, 2, 3)
+    assert found.to_mapping()["coverage"]["smeared"] == 1
+    assert "coverage" in [plot.name for plot in run_plots(bag, found)]
+
+
 def test_the_audits_add_up_what_is_recorded(metrics: Metrics):
     energy = metrics.audits.energy
     assert energy is not None
@@ -122,10 +148,6 @@ def test_a_short_trim_of_the_drum_is_no_descent(tmp_path: Path):
 
 
 def test_a_bag_without_switches_or_phase_has_no_activities(tmp_path: Path):
-    from contract_bag import MadeUp, Parabola
-
-    from msg_schemas import topics
-
     made = MadeUp()
     absent = (topics.TRUTH_PHASE, topics.CONTACT)
     made.jumps([Parabola()], until=1.8, without=absent)
