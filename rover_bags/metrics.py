@@ -7,7 +7,6 @@ from typing import Any, Final
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.samples import StatusSample
 from msg_schemas.table import TOPICS, Intent
 from rover_bags.activities import (
     Descent,
@@ -22,7 +21,7 @@ from rover_bags.activities import (
 from rover_bags.audits import Audits, audits_of
 from rover_bags.entries import Entry, entries_of
 from rover_bags.jumps import Jump, jumps_of
-from rover_bags.read import Bag, Floats, Track
+from rover_bags.read import Bag, Track
 from rover_bags.timeline import Timeline, timeline_of
 from rover_bags.wall_coverage import Coverage, measure_coverage, observations_of
 
@@ -225,18 +224,6 @@ def _ages(bag: Bag, track: Track) -> list[float | None]:
 
 
 _FOLLOWS_NS: Final = 60_000_000_000
-
-
-def paced(track: Track) -> Floats:
-    """Times [s] by the clock that paces a topic.
-
-    Nodes tell how they are by the machine's clock, so that they do also while simulated time
-    stands still; everything else goes by simulated time.
-    """
-    if TOPICS[track.topic].sample is StatusSample:
-        since: Floats = (track.log_ns - track.log_ns[0]) * 1e-9
-        return since
-    return track.time
 
 
 def _rate(count: int, span_ns: int) -> float | None:

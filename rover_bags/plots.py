@@ -9,7 +9,7 @@ import math
 import re
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -24,9 +24,11 @@ from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
 from rover_bags.animation import LEAD, TRAIL, Scene, element_curve, shown
 from rover_bags.geometry import headings, tilts
 from rover_bags.jumps import Jump, Window, is_spatial, motion
-from rover_bags.metrics import Metrics, paced
 from rover_bags.read import Bag, Floats, Track
-from rover_bags.tracks import GAP, LARGEST
+from rover_bags.tracks import GAP, LARGEST, paced
+
+if TYPE_CHECKING:
+    from rover_bags.metrics import Metrics  # which draws as well
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#a50026", "#212529",
@@ -106,7 +108,7 @@ def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
     return [plot for plot in plots if plot is not None]
 
 
-def bag_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
+def bag_plots(bag: Bag, metrics: "Metrics") -> list[Plot]:
     """The whole recording: height over time, and how steadily each topic came."""
     with mpl.rc_context(STYLE):
         plots = [_overview(bag, metrics), _strips(bag)]
@@ -397,7 +399,7 @@ def _box(pose: Floats, size: tuple[float, float]) -> Floats:
 # --- the whole bag ------------------------------------------------------------------------------
 
 
-def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
+def _overview(bag: Bag, metrics: "Metrics") -> Plot | None:
     track = bag.track(topics.TRUTH_BODY1)
     if track is None or len(track) < 2:
         return None

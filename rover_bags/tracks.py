@@ -19,7 +19,7 @@ from msg_schemas.samples import (
     TetherSample,
     TextSample,
 )
-from msg_schemas.table import Intent, Topic
+from msg_schemas.table import TOPICS, Intent, Topic
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -379,6 +379,18 @@ class GrowingTrack:
 
 
 _NODE_NUMBERS: Final = len(TETHER_COLUMNS)
+
+
+def paced(track: Track) -> Floats:
+    """Times [s] by the clock that paces a topic.
+
+    Nodes tell how they are by the machine's clock, so that they do also while simulated time
+    stands still; everything else goes by simulated time.
+    """
+    if TOPICS[track.topic].sample is StatusSample:
+        since: Floats = (track.log_ns - track.log_ns[0]) * 1e-9
+        return since
+    return track.time
 
 
 def _joined(parts: list[Stamps]) -> Stamps:
