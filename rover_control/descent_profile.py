@@ -34,6 +34,7 @@ from rover_control.yaw_keeper import Handing
 SUBJECT = "descent"  # of refusals
 _BEGIN = 1.25  # damping begins where this much above where it ends
 _PERIODS = 1.3  # of the swing that a settling may take at least
+_PLANE = 0.15  # minor over major axis, below which a swing counts as plane
 _ROUND = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
 
 
@@ -341,7 +342,7 @@ class DescentProfile:
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
         handed = self._hands_on
-        self._hands_on = self._must_hand_on()
+        self._hands_on = self._must_hand_on(swing)
         self._unwinds = not self._hands_on and (handed or self._unwinds) and self._is_wound(swing)
         enough = swing.swing_error < p.known_error and not self._too_much(swing, length)
         late = now - self._arrived > p.stop_limit
@@ -420,7 +421,7 @@ class DescentProfile:
         """Whether there is more swing than the stop that is meant bears."""
         stop = self._stop
         assert stop is not None
-        if self._must_hand_on() or self._unwinds or self._swings(swing, length):
+        if self._must_hand_on(swing) or self._unwinds or self._swings(swing, length):
             return True
         limit = self.parameters.damped_yaw
         # What damping leaves must not begin it again at once.
@@ -465,7 +466,8 @@ class DescentProfile:
             self.hanging.grown(abs(each), length, depth)
             for each in (swing.ellipse.major, swing.ellipse.minor)
         )
-        if best_span(major, minor, w, p.steady_rate) >= self._needed:
+        passed_on = self._is_there and self._handing.time <= p.hand_limit
+        if passed_on or best_span(major, minor, w, p.steady_rate) >= self._needed:
             return ""
         rate = math.degrees(math.sqrt(major * minor) * w)
         return (
@@ -481,11 +483,14 @@ class DescentProfile:
         w, inertia = self.hanging.swing_frequency(depth), self.hanging.reach_inertia(depth)
         return math.sqrt(abs(self._handing.momentum) * w / inertia)
 
-    def _must_hand_on(self) -> bool:
+    def _must_hand_on(self, swing: SwingEstimate) -> bool:
         """Whether a cone's momentum is to be handed to the mother here, and can be."""
         stop, p = self._stop, self.parameters
         assert stop is not None
         if self._handing.time > p.hand_limit:
+            return False
+        # What is all but plane is the winch's; its momentum is not known well enough either.
+        if not self._hands_on and abs(swing.ellipse.minor) < _PLANE * swing.ellipse.major:
             return False
         limit = p.handed_rate
         if not stop.observes:

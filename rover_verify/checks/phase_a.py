@@ -123,8 +123,9 @@ def _budgets(flight: HangingFlight) -> tuple[int, int]:
 def damp(seed: int, index: int, length: float) -> float:
     """Time [s] until 3 deg of plane swing have fallen below 0.3 deg; NaN = not in 1500 s."""
     rng = np.random.default_rng([seed, index])
-    # Pictures need less than that on a long tether: damped on, and for as long as it takes.
-    profile = ProfileParameters(damped_rate=0.0008, stop_limit=1500.0)
+    # Pictures need less than that on a long tether: damped on, until it is still all the time, and
+    # for as long as it takes.
+    profile = ProfileParameters(damped_rate=0.0008, steady_time=60.0, stop_limit=1500.0)
     flight = HangingFlight(_draw(rng, length, 3.0, 0.0), PhaseAParameters(profile=profile))
     flight.begin()
     flight.ask(length)

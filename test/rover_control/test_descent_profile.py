@@ -143,6 +143,18 @@ def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
     assert world.ended() == [f"{PROFILE.exposures} pictures"]
 
 
+def test_a_plane_swing_is_the_winch_s_even_where_the_tether_passes_a_momentum_on():
+    world = World(7.5, 3.0, 0.03)
+    world.hands_on = True
+    world.ask(7.5)
+    # Its momentum would be handed on, had it the shape of a cone.
+    limit = PROFILE.handed_rate**2 * HANGING.reach_inertia(7.5) / HANGING.swing_frequency(7.5)
+    assert abs(world.handing.momentum) > 2.0 * limit
+    for _ in range(200):
+        assert not world.step().hands_on
+    assert math.degrees(world.major) < 2.3
+
+
 def test_deep_down_pictures_are_taken_where_the_swing_turns_back():
     # 0.6 deg at 30 m turn the camera by 0.14 deg/s at most.
     world = World(29.8, 0.6)
