@@ -34,6 +34,7 @@ from rover_control.yaw_keeper import Handing
 SUBJECT = "descent"  # of refusals
 _BEGIN = 1.25  # damping begins where this much above where it ends
 _PERIODS = 1.3  # of the swing that a settling may take at least
+_AGAIN = 1.6  # over the rate at which handing on ends, where it begins
 _PLANE = 0.15  # minor over major axis, below which a swing counts as plane
 _ROUND = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
 
@@ -74,9 +75,9 @@ class ProfileParameters:
         1.0, 1e4,
     )  # fmt: skip
     handed_rate: float = parameter(
-        0.001,
+        0.0011,
         "rad/s",
-        "camera rate by a cone at the next stop from which its momentum is handed on, 0.06 deg/s",
+        "camera rate by a cone at the next stop down to which it is handed on, 0.06 deg/s",
         1e-5,
         0.1,
     )
@@ -84,6 +85,9 @@ class ProfileParameters:
         0.009, "rad", "plane swing that is kept while a momentum is handed on", 0.0, 0.1
     )
     hand_limit: float = parameter(400.0, "s", "longest time to hand a momentum on", 0.0, 1e4)
+    hand_patience: float = parameter(
+        200.0, "s", "of handing on; what is then left is borne more and more", 1.0, 1e4
+    )
     least_pull: float = parameter(
         5.0e-5, "rad/s^2", "yaw acceleration by twist that is small enough to go on", 1e-6, 0.1
     )
@@ -158,6 +162,7 @@ class DescentProfile:
         self._known_since = math.nan
         self._handing = Handing(0.0, math.inf, 0.0)
         self._hands_on = self._unwinds = False
+        self._handed_for = 0.0  # [s]
         self._keeps_swing = False
         self._changes: list[Transition] = []
 
@@ -342,6 +347,7 @@ class DescentProfile:
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
         handed = self._hands_on
+        self._handed_for = now - self._arrived
         self._hands_on = self._must_hand_on(swing)
         self._unwinds = not self._hands_on and (handed or self._unwinds) and self._is_wound(swing)
         enough = swing.swing_error < p.known_error and not self._too_much(swing, length)
@@ -497,7 +503,10 @@ class DescentProfile:
             limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
             if not self._is_there:
                 return False
-        ease = 1.0 if self._hands_on else _BEGIN
+        # The longer it takes the less is to be had: estimates of momentum and twist are off, too.
+        limit *= 1.0 + max(self._handed_for - p.hand_patience, 0.0) / p.hand_patience
+        # Once is enough: what is left then is near what its estimate and the twist's are off.
+        ease = 1.0 if self._hands_on else _AGAIN
         return self._circle_rate(stop.depth) > ease * limit
 
     def _is_wound(self, swing: SwingEstimate) -> bool:
@@ -538,6 +547,7 @@ class DescentProfile:
         self._since = now
         if phase is not DescentPhase.DAMPING:
             self._hands_on = self._unwinds = False
+            self._handed_for = 0.0
         self._changes.append(Transition(f"descent_{phase}", reason, level))
 
 

@@ -139,6 +139,10 @@ def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
         assert world.now < 400.0
     assert handed > 300
     assert math.degrees(world.minor) < 0.5
+    # What the longer tether makes of it.
+    world.major, world.minor = (
+        HANGING.grown(each, 2.0, 7.5) for each in (world.major, world.minor)
+    )
     world.run(400.0)
     assert world.ended() == [f"{PROFILE.exposures} pictures"]
 
