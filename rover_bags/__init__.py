@@ -1,7 +1,10 @@
-"""Bags: recorded, rescued, read and reported.
+"""Bags: recorded, rescued, read, reported, simulated again, and what they tell of the machine.
 
-``record`` is the recorder node (the only module here that needs rclpy); ``store`` writes the
-files, ``scan`` walks them record by record whatever their state, ``recover`` makes a clean bag of
-a broken one, ``read`` turns a bag into typed series by the contract's table, ``metrics`` finds
-jumps and figures in those, and ``report``, ``plots`` and ``animation`` show them.
+Each executable has its module here: ``record`` (the recorder node, the only one that needs
+rclpy), ``recover``, ``report``, ``resim`` and ``identify``. ``read`` turns a bag into typed tracks
+by the contract's table, ``survey`` reads, measures and draws one of any length, ``compare`` sets
+several side by side.
+
+Below them: ``files`` (what lies on disk), ``findings`` (what it tells), ``views`` (what is
+shown) and ``identification`` (of what machine it can be).
 """

@@ -16,20 +16,31 @@ from matplotlib.ticker import MaxNLocator
 
 from msg_schemas import topics
 from msg_schemas.table import WINCH_DRUM
-from rover_bags.activities import swing_angles
-from rover_bags.jumps import motion
-from rover_bags.markup import escaped, figures, whole_page
-from rover_bags.plots import BLUE, GREEN, ORANGE, PINK, PURPLE, STYLE, TEAL, YELLOW, Plot, as_svg
+from rover_bags.findings.activities import hanging_swing
+from rover_bags.findings.jumps import Jump, motion
+from rover_bags.findings.metrics import Metrics
 from rover_bags.read import Bag, Floats, windows
-from rover_bags.run_plots import envelope
-from rover_bags.summary import as_mapping
 from rover_bags.survey import Reading, survey
+from rover_bags.views.lines import envelope
+from rover_bags.views.markup import escaped, figures, whole_page
+from rover_bags.views.plots import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PINK,
+    PURPLE,
+    STYLE,
+    TEAL,
+    YELLOW,
+    Plot,
+    as_svg,
+)
+from rover_bags.views.summary import as_mapping
 
 DIFFERS: Final = 0.01
 """Numbers further apart than so much of the largest are marked."""
 _COLOURS: Final = (BLUE, ORANGE, GREEN, PINK, PURPLE, TEAL, YELLOW)
 _DASHES: Final = ("-", "--", "-.", ":")
-_AROUND_NS: Final = 1_000_000_000
 _SETTINGS: Final = "settings"
 
 Value = float | str | None
@@ -173,7 +184,7 @@ def compare(
         reports.append(report)
         tables.append(dict(_figures(report)))
         scenarios.append(dict(_flat(found.bag.scenario)))
-        lines.append(_lines(found.bag, report))
+        lines.append(_lines(found.bag, found.metrics))
     names = _names(paths)
     rows = [*_rows(tables), *_settings(scenarios)]
     return Comparison(names, tuple(reports), tuple(rows), tuple(_plots(names, lines)))
@@ -304,33 +315,33 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 _TITLES: Final = {
     "height": ("Height of Body 1", "z [m]"),
-    "length": ("Length at the drum", "[m]"),
-    "tension": ("Tension at the fairlead", "[N]"),
-    "swing": ("Swing from the vertical", "[deg]"),
+    "length": ("Length at the drum", "length [m]"),
+    "tension": ("Tension at the fairlead", "tension [N]"),
+    "swing": ("Swing while it hangs, from the vertical", "angle [deg]"),
     "jump": ("The first jump: rise of Body 1", "rise [m]"),
-    "drift": ("What the energy balance misses", "[J]"),
+    "drift": ("What the energy balance misses", "missed [J]"),
 }
 
 
-def _lines(bag: Bag, report: Mapping[str, Any]) -> dict[str, Line]:
+def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
     """What is overlaid, thinned to what can be seen."""
     found: dict[str, Line] = {}
     body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
     cell, energy = bag.track(topics.LOAD_CELL), bag.track(topics.TRUTH_ENERGY)
 
     def put(name: str, time: Floats, low: Floats, high: Floats) -> None:
-        if len(time) > 1 and float(np.ptp(high)) > 0.0:
+        known = high[np.isfinite(high)]
+        if len(known) > 1 and float(np.ptp(known)) > 0.0:
             at, values = envelope(time - float(time[0]), low, high)
             found[name] = Line(at, values)
 
     if body is not None:
         path = "position.z"
         put("height", body.time, body.lowest(path), body.highest(path))
-        if any(
-            phase["what"] in {"hanging", "descending", "ascending"} for phase in report["phases"]
-        ):
-            swing = np.degrees(swing_angles(body.vector("position")))
-            put("swing", body.time, swing, swing)
+    swing = hanging_swing(bag, metrics.timeline)
+    if swing is not None:
+        degrees = np.degrees(swing[1])
+        put("swing", swing[0], degrees, degrees)
     if drum is not None:
         path = f"{WINCH_DRUM}.position"
         put("length", drum.time, drum.lowest(path), drum.highest(path))
@@ -340,19 +351,19 @@ def _lines(bag: Bag, report: Mapping[str, Any]) -> dict[str, Line]:
     if energy is not None:
         path = "drift.position"
         put("drift", energy.time, energy.lowest(path), energy.highest(path))
-    jump = _first_jump(bag, report)
+    jump = _first_jump(bag, metrics.jumps)
     if jump is not None:
         found["jump"] = jump
     return found
 
 
-def _first_jump(bag: Bag, report: Mapping[str, Any]) -> Line | None:
+def _first_jump(bag: Bag, jumps: Sequence[Jump]) -> Line | None:
     track = bag.track(topics.TRUTH_BODY1)
-    if track is None or not report["jumps"]:
+    if track is None or not jumps:
         return None
-    jump = report["jumps"][0]
-    begin, end = jump["take_off_s"] - 0.1, jump["take_off_s"] + jump["flight_time_s"] + 0.2
-    at = int(np.argmin(np.abs(track.time - jump["take_off_s"])))
+    start = jumps[0].take_off_s
+    begin, end = start - 0.1, start + jumps[0].flight_time_s + 0.2
+    at = int(np.argmin(np.abs(track.time - start)))
     if track.stride > 1:
         log = int(track.log_ns[at])
         span = round((end - begin) * 10e9)
@@ -362,7 +373,7 @@ def _first_jump(bag: Bag, report: Mapping[str, Any]) -> Line | None:
     inside = (body.time >= begin) & (body.time <= end)
     if inside.sum() < 2:
         return None
-    time = body.time[inside] - jump["take_off_s"]
+    time = body.time[inside] - start
     height = body.position[inside, 2]
     return Line(time, height - float(np.interp(0.0, time, height)))
 
@@ -380,7 +391,8 @@ def _plot(
     rows = math.ceil(len(names) / 3)
     figure = Figure(figsize=(5.6, 3.2 + 0.2 * rows))
     tall = figure.get_figheight()
-    axes = figure.add_axes((0.13, 0.5 / tall, 0.85, 2.1 / tall))
+    axes = figure.add_axes((0.155, 0.5 / tall, 0.825, 2.1 / tall))
+    axes.yaxis.set_label_coords(-0.14, 0.5)
     for index, (bag, found) in enumerate(zip(names, lines, strict=True)):
         if name not in found:
             continue
@@ -388,7 +400,7 @@ def _plot(
         colour = _COLOURS[index % len(_COLOURS)]
         line = found[name]
         axes.plot(line.time, line.values, style, color=colour, lw=1.3, alpha=0.85, label=bag)
-    axes.set_title(title, pad=10 + 15 * rows, x=-0.125)
+    axes.set_title(title, pad=10 + 15 * rows, x=-0.155)
     axes.set_ylabel(unit)
     since = "take-off" if name == "jump" else "the begin"
     axes.set_xlabel(f"time since {since} [s]")

@@ -28,10 +28,10 @@ from msg_schemas import topics
 from msg_schemas.codecs import decode
 from msg_schemas.refusal import Refusal
 from msg_schemas.table import TOPICS
+from rover_bags.files.records import Damage, Message
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.layouts import Layout, layout_of
-from rover_bags.records import Damage, Message
-from rover_bags.scan import BagScan
-from rover_bags.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.tracks import (
     LARGEST,
     Clock,
@@ -106,6 +106,7 @@ class Bag:
             were lost before they reached it.
         closed: Whether the recorder closed the bag.
         damage: Stretches of the files that were left out.
+        remarks: What its files lack, in words.
         lost: Messages by full topic name that the bag should hold, as it counts them itself, and
             that could not be read.
         unverified: Messages that no checksum protects, by full topic name.
@@ -129,6 +130,7 @@ class Bag:
     missed: Mapping[str, int]
     closed: bool
     damage: tuple[Damage, ...]
+    remarks: tuple[str, ...]
     lost: Mapping[str, int]
     unverified: Mapping[str, int]
     rejected: Mapping[str, int]
@@ -182,12 +184,12 @@ class Arrival:
 
 
 def arrivals(
-    path: Path, wanted: Collection[str] | None = None, *, namespace: str | None = None
+    scan: BagScan, wanted: Collection[str] | None = None, *, namespace: str | None = None
 ) -> Iterator[Arrival]:
     """Yields a bag's accepted messages one by one, in the order of the file.
 
     Args:
-        path: Its folder, or one of its files.
+        scan: Of the bag; complete when the iteration is.
         wanted: Contract topics to decode; all but the markers by default.
         namespace: Which rover, where the bag holds several.
 
@@ -196,9 +198,9 @@ def arrivals(
         ReadError: It holds several rovers and no ``namespace``.
     """
     decoded = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
-    full_names, _ = _names(path, namespace)
+    full_names, _ = _names(scan.path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in decoded}
-    for item in BagScan(path):
+    for item in scan:
         name = by_full_name.get(item.topic.name)
         if name is None:
             continue
@@ -350,6 +352,7 @@ def read_bag(
         missed=missed,
         closed=scan.closed,
         damage=tuple(scan.damage),
+        remarks=tuple(scan.remarks(first_ns)),
         lost=scan.lost,
         unverified=dict(scan.unverified),
         rejected={name: item.rejected for name, item in decoders.items() if item.rejected},

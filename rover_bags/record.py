@@ -41,12 +41,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import message_class
-from msg_schemas.node import ContractNode, ExitCode, package_version, run
+from msg_schemas.node import ContractNode, ExitCode, package_version
+from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
-from rover_bags.spool import Continuity, Item, Source, Spool
-from rover_bags.store import (
+from rover_bags.files.spool import Continuity, Item, Source, Spool
+from rover_bags.files.store import (
     IDENTITY_RECORD,
     BagError,
     BagWriter,

@@ -1,19 +1,23 @@
 """A recorded run, sorted for being simulated again: by part of the run and by simulated time."""
 
 import bisect
+import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from msg_schemas import topics
 from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
+from rover_bags.files.scan import BagScan
 from rover_bags.read import Arrival, arrivals
 from rover_sim import COMMANDS
 
 _RESET_PLANT: Final = "reset_plant"
+_GAP: Final = 5
+"""Ticks without any record from which on commands may be lost."""
 
 
 @dataclass
@@ -39,13 +43,36 @@ class Part:
         """The last simulated time that is known."""
         return max([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
 
+    @property
+    def first_ns(self) -> int:
+        """The first simulated time that is known."""
+        return min([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
+
+    def gaps(self, tick_ns: int, begin: int, end: int) -> Iterator[tuple[int, int]]:
+        """Times [ns] from `begin` to `end` between which nothing is recorded: commands may be lost.
+
+        All times are simulated ones; `tick_ns` is the simulation's tick.
+        """
+        told = {stamp for _, stamp in self.ticks} | set(self.recorded)
+        stamps = [begin, *sorted(stamp for stamp in told if begin < stamp <= end)]
+        for before, after in itertools.pairwise(stamps):
+            if after - before > _GAP * tick_ns:
+                yield before, after
+
 
 @dataclass
 class Record:
-    """A bag, sorted for being simulated again."""
+    """A bag, sorted for being simulated again.
+
+    Attributes:
+        configuration: that the simulator latched, None where the bag holds none.
+        parts: in their order.
+        remarks: what the bag's files lack, in words.
+    """
 
     configuration: Mapping[str, Any] | None = None
     parts: list[Part] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def part(self, number: int) -> Part:
         """A part by its number, made if it is new."""
@@ -63,7 +90,10 @@ def read_record(path: Path, namespace: str | None) -> Record:
     record = Record()
     commands: list[Arrival] = []
     latest: dict[str, tuple[int, int]] = {}  # part and stamp, by topic
-    for arrival in arrivals(path, namespace=namespace):
+    scan = BagScan(path)
+    first_ns: int | None = None
+    for arrival in arrivals(scan, namespace=namespace):
+        first_ns = arrival.log_ns if first_ns is None else min(first_ns, arrival.log_ns)
         name, sample = arrival.name, arrival.sample
         if isinstance(sample, TextSample):
             if name == topics.CONFIG and record.configuration is None:
@@ -92,6 +122,7 @@ def read_record(path: Path, namespace: str | None) -> Record:
             told = part.put_back if stamp == before else part.recorded
             told.setdefault(stamp, {})[name] = sample
     _hand_out(record, commands)
+    record.remarks = scan.remarks(first_ns or 0)
     return record
 
 

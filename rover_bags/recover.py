@@ -16,10 +16,10 @@ from pathlib import Path
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
-from rover_bags.folder import ScanError, stored_metadata
-from rover_bags.records import Damage, Topic
-from rover_bags.scan import BagScan
-from rover_bags.store import BagError, BagSummary, BagWriter, TopicType
+from rover_bags.files.folder import ScanError, stored_metadata
+from rover_bags.files.records import Damage, Topic
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError, BagSummary, BagWriter, TopicType
 
 RECOVERY_RECORD = "mother_rover.recovery"
 

@@ -5,6 +5,7 @@ The page stands alone: it opens offline, in any browser, and loads nothing.
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from enum import IntEnum
@@ -13,15 +14,15 @@ from typing import Any
 
 from tqdm import tqdm
 
-from rover_bags.animation import write_gif
 from rover_bags.compare import compare, write_comparison
-from rover_bags.plots import Plot
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError
 from rover_bags.read import Progress
-from rover_bags.report_page import as_page
-from rover_bags.scan import BagScan
-from rover_bags.store import BagError
-from rover_bags.summary import as_mapping, as_text
 from rover_bags.survey import Survey, survey
+from rover_bags.views.animation import write_gif
+from rover_bags.views.plots import Plot
+from rover_bags.views.report_page import as_page
+from rover_bags.views.summary import as_mapping, as_text
 
 
 class ExitCode(IntEnum):
@@ -89,8 +90,9 @@ def _parser() -> argparse.ArgumentParser:
         "BAG_report); of several bags comparison.json and comparison.html (default: beside the "
         "first, BAG_comparison)",
     )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print JSON and write nothing else")
-    parser.add_argument("--html", action="store_true", help="print the page and write nothing else")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print JSON and write nothing else")
+    form.add_argument("--html", action="store_true", help="print the page and write nothing else")
     parser.add_argument("--namespace", help="which rover, where a bag holds several")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
     return parser
@@ -132,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if len(options.bags) > 1:
             return _compare(options, bars)
         (path,) = options.bags
-        drawn = not options.json or options.html or options.out is not None
+        drawn = not options.json or options.out is not None
         found = survey(path, namespace=options.namespace, drawn=drawn, reading=bars)
     except BagError as error:
         bars.close()
@@ -140,11 +142,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ExitCode.REFUSED
     bars.close()
     if options.json:
-        print(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
+        _show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
     elif options.html and found.drawings is not None:
-        print(as_page(found.bag, found.metrics, found.drawings))
+        _show(as_page(found.bag, found.metrics, found.drawings))
     else:
-        print(as_text(found.bag, found.metrics))
+        _show(as_text(found.bag, found.metrics))
     if options.out is None and (options.json or options.html):
         return ExitCode.OK
     folder = options.out or path.with_name(path.name + "_report")
@@ -155,16 +157,24 @@ def _compare(options: argparse.Namespace, bars: _Bars) -> int:
     comparison = compare(options.bags, namespace=options.namespace, reading=bars)
     bars.close()
     if options.json:
-        print(json.dumps(comparison.to_mapping(), indent=2))
+        _show(json.dumps(comparison.to_mapping(), indent=2))
     elif options.html:
-        print(comparison.as_page())
+        _show(comparison.as_page())
     else:
-        print(comparison.as_text())
+        _show(comparison.as_text())
     if options.out is None and (options.json or options.html):
         return ExitCode.OK
     first = options.bags[0]
     folder = options.out or first.with_name(first.name + "_comparison")
     return _written(folder, lambda: write_comparison(comparison, folder))
+
+
+def _show(text: str) -> None:
+    """Print; a reader such as `head` may leave early, and the report is written all the same."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _written(folder: Path, write: Callable[[], list[Path]]) -> int:

@@ -33,9 +33,9 @@ from msg_schemas.samples import (
     Sample,
     TetherSample,
 )
+from rover_bags.files.store import BagError
 from rover_bags.read import Arrival, ReadError
 from rover_bags.recorded_run import Part, Record, read_record
-from rover_bags.store import BagError
 from rover_sim import (
     AnyScenario,
     ScenarioError,
@@ -268,7 +268,12 @@ def resimulate(
         tick = float(configuration["parameters"]["tick"])
         seed = int(configuration["seed"])
         simulation = _simulation(scenario, tick, seed)
-    except (ScenarioError, StaticsError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise ResimError(
+            f"the simulator's configuration in {path} lacks {error}: it holds "
+            f"{', '.join(sorted(configuration))}"
+        ) from error
+    except (ScenarioError, StaticsError, TypeError, ValueError) as error:
         raise ResimError(
             f"the simulator's configuration in {path} cannot be simulated here: {error}"
         ) from error
@@ -292,6 +297,15 @@ def _simulation(scenario: AnyScenario, tick: float, seed: int) -> Simulation[Any
 
 
 def _note_limits(found: Resimulation, record: Record) -> None:
+    found.notes += record.remarks
+    tick_ns = round(found.tick * _NANO)
+    for part in record.parts:
+        found.notes += [
+            f"nothing is recorded from {before / _NANO:.3f} s to {after / _NANO:.3f} s of "
+            "simulated time: commands given then are not in the bag, and what comes after may "
+            "differ for that"
+            for before, after in part.gaps(tick_ns, part.first_ns, part.last_ns)
+        ]
     first = record.parts[0].ticks[0][1] / _NANO if record.parts and record.parts[0].ticks else 0.0
     if first > 2.0 * found.tick:
         found.notes.append(
@@ -303,7 +317,7 @@ def _note_limits(found: Resimulation, record: Record) -> None:
 
 
 def _run_part(simulation: Simulation[Any], part: Part, found: Resimulation, bar: Any) -> None:
-    waiting = deque((_earliest(part, command), command) for command in part.commands)
+    waiting = deque((earliest_instant(part, command), command) for command in part.commands)
     _compare(simulation, part.recorded.get(0, {}), found, over_a_tick=False)
     followed = True
     while simulation.stamp_ns < part.last_ns:
@@ -333,7 +347,7 @@ def _run_part(simulation: Simulation[Any], part: Part, found: Resimulation, bar:
         bar.update(simulation.tick_ns / _NANO)
 
 
-def _earliest(part: Part, command: Arrival) -> int:
+def earliest_instant(part: Part, command: Arrival) -> int:
     """Simulated time at which a command can have come at the earliest [ns]."""
     place = bisect.bisect_right(part.ticks, (command.publish_ns, 1 << 62)) - 1
     told = part.ticks[place][1] if place >= 0 else 0

@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from msg_schemas import topics
-from rover_bags.animation import LEAD, TRAIL, Scene, scene_of
-from rover_bags.audits import FlightAudit, flight_audits
-from rover_bags.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
-from rover_bags.metrics import Metrics, measure
-from rover_bags.plots import Plot, bag_plots, jump_plots
+from rover_bags.findings.audits import FlightAudit, flight_audits
+from rover_bags.findings.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
+from rover_bags.findings.metrics import Metrics, measure
+from rover_bags.findings.timeline import Phase, Timeline
 from rover_bags.read import Bag, Progress, read_bag, windows
-from rover_bags.run_plots import run_plots
-from rover_bags.spatial_scene import spatial_scene
-from rover_bags.timeline import Phase, Timeline
+from rover_bags.views.animation import LEAD, TRAIL, Scene, scene_of
+from rover_bags.views.plots import Plot, bag_plots, jump_plots
+from rover_bags.views.run_plots import run_plots
+from rover_bags.views.spatial_scene import spatial_scene
 
 MOST: Final = 1 << 15
 """Messages that a track holds before it is thinned, at least."""
@@ -194,4 +194,6 @@ def _jump_scene(bag: Bag, jump: Jump) -> Scene | None:
     if not is_spatial(bag):
         return scene_of(bag, jump)
     end = jump.take_off_s + jump.flight_time_s + TRAIL
-    return spatial_scene(bag, jump.take_off_s - LEAD, end, since=jump.take_off_s)
+    return spatial_scene(
+        bag, jump.take_off_s - LEAD, end, since=jump.take_off_s, level=jump.start_height_m
+    )

@@ -117,6 +117,8 @@ class Pace:
         widest: Longest pause by that clock [ns].
         widest_at: Stamp and log time of the message before it.
         gaps: Pauses of more than 1.75 promised periods.
+        running: Time that all runs took by that clock [ns], from each first message to its last.
+        restarts: How often that clock was put back.
         delay: Longest time from sending to reception [ns], of what was sent while the recorder
             listened; None before the first.
         stamps: Smallest and largest stamp.
@@ -131,6 +133,8 @@ class Pace:
     widest: int | None = None
     widest_at: tuple[int, int] = (0, 0)
     gaps: int = 0
+    running: int = 0
+    restarts: int = 0
     delay: int | None = None
     stamps: tuple[int, int] | None = None
     by_log: bool = False
@@ -156,6 +160,8 @@ class Pace:
                     self.widest_at = (int(stamp_ns[before]), int(log_ns[before]))
                 else:
                     self.widest_at = (0 if by_log else self.last, self.last_log)
+            self.running += int(np.maximum(steps, 0).sum())
+            self.restarts += int((steps < 0).sum())
             if row.rate is not None:
                 self.gaps += int((steps > GAP / row.rate * 1e9).sum())
         heard = publish_ns >= self.first_log

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from rover_bags.folder import ScanError
-from rover_bags.metrics import measure
+from rover_bags.files.folder import ScanError
+from rover_bags.files.scan import BagScan
+from rover_bags.findings.metrics import measure
 from rover_bags.read import read_bag
 from rover_bags.recover import recover
-from rover_bags.scan import BagScan
-from rover_bags.summary import as_text
+from rover_bags.views.summary import as_text
 from rover_verify.stage.foreign_bags import (
     KINDS,
     METADATA,
@@ -57,7 +57,10 @@ def test_a_damaged_description_is_no_hindrance(tmp_path: Path, text: str):
     recorded = messages(30)
     write(tmp_path / "bag", SQLITE, recorded)
     (tmp_path / "bag" / METADATA).write_text(text, encoding="utf-8")
-    assert sorted(contents(BagScan(tmp_path / "bag"))) == sorted(recorded)
+    scan = BagScan(tmp_path / "bag")
+    assert sorted(contents(scan)) == sorted(recorded)
+    (remark,) = scan.remarks(START)
+    assert remark.startswith("metadata.yaml is damaged")
 
 
 @every_kind
@@ -80,10 +83,13 @@ def test_a_missing_part_is_named_with_its_time_and_number(tmp_path: Path, kind: 
     assert gone.span_ns is not None
     assert gone.span_ns[0] == START + 30 * STEP
     assert sum(scan.lost.values()) == 30
+    (remark,) = scan.remarks(START)
+    assert "missing, with 30 messages, about 0.300 s to 0.590 s after the first" in remark
     (bag / METADATA).unlink()
     undescribed = BagScan(bag)
     assert contents(undescribed) == parts[0] + parts[2]
     assert [item.file for item in undescribed.damage] == [gone.file]
+    assert "whether files are missing after the last" in undescribed.remarks(START)[0]
 
 
 def test_a_part_that_is_nothing_does_not_take_the_others_with_it(tmp_path: Path):
@@ -191,6 +197,10 @@ def test_other_files_are_refused_with_the_reason(tmp_path: Path):
     file.write_text("no database at all, though it is long enough to be looked at" * 4)
     with pytest.raises(ScanError, match="not an SQLite file"):
         list(BagScan(file))
+    description = tmp_path / METADATA
+    description.write_text("rosbag2_bagfile_information: {}", encoding="utf-8")
+    with pytest.raises(ScanError, match=f"give its folder {tmp_path}"):
+        BagScan(description)
     sqlite3.connect(tmp_path / "other.db3").execute("CREATE TABLE t (x)").connection.commit()
     scan = BagScan(tmp_path / "other.db3")
     assert not list(scan)
@@ -213,6 +223,7 @@ def test_the_report_says_what_is_lost(tmp_path: Path):
     bag = read_bag(tmp_path / "bag")
     text = as_text(bag, measure(bag))
     assert "the file is cut" in text
+    assert "has no proper end" in text
     assert "/words: " in text
     assert "messages that the bag should hold cannot be read" in text
     assert "carry no checksum" in text

@@ -14,7 +14,8 @@ from msg_schemas import topics
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags import report
-from rover_bags.metrics import measure
+from rover_bags.files.scan import BagScan
+from rover_bags.findings.metrics import measure
 from rover_bags.read import Bag, arrivals, read_bag, windows
 from rover_bags.survey import survey
 from rover_bags.tracks import LARGEST
@@ -38,7 +39,7 @@ def test_what_is_taken_at_once_is_what_the_decoder_gives(bag: str, request: pyte
     path = request.getfixturevalue(bag)
     read = read_bag(path)
     place = dict.fromkeys(read.tracks, 0)
-    for arrival in arrivals(path):
+    for arrival in arrivals(BagScan(path)):
         track, index = read.tracks[arrival.name], place[arrival.name]
         place[arrival.name] += 1
         assert track.log_ns[index] == arrival.log_ns

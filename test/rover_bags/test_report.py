@@ -5,6 +5,7 @@ import math
 import re
 import shutil
 import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,10 +16,11 @@ from contract_bag import MadeUp, Parabola
 from PIL import Image
 
 from msg_schemas import topics
-from rover_bags import report, summary
-from rover_bags.animation import scene_of
-from rover_bags.metrics import measure
+from rover_bags import report
+from rover_bags.findings.metrics import measure
 from rover_bags.read import read_bag
+from rover_bags.views import summary
+from rover_bags.views.animation import scene_of
 
 VOID = {"meta", "input", "br", "link", "img", "hr"}
 
@@ -102,7 +104,7 @@ def test_what_the_bag_says_stands_in_the_page_as_text(written: Path):
     assert "the &lt;latch&gt; has tripped &amp; flown" in text
     assert "position is nan" in text
     assert f"{Parabola().height:.4f} m" in text
-    assert "1 gaps, the longest 0.300 s at 0.500 s" in text
+    assert "1 gap, the longest 0.300 s at 0.500 s" in text
 
 
 def test_the_players_data_are_the_bags(page: Page, bag: Path):
@@ -177,6 +179,21 @@ def test_one_format_to_the_terminal_writes_nothing(bag: Path, capsys: Any, optio
     else:
         assert printed.startswith("<!DOCTYPE html>")
     assert sorted(bag.parent.iterdir()) == before
+
+
+def test_a_reader_that_leaves_early_does_not_keep_the_report_from_being_written(
+    bag: Path, tmp_path: Path
+):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "rover_bags.report", str(bag), "--quiet", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read().decode()
+    assert process.returncode == report.ExitCode.OK, said
+    assert "Error" not in said
+    assert (out / "report.html").exists()
 
 
 def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):

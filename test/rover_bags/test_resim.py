@@ -137,6 +137,21 @@ def test_a_lockstep_run_in_space_comes_out_with_its_noise(tmp_path: Path):
     assert found.refused == 0
 
 
+def test_a_hole_in_the_record_is_told_before_what_differs_for_it(tmp_path: Path):
+    recorder = Recorder(PLANAR)
+    recorder.run(120, nut_until_trip)
+    made = recorder.made
+    made.rows = [row for row in made.rows if not 20.5 * TICK < row[0] < 80.5 * TICK]
+    bag = made.write(tmp_path / "bag")
+    (bag / "metadata.yaml").unlink()
+    found = resimulate(bag)
+    unknown, hole = found.notes
+    assert unknown.startswith("metadata.yaml is missing")
+    between = f"from {20 * TICK:.3f} s to {81 * TICK:.3f} s"
+    assert between in hole
+    assert between in found.text()
+
+
 def test_commands_that_came_later_than_sent_are_found_by_the_record(tmp_path: Path):
     recorder = Recorder(PLANAR)
     recorder.run(60, nut_until_trip, late=2)
@@ -234,6 +249,12 @@ def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys
     made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": {"name": "x"}, "seed": 1})))
     with pytest.raises(ResimError, match="cannot be simulated here"):
         resimulate(made.write(tmp_path / "strange"))
+    other = MadeUp()
+    other.add(0.0, topics.CLOCK, ClockSample(0))
+    scenario = load_scenario(PLANAR).to_mapping()
+    other.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": scenario, "seed": 1})))
+    with pytest.raises(ResimError, match="lacks 'parameters': it holds scenario, seed"):
+        resimulate(other.write(tmp_path / "lacking"))
 
 
 def test_the_executable_tells_by_text_json_and_exit_code(jump_bag: Path, capsys: Any):

@@ -32,11 +32,11 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from rover_bags import recover as recovery
-from rover_bags import store
-from rover_bags.folder import ScanError, stored_metadata
+from rover_bags.files import store
+from rover_bags.files.folder import ScanError, stored_metadata
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError, BagWriter, DiskFullError, standard_type
 from rover_bags.recover import ExitCode, recover
-from rover_bags.scan import BagScan
-from rover_bags.store import BagError, BagWriter, DiskFullError, standard_type
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 INFINITE = QosTime(9223372036, 854775807)
@@ -277,7 +277,7 @@ def test_a_disk_that_fills_up_ends_in_a_closed_bag(tmp_path: Path, monkeypatch: 
     def shrinking(path: Path) -> Any:
         return real(path)._replace(free=next(free))
 
-    monkeypatch.setattr("rover_bags.store.shutil.disk_usage", shrinking)
+    monkeypatch.setattr("rover_bags.files.store.shutil.disk_usage", shrinking)
     writer = BagWriter(tmp_path / "bag", chunk_bytes=1000)
     channel = writer.add_topic("/words", standard_type(STRING))
     data = text_message("x" * 400)
@@ -291,7 +291,7 @@ FILLING = textwrap.dedent(
     """
     import random, resource, sys
     from pathlib import Path
-    from rover_bags.store import BagWriter, BagError, DiskFullError, standard_type
+    from rover_bags.files.store import BagWriter, BagError, DiskFullError, standard_type
     from rosbags.typesys import Stores, get_typestore
     store = get_typestore(Stores.ROS2_JAZZY)
     kind = "std_msgs/msg/String"

@@ -1,0 +1,101 @@
+"""What a bag's folder holds, whatever its recorder left of it."""
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from rover_bags.files.store import BagError
+
+
+class ScanError(BagError):
+    """Something that is not a bag, or of a kind that cannot be read."""
+
+
+PACKED: Final = ".zstd"
+"""Added to the name of a file that was compressed as a whole."""
+_KINDS: Final = (".mcap", ".db3")
+_DESCRIPTION: Final = "metadata.yaml"
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag in their order.
+
+    Args:
+        path: The bag's folder or one of its files.
+
+    Raises:
+        ScanError: There is none.
+    """
+    if not path.exists():
+        raise ScanError(f"there is no bag {path}")
+    if path.is_file():
+        if path.name == _DESCRIPTION:
+            raise ScanError(f"{path} only describes a bag; give its folder {path.parent}")
+        return [path]
+    for kind in _KINDS:
+        # A file that stands there packed and unpacked is one.
+        found = {_plain_name(file): file for file in path.glob(f"*{kind}{PACKED}")}
+        found |= {file.name: file for file in path.glob(f"*{kind}")}
+        if found:
+            return sorted(found.values(), key=_file_order)
+    raise ScanError(
+        f"{path} is not a bag: the folder holds no file ending in "
+        f"{', '.join(_KINDS)} (or these with {PACKED} behind)"
+    )
+
+
+def is_sqlite(file: Path) -> bool:
+    """Whether a file of a bag is one of SQLite, by its name."""
+    return _plain_name(file).endswith(".db3")
+
+
+def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
+    """Names of files that belong to a bag and are not there.
+
+    Known from the bag's description, or else from a gap in their numbers.
+    """
+    if path.is_file():
+        return []
+    there = bag_files(path)
+    names = {_plain_name(file) for file in there}
+    listed = (information or {}).get("relative_file_paths")
+    if isinstance(listed, list) and listed:
+        return [str(name) for name in listed if _plain_name(Path(str(name))) not in names]
+    numbers = {_number(file): file for file in there}
+    if None in numbers:
+        return []
+    stem, suffix = re.split(r"_\d+(?=\.)", there[0].name, maxsplit=1)
+    last = max(number for number in numbers if number is not None)
+    return [f"{stem}_{number}{suffix}" for number in range(last) if number not in numbers]
+
+
+def _plain_name(file: Path) -> str:
+    return file.name.removesuffix(PACKED)
+
+
+def _number(file: Path) -> int | None:
+    number = re.search(r"_(\d+)\.[^.]*$", _plain_name(file))
+    return int(number[1]) if number else None
+
+
+def _file_order(path: Path) -> tuple[int, str]:
+    return (_number(path) or 0, path.name)
+
+
+def stored_metadata(path: Path) -> dict[str, Any] | None:
+    """The bag's ``metadata.yaml`` where it is there and sound, else None."""
+    try:
+        content = yaml.safe_load((path / _DESCRIPTION).read_text(encoding="utf-8"))
+        information = content["rosbag2_bagfile_information"]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return None
+    return information if isinstance(information, dict) else None
+
+
+def without_description(path: Path) -> str:
+    """Why a bag's folder has no sound ``metadata.yaml``; nothing where it has, or for a file."""
+    if path.is_file() or stored_metadata(path) is not None:
+        return ""
+    return "damaged" if (path / _DESCRIPTION).exists() else "missing"

@@ -1,0 +1,248 @@
+"""Walks an SQLite file of a bag, as ``ros2 bag record --storage sqlite3`` writes them.
+
+Such files carry no checksums: everything they yield counts as unverified. A file that is cut or
+damaged is read around the damage: rows are numbered without gaps by the recorder, so the numbers
+that cannot be read tell how many messages are lost, and the messages beside them when.
+
+Nothing here writes beside the bag: a file whose recorder left a journal, or that ends within a
+page, is read from a copy.
+"""
+
+import contextlib
+import shutil
+import sqlite3
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+from rover_bags.files.folder import ScanError
+from rover_bags.files.records import Damage, Message, Topic
+from rover_bags.files.store import BagError, standard_type
+
+_MAGIC: Final = b"SQLite format 3\x00"
+_JOURNALS: Final = ("-wal", "-journal")
+_FARTHEST: Final = 1 << 40
+"""No bag has more rows: where the search for the next readable row ends."""
+
+
+class SqliteScan:
+    """One pass over one SQLite file; the face of a scan of an MCAP file.
+
+    Attributes:
+        path: The file, as it is named in the bag.
+        closed: Whether nothing shows that the recorder was stopped or the file cut.
+        damage: What was left out.
+        unverified: Messages by topic; all of them, as the format has no checksums.
+        announced: Every topic that the file describes.
+        metadata: Metadata records of MCAP files; none here.
+        foreign: Attachments of MCAP files; none here.
+        expected: Messages by topic as an index counts them; the format has none.
+    """
+
+    def __init__(self, path: Path, name: str | None = None) -> None:
+        self.path = path
+        self.closed = True
+        self.damage: list[Damage] = []
+        self.unverified: Counter[str] = Counter()
+        self.announced: list[Topic] = []
+        self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.foreign = 0
+        self.done = 0
+        self.expected: dict[str, int] | None = None
+        self._name = name or path.name
+        self._surplus = 0
+
+    def __iter__(self) -> Iterator[Message]:
+        self._look_at_header()
+        with contextlib.ExitStack() as stack:
+            source = self._readable(stack)
+            uri = f"file:{quote(str(source))}?mode=ro"
+            if source == self.path:
+                uri += "&immutable=1"  # no lock, no journal: nothing is written beside it
+            try:
+                database = sqlite3.connect(uri, uri=True)
+            except sqlite3.Error as error:
+                raise ScanError(f"cannot read {self.path}: {error}") from error
+            stack.callback(database.close)
+            yield from self._read(database)
+
+    def _look_at_header(self) -> None:
+        try:
+            size = self.path.stat().st_size
+            with self.path.open("rb") as stream:
+                head = stream.read(100)
+        except OSError as error:
+            raise ScanError(f"cannot read {self.path}: {error.strerror}") from error
+        if not size:
+            raise ScanError(f"{self.path} is empty: nothing was recorded in it")
+        if len(head) < 100 or not head.startswith(_MAGIC):
+            raise ScanError(f"{self.path} is not an SQLite file, or its beginning is damaged")
+        page = int.from_bytes(head[16:18], "big")
+        page = 65536 if page == 1 else page
+        self._surplus = size % page if page else 0
+        announced = page * int.from_bytes(head[28:32], "big")
+        if announced > size:
+            self.closed = False
+            self._leave_out(
+                f"the file is cut: {announced} bytes announced, {size} are there",
+                offset=size,
+                length=announced - size,
+            )
+
+    def _readable(self, stack: contextlib.ExitStack) -> Path:
+        """The file itself, or a copy: with its journal, and without the piece of a page at its end.
+
+        SQLite would fill such a piece up with zeros and take them for messages.
+        """
+        journals = [
+            journal
+            for suffix in _JOURNALS
+            if (journal := Path(f"{self.path}{suffix}")).exists() and journal.stat().st_size
+        ]
+        if not journals and not self._surplus:
+            return self.path
+        self.closed = False
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mother_rover_")))
+        for file in (self.path, *journals):
+            shutil.copy(file, folder / file.name)
+        copy = folder / self.path.name
+        if self._surplus:
+            with copy.open("r+b") as stream:
+                stream.truncate(copy.stat().st_size - self._surplus)
+        return copy
+
+    # --- rows ------------------------------------------------------------------------------------
+
+    def _read(self, database: sqlite3.Connection) -> Iterator[Message]:
+        # Lets a file be opened that is shorter than its header says.
+        with contextlib.suppress(sqlite3.Error):
+            database.execute("PRAGMA writable_schema=ON")
+            database.execute("PRAGMA cell_size_check=ON")
+        try:
+            topics = dict(self._topics(database))
+        except (sqlite3.Error, BagError) as error:
+            self._leave_out(f"its topics cannot be read ({error}), so no message can be named")
+            return
+        self.announced = list(topics.values())
+        last_id, last_ns = 0, None
+        while True:
+            try:
+                for row in self._rows(database, last_id):
+                    number, stamp = row[0], row[2]
+                    if number > last_id + 1:
+                        self._lose(number - last_id - 1, last_ns, stamp)
+                    last_id, last_ns = number, stamp
+                    message = self._message(topics, row)
+                    if message is not None:
+                        self.done += len(message.data)
+                        yield message
+            except sqlite3.Error as error:
+                following = self._next_readable(database, last_id + 1)
+                if following is None:
+                    after = f"after {last_id} messages" if last_id else "from the first on"
+                    self._leave_out(f"its messages cannot be read {after} ({error})", span=last_ns)
+                    self.closed = False
+                    return
+                last_id, lost = following - 1, following - last_id - 1
+                self._lose(lost, last_ns, None)
+            else:
+                return
+
+    @staticmethod
+    def _rows(database: sqlite3.Connection, after: int) -> Iterator[Any]:
+        return database.execute(
+            "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (after,)
+        )
+
+    def _next_readable(self, database: sqlite3.Connection, start: int) -> int | None:
+        """The next row that can be read, found by leaps and then between the last two."""
+
+        def readable(number: int) -> int | None:
+            try:
+                row = next(iter(self._rows(database, number - 1)), None)
+            except sqlite3.Error:
+                return None
+            return None if row is None else int(row[0])
+
+        low, leap = start, 1
+        while leap < _FARTHEST:
+            found = readable(low + leap)
+            if found is not None:
+                break
+            leap *= 2
+        else:
+            return None
+        high = low + leap
+        while high - low > 1:
+            middle = (low + high) // 2
+            if readable(middle) is None:
+                low = middle
+            else:
+                high = middle
+        return readable(high)
+
+    def _message(self, topics: dict[int, Topic], row: Any) -> Message | None:
+        number, topic_id, stamp, data = row
+        topic = topics.get(topic_id) if isinstance(topic_id, int) else None
+        if topic is None or not isinstance(stamp, int) or not isinstance(data, bytes):
+            self._leave_out(f"message {number} is damaged: its row is none of a message")
+            return None
+        self.unverified[topic.name] += 1
+        return Message(topic, stamp, stamp, 0, data)
+
+    @staticmethod
+    def _topics(database: sqlite3.Connection) -> Iterator[tuple[int, Topic]]:
+        """Topics by number; columns differ between the releases of rosbag2."""
+        columns = [row[1] for row in database.execute("PRAGMA table_info(topics)")]
+        if not {"id", "name", "type"} <= set(columns):
+            raise BagError("it has no table of topics")
+        definitions: dict[str, tuple[str, str]] = {}
+        with contextlib.suppress(sqlite3.Error):
+            definitions = {
+                kind: (text, encoding)
+                for kind, text, encoding in database.execute(
+                    "SELECT topic_type, encoded_message_definition, encoding"
+                    " FROM message_definitions"
+                )
+            }
+        for row in database.execute(f"SELECT {', '.join(columns)} FROM topics"):
+            values = dict(zip(columns, row, strict=True))
+            kind = str(values["type"])
+            if kind not in definitions:
+                with contextlib.suppress(BagError):
+                    known = standard_type(kind)
+                    definitions[kind] = (known.schema.decode(), known.encoding)
+            schema, encoding = definitions.get(kind, ("", ""))
+            yield (
+                int(values["id"]),
+                Topic(
+                    name=str(values["name"]),
+                    type=kind,
+                    encoding=str(values.get("serialization_format", "cdr")),
+                    schema=schema,
+                    schema_encoding=encoding,
+                    qos=str(values.get("offered_qos_profiles") or ""),
+                    type_hash=str(values.get("type_description_hash") or ""),
+                ),
+            )
+
+    # --- what is lost ----------------------------------------------------------------------------
+
+    def _lose(self, count: int, before_ns: int | None, after_ns: int | None) -> None:
+        known = [stamp for stamp in (before_ns, after_ns) if stamp is not None]
+        words = "message" if count == 1 else "messages"
+        self.damage.append(
+            Damage(
+                self._name, 0, 0, f"{count} {words} of topics unknown cannot be read", {},
+                (known[0], known[-1]) if known else None,
+            )
+        )  # fmt: skip
+
+    def _leave_out(
+        self, reason: str, *, offset: int = 0, length: int = 0, span: int | None = None
+    ) -> None:
+        spanned = None if span is None else (span, span)
+        self.damage.append(Damage(self._name, offset, length, reason, {}, spanned))

@@ -1,0 +1,403 @@
+"""Recorded runs as experiments: what was commanded and read, and what a simulation would read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from msg_schemas import topics
+from msg_schemas.codecs import decode
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import JointSample, Sample
+from msg_schemas.table import (
+    FLYWHEEL,
+    JUMP_MOTOR,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_DRUM,
+)
+from rover_bags.identification.noise import Errors, Floats
+from rover_bags.identification.parameters import (
+    IdentifyError,
+    with_stiffness,
+    with_values,
+    without_errors,
+)
+from rover_bags.recorded_run import Part, read_record
+from rover_bags.resim import earliest_instant
+from rover_sim import (
+    Displacement,
+    ScenarioError,
+    SettlingError,
+    Simulation,
+    SpatialPlant,
+    SpatialScenario,
+    build_interface,
+    displaced,
+    scenario_from_mapping,
+)
+
+_NANO: Final = 1_000_000_000
+_LEAST_READINGS: Final = 50
+"""Of a run, below which nothing is tried."""
+_LEAST_NOISE: Final = 1e-6
+"""Of a reading, relative to how much its signal moves: of sensors that are said to have none."""
+_CREEPING: Final = 8.0
+"""Counts from reading to reading below which an encoder's error is no noise: it stands still."""
+_TURNING: Final = 1e-4
+"""Rate of the tether beyond which the drum counts as turning [m/s]."""
+_SETTLES: Final = 0.1
+"""Before and after it turns, what the load cell at the fairlead feels does not count either [s]."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A number that a sensor tells.
+
+    Attributes:
+        topic, field: where it stands.
+        channel: of the scenario's sensors.
+    """
+
+    topic: str
+    field: str
+    channel: str
+
+    def __str__(self) -> str:
+        """As it is named in reports."""
+        return f"{self.topic} {self.field}"
+
+
+def _vector(topic: str, field: str, channel: str) -> list[Signal]:
+    return [Signal(topic, f"{field}.{axis}", channel) for axis in "xyz"]
+
+
+# Rates of encoders are differences of their angles: what repeats another reading would count twice.
+# What the winch tells of itself depends on its own friction, and so does the fairlead's load cell
+# while the drum turns.
+SIGNALS: Final = (
+    *_vector(topics.IMU, "angular_velocity", "gyro"),
+    *_vector(topics.IMU, "linear_acceleration", "accelerometer"),
+    Signal(topics.LOAD_CELL, "force.z", "fairlead_load_cell"),
+    Signal(topics.ROVER_LOAD_CELL, "force.z", "rover_load_cell"),
+    Signal(topics.WHEEL_STATE, f"{WHEEL_LEFT}.position", "wheel_encoders"),
+    Signal(topics.WHEEL_STATE, f"{WHEEL_RIGHT}.position", "wheel_encoders"),
+    Signal(topics.FLYWHEEL_STATE, f"{FLYWHEEL}.position", "flywheel_encoder"),
+    *(
+        Signal(topics.MOTOR_CURRENTS, f"{motor}.effort", "currents")
+        for motor in (JUMP_MOTOR, WHEEL_MOTOR)
+    ),
+)
+"""What is used: what sensors tell, and nothing of the true motion."""
+DRUM: Final = Signal(topics.WINCH_STATE, f"{WINCH_DRUM}.position", "drum_encoder")
+"""What tells whether the drum turns."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number of a run's start that nobody knows.
+
+    Attributes:
+        name: of the field of `Displacement`, with its place.
+        spread: standard deviation of what it may be [rad or rad/s].
+    """
+
+    name: str
+    spread: float
+
+
+UNKNOWNS: Final = (
+    Unknown("swing.0", 0.05),
+    Unknown("swing.1", 0.05),
+    Unknown("swing_rate.0", 0.05),
+    Unknown("swing_rate.1", 0.05),
+    Unknown("tilt.0", 0.05),
+    Unknown("tilt.1", 0.05),
+    Unknown("body_rate.0", 0.05),
+    Unknown("body_rate.1", 0.05),
+    Unknown("body_rate.2", 0.05),
+    Unknown("twist", 0.1),
+)
+"""Of a run that begins with the rover hanging. One that begins otherwise begins as configured."""
+
+
+def displacement(values: Sequence[float]) -> Displacement:
+    """The displacement with the values of `UNKNOWNS`."""
+    v = [float(value) for value in values]
+    return Displacement(
+        (v[0], v[1]), (v[2], v[3]), (v[4], v[5]), (v[6], v[7], v[8]), v[9]
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run from a start on.
+
+    Attributes:
+        bag: where it is recorded.
+        scenario: that it was configured with, its tether given by stiffnesses.
+        tick: [s].
+        begin_ns: simulated time of its start.
+        orders: simulated time [ns] of a tick, and the command that it takes.
+        stamps: simulated times [ns] of the readings, ascending, (n,).
+        signals: (m,).
+        readings: (n, m), NaN where there is none or none that counts.
+        errors: of the signals, (m,).
+        remark: what the bag lacks, and what of the run does not count and why.
+    """
+
+    bag: Path
+    scenario: SpatialScenario
+    tick: float
+    begin_ns: int
+    orders: tuple[tuple[int, str, JointSample], ...]
+    stamps: tuple[int, ...]
+    signals: tuple[Signal, ...]
+    readings: Floats
+    errors: tuple[Errors, ...]
+    remark: str = ""
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        begin = f" from {self.begin_ns / _NANO:g} s" if self.begin_ns else ""
+        return f"{self.bag} ({self.scenario.name}{begin})"
+
+    @property
+    def times(self) -> Floats:
+        """Of the readings [s], (n,)."""
+        return np.array(self.stamps) / _NANO
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Of its start."""
+        start = self.scenario.start
+        hangs = start.kind == "hanging" and start.payout_rate == 0.0
+        return UNKNOWNS if hangs and self.scenario.rover is not None else ()
+
+
+# ------------------------------------------------------------------------------- out of the bag
+
+
+def read_experiments(
+    path: Path, *, begin: float = 0.0, end: float = math.inf, namespace: str | None = None
+) -> list[Experiment]:
+    """The runs that a bag holds: a new one begins where plant or clock were put back.
+
+    Args:
+        path: the bag.
+        begin: readings count from so long after each start on [s].
+        end: and until so long after it [s].
+        namespace: which rover, where the bag holds several.
+
+    Raises:
+        IdentifyError: nothing tells what was simulated, the model has no sensors, or no run is
+            long enough.
+        BagError: it cannot be read.
+    """
+    record = read_record(path, namespace)
+    scenario, tick = _configured(path, record.configuration)
+    found, longest, why = [], 0, ""
+    for part in record.parts:
+        starts = sorted({0, *part.plant_resets})
+        for start, after in zip(starts, [*starts[1:], None], strict=True):
+            stop = part.last_ns if after is None else after
+            stop, remark = _without_gap(part, start, stop, round(tick * _NANO))
+            first = start + round(begin * _NANO)
+            last = stop if math.isinf(end) else min(stop, start + round(end * _NANO))
+            stamps = tuple(s for s in sorted(part.recorded) if start < s and first <= s <= last)
+            if len(stamps) >= longest:
+                longest, why = len(stamps), remark
+            if len(stamps) < _LEAST_READINGS:
+                continue
+            one = _experiment(path, scenario, tick, part, start, stamps)
+            if one.signals:
+                found.append(
+                    replace(one, remark="; ".join([*record.remarks, *filter(None, [remark])]))
+                )
+    if not found:
+        raise IdentifyError(
+            f"{path} holds no run that is long enough: the longest has readings at {longest} "
+            f"instants, at least {_LEAST_READINGS} are needed, of sensors, from the run's start on"
+            + (f" ({why})" if why else "")
+        )
+    return found
+
+
+def _without_gap(part: Part, start: int, stop: int, tick_ns: int) -> tuple[int, str]:
+    """Until when [ns] a run is recorded without a gap, in which commands may be lost; and words."""
+    for before, after in part.gaps(tick_ns, start, stop):
+        return before, (
+            f"from {before / _NANO:.3f} s to {after / _NANO:.3f} s nothing is recorded: what "
+            "comes after that does not count, as commands may be lost"
+        )
+    return stop, ""
+
+
+def _configured(path: Path, content: Mapping[str, Any] | None) -> tuple[SpatialScenario, float]:
+    if content is None:
+        raise IdentifyError(
+            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): it "
+            "is not known which machine this was"
+        )
+    try:
+        scenario = scenario_from_mapping(content["scenario"])
+        tick = float(content["parameters"]["tick"])
+    except (ScenarioError, KeyError, TypeError, ValueError) as error:
+        raise IdentifyError(f"the configuration in {path} cannot be used here: {error}") from error
+    if not isinstance(scenario, SpatialScenario):
+        raise IdentifyError(
+            f"{path} was recorded with the {scenario.model} model ({scenario.name}), which has no "
+            "sensors with errors; the spatial one is needed"
+        )
+    return with_stiffness(scenario), tick
+
+
+def _experiment(
+    path: Path,
+    scenario: SpatialScenario,
+    tick: float,
+    part: Part,
+    start: int,
+    stamps: tuple[int, ...],
+) -> Experiment:
+    told = (*SIGNALS, DRUM)
+    wanted = {signal.topic for signal in told}
+    readings = np.full((len(stamps), len(told)), np.nan)
+    for row, stamp in enumerate(stamps):
+        samples = {name: each for name, each in part.recorded[stamp].items() if name in wanted}
+        _fill(readings[row], told, samples)
+    turning = _turning(np.array(stamps) / _NANO, readings[:, -1], scenario)
+    errors = []
+    for place, signal in enumerate(SIGNALS):
+        channel = getattr(scenario.sensors, signal.channel)
+        column = readings[:, place]
+        real = scenario.sensors.quality == "real"
+        resolution = channel.resolution if real else 0.0
+        if resolution > 0.0:
+            _leave_out_standing(column, _CREEPING * resolution)
+        if signal.topic == topics.LOAD_CELL:
+            column[turning] = np.nan
+        column[np.abs(column) >= channel.range] = np.nan
+        least = _LEAST_NOISE * float(np.nanstd(column)) if np.isfinite(column).any() else 0.0
+        errors.append(
+            Errors(
+                (channel.noise_density**2 / tick if real else 0.0)
+                + resolution**2 / 12.0
+                + max(least, 1e-12) ** 2,
+                channel.bias_walk**2 if real else 0.0,
+                channel.bias**2 if real else 0.0,
+            )
+        )
+    used = [place for place in range(len(SIGNALS)) if np.isfinite(readings[:, place]).sum() > 2]
+    return Experiment(
+        path,
+        scenario,
+        tick,
+        start,
+        _orders(part, start, stamps[-1], round(tick * _NANO)),
+        stamps,
+        tuple(SIGNALS[place] for place in used),
+        readings[:, used],
+        tuple(errors[place] for place in used),
+    )
+
+
+def _leave_out_standing(column: Floats, least: float) -> None:
+    """Drop readings of an encoder that creeps or stands: their error is constant, no noise."""
+    steps = np.abs(np.diff(column))
+    moves = np.nan_to_num(steps) >= least
+    keep = np.concatenate([[False], moves]) & np.concatenate([moves, [False]])
+    column[~keep] = np.nan
+
+
+def _turning(times: Floats, length: Floats, scenario: SpatialScenario) -> NDArray[np.bool_]:
+    """Which readings were taken while the drum turned, or shortly before or after that, (n,)."""
+    if scenario.winch is None or np.isnan(length).all():
+        return np.zeros(len(times), dtype=bool)
+    step = np.diff(times, prepend=times[0])
+    moved = np.abs(np.diff(length, prepend=length[0]))
+    least = np.maximum(_TURNING * step, 1.5 * scenario.sensors.drum_encoder.resolution)
+    turns = np.nan_to_num(moved, nan=math.inf) > least
+    around = 2 * math.ceil(_SETTLES / float(np.median(step))) + 1
+    return np.asarray(maximum_filter1d(turns, around), dtype=bool)
+
+
+def _orders(
+    part: Part, start: int, last: int, tick_ns: int
+) -> tuple[tuple[int, str, JointSample], ...]:
+    orders = []
+    for command in part.commands:
+        came = earliest_instant(part, command)
+        came = -(-came // tick_ns) * tick_ns
+        if not start <= came < last:
+            continue
+        try:
+            sample = decode(command.name, command.message, came)
+        except Refusal:
+            continue
+        if isinstance(sample, JointSample):
+            orders.append((came, command.name, sample))
+    return tuple(orders)
+
+
+def _fill(row: Floats, signals: Sequence[Signal], told: Mapping[str, Sample]) -> None:
+    numbers = {name: dict(sample.scalars()) for name, sample in told.items()}
+    for place, signal in enumerate(signals):
+        if signal.topic in numbers:
+            row[place] = numbers[signal.topic].get(signal.field, math.nan)
+
+
+# ------------------------------------------------------------------------------ simulated again
+
+Task: TypeAlias = tuple[int, Mapping[str, float], Sequence[float]]
+"""What to simulate: number of the experiment, values of parameters, values of its unknowns."""
+
+
+def predict(
+    experiment: Experiment, values: Mapping[str, float], start: Sequence[float] = ()
+) -> Floats:
+    """What sensors without errors would read, (n, m).
+
+    Args:
+        experiment: what was commanded.
+        values: of `parameters.PARAMETERS`; the others are as configured.
+        start: values of the experiment's unknowns; none: all 0.
+
+    Returns:
+        NaN from where on nothing can be simulated with such values.
+    """
+    found = np.full(experiment.readings.shape, np.nan)
+    try:
+        plant = SpatialPlant(without_errors(with_values(experiment.scenario, values)))
+        simulation = Simulation(build_interface(plant, 0), experiment.tick)
+        if experiment.unknowns and len(start):
+            simulation.state = displaced(plant, displacement(start))
+    except (ScenarioError, SettlingError):
+        return found
+    simulation.stamp_ns = experiment.begin_ns
+    simulation.interface.restart(simulation.state, simulation.stamp_ns)
+    rows = {stamp: row for row, stamp in enumerate(experiment.stamps)}
+    names = {signal.topic for signal in experiment.signals}
+    waiting = list(reversed(experiment.orders))
+    while simulation.stamp_ns < experiment.stamps[-1]:
+        while waiting and waiting[-1][0] <= simulation.stamp_ns:
+            _, name, sample = waiting.pop()
+            try:
+                simulation.take(name, sample)
+            except Refusal:  # as the recorded plant may have
+                continue
+        if simulation.tick().after.phase.final:
+            break
+        row = rows.get(simulation.stamp_ns)
+        if row is not None:
+            _fill(found[row], experiment.signals, dict(simulation.interface.samples(names)))
+    return found

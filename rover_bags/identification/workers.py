@@ -1,0 +1,88 @@
+"""Simulates many runs, in this process or in several."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from tqdm import tqdm
+
+from rover_bags.identification.noise import Floats
+from rover_bags.identification.runs import Experiment, Task, predict
+from rover_sim import compile_ahead
+
+_experiments: list[Experiment] = []
+"""Of a worker process."""
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+class Simulations:
+    """Predicts readings of some experiments; see `fit.Predictor`.
+
+    Attributes:
+        runs: how many were made.
+    """
+
+    def __init__(
+        self, experiments: Sequence[Experiment], executor: Executor | None, jobs: int, bar: Any
+    ) -> None:
+        self._experiments = list(experiments)
+        self._executor = executor
+        self._jobs = jobs
+        self._bar = bar
+        self.runs = 0
+
+    def __call__(self, tasks: Sequence[Task]) -> list[Floats]:
+        """Readings for each task, in their order."""
+        self.runs += len(tasks)
+        found = []
+        for told in self._results(tasks):
+            found.append(told)
+            self._bar.update()
+        return found
+
+    def _results(self, tasks: Sequence[Task]) -> Iterator[Floats]:
+        if self._executor is None:
+            for number, values, start in tasks:
+                yield predict(self._experiments[number], values, start)
+            return
+        batch = max(1, len(tasks) // (4 * self._jobs))
+        yield from self._executor.map(_predict, tasks, chunksize=batch)
+
+
+@contextmanager
+def simulations(
+    experiments: Sequence[Experiment], *, jobs: int = 1, show_progress: bool = False
+) -> Iterator[Simulations]:
+    """Simulate in so many processes; 1: in this one."""
+    for one in experiments:
+        compile_ahead(one.scenario)
+    with ExitStack() as closing:
+        executor = None
+        if jobs > 1:
+            executor = closing.enter_context(
+                ProcessPoolExecutor(
+                    jobs, multiprocessing.get_context("spawn"), _remember, (list(experiments),)
+                )
+            )
+        bar = closing.enter_context(
+            tqdm(unit=" simulations", desc="identifying", disable=not show_progress)
+        )
+        yield Simulations(experiments, executor, jobs, bar)
+
+
+def _remember(experiments: list[Experiment]) -> None:
+    _experiments[:] = experiments
+
+
+def _predict(task: Task) -> Floats:
+    number, values, start = task
+    return predict(_experiments[number], values, start)

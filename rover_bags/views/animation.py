@@ -1,0 +1,430 @@
+"""Moving pictures of rover and tether: frames for the page's player, and a GIF.
+
+Side view in the plane of x (forward) and z (up), equal scales, metres.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from msg_schemas import topics
+from msg_schemas.samples import TETHER_COLUMNS
+from rover_bags.findings.jumps import Jump, Motion, Window, motion
+from rover_bags.read import Bag, Floats
+
+LEAD: Final = 0.25
+"""Simulated time [s] shown before take-off."""
+TRAIL: Final = 0.45
+"""Simulated time [s] shown after touchdown."""
+_MOST_FRAMES: Final = 600
+_MOST_PICTURES: Final = 200
+"""Of a GIF of a whole run."""
+_FINE: Final = 2
+"""Pictures are drawn so many times finer and then scaled down, for smooth edges."""
+_SIZES: Final = {"body1_size": (0.30, 0.15), "body2_size": (0.20, 0.10)}
+_TENSION: Final = TETHER_COLUMNS.index("tension")
+# Positions and slopes in the plane, and the tension.
+_SHOWN: Final = [TETHER_COLUMNS.index(name) for name in ("x", "z", "tx", "tz", "tension")]
+_TEXT: Final = (33, 37, 41)
+_BODY1: Final = (0, 114, 178)
+_BODY2: Final = (213, 94, 0)
+_SCALE: Final = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (230, 190, 30))
+"""Colours from slack to taut: dark to light, told apart by colour-blind eyes."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What moves, sampled in time.
+
+    Attributes:
+        time: Time of each frame since take-off [s], shape (F,).
+        body1, body2: x [m], z [m], theta [rad] of the bodies' centres, shape (F, 3).
+        tether: x, z [m], slopes dx/ds, dz/ds [-] and tension [N] by node, shape (F, n + 1, 5).
+        element: Length of a tether element [m].
+        sizes: Width and height of the bodies [m].
+        ground: Height of what stands lowest in the first frame [m].
+        low, high: Corners (x, z) of what is in view [m].
+        near: Corners of the view of the rover from near [m].
+        strongest: Tension at the strong end of the colour scale [N]; what is more has its colour.
+        ground_lines: x and z [m] of ground and walls, (k, 2) each; empty: level ground at `ground`.
+        wheels: x and z of the wheels' centres and half their width and height as seen [m], shape
+            (F, wheels, 4).
+        follow: Half the width of the view from near, which then follows Body 1 [m]; 0: it stands.
+        is_run: Whether times are simulated times of a whole run rather than since a take-off.
+        told: What is told beside the time: how far the centre of mass of Body 1 has risen since
+            take-off, or in a whole run its depth below the fairlead [m], shape (F,).
+    """
+
+    time: Floats
+    body1: Floats
+    body2: Floats
+    tether: Floats
+    element: float
+    sizes: Mapping[str, tuple[float, float]]
+    ground: float
+    low: tuple[float, float]
+    high: tuple[float, float]
+    near: tuple[tuple[float, float], tuple[float, float]]
+    strongest: float
+    told: Floats
+    ground_lines: tuple[Floats, ...] = ()
+    wheels: Floats | None = None
+    follow: float = 0.0
+    is_run: bool = False
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain values for the player."""
+        return {
+            "time": np.round(self.time, 5).tolist(),
+            "body1": np.round(self.body1, 5).tolist(),
+            "body2": np.round(self.body2, 5).tolist(),
+            "tether": np.round(self.tether, 4).tolist(),
+            "element": self.element,
+            "sizes": {name: list(size) for name, size in self.sizes.items()},
+            "ground": self.ground,
+            "low": list(self.low),
+            "high": list(self.high),
+            "near": [list(corner) for corner in self.near],
+            "strongest": self.strongest,
+            "beyond": bool(self.tether[:, :, -1].max() > self.strongest),
+            "scale": [list(colour) for colour in _SCALE],
+            "lines": [np.round(line, 3).tolist() for line in self.ground_lines],
+            "wheels": None if self.wheels is None else np.round(self.wheels, 4).tolist(),
+            "follow": self.follow,
+            "run": self.is_run,
+            "told": np.round(self.told, 5).tolist(),
+        }
+
+
+def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
+    """The scene of a jump, or of the whole bag; None where bodies or tether are not recorded."""
+    tracks = [
+        bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
+    ]
+    if any(track is None for track in tracks):
+        return None
+    first, second, tether = (track for track in tracks if track is not None)
+    if tether.nodes is None:
+        return None
+    body1, body2 = motion(first), motion(second)
+    if jump is None:
+        chosen = np.arange(len(tether))
+        origin = float(tether.time[0])
+    else:
+        chosen = shown(body1, jump).indices(tether)
+        origin = jump.take_off_s
+    chosen = chosen[np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])]
+    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MOST_FRAMES))]
+    if len(chosen) < 2:
+        return None
+    time = tether.time[chosen]
+    poses = [_poses(body, time, tether.log_ns[chosen]) for body in (body1, body2)]
+    nodes = tether.nodes[chosen][:, :, _SHOWN]
+    sizes = _sizes(bag)
+    points = np.concatenate([nodes[:, :, :2].reshape(-1, 2), poses[0][:, :2], poses[1][:, :2]])
+    margin = 0.5 * max(sizes["body1_size"]) + 0.15
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    ground = min(z for _, z in _corners(poses[0][0], sizes["body1_size"]))
+    return Scene(
+        time=time - origin,
+        body1=poses[0],
+        body2=poses[1],
+        tether=nodes,
+        element=_element(bag, tether.nodes[chosen[0]]),
+        sizes=sizes,
+        ground=ground,
+        low=(float(low[0]), float(min(low[1], ground - 0.1))),
+        high=(float(high[0]), float(high[1])),
+        near=_near(poses, ground, margin),
+        strongest=strong_end(nodes[:, :, -1]),
+        told=poses[0][:, 1] - (poses[0][0, 1] if jump is None else jump.start_height_m),
+    )
+
+
+def strong_end(tension: Floats) -> float:
+    """Where the colour scale of tensions [N], shape (F, points), ends.
+
+    A little above what most moments reach, as a single snatch would leave all the rest dark.
+    """
+    peaks = tension.max(axis=1)
+    usual = 1.2 * float(np.percentile(peaks, 90))
+    return max(min(usual, float(peaks.max())), 1e-3)
+
+
+def _near(
+    poses: list[Floats], ground: float, margin: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    points = np.concatenate([pose[:, :2] for pose in poses])
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return (
+        (float(low[0]), float(min(low[1], ground - 0.1))),
+        (float(high[0]), float(high[1])),
+    )
+
+
+def shown(body: Motion, jump: Jump) -> Window:
+    """The stretch of a bag that pictures of a jump show."""
+    end = jump.take_off_s + jump.flight_time_s
+    at = int(np.argmin(np.abs(body.time - jump.take_off_s)))
+    window = Window.of(body, at, at)
+    begin, stop = jump.take_off_s - LEAD, end + TRAIL
+    span = int((stop - begin) * 60e9)
+    return Window(begin, stop, window.log_begin - span, window.log_end + span)
+
+
+def _poses(body: Motion, time: Floats, log_ns: NDArray[np.int64]) -> Floats:
+    """x, z, theta of a body at given times, by interpolation between its samples near them."""
+    margin = 2_000_000_000
+    near = (body.log_ns >= log_ns[0] - margin) & (body.log_ns <= log_ns[-1] + margin)
+    t = body.time[near]
+    columns = (body.position[near, 0], body.position[near, 2], body.theta[near])
+    return np.stack([np.interp(time, t, column) for column in columns], axis=1)
+
+
+def _sizes(bag: Bag) -> dict[str, tuple[float, float]]:
+    rover = bag.scenario.get("rover") or {}
+    return {
+        name: tuple(float(v) for v in rover.get(name, usual))[:2]  # type: ignore[misc]
+        for name, usual in _SIZES.items()
+    }
+
+
+def _element(bag: Bag, nodes: Floats) -> float:
+    count = len(nodes) - 1
+    tether = bag.scenario.get("tether") or {}
+    length = tether.get("length")
+    if not isinstance(length, float | int):
+        length = float(np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1).sum())
+    return float(length) / count
+
+
+# --- GIF ----------------------------------------------------------------------------------------
+
+
+def write_gif(
+    scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 20.0
+) -> None:
+    """Writes a GIF.
+
+    Args:
+        scene: What to show.
+        path: File to write.
+        width: Of the picture [pixel].
+        slower: Simulated time runs so many times slower.
+        rate: Pictures per second.
+    """
+    span = float(scene.time[-1] - scene.time[0])
+    most = _MOST_PICTURES if scene.is_run else _MOST_FRAMES
+    step = max(1.0 / (rate * slower), span / most)
+    times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
+    pace = step * rate
+    words = f"{1.0 / pace:.3g} times slower" if pace < 1.0 else f"{pace:.3g} times faster"
+    palette = _picture(scene, float(times[len(times) // 2]), width, words).quantize(64)
+    frames = [
+        _picture(scene, float(time), width, words).quantize(
+            palette=palette, dither=Image.Dither.NONE
+        )
+        for time in times
+    ]
+    duration = [round(1000.0 / rate)] * len(frames)
+    duration[-1] = 1200
+    frames[0].save(
+        path,
+        save_all=True,
+        append_images=frames[1:],
+        duration=duration,
+        loop=0,
+        optimize=True,
+    )
+
+
+class _View:
+    """Maps metres to pixels of a panel that shows a box with equal scales."""
+
+    def __init__(
+        self,
+        low: tuple[float, float],
+        high: tuple[float, float],
+        panel: tuple[int, int, int, int],
+    ) -> None:
+        left, top, right, bottom = panel
+        self.corner = (left, top)
+        self.size = (right - left, bottom - top)
+        self.scale = min(self.size[0] / (high[0] - low[0]), self.size[1] / (high[1] - low[1]))
+        self._x = 0.5 * self.size[0] - 0.5 * self.scale * (low[0] + high[0])
+        self._z = 0.5 * self.size[1] + 0.5 * self.scale * (low[1] + high[1])
+
+    def at(self, x: float, z: float) -> tuple[float, float]:
+        return (self._x + self.scale * x, self._z - self.scale * z)
+
+
+def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
+    """Left the whole scene, right the rover from near."""
+    height = round(0.62 * width)
+    image = Image.new("RGB", (_FINE * width, _FINE * height), "white")
+    draw = ImageDraw.Draw(image)
+    poses = [_at(scene, values, time) for values in (scene.body1, scene.body2)]
+    tether = _at(scene, scene.tether, time)
+    top, bottom = 52 * _FINE, (height - 10) * _FINE
+    middle, right = round(0.42 * width) * _FINE, (width - 8) * _FINE
+    views = (
+        _View(scene.low, scene.high, (8 * _FINE, top, middle, bottom)),
+        _View(*_near_box(scene, poses[0]), (middle + 10 * _FINE, top, right, bottom)),
+    )
+    for view in views:
+        panel = Image.new("RGB", view.size, "white")
+        _draw_scene(ImageDraw.Draw(panel), view, scene, time, poses, tether)
+        image.paste(panel, view.corner)
+        edge = (*view.corner, view.corner[0] + view.size[0], view.corner[1] + view.size[1])
+        draw.rectangle(edge, outline=(206, 212, 218), width=_FINE)
+    large, small = (_font(size) for size in (15, 12))
+    title = f"{time:.1f} s" if scene.is_run else f"{time:+.2f} s after take-off"
+    draw.text((10 * _FINE, 7 * _FINE), title, fill=_TEXT, font=large)
+    told = float(np.interp(time, scene.time, scene.told))
+    place = f"depth {told:.2f} m" if scene.is_run else f"rise {told:.3f} m"
+    note = f"{place},  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  {pace}"
+    draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
+    return image.resize((width, height), Image.Resampling.LANCZOS)
+
+
+def _near_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Corners of the view from near."""
+    half = scene.follow
+    if not half:
+        return scene.near
+    x, z = float(pose[0]), float(pose[1])
+    return (x - half, z - half), (x + half, z + half)
+
+
+@cache
+def _font(size: int) -> Any:
+    return ImageFont.load_default(size=size * _FINE)
+
+
+def _draw_scene(
+    draw: ImageDraw.ImageDraw,
+    view: _View,
+    scene: Scene,
+    time: float,
+    poses: list[Floats],
+    tether: Floats,
+) -> None:
+    _draw_ground(draw, view, scene)
+    past = scene.body1[scene.time <= time]
+    if len(past) > 1:
+        draw.line([view.at(x, z) for x, z in past[:, :2]], fill=(150, 160, 170), width=_FINE)
+    _draw_tether(draw, view, scene, tether)
+    rod = [*poses, tether[-1]] if scene.follow else poses
+    draw.line([view.at(*point[:2]) for point in rod], fill=(134, 142, 150), width=4 * _FINE)
+    for pose, name, colour in (
+        (poses[1], "body2_size", _BODY2),
+        (poses[0], "body1_size", _BODY1),
+    ):
+        corners = [view.at(*corner) for corner in _corners(pose, scene.sizes[name])]
+        draw.polygon(corners, fill=colour, outline="white")
+    if scene.wheels is not None:
+        for x, z, wide, high in _at(scene, scene.wheels, time):
+            left, top = view.at(x - wide, z + high)
+            right, bottom = view.at(x + wide, z - high)
+            draw.ellipse((left, top, right, bottom), outline=_TEXT, width=2 * _FINE)
+    x, z = view.at(*tether[0, :2])
+    draw.rectangle((x - 6, z - 6, x + 6, z + 6), fill=_TEXT)
+    _draw_ruler(draw, view)
+
+
+def _at(scene: Scene, values: Floats, time: float) -> Floats:
+    index = int(np.clip(np.searchsorted(scene.time, time) - 1, 0, len(scene.time) - 2))
+    share = (time - scene.time[index]) / (scene.time[index + 1] - scene.time[index])
+    share = float(np.clip(share, 0.0, 1.0))
+    blended: Floats = (1.0 - share) * values[index] + share * values[index + 1]
+    return blended
+
+
+def _corners(pose: Floats, size: tuple[float, float]) -> list[tuple[float, float]]:
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    width = float(pose[3]) if len(pose) > 3 else size[0]
+    return [
+        (
+            pose[0] + c * a * width / 2 - s * b * size[1] / 2,
+            pose[1] + s * a * width / 2 + c * b * size[1] / 2,
+        )
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+
+
+def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
+    for line in scene.ground_lines:
+        draw.line([view.at(x, z) for x, z in line], fill=(120, 110, 100), width=4)
+    if scene.ground_lines:
+        return
+    # Only under the rover: where the mother machine stands there is none at this height.
+    reach = scene.body1[:, 0]
+    left, right = float(reach.min()) - 0.35, float(reach.max()) + 0.35
+    top, bottom = view.at(left, scene.ground), view.at(right, scene.ground)
+    draw.line([top, bottom], fill=(120, 110, 100), width=4)
+
+
+def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Floats) -> None:
+    for left, right in pairwise(nodes):
+        curve = element_curve(left, right, scene.element, 8)
+        tension = np.linspace(left[4], right[4], len(curve))
+        for piece in range(len(curve) - 1):
+            colour = tension_colour(float(tension[piece]), scene.strongest)
+            ends = [view.at(*curve[piece]), view.at(*curve[piece + 1])]
+            draw.line(ends, fill=colour, width=3 * _FINE)
+
+
+def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Floats:
+    """Points (pieces + 1, 2) of a tether element's cubic.
+
+    Args:
+        left: One end: x, z [m] and slopes dx/ds, dz/ds [-], as in ``Scene.tether``.
+        right: The other end.
+        length: Of the element [m].
+        pieces: How many straight pieces stand for the curve.
+    """
+    s = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+    cubic: Floats = (
+        (2 * s**3 - 3 * s**2 + 1) * left[:2]
+        + (s**3 - 2 * s**2 + s) * length * left[2:4]
+        + (3 * s**2 - 2 * s**3) * right[:2]
+        + (s**3 - s**2) * length * right[2:4]
+    )
+    return cubic
+
+
+def tension_colour(tension: float, strongest: float) -> tuple[int, int, int]:
+    """Colour of a tension on the scale that the player uses, too."""
+    place = min(max(tension / strongest, 0.0), 1.0) * (len(_SCALE) - 1)
+    index = min(int(place), len(_SCALE) - 2)
+    share = place - index
+    first, second = _SCALE[index], _SCALE[index + 1]
+    red, green, blue = (
+        round((1 - share) * a + share * b) for a, b in zip(first, second, strict=True)
+    )
+    return (red, green, blue)
+
+
+def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:
+    """A bar of a round length, so that sizes can be read off."""
+    span = view.size[0] / view.scale
+    length = next((v for v in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if v <= 0.35 * span), 0.05)
+    y, x = view.size[1] - 14 * _FINE, 12 * _FINE
+    end = x + view.scale * length
+    label, font, corner = f"{length:g} m", _font(12), (end + 6 * _FINE, y - 8 * _FINE)
+    left, top, right, bottom = draw.textbbox(corner, label, font=font)
+    margin = 4 * _FINE  # of a clear ground, as the tether may lie there
+    plate = (min(x, left) - margin, top - margin, right + margin, bottom + margin)
+    draw.rectangle(plate, fill="white")
+    draw.line([(x, y), (end, y)], fill=_TEXT, width=2 * _FINE)
+    for place in (x, end):
+        draw.line([(place, y - 4 * _FINE), (place, y + 4 * _FINE)], fill=_TEXT, width=2 * _FINE)
+    draw.text(corner, label, fill=_TEXT, font=font)

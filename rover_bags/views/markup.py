@@ -1,0 +1,63 @@
+"""Pieces of HTML that all pages of the bags are made of."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Collection, Iterable, Sequence
+
+from rover_bags.views.page import STYLE
+from rover_bags.views.plots import Plot
+
+
+def escaped(text: object) -> str:
+    """Text as it stands in a page."""
+    return html.escape(str(text))
+
+
+def whole_page(title: str, parts: Iterable[str], script: str = "") -> str:
+    """A page that needs nothing else."""
+    tail = f"<script>{script}</script>" if script else ""
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escaped(title)}</title><style>{STYLE}</style></head>\n"
+        f"<body><main>{''.join(part for part in parts if part)}</main>\n{tail}</body></html>\n"
+    )
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], wordy: Collection[str] = ()) -> str:
+    """A table; the cells of its rows are given with their tags.
+
+    Args:
+        head: Headings.
+        rows: Cells, row by row.
+        wordy: Headings of columns that hold words, which stand to the left.
+    """
+    heads = "".join(
+        f"<th{' class=words' if text in wordy else ''}>{escaped(text)}</th>" for text in head
+    )
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+    return (
+        f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def figures(plots: Sequence[Plot], prefix: str = "") -> str:
+    """Plots side by side; ``prefix`` keeps the inner names of several of a kind apart."""
+    shown = []
+    for plot in plots:
+        timed = (
+            f' data-left="{plot.left:.5f}" data-right="{plot.right:.5f}"'
+            f' data-begin="{plot.begin:.5f}" data-end="{plot.end:.5f}"'
+            if plot.right > plot.left
+            else ""
+        )
+        kind = "plot wide" if plot.wide else "plot"
+        svg = plot.svg
+        if prefix:
+            for mark in ('id="', 'href="#', "url(#"):
+                svg = svg.replace(mark + plot.name, mark + prefix + plot.name)
+        svg = svg.replace("<svg", f'<svg role="img" aria-label="{escaped(plot.alt)}"', 1)
+        shown.append(f'<figure class="{kind}"{timed}>{svg}</figure>')
+    return f'<div class="plots">{"".join(shown)}</div>' if shown else ""

@@ -1,0 +1,369 @@
+"""Plots of a whole run: what it did when, winch, swing, pictures, the way on the floor, audits."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from msg_schemas import topics
+from msg_schemas.table import (
+    FLYWHEEL,
+    REFERENCE,
+    SMEAR,
+    WALL_DISTANCE,
+    WHEEL_LEFT,
+    WHEEL_RIGHT,
+    WINCH_DRUM,
+)
+from rover_bags.findings.activities import SMEAR_LIMIT, hanging_swing
+from rover_bags.findings.audits import STORED
+from rover_bags.findings.geometry import inside, setting
+from rover_bags.findings.metrics import Metrics
+from rover_bags.findings.timeline import Activity, MomentKind
+from rover_bags.findings.wall_coverage import NO_WALL, observations_of
+from rover_bags.read import Bag, Track
+from rover_bags.views.coverage_plot import draw_coverage
+from rover_bags.views.lines import envelope
+from rover_bags.views.plots import (
+    BLACK,
+    BLUE,
+    BROWN,
+    GREEN,
+    ORANGE,
+    PINK,
+    PURPLE,
+    RED,
+    SKY,
+    STYLE,
+    TEAL,
+    YELLOW,
+    Plot,
+    as_svg,
+    legend,
+)
+
+COLOURS: Final = {
+    Activity.HANGING: "#c9d3dc", Activity.DESCENDING: BLUE, Activity.ASCENDING: SKY,
+    Activity.STANDING: "#d9cdb8", Activity.SLACK: BROWN, Activity.DRIVING: GREEN,
+    Activity.TURNING: "#7fc97f", Activity.COMPRESSING: YELLOW, Activity.FLIGHT: ORANGE,
+}  # fmt: skip
+"""Of each activity, on every plot."""
+_WIDE: Final = 11.4
+_LEFT, _WIDTH = 0.068, 0.915
+_DEFLECTED: Final = 1e-3
+_HEAD: Final = 0.62
+"""Room for a plot's title and the legend below it [inch]."""
+
+
+def run_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
+    """Every plot of a whole run for which the bag holds what is needed."""
+    with mpl.rc_context(STYLE):
+        plots = [
+            _timeline(bag, metrics),
+            _winch(bag, metrics),
+            _swing(bag, metrics),
+            _pictures(bag),
+            _coverage(bag),
+            _floor(bag, metrics),
+            _ledger(bag),
+            _rotors(bag),
+        ]
+    return [plot for plot in plots if plot is not None]
+
+
+def _line(axes: Axes, track: Track, path: str, scale: float = 1.0, **style: Any) -> None:
+    low, high = track.lowest(path), track.highest(path)
+    if scale != 1.0:
+        low, high = (scale * low, scale * high) if scale > 0.0 else (scale * high, scale * low)
+        if track.stride == 1:
+            high = low
+    axes.plot(*envelope(track.time, low, high), **style)
+
+
+# --- figures with one or more rows over the run's time --------------------------------------------
+
+
+def _rows(name: str, title: str, heights: tuple[float, ...], top: float = 0.62) -> tuple[
+    Figure, list[Axes]
+]:  # fmt: skip
+    """Axes below one another; ``top``: inches for the legend above each."""
+    bottom = 0.5
+    head = max(_HEAD - top, 0.0)
+    tall = head + sum(heights) + len(heights) * top + bottom
+    figure = Figure(figsize=(_WIDE, tall))
+    figure.set_label(name)
+    found: list[Axes] = []
+    at = tall - head
+    for height in heights:
+        at -= top + height
+        box = (_LEFT, at / tall, _WIDTH, height / tall)
+        axes = figure.add_axes(box, sharex=found[0] if found else None)
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+        axes.yaxis.set_label_coords(-0.048, 0.5)
+        found.append(axes)
+    found[0].set_title(title, pad=24, x=-0.062)
+    for axes in found[:-1]:
+        axes.tick_params(labelbottom=False)
+    found[-1].set_xlabel("simulated time [s]")
+    return figure, found
+
+
+def _plot(figure: Figure, axes: list[Axes], alt: str, bag: Bag) -> Plot:
+    begin, end = _span(bag)
+    axes[0].set_xlim(begin, end)
+    box = axes[0].get_position()
+    return Plot(str(figure.get_label()), as_svg(figure), alt, box.x0, box.x1, begin, end, wide=True)
+
+
+def _span(bag: Bag) -> tuple[float, float]:
+    """Begin and end of the run [s], the same on every plot."""
+    for name in (topics.CLOCK, topics.TRUTH_BODY1, topics.WINCH_STATE, topics.CONTACT):
+        track = bag.track(name)
+        if track is not None and len(track) > 1:
+            return float(track.time.min()), float(track.time.max())
+    times = [track.time for track in bag.tracks.values() if len(track)]
+    return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
+
+
+def _shade(axes: Axes, metrics: Metrics) -> None:
+    """Faint colours of the activities behind a line."""
+    for phase in metrics.timeline.phases:
+        if phase.what not in {Activity.HANGING, Activity.STANDING}:
+            axes.axvspan(
+                phase.begin_s, phase.end_s, color=COLOURS[phase.what], alpha=0.1, lw=0, zorder=0
+            )
+
+
+def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
+    phases = metrics.timeline.phases
+    body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
+    if not phases or (body is None and drum is None):
+        return None
+    figure, (strip, depth) = _rows("timeline", "What it did", (0.42, 2.0), top=0.5)
+    for phase in phases:
+        strip.axvspan(phase.begin_s, phase.end_s, color=COLOURS[phase.what], lw=0)
+    strip.set_yticks([])
+    strip.grid(visible=False)
+    for spine in strip.spines.values():
+        spine.set_visible(False)
+    seen = dict.fromkeys(phase.what for phase in phases)
+    strip.legend(
+        handles=[Patch(color=COLOURS[what], label=what.value) for what in seen],
+        loc="lower left", bbox_to_anchor=(-0.005, 1.0), ncol=9, handlelength=1.0,
+        columnspacing=1.2, handletextpad=0.5, borderaxespad=0.0,
+    )  # fmt: skip
+    if body is not None:
+        _line(depth, body, "position.z", color=BLUE, label="Body 1", lw=1.6)
+        depth.set_ylabel("z [m]")
+    elif drum is not None:
+        _line(depth, drum, f"{WINCH_DRUM}.position", -1.0, color=BLUE, label="paid out", lw=1.6)
+        depth.set_ylabel("-length [m]")
+    depth.margins(y=0.1)
+    _mark(depth, metrics)
+    legend(depth, 8)
+    return _plot(figure, [strip, depth], "Activities and height over time", bag)
+
+
+_MARKS: Final = {
+    MomentKind.TOUCHDOWN: ("v", GREEN, "touchdown"),
+    MomentKind.LIFT_OFF: ("^", TEAL, "lift-off"),
+    MomentKind.TAKE_OFF: ("^", ORANGE, "take-off"),
+    MomentKind.LANDING: ("v", ORANGE, "landing"),
+    MomentKind.FAULT: ("X", RED, "fault"),
+}
+
+
+def _mark(axes: Axes, metrics: Metrics) -> None:
+    for kind, (sign, colour, label) in _MARKS.items():
+        times = [m.time_s for m in metrics.timeline.moments if m.what is kind]
+        if times:
+            axes.plot(
+                times, np.full(len(times), 0.96), sign, color=colour, ms=7, label=label,
+                transform=axes.get_xaxis_transform(), clip_on=False, ls="none",
+            )  # fmt: skip
+            for time in times[:60]:
+                axes.axvline(time, color=colour, lw=0.8, alpha=0.5, zorder=0)
+
+
+def _winch(bag: Bag, metrics: Metrics) -> Plot | None:
+    drum, cell = bag.track(topics.WINCH_STATE), bag.track(topics.LOAD_CELL)
+    if drum is None or not metrics.descents:
+        return None
+    estimate, rover = bag.track(topics.WINCH_ESTIMATE), bag.track(topics.ROVER_LOAD_CELL)
+    heights = (1.6, 1.2, 1.5) if cell is not None else (1.6, 1.2)
+    figure, rows = _rows("winch", "Winch and tether", heights, top=0.42)
+    length, rate = rows[0], rows[1]
+    _line(length, drum, f"{WINCH_DRUM}.position", color=BLUE, label="paid out at the drum")
+    _line(rate, drum, f"{WINCH_DRUM}.velocity", color=BLUE, label="rate at the drum", lw=1.2)
+    if estimate is not None:
+        style: dict[str, Any] = {"color": ORANGE, "ls": "--", "lw": 1.2}
+        _line(length, estimate, f"{REFERENCE}.position", label="reference", **style)
+        _line(rate, estimate, f"{REFERENCE}.velocity", label="reference", **style)
+    length.set_ylabel("length [m]")
+    length.invert_yaxis()
+    rate.set_ylabel("rate [m/s]")
+    if cell is not None:
+        for track, colour, label in (
+            (cell, BLUE, "at the fairlead"),
+            (rover, ORANGE, "at the rover"),
+        ):
+            if track is not None:
+                size = np.linalg.norm(track.vector("force"), axis=1)
+                most = track.largest("force") if track.stride > 1 else size
+                rows[2].plot(
+                    *envelope(track.time, size, most), color=colour, label=label, lw=1.0, alpha=0.85
+                )
+        rows[2].set_ylabel("tension [N]")
+    for axes in rows:
+        _shade(axes, metrics)
+        legend(axes, 3)
+    return _plot(figure, rows, "Length, rate and tension of the tether over time", bag)
+
+
+def _swing(bag: Bag, metrics: Metrics) -> Plot | None:
+    swing = hanging_swing(bag, metrics.timeline)
+    if swing is None:
+        return None
+    time, angle = swing
+    if not np.isfinite(angle).any() or np.nanmax(angle) < _DEFLECTED:
+        return None
+    figure, (axes,) = _rows("swing", "Swing of the hanging rover from the vertical", (1.6,))
+    degrees = np.degrees(angle)
+    axes.plot(*envelope(time, degrees, degrees), color=PURPLE, lw=1.0, label="Body 1")
+    axes.set_ylabel("angle [deg]")
+    axes.set_ylim(bottom=0.0)
+    _shade(axes, metrics)
+    legend(axes, 1)
+    return _plot(figure, [axes], "Swing angle over time", bag)
+
+
+def _pictures(bag: Bag) -> Plot | None:
+    camera = bag.track(topics.CAMERA)
+    if camera is None:
+        return None
+    wall = camera.columns[f"{WALL_DISTANCE}.position"]
+    sees = wall < NO_WALL
+    if sees.sum() < 10:
+        return None
+    figure, (axes,) = _rows("pictures", "Smear of the wall camera's pictures", (1.7,))
+    smear = camera.columns[f"{SMEAR}.position"]
+    axes.plot(
+        camera.time[sees], np.maximum(smear[sees], 1e-3), ".", ms=2.5, color=BLUE,
+        label="pictures that see the wall", rasterized=bool(sees.sum() > 4000),
+    )  # fmt: skip
+    axes.axhline(SMEAR_LIMIT, color=RED, lw=1.0, ls="--", label=f"limit {SMEAR_LIMIT:g} px")
+    axes.set_yscale("log")
+    axes.set_ylabel("smear [px]")
+    legend(axes, 2)
+    return _plot(figure, [axes], "Smear of the pictures over time", bag)
+
+
+def _coverage(bag: Bag) -> Plot | None:
+    """Where on the wall the pictures lie that the descent has logged."""
+    track = bag.track(topics.DESCENT_OBSERVATION)
+    figure = None if track is None else draw_coverage(observations_of(track))
+    if figure is None:
+        return None
+    alt = "Pictures on the unrolled wall, over heading and depth"
+    return Plot(str(figure.get_label()), as_svg(figure), alt, wide=True)
+
+
+# --- the way on the floor -------------------------------------------------------------------------
+
+
+def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
+    body = bag.track(topics.TRUTH_BODY1)
+    moves = metrics.timeline.of(Activity.DRIVING, Activity.TURNING, Activity.FLIGHT)
+    if body is None or not moves or not (metrics.drives or metrics.jumps):
+        return None
+    figure = Figure(figsize=(5.6, 4.6))
+    figure.set_label("floor")
+    axes = figure.add_axes((0.13, 0.11, 0.84, 0.72))
+    axes.set_title("Way on the floor, from above", pad=26, x=-0.128)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x, forward from the fairlead [m]")
+    axes.set_ylabel("y, left [m]")
+    place = body.vector("position")
+    told = set()
+    for phase in moves:
+        part = inside(body, phase.begin_s, phase.end_s, (phase.log_begin, phase.log_end))
+        if len(part) < 2:
+            continue
+        label = phase.what.value if phase.what not in told else None
+        told.add(phase.what)
+        style = "--" if phase.what is Activity.FLIGHT else "-"
+        some = part[:: max(1, len(part) // 400)]
+        axes.plot(
+            place[some, 0], place[some, 1], style, color=COLOURS[phase.what], lw=2.4, label=label
+        )
+    first = inside(body, moves[0].begin_s, moves[0].begin_s + 0.1, (moves[0].log_begin,) * 2)
+    last = inside(body, moves[-1].end_s - 0.1, moves[-1].end_s, (moves[-1].log_end,) * 2)
+    for part, sign, label in ((first[:1], "o", "begin"), (last[-1:], "s", "end")):
+        if len(part):
+            axes.plot(
+                place[part, 0], place[part, 1], sign, color=BLACK, ms=6, label=label, zorder=5
+            )
+    axes.margins(0.12)
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncol=5, handlelength=1.4,
+        columnspacing=1.0, handletextpad=0.5, borderaxespad=0.0,
+    )  # fmt: skip
+    return Plot("floor", as_svg(figure), "Way of Body 1 on the floor, from above")
+
+
+# --- audits ---------------------------------------------------------------------------------------
+
+
+def _ledger(bag: Bag) -> Plot | None:
+    track = bag.track(topics.TRUTH_ENERGY)
+    if track is None or len(track) < 2:
+        return None
+    parts = {name: track.columns[f"{name}.position"] for name in (*STORED, "input", "dissipated")}
+    stored = np.sum([parts[name] for name in STORED], axis=0)
+    lines = {
+        "input": (parts["input"], BLACK),
+        "dissipated": (parts["dissipated"], SKY),
+        "stored": (stored, ORANGE),
+    }
+    figure, (axes, missed) = _rows("ledger", "Energy, change since the begin", (1.7, 1.0), top=0.46)
+    for name, (values, colour) in lines.items():
+        change = values - values[0]
+        axes.plot(*envelope(track.time, change, change), color=colour, label=name, lw=1.6)
+    axes.set_ylabel("energy [J]")
+    rest = lines["stored"][0] - lines["input"][0] + lines["dissipated"][0]
+    rest = 1e3 * (rest - rest[0])
+    missed.plot(
+        *envelope(track.time, rest, rest), color=RED, lw=1.2, label="stored - input + dissipated"
+    )
+    missed.set_ylabel("missed [mJ]")
+    legend(axes, 3)
+    legend(missed, 1)
+    return _plot(figure, [axes, missed], "Energy put in, stored and dissipated over time", bag)
+
+
+def _rotors(bag: Bag) -> Plot | None:
+    flywheel, wheels = bag.track(topics.FLYWHEEL_STATE), bag.track(topics.WHEEL_STATE)
+    inertia = setting(bag, "rover", "jump_drive", "inertia")
+    wheel = setting(bag, "rover", "wheel_drive", "wheel_inertia")
+    lines = []
+    if flywheel is not None and isinstance(inertia, float | int):
+        lines.append((flywheel, f"{FLYWHEEL}.velocity", float(inertia), "flywheel", BLUE))
+    if wheels is not None and isinstance(wheel, float | int):
+        for name, colour in ((WHEEL_LEFT, GREEN), (WHEEL_RIGHT, PINK)):
+            label = name.replace("_", " ")
+            lines.append((wheels, f"{name}.velocity", float(wheel), label, colour))
+    moving = [line for line in lines if np.ptp(line[0].columns[line[1]]) > 0.0]
+    if not moving:
+        return None
+    figure, (axes,) = _rows("rotors", "Angular momentum of what spins in the rover", (1.6,))
+    for track, path, scale, label, colour in moving:
+        _line(axes, track, path, scale, color=colour, label=label, lw=1.2)
+    axes.set_ylabel("momentum [N m s]")
+    legend(axes, 4)
+    return _plot(figure, [axes], "Momentum of flywheel and wheels over time", bag)

@@ -1,0 +1,292 @@
+"""Tables of the report: what the machine did, descents, drives, pictures and audits."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rover_bags.findings.metrics import Metrics
+from rover_bags.findings.timeline import Activity
+from rover_bags.views.markup import escaped, table
+
+_ROWS: Final = 200
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table: heading with unit, and how a row's value is written."""
+
+    heading: str
+    value: Callable[[Any], float | str | None]
+    form: str = ".2f"
+
+    def text(self, row: Any) -> str:
+        """The cell."""
+        value = self.value(row)
+        if isinstance(value, str):
+            return value
+        if value is None or not math.isfinite(value):
+            return "-"
+        return f"{value:{self.form}}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of the report.
+
+    Attributes:
+        name: Heading.
+        columns: Its columns.
+        rows: What stands in its rows.
+        about: A sentence above it.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    rows: tuple[Any, ...]
+    about: str = ""
+
+    def as_text(self) -> list[str]:
+        """Lines for a terminal."""
+        cells = [[column.text(row) for column in self.columns] for row in self.rows[:_ROWS]]
+        heads = [column.heading for column in self.columns]
+        widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
+        wordy = [column.heading in self._wordy for column in self.columns]
+        lines = ["", f"{self.name.lower()}:"]
+        for row in [heads, *cells]:
+            joined = "  ".join(
+                cell.ljust(width) if words else cell.rjust(width)
+                for cell, width, words in zip(row, widths, wordy, strict=True)
+            )
+            lines.append(f"  {joined}".rstrip())
+        if len(self.rows) > _ROWS:
+            lines.append(f"  and {len(self.rows) - _ROWS} more")
+        return lines
+
+    def as_html(self) -> str:
+        """A table for the page."""
+        rows = [
+            [_cell(column.value(row), column.text(row)) for column in self.columns]
+            for row in self.rows[:_ROWS]
+        ]
+        about = f'<p class="soft">{escaped(self.about)}</p>' if self.about else ""
+        more = f"<p>and {len(self.rows) - _ROWS} more</p>" if len(self.rows) > _ROWS else ""
+        heads = [column.heading for column in self.columns]
+        return f"{about}{table(heads, rows, wordy=self._wordy)}{more}"
+
+    @property
+    def _wordy(self) -> set[str]:
+        """Headings of columns that hold words."""
+        return {
+            column.heading
+            for column in self.columns
+            if any(isinstance(column.value(row), str) for row in self.rows[:_ROWS])
+        }
+
+
+def _cell(value: float | str | None, text: str) -> str:
+    kind = ' class="words"' if isinstance(value, str) else ""
+    return f"<td{kind}>{escaped(text)}</td>"
+
+
+def _degrees(value: float | None) -> float | None:
+    return None if value is None else math.degrees(value)
+
+
+_WHEN: Final = (
+    Column("begin s", lambda row: row.begin_s),
+    Column("end s", lambda row: row.end_s),
+)
+
+_DESCENTS: Final = (
+    Column("way", lambda d: "down" if d.downward else "up"),
+    *_WHEN,
+    Column("duration s", lambda d: d.end_s - d.begin_s),
+    Column("from m", lambda d: d.from_m, ".3f"),
+    Column("to m", lambda d: d.to_m, ".3f"),
+    Column("depth from m", lambda d: d.depth_from_m, ".3f"),
+    Column("to m", lambda d: d.depth_to_m, ".3f"),
+    Column("mean m/s", lambda d: d.rate_m_s, ".3f"),
+    Column("fastest m/s", lambda d: d.fastest_m_s, ".3f"),
+    Column("off reference mm", lambda d: None if d.deviation_m is None else 1e3 * d.deviation_m),
+    Column("tension N", lambda d: d.tension_mean_N),
+    Column("ripple %", lambda d: None if d.ripple is None else 100.0 * d.ripple),
+    Column("peak N", lambda d: d.peak_tension_N),
+    Column("swing max deg", lambda d: _degrees(d.swing_max_rad)),
+    Column("RMS deg", lambda d: _degrees(d.swing_rms_rad)),
+)
+
+_DRIVES: Final = (
+    Column("what", lambda d: "turn" if d.turning else "drive"),
+    *_WHEN,
+    Column("path m", lambda d: d.path_m, ".3f"),
+    Column("distance m", lambda d: d.distance_m, ".3f"),
+    Column("heading deg", lambda d: _degrees(d.heading_rad), "+.1f"),
+    Column("rolled m", lambda d: d.rolled_m, ".3f"),
+    Column("slip %", lambda d: None if d.slip is None else 100.0 * d.slip, ".1f"),
+    Column("odometry off m", lambda d: d.odometry_error_m, ".3f"),
+)
+
+_TRAVELS: Final = (
+    *_WHEN,
+    Column("drives", lambda t: t.drives, "d"),
+    Column("path m", lambda t: t.path_m, ".3f"),
+    Column("begin to end m", lambda t: t.closing_m, ".3f"),
+)
+
+_EXPOSURES: Final = (
+    *_WHEN,
+    Column("depth m", lambda e: e.depth_m),
+    Column("wall m", lambda e: e.wall_m),
+    Column("pictures", lambda e: e.pictures, "d"),
+    Column("sharp %", lambda e: 100.0 * e.sharp, ".1f"),
+    Column("smear median px", lambda e: e.smear_median_px),
+    Column("largest px", lambda e: e.smear_max_px),
+)
+
+_ACTIVITIES: Final = (
+    Column("activity", lambda row: row[0]),
+    Column("times", lambda row: row[1], "d"),
+    Column("in all s", lambda row: row[2]),
+    Column("share %", lambda row: row[3], ".1f"),
+)
+
+_PHASES: Final = (
+    Column("activity", lambda phase: phase.what.value),
+    *_WHEN,
+    Column("duration s", lambda phase: phase.duration_s),
+)
+
+_MOMENTS: Final = (
+    Column("moment", lambda moment: moment.what.value.replace("_off", "-off").replace("_", " ")),
+    Column("time s", lambda moment: moment.time_s, ".3f"),
+    Column("why", lambda moment: moment.reason),
+)
+
+_LEDGER: Final = (
+    Column("activity", lambda line: line.what),
+    *_WHEN,
+    Column("input J", lambda line: line.input_J, "+.3f"),
+    Column("dissipated J", lambda line: line.dissipated_J, "+.3f"),
+    Column("stored J", lambda line: line.stored_J, "+.3f"),
+    Column("missed J", lambda line: line.missed_J, "+.1e"),
+)
+
+_ROTORS: Final = (
+    Column("rotor", lambda rotor: rotor.name.replace("_", " ")),
+    Column("largest N m s", lambda rotor: rotor.largest_N_m_s, ".4f"),
+    Column("limit N m s", lambda rotor: rotor.limit_N_m_s, ".3f"),
+    Column("share %", lambda r: None if r.share is None else 100.0 * r.share, ".1f"),
+    Column("at the end N m s", lambda rotor: rotor.final_N_m_s, ".4f"),
+)
+
+_FLIGHTS: Final = (
+    *_WHEN,
+    Column("gained N s", lambda f: f.gained_N_s, ".4f"),
+    Column("tether explains N s", lambda f: f.tether_N_s, ".4f"),
+    Column("unexplained N s", lambda f: f.unexplained_N_s, ".4f"),
+    Column("spin changed N m s", lambda f: f.turned_N_m_s, ".4f"),
+    Column("spin N m s", lambda f: f.spin_N_m_s, ".4f"),
+)
+
+
+def activity_sections(metrics: Metrics) -> list[Section]:
+    """What the machine did, in short, and the instants that matter."""
+    found = []
+    timeline = metrics.timeline
+    if timeline.phases:
+        found.append(Section("Activities", _ACTIVITIES, tuple(_shares(metrics))))
+    if timeline.moments:
+        found.append(Section("Moments", _MOMENTS, timeline.moments))
+    return found
+
+
+def phase_section(metrics: Metrics) -> Section | None:
+    """Every phase."""
+    phases = metrics.timeline.phases
+    return Section("Phases", _PHASES, phases) if phases else None
+
+
+def _shares(metrics: Metrics) -> Iterable[tuple[str, int, float, float]]:
+    times: dict[Activity, list[float]] = defaultdict(list)
+    for phase in metrics.timeline.phases:
+        times[phase.what].append(phase.duration_s)
+    total = sum(sum(spans) for spans in times.values()) or 1.0
+    for what, spans in times.items():
+        yield what.value, len(spans), sum(spans), 100.0 * sum(spans) / total
+
+
+def figure_sections(metrics: Metrics) -> list[Section]:
+    """Descents, pictures and drives, those that there are."""
+    sections = [
+        Section(
+            "Descents", _DESCENTS, metrics.descents,
+            "Lengths at the drum, depths of Body 1 below the fairlead; tension at the fairlead, "
+            "its mean and ripple in steady payout; swing of Body 1 about the fairlead.",
+        ),
+        Section(
+            "Pictures", _EXPOSURES, metrics.exposures,
+            "Of the wall, taken while the rover hung at one place; sharp: smeared by no more than "
+            "1 px.",
+        ),
+        Section(
+            "Drives", _DRIVES, metrics.drives,
+            "Path and distance of Body 1 over ground; rolled: by the wheels, mean of both; slip: "
+            "1 - path/rolled; odometry off: where encoders and gyro alone put it, against where "
+            "it is.",
+        ),
+        Section("Travels", _TRAVELS, metrics.travels),
+    ]  # fmt: skip
+    return [section for section in sections if section.rows]
+
+
+def ledger_section(metrics: Metrics) -> Section | None:
+    """Energy phase by phase."""
+    energy = metrics.audits.energy
+    return None if energy is None else Section("Energy by phase", _LEDGER, energy.lines)
+
+
+def momentum_sections(metrics: Metrics) -> list[Section]:
+    """Rotors and flights."""
+    audits = metrics.audits
+    found = []
+    if audits.rotors:
+        found.append(Section("Momentum of rotors", _ROTORS, audits.rotors))
+    if audits.flights:
+        found.append(
+            Section(
+                "Momentum in flight", _FLIGHTS, audits.flights,
+                "Gained: linear momentum of both bodies beyond gravity's. What the tether's pull "
+                "does not explain is unexplained. Spin: angular momentum about the common centre "
+                "of mass, rotors included; the tether's moment and the slider's friction change "
+                "it.",
+            )
+        )  # fmt: skip
+    return found
+
+
+def audit_words(metrics: Metrics) -> list[str]:
+    """What the audits come to, in sentences."""
+    energy, lines = metrics.audits.energy, []
+    if energy is not None:
+        share = "" if energy.share is None else f", {100.0 * energy.share:.2g} % of it"
+        lines.append(
+            f"Energy: of {energy.turnover_J:.4g} J turned over the books miss at most "
+            f"{energy.missed_J:.2g} J{share}; the plant's own drift is "
+            f"{energy.ledger_error_J:.1g} J from what its entries add up to."
+        )
+        if energy.gravity_error_J is not None:
+            lines.append(
+                "Gravity: the ledger's agrees with that of the recorded places of bodies and "
+                f"tether within {energy.gravity_error_J:.2g} J."
+            )
+    lines += [f"Not audited: {text}." for text in metrics.audits.lacking]
+    return lines
+
+
+def texts(sections: Sequence[Section]) -> list[str]:
+    """All sections for a terminal."""
+    return [line for section in sections for line in section.as_text()]

@@ -1,0 +1,169 @@
+"""What moves in a run of a rover that hangs, stands and flies in space, seen from the side."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from msg_schemas import topics
+from msg_schemas.samples import TETHER_COLUMNS
+from rover_bags.findings.geometry import rotations, setting
+from rover_bags.read import Bag, Floats, Track
+from rover_bags.views.animation import Scene, strong_end
+from rover_sim import ScenarioError, scenario_from_mapping
+
+_MOST_FRAMES: Final = 700
+_POINTS: Final = 25
+"""Of the tether as drawn."""
+_NEAR: Final = 0.75
+"""Half the width of the view from near [m]."""
+_MARGIN: Final = 0.6
+_SIZES: Final = {"body1_size": (0.30, 0.24, 0.15), "body2_size": (0.24, 0.24, 0.08)}
+_TENSION: Final = TETHER_COLUMNS.index("tension")
+
+
+def spatial_scene(
+    bag: Bag,
+    begin: float = -math.inf,
+    end: float = math.inf,
+    *,
+    since: float | None = None,
+    level: float = 0.0,
+) -> Scene | None:
+    """The scene of a whole run, or of a stretch of it; None where it is not recorded.
+
+    Args:
+        bag: What was read.
+        begin: Of the stretch, in simulated time [s].
+        end: Of the stretch.
+        since: The take-off from which the scene's time counts [s]; None: it is simulated time.
+        level: Height of Body 1 at that take-off [m].
+    """
+    first, second, tether = (
+        bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
+    )
+    if first is None or second is None or tether is None or not tether.shapes:
+        return None
+    chosen = np.flatnonzero((tether.time >= begin) & (tether.time <= end))
+    forward = np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])
+    if not forward.all():  # after a reset another run begins
+        chosen = chosen[: int(np.argmin(forward))]
+    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MOST_FRAMES))]
+    if len(chosen) < 2:
+        return None
+    time = tether.time[chosen]
+    sizes = {name: _size(bag, name, usual) for name, usual in _SIZES.items()}
+    body1 = _seen(first, time, sizes["body1_size"], _centre(bag))
+    body2 = _seen(second, time, sizes["body2_size"], (0.0, 0.0, 0.0))
+    shapes = np.stack([_drawn(tether.shapes[index]) for index in chosen.tolist()])
+    points = np.concatenate([shapes[:, :, :2].reshape(-1, 2), body1[:, :2], body2[:, :2]])
+    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    lines = _ground(bag, float(np.median(first.columns["position.y"])))
+    lines = tuple(_near_by(line, low, high) for line in lines)
+    height = _samples(first, time)[0][:, 2]
+    return Scene(
+        time=time - (0.0 if since is None else since),
+        body1=body1,
+        body2=body2,
+        tether=shapes,
+        element=1.0,
+        sizes={name: (size[0], size[2]) for name, size in sizes.items()},
+        ground=float(low[1]),
+        low=(float(low[0]), float(low[1])),
+        high=(float(high[0]), float(high[1])),
+        near=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))),
+        strongest=strong_end(shapes[:, :, -1]),
+        ground_lines=tuple(line for line in lines if len(line) > 1),
+        wheels=_wheels(bag, first, time),
+        follow=_NEAR,
+        is_run=since is None,
+        told=-height if since is None else height - level,
+    )
+
+
+def _size(bag: Bag, name: str, usual: tuple[float, float, float]) -> tuple[float, float, float]:
+    told = setting(bag, "rover", name)
+    if isinstance(told, list | tuple) and len(told) == 3:
+        x, y, z = (float(value) for value in told)
+        return x, y, z
+    return usual
+
+
+def _centre(bag: Bag) -> tuple[float, float, float]:
+    told = setting(bag, "rover", "body1_centre")
+    if isinstance(told, list | tuple) and len(told) == 3:
+        x, y, z = (float(value) for value in told)
+        return x, y, z
+    return (0.0, 0.0, 0.0)
+
+
+def _samples(track: Track, time: Floats) -> tuple[Floats, Floats]:
+    """Places, shape (F, 3), and rotations, shape (F, 3, 3), of the samples nearest to times."""
+    index = np.clip(np.searchsorted(track.time, time), 0, len(track) - 1)
+    return track.vector("position")[index], rotations(track)[index]
+
+
+def _seen(
+    track: Track, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
+) -> Floats:
+    """x, z, tilt in the plane and width of a box as seen from the side, shape (F, 4)."""
+    place, turned = _samples(track, time)
+    place = place + turned @ np.asarray(centre)
+    up = turned[:, :, 2]
+    tilt = np.arctan2(-up[:, 0], up[:, 2])
+    width = np.abs(turned[:, 0, 0]) * size[0] + np.abs(turned[:, 0, 1]) * size[1]
+    return np.stack([place[:, 0], place[:, 2], tilt, width], axis=1)
+
+
+def _wheels(bag: Bag, track: Track, time: Floats) -> Floats | None:
+    """Centres and half axes of both wheels as seen, shape (F, 2, 4)."""
+    names = ("radius", "width", "track", "axle_x", "axle_z")
+    told = [setting(bag, "rover", "wheels", name) for name in names]
+    if any(not isinstance(value, float | int) for value in told):
+        return None
+    radius, width, gauge, ahead, above = (float(value) for value in told)
+    place, turned = _samples(track, time)
+    found = []
+    for side in (0.5, -0.5):
+        middle = place + turned @ np.array([ahead, side * gauge, above])
+        wide = np.abs(turned[:, 0, 0]) * radius + np.abs(turned[:, 0, 1]) * 0.5 * width
+        high = np.full(len(time), radius)
+        found.append(np.stack([middle[:, 0], middle[:, 2], wide, high], axis=1))
+    return np.stack(found, axis=1)
+
+
+def _drawn(nodes: Floats) -> Floats:
+    """x, z, their slopes by pieces, and tension along the tether, shape (points, 5)."""
+    steps = np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1)
+    nodes, steps = nodes[np.concatenate([[True], steps > 0.0])], steps[steps > 0.0]
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.linspace(0.0, along[-1], _POINTS)
+    # Slopes are by undeformed length: along chords they keep their direction.
+    slopes = nodes[:, 3:6] / np.linalg.norm(nodes[:, 3:6], axis=1)[:, None]
+    curve = CubicHermiteSpline(along, nodes[:, [0, 2]], slopes[:, [0, 2]])
+    tension = np.interp(at, along, nodes[:, _TENSION])
+    return np.column_stack([curve(at), curve(at, 1) * along[-1] / (_POINTS - 1), tension])
+
+
+def _ground(bag: Bag, y: float) -> tuple[Floats, ...]:
+    """Ground and walls as the scenario has them."""
+    if not bag.scenario:
+        return ()
+    try:
+        place = getattr(scenario_from_mapping(dict(bag.scenario)), "place", None)
+    except (ScenarioError, TypeError, KeyError):
+        return ()  # of another version: the rover moves over nothing
+    return () if place is None else tuple(place.outline(y))
+
+
+def _near_by(line: Floats, low: Floats, high: Floats) -> Floats:
+    """The part of a line that may come into view, and whereto its ends lead."""
+    reach = 2.0 + 0.7 * float((high - low).max())
+    middle = 0.5 * (low + high)
+    near = np.all(np.abs(line - middle) <= reach + 0.5 * (high - low), axis=1)
+    # Each point beside a near one, too.
+    kept = np.convolve(near, np.ones(3), "same") > 0.5
+    return np.asarray(line[kept])

@@ -1,0 +1,165 @@
+"""The report for a terminal and for machines."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from rover_bags.findings.metrics import Metrics, TopicFigures
+from rover_bags.read import Bag
+from rover_bags.views.sections import (
+    activity_sections,
+    audit_words,
+    figure_sections,
+    momentum_sections,
+    texts,
+)
+
+FIGURES = (
+    ("jump_height_m", "jump height", "m", ".4f"),
+    ("attitude_variation_rad", "attitude variation", "rad", "+.4f"),
+    ("slack", "slack dh/df", "", ".3f"),
+    ("flight_time_s", "flight time", "s", ".4f"),
+    ("travel_m", "travel", "m", "+.4f"),
+    ("range_m", "range", "m", ".4f"),
+    ("turned_rad", "turned in all", "rad", ".4f"),
+    ("peak_tension_N", "peak tension", "N", ".2f"),
+    ("energy_drift_J", "energy drift", "J", ".1e"),
+)
+
+
+def as_text(bag: Bag, metrics: Metrics) -> str:
+    """The report for a terminal."""
+    lines = [f"{bag.path}: {in_short(bag, metrics)}"]
+    lines += [f"! {text}" for text in complaints(bag, metrics)]
+    lines += texts([*activity_sections(metrics), *figure_sections(metrics)])
+    if metrics.coverage is not None:
+        lines += ["", f"wall: {metrics.coverage.summary}"]
+    for number, jump in enumerate(metrics.jumps, 1):
+        lines += ["", f"jump {number}, take-off at {jump.take_off_s:.3f} s"]
+        lines += [
+            f"  {label:<20} {measured(getattr(jump, name), unit, form)}"
+            for name, label, unit, form in FIGURES
+        ]
+    if not metrics.jumps:
+        lines += ["", "no jump in this bag"]
+    lines += texts(momentum_sections(metrics))
+    lines += ["", *audit_words(metrics)]
+    lines += ["", _columns(metrics.topics.values())]
+    if metrics.events:
+        lines += ["", "events:"]
+        lines += [f"  {e.time_s:10.3f} s  {e.node}  {e.name}: {e.message}" for e in metrics.events]
+    if metrics.refusals:
+        lines += ["", "refusals:"]
+        lines += [f"  {e.time_s:10.3f} s  {e.name}: {e.message}" for e in metrics.refusals]
+    return "\n".join(lines)
+
+
+def in_short(bag: Bag, metrics: Metrics) -> str:
+    """How much was recorded, in a line."""
+    simulated = (
+        f", {metrics.simulated_s:.2f} s of simulated time"
+        if metrics.simulated_s is not None
+        else ""
+    )
+    return (
+        f"{sum(bag.counts.values())} messages on {len(bag.counts)} topics over "
+        f"{bag.duration:.2f} s{simulated}"
+    )
+
+
+def complaints(bag: Bag, metrics: Metrics) -> list[str]:
+    """What a reader must know before trusting the rest."""
+    found = list(bag.remarks)
+    found += [
+        f"{name}: {count} messages that the bag should hold cannot be read"
+        for name, count in sorted(bag.lost.items())
+    ]
+    if bag.unverified:
+        count = sum(bag.unverified.values())
+        found.append(f"{count} messages carry no checksum: they cannot be vouched for")
+    for losses, what in (
+        (bag.dropped, "the recorder could not keep"),
+        (bag.missed, "were lost on the way to the recorder"),
+    ):
+        for name, count in sorted(losses.items()):
+            found.append(f"{name}: {count} messages {what}")
+    for name, count in sorted(bag.rejected.items()):
+        example = next((item.reason for item in bag.examples if item.topic == name), "")
+        found.append(f"{name}: {count} messages break the contract, such as: {example}")
+    for figures in metrics.topics.values():
+        if figures.gaps:
+            pauses = "1 gap" if figures.gaps == 1 else f"{figures.gaps} gaps"
+            found.append(
+                f"{figures.topic}: {pauses}, the longest {figures.max_gap_s:.3f} s at "
+                f"{figures.max_gap_at_s:.3f} s"
+            )
+    return found
+
+
+def measured(value: float | None, unit: str, form: str) -> str:
+    """A figure with its unit."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:{form}} {unit}".rstrip()
+
+
+TOPIC_COLUMNS = (
+    ("messages", "count", "d"),
+    ("promised Hz", "expected_hz", ".4g"),
+    ("rate Hz", "rate_hz", ".4g"),
+    ("longest gap s", "max_gap_s", ".3f"),
+    ("gaps", "gaps", "d"),
+    ("delay ms p50", "latency_p50_ms", ".2f"),
+    ("p99", "latency_p99_ms", ".2f"),
+    ("max", "latency_max_ms", ".2f"),
+    ("age ms p50", "age_p50_ms", ".1f"),
+    ("p99", "age_p99_ms", ".1f"),
+    ("lost", "missed", "d"),
+    ("dropped", "dropped", "d"),
+    ("refused", "rejected", "d"),
+)
+
+
+def _columns(figures: Iterable[TopicFigures]) -> str:
+    rows = [["topic", *(label for label, _, _ in TOPIC_COLUMNS)]]
+    rows += [[item.topic, *topic_cells(item)] for item in figures]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if column == 0 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    )
+
+
+def topic_cells(item: TopicFigures) -> list[str]:
+    """A topic's figures as they stand in a table."""
+    values = [(getattr(item, name), form) for _, name, form in TOPIC_COLUMNS]
+    return ["" if value is None else f"{value:{form}}" for value, form in values]
+
+
+def as_mapping(bag: Bag, metrics: Metrics) -> dict[str, Any]:
+    """The report for machines; every number is finite or null."""
+    content = {
+        "bag": str(bag.path),
+        "seed": bag.seed,
+        "contract_version": bag.identity.get("contract_version"),
+        "package_version": bag.identity.get("package_version"),
+        "closed": bag.closed,
+        "complaints": complaints(bag, metrics),
+        **metrics.to_mapping(),
+    }
+    cleaned: dict[str, Any] = finite(content)
+    return cleaned
+
+
+def finite(value: Any) -> Any:
+    """Plain values with null for what is not finite."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

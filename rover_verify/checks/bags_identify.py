@@ -1,0 +1,254 @@
+"""Machines that are known, found again in noisy bags of the identification procedure."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import shutil
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from itertools import repeat
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rover_bags.identification.parameters import PARAMETERS, value_of, with_stiffness, with_values
+from rover_bags.identification.rehearsal import PROCEDURE, Manoeuvre, record
+from rover_bags.identification.workers import available_cores
+from rover_bags.identify import Estimate, identify
+from rover_sim import SpatialScenario, load_spatial
+from rover_verify.checks import Batch, Measured
+
+SOUGHT: Final = (
+    "EA", "EI", "axial_damping", "swivel_friction", "wheel_friction", "inertia_x", "inertia_y",
+    "inertia_z",
+)  # fmt: skip
+"""What every trial has to show."""
+_LEAST_TRIALS: Final = 20
+"""Below which a share of 0.9 says little."""
+_FARTHEST: Final = 0.3
+"""Of the true values from the configured ones, as logarithms."""
+
+
+def _start(generator: np.random.Generator, configured: SpatialScenario) -> dict[str, object]:
+    """A start of the hanging run that is not quite as configured; nobody tells how."""
+    tilt = generator.normal(0.0, 1.0, 2)
+    push = generator.normal(configured.start.body_rate, 0.5)
+    return {
+        "start.swing_angle": abs(float(generator.normal(0.0, 0.5))),
+        "start.swing_heading": float(generator.uniform(-180.0, 180.0)),
+        "start.swing_rate": float(generator.normal(0.0, 0.5)),
+        "start.tilt": [*tilt.tolist(), 0.0],
+        "start.body_rate": push.tolist(),
+        "start.twist": float(generator.normal(configured.start.twist, 3.0)),
+    }
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one trial found.
+
+    Attributes:
+        found: estimates, by name.
+        truth: true values, by name.
+        converged: whether the search came to its end.
+        simulations: that it took.
+    """
+
+    found: Mapping[str, Estimate]
+    truth: Mapping[str, float]
+    converged: bool
+    simulations: int
+
+    def holds_alone(self, name: str) -> bool:
+        """Whether a parameter is shown and its own 95 % interval holds the true value."""
+        low, high = self.found[name].alone
+        return self.found[name].shown and low <= self.truth[name] <= high
+
+    @property
+    def misses(self) -> list[str]:
+        """Why the trial counts as failed; none if it is good."""
+        hidden = [f"{name} is not shown" for name in SOUGHT if not self.found[name].shown]
+        outside = [
+            name
+            for name, one in self.found.items()
+            if one.shown and not one.covers(self.truth[name])
+        ]
+        return [*hidden, *outside, *([] if self.converged else ["the search did not end"])]
+
+
+def trial(
+    folder: Path,
+    seed: int,
+    index: int,
+    procedure: Mapping[str, Manoeuvre] = PROCEDURE,
+    changed: Mapping[str, object] | None = None,
+) -> Trial:
+    """Record the procedure with one machine that is known, and identify it.
+
+    Args:
+        folder: for its bags.
+        seed: of everything random.
+        index: of the trial, likewise.
+        procedure: what is done.
+        changed: values of its scenarios, by path.
+    """
+    generator = np.random.default_rng([seed, index])
+    truth: dict[str, float] = {}
+    bags = []
+    for name, manoeuvre in procedure.items():
+        configured = with_stiffness(load_spatial(name, changed or {}))
+        truth = truth or _truth(configured, generator)
+        real = with_values(configured, truth)
+        if configured.start.kind == "hanging":
+            real = real.with_overrides(_start(generator, configured))
+        noise = int(generator.integers(1, 2**31 - 1))
+        bags.append(
+            record(folder / f"trial_{index}" / name, configured, real, manoeuvre, seed=noise)
+        )
+    found = identify(bags)
+    return Trial(
+        {one.name: one for one in found.estimates}, truth, found.converged, found.simulations
+    )
+
+
+def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Trial:
+    """A trial, or what is kept of it; its bags go once it is over."""
+    path = None if kept is None else kept / f"identify_{seed}_{index}.json"
+    if path is not None and path.exists():
+        content = json.loads(path.read_text(encoding="utf-8"))
+        found = {name: Estimate(**one) for name, one in content.pop("found").items()}
+        return Trial(found, **content)
+    made = trial(folder, seed, index)
+    shutil.rmtree(folder / f"trial_{index}", ignore_errors=True)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps(asdict(made)), encoding="utf-8")
+        partial.replace(path)
+    return made
+
+
+def _trials(batch: Batch) -> list[Trial]:
+    """The trials of a batch, in processes of their own; those that are kept are not made again.
+
+    Fewer than 20 are never made.
+    """
+    runs = max(batch.runs, _LEAST_TRIALS)
+    made: dict[int, Trial] = {}
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(available_cores(), runs), mp_context=context) as pool:
+        jobs = {
+            pool.submit(_kept_trial, batch.folder, batch.kept, batch.seed, index): index
+            for index in range(runs)
+        }
+        for job in as_completed(jobs):
+            made[jobs[job]] = job.result()
+            batch.progress(len(made), runs)
+    return [made[index] for index in range(runs)]
+
+
+def _truth(configured: SpatialScenario, generator: np.random.Generator) -> dict[str, float]:
+    truth = {}
+    for name in PARAMETERS:
+        value = value_of(configured, name)
+        if value is not None:
+            truth[name] = value * math.exp(float(generator.uniform(-_FARTHEST, _FARTHEST)))
+    return truth
+
+
+def together(batch: Batch) -> Measured:
+    """Share of trials that show all parameters and whose intervals hold all the true values.
+
+    The intervals are simultaneous: all of a trial's hold together with a probability of 95 %.
+    """
+    made = _trials(batch)
+    good = sum(not one.misses for one in made)
+    failures = {
+        f"trial {index} misses": ", ".join(one.misses)
+        for index, one in enumerate(made)
+        if one.misses
+    }
+    median = float(np.median([one.simulations for one in made]))
+    note = f"{good} of {len(made)} trials, {median:.0f} simulations each (median)"
+    return Measured(good / len(made), note, failures)
+
+
+def each(batch: Batch) -> Measured:
+    """Share of the parameters' own 95 % intervals that hold the true value, over all of them.
+
+    What had to be shown and was not counts as missed, and so does all of a search without an end.
+    """
+    made = _trials(batch)
+    counts = {name: _held(name, made) for name in PARAMETERS}
+    total = sum(of for _, of in counts.values())
+    share = sum(held for held, _ in counts.values()) / total if total else math.nan
+    worst = min(held / of for held, of in counts.values() if of)
+    details = {name: _told(name, made) for name in PARAMETERS}
+    return Measured(share, f"{total} intervals; the worst parameter's share {worst:.2f}", details)
+
+
+_HANG: Final = PROCEDURE["identify_hang"]
+_WOUND_DOWN: Final = {"start.twist": 0.0, "start.body_rate": [0.0, 0.0, 0.0]}
+_LACKING: Final[tuple[tuple[str, Manoeuvre, Mapping[str, object], tuple[str, ...]], ...]] = (
+    (
+        "wheels at rest, no bow",
+        replace(_HANG, wheels=()),
+        {},
+        ("EI", "wheel_friction", "wheel_drag"),
+    ),
+    ("not wound up, no bow", _HANG, _WOUND_DOWN, ("EI", "swivel_friction")),
+)
+"""What is not done, and what is then not shown."""
+_MOST_LACKING: Final = 2
+"""Bags of each kind; each takes as long as a trial."""
+
+
+def lacking(batch: Batch) -> Measured:
+    """Parameters that are claimed to be known from bags that lack what shows them."""
+    cases = [case for case in range(len(_LACKING)) for _ in range(min(batch.runs, _MOST_LACKING))]
+    wrong: dict[str, float | str] = {}
+    claims = shown = held = done = 0
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(available_cores(), len(cases)), mp_context=context) as pool:
+        numbers = [cases[:place].count(case) for place, case in enumerate(cases)]
+        made = pool.map(_lacking, repeat(batch.folder), repeat(batch.seed), numbers, cases)
+        for number, case, one in zip(numbers, cases, made, strict=True):
+            about, _, _, hidden = _LACKING[case]
+            claimed = [name for name in hidden if one.found[name].shown]
+            claims += len(claimed)
+            others = [name for name in one.found if one.found[name].shown and name not in hidden]
+            shown += len(others)
+            held += sum(one.found[name].covers(one.truth[name]) for name in others)
+            if claimed:
+                wrong[f"{about}, {number}"] = ", ".join(claimed)
+            done += 1
+            batch.progress(done, len(cases))
+    note = f"{len(cases)} bags; of what they show {held} of {shown} simultaneous intervals hold"
+    return Measured(claims, note, wrong)
+
+
+def _lacking(folder: Path, seed: int, number: int, case: int) -> Trial:
+    _, manoeuvre, changed, _ = _LACKING[case]
+    return trial(folder / f"lacking_{case}", seed, number, {"identify_hang": manoeuvre}, changed)
+
+
+def _held(name: str, made: Sequence[Trial]) -> tuple[int, int]:
+    """How many of a parameter's own intervals hold its true value, and of how many."""
+    counted = [one for one in made if one.found[name].shown or name in SOUGHT]
+    held = sum(one.converged and one.holds_alone(name) for one in counted)
+    return held, len(counted)
+
+
+def _told(name: str, made: Sequence[Trial]) -> str:
+    held, of = _held(name, made)
+    errors = [one.found[name].error for one in made if one.found[name].shown]
+    if not errors:
+        return f"shown in none of {len(made)} trials"
+    return (
+        f"shown in {len(errors)} of {len(made)} trials; {held} of {of} intervals hold the true "
+        f"value; standard error {float(np.median(errors)):.2g} (median, relative)"
+    )

@@ -1,0 +1,48 @@
+"""Noise made white."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_bags.identification.noise import Errors, Floats, Whitening
+
+
+def sensed(
+    generator: np.random.Generator, errors: Errors, count: int, step: float
+) -> tuple[Floats, Floats]:
+    """Times, and readings of a sensor where nothing is to be read."""
+    times = step * np.arange(count)
+    walk = np.cumsum(generator.normal(0.0, math.sqrt(errors.walk * step), count))
+    bias = generator.normal(0.0, math.sqrt(errors.bias)) + walk
+    read = bias + generator.normal(0.0, math.sqrt(errors.white), count)
+    return np.asarray(times, dtype=np.float64), read
+
+
+@pytest.mark.parametrize("walk", [0.0, 2.0])
+def test_innovations_of_a_sensor_as_stated_are_white_and_of_variance_one(walk: float):
+    errors = Errors(white=0.04, walk=walk, bias=9.0)
+    times, read = sensed(np.random.default_rng(3), errors, 4000, 0.02)
+    known = np.ones((4000, 1), dtype=bool)
+    known[1000:1500] = False
+    whitening = Whitening(times, [errors], known)
+    innovations = whitening(read[:, None])
+    assert whitening.counts.tolist() == [3499]
+    assert whitening.scales(innovations)[0] == pytest.approx(1.0, abs=0.05)
+    assert whitening.coloured(innovations) == []
+    assert np.all(innovations[1000:1500] == 0.0)
+
+
+def test_a_walk_that_is_not_stated_is_found_out():
+    times, read = sensed(np.random.default_rng(4), Errors(0.04, 2.0, 9.0), 4000, 0.02)
+    whitening = Whitening(times, [Errors(0.04, 0.0, 9.0)], np.ones((4000, 1), dtype=bool))
+    innovations = whitening(read[:, None])
+    assert whitening.coloured(innovations) == [0]
+    assert whitening.scales(innovations)[0] > 2.0
+
+
+def test_a_constant_offset_does_not_count():
+    known = np.ones((500, 1), dtype=bool)
+    whitening = Whitening(0.02 * np.arange(500.0), [Errors(1.0, 0.0, 0.0)], known)
+    innovations = whitening(np.full((500, 1), 7.0))
+    assert float(np.linalg.norm(innovations)) < 0.2

@@ -1,0 +1,112 @@
+"""Parameters from recorded runs: what is found, what is named as not shown, refusals."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contract_bag import EPOCH_NS, MadeUp
+
+from msg_schemas import topics
+from msg_schemas.samples import TextSample
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagWriter, standard_type
+from rover_bags.identification.parameters import IdentifyError
+from rover_bags.identification.rehearsal import PROCEDURE, Manoeuvre, record
+from rover_bags.identification.runs import SIGNALS, read_experiments
+from rover_bags.identify import main
+from rover_sim import load_scenario, load_spatial
+
+HANG = load_spatial("identify_hang")
+SHORT = Manoeuvre(duration=2.8, payout=PROCEDURE["identify_hang"].payout, feed_forward=16.2)
+
+
+@pytest.fixture(scope="module")
+def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rover that bounces on its tether, which is stiffer than configured."""
+    real = HANG.with_overrides({"tether.axial_stiffness": 2.3e4, "start.swing_angle": 0.4})
+    path = tmp_path_factory.mktemp("identify") / "bag"
+    return record(path, HANG, real, SHORT, seed=11)
+
+
+def test_what_a_bounce_shows_is_found_and_what_it_does_not_is_named(
+    short_bag: Path, capsys: pytest.CaptureFixture[str]
+):
+    sought = ("EA", "axial_damping", "wheel_friction", "EI")
+    arguments = [str(short_bag), *(word for name in sought for word in ("-p", name))]
+    assert main([*arguments, "--jobs", "1", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["converged"]
+    assert not found["complete"]
+    stiffness = found["parameters"]["EA"]
+    # 3.5 standard errors.
+    assert abs(math.log(stiffness["value"] / 2.3e4)) < 3.5 * stiffness["relative_error"]
+    assert 0.0 < stiffness["relative_error"] < 0.02
+    assert stiffness["low"] < stiffness["low_alone"] < stiffness["value"] < stiffness["high"]
+    damping = found["parameters"]["axial_damping"]
+    assert abs(math.log(damping["value"] / 15e-3)) < 3.5 * damping["relative_error"]
+    assert all(one["misfit"] < 1.3 for one in found["signals"])
+    # The wheels never turned.
+    wheel = found["parameters"]["wheel_friction"]
+    assert not wheel["shown"]
+    assert wheel["value"] is wheel["low"] is wheel["high"] is None
+    assert "moves nothing" in wheel["words"]
+
+
+def test_readings_that_are_no_information_are_left_out(short_bag: Path):
+    (experiment,) = read_experiments(short_bag)
+    names = [str(signal) for signal in experiment.signals]
+    assert len(names) < len(SIGNALS)  # wheels and flywheel never turned
+    assert not any("wheel_left" in name or "flywheel" in name for name in names)
+    cell = experiment.readings[:, names.index(f"{topics.LOAD_CELL} force.z")]
+    times = experiment.times
+    assert np.isnan(cell[(times > 0.7) & (times < 1.4)]).all()  # the drum turned
+    assert np.isfinite(cell[times < 0.3]).all()
+    assert np.isfinite(cell[times > 1.9]).all()
+
+
+def refusal(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(arguments) == 2
+    return capsys.readouterr().err
+
+
+def test_refusals_say_what_is_wrong(
+    short_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert "no bag is given" in refusal([], capsys)
+    assert "nowhere" in refusal([str(tmp_path / "nowhere")], capsys)
+    assert "should be one of" in refusal([str(short_bag), "-p", "mass"], capsys)
+    assert "should be a number" in refusal([str(short_bag), "-p", "EA=much"], capsys)
+    assert "should be above 0" in refusal([str(short_bag), "-p", "EA=-1"], capsys)
+    assert "long enough" in refusal([str(short_bag), "--until", "1.0"], capsys)
+    assert "in this order" in refusal([str(short_bag), "--from", "2", "--until", "1"], capsys)
+    empty = MadeUp()
+    empty.add(0.0, topics.CONFIG, TextSample(json.dumps({"node": "/other"})))
+    assert "no configuration" in refusal([str(empty.write(tmp_path / "empty"))], capsys)
+    planar = MadeUp()
+    content = {
+        "parameters": {"tick": 0.01}, "seed": 0,
+        "scenario": load_scenario("paper_table1_high").to_mapping(),
+    }  # fmt: skip
+    planar.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+    assert "planar" in refusal([str(planar.write(tmp_path / "planar"))], capsys)
+
+
+def test_what_comes_after_a_gap_does_not_count(short_bag: Path, tmp_path: Path):
+    whole = BagScan(short_bag)
+    for name, (first, last) in {"late": (0.0, 0.5), "middle": (2.1, 2.5)}.items():
+        with BagWriter(tmp_path / name, sync=False) as writer:
+            channels: dict[str, int] = {}
+            for item in whole:
+                topic = item.topic.name
+                if topic not in channels:
+                    channels[topic] = writer.add_topic(topic, standard_type(item.topic.type))
+                if not first < (item.log_ns - EPOCH_NS) / 1e9 <= last:
+                    writer.write(channels[topic], item.log_ns, item.publish_ns, item.data)
+    with pytest.raises(IdentifyError, match=r"from 0\.000 s to 0\.520 s nothing is recorded"):
+        read_experiments(tmp_path / "late")
+    (cut,) = read_experiments(tmp_path / "middle")
+    assert cut.times[-1] < 2.1
+    assert "from 2.080 s to 2.520 s" in cut.remark
+    assert not any(stamp > 2_100_000_000 for stamp, _, _ in cut.orders)
