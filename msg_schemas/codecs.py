@@ -8,17 +8,37 @@ neither a faulty node nor a faulty peer can put a bad value on the wire.
 from __future__ import annotations
 
 import array
-import functools
 import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from importlib import import_module
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from msg_schemas.message_parts import (
+    Message,
+    check_frame,
+    from_time,
+    message_class,
+    new_message,
+    quaternion_of,
+    set_values,
+    to_time,
+    vector_of,
+)
+from msg_schemas.motion_codecs import (
+    decode_odometry,
+    decode_path,
+    decode_pose,
+    decode_twist,
+    encode_odometry,
+    encode_path,
+    encode_pose,
+    encode_twist,
+)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     TETHER_COLUMNS,
@@ -30,6 +50,8 @@ from msg_schemas.samples import (
     JointValue,
     Level,
     OdometrySample,
+    PathSample,
+    PoseSample,
     Quaternion,
     Sample,
     Shape,
@@ -37,28 +59,28 @@ from msg_schemas.samples import (
     StatusSample,
     TetherSample,
     TextSample,
-    Vector,
+    TwistSample,
     WrenchSample,
 )
 from msg_schemas.table import TOPICS, Field, Topic, Unstamped
 
-Message = Any
+__all__ = [
+    "Message",
+    "check",
+    "check_age",
+    "decode",
+    "encode",
+    "from_time",
+    "message_class",
+    "to_time",
+    "topic_row",
+]
 
 _NANO = 1_000_000_000
 _FLOAT64 = 8
 _POINT_STEP = 8 * len(TETHER_COLUMNS)
 _QUATERNION_TOLERANCE = 1e-3
-
-
-@functools.cache
-def message_class(type_name: str) -> type[Any]:
-    """Return the Python class of a message or service type such as ``nav_msgs/msg/Odometry``."""
-    package, kind, name = type_name.split("/")
-    found = getattr(import_module(f"{package}.{kind}"), name)
-    if not isinstance(found, type):
-        msg = f"{type_name} is not a message type"
-        raise TypeError(msg)
-    return found
+_COVARIANCE = 36  # values of a pose's
 
 
 def topic_row(name: str) -> Topic:
@@ -113,16 +135,40 @@ def check(topic: Topic, sample: Sample) -> None:
     elif isinstance(sample, TextSample):
         _check_text(topic, sample)
     elif isinstance(sample, OdometrySample):
-        norm = math.sqrt(sum(c * c for c in sample.orientation))
-        if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
-            raise Refusal(
-                topic.name,
-                RefusalCode.OUT_OF_LIMITS,
-                f"orientation has norm {norm!r}, it must be a unit quaternion",
-            )
+        _check_orientation(topic, sample.orientation)
+        _check_covariance(topic, sample.pose_covariance)
+    elif isinstance(sample, PoseSample):
+        _check_orientation(topic, sample.orientation, may_be_open=True)
+    elif isinstance(sample, PathSample):
+        for pose in sample.poses:
+            _check_orientation(topic, pose.orientation, may_be_open=True)
     limits = topic.by_path
     for path, value in sample.scalars():
         _check_number(topic, limits.get(path), path, value)
+
+
+def _check_orientation(topic: Topic, given: Quaternion, *, may_be_open: bool = False) -> None:
+    norm = math.sqrt(sum(c * c for c in given))
+    if abs(norm - 1.0) <= _QUATERNION_TOLERANCE or (may_be_open and norm == 0.0):
+        return
+    wanted = "a unit quaternion" + (", or all zeros to leave it open" if may_be_open else "")
+    raise Refusal(
+        topic.name,
+        RefusalCode.OUT_OF_LIMITS,
+        f"orientation has norm {norm!r}, it must be {wanted}",
+    )
+
+
+def _check_covariance(topic: Topic, given: tuple[float, ...]) -> None:
+    if given and len(given) != _COVARIANCE:
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_LENGTH,
+            f"pose_covariance has {len(given)} values, it must have {_COVARIANCE} or none",
+        )
+    if not all(math.isfinite(value) for value in given):
+        reason = "pose_covariance holds a number that is not finite"
+        raise Refusal(topic.name, RefusalCode.NOT_FINITE, reason)
 
 
 def _check_number(topic: Topic, row: Field | None, path: str, value: float) -> None:
@@ -213,55 +259,16 @@ def check_age(topic: Topic, sample: Sample, now_ns: int) -> Sample:
 
 
 def _restamped(sample: Sample, now_ns: int) -> Sample:
-    if isinstance(sample, JointSample):
-        return JointSample(now_ns, sample.joints)
+    if isinstance(sample, JointSample | TwistSample | PoseSample | PathSample):
+        return replace(sample, stamp_ns=now_ns)
     return sample
 
 
 # --- the codecs, one per sample type -----------------------------------------------------------
 
 
-def to_time(stamp_ns: int) -> Message:
-    """Return builtin_interfaces/Time for nanoseconds."""
-    time_class = message_class("builtin_interfaces/msg/Time")
-    return time_class(sec=stamp_ns // _NANO, nanosec=stamp_ns % _NANO)
-
-
-def from_time(time: Message) -> int:
-    """Return nanoseconds of a builtin_interfaces/Time."""
-    return int(time.sec) * _NANO + int(time.nanosec)
-
-
-def _new(topic: Topic, stamp_ns: int) -> Message:
-    message = message_class(topic.message)()
-    message.header.stamp.sec = stamp_ns // _NANO
-    message.header.stamp.nanosec = stamp_ns % _NANO
-    message.header.frame_id = topic.frame
-    return message
-
-
-def _check_frame(topic: Topic, got: str, wanted: str, which: str) -> None:
-    if wanted and got not in {"", wanted}:
-        raise Refusal(
-            topic.name, RefusalCode.WRONG_FRAME, f"{which} is {got!r}, it must be {wanted!r}"
-        )
-
-
-def _set(target: Message, values: tuple[float, ...], axes: str = "xyz") -> None:
-    for axis, value in zip(axes, values, strict=True):
-        setattr(target, axis, float(value))
-
-
-def _vector(source: Message) -> Vector:
-    return (float(source.x), float(source.y), float(source.z))
-
-
-def _quaternion(source: Message) -> Quaternion:
-    return (float(source.x), float(source.y), float(source.z), float(source.w))
-
-
 def _encode_joints(topic: Topic, sample: JointSample) -> Message:
-    message = _new(topic, sample.stamp_ns)
+    message = new_message(topic, sample.stamp_ns)
     message.name = list(sample.joints)
     values = sample.joints.values()
     message.position = array.array("d", [v.position for v in values])
@@ -294,58 +301,36 @@ def _decode_joints(topic: Topic, message: Message) -> JointSample:
     return JointSample(from_time(message.header.stamp), joints)
 
 
-def _encode_odometry(topic: Topic, sample: OdometrySample) -> Message:
-    message = _new(topic, sample.stamp_ns)
-    message.child_frame_id = topic.child_frame
-    _set(message.pose.pose.position, sample.position)
-    _set(message.pose.pose.orientation, sample.orientation, "xyzw")
-    _set(message.twist.twist.linear, sample.linear)
-    _set(message.twist.twist.angular, sample.angular)
-    return message
-
-
-def _decode_odometry(topic: Topic, message: Message) -> OdometrySample:
-    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
-    _check_frame(topic, message.child_frame_id, topic.child_frame, "child_frame_id")
-    return OdometrySample(
-        from_time(message.header.stamp),
-        _vector(message.pose.pose.position),
-        _quaternion(message.pose.pose.orientation),
-        _vector(message.twist.twist.linear),
-        _vector(message.twist.twist.angular),
-    )
-
-
 def _encode_imu(topic: Topic, sample: ImuSample) -> Message:
-    message = _new(topic, sample.stamp_ns)
+    message = new_message(topic, sample.stamp_ns)
     message.orientation_covariance[0] = -1.0  # sensor_msgs/Imu: no orientation estimate
-    _set(message.angular_velocity, sample.angular_velocity)
-    _set(message.linear_acceleration, sample.linear_acceleration)
+    set_values(message.angular_velocity, sample.angular_velocity)
+    set_values(message.linear_acceleration, sample.linear_acceleration)
     return message
 
 
 def _decode_imu(topic: Topic, message: Message) -> ImuSample:
-    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     return ImuSample(
         from_time(message.header.stamp),
-        _vector(message.angular_velocity),
-        _vector(message.linear_acceleration),
+        vector_of(message.angular_velocity),
+        vector_of(message.linear_acceleration),
     )
 
 
 def _encode_wrench(topic: Topic, sample: WrenchSample) -> Message:
-    message = _new(topic, sample.stamp_ns)
-    _set(message.wrench.force, sample.force)
-    _set(message.wrench.torque, sample.torque)
+    message = new_message(topic, sample.stamp_ns)
+    set_values(message.wrench.force, sample.force)
+    set_values(message.wrench.torque, sample.torque)
     return message
 
 
 def _decode_wrench(topic: Topic, message: Message) -> WrenchSample:
-    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     return WrenchSample(
         from_time(message.header.stamp),
-        _vector(message.wrench.force),
-        _vector(message.wrench.torque),
+        vector_of(message.wrench.force),
+        vector_of(message.wrench.torque),
     )
 
 
@@ -356,7 +341,7 @@ def _encode_tether(topic: Topic, sample: TetherSample) -> Message:
             RefusalCode.WRONG_LENGTH,
             f"nodes have shape {sample.nodes.shape}, it must be (n + 1, {len(TETHER_COLUMNS)})",
         )
-    message = _new(topic, sample.stamp_ns)
+    message = new_message(topic, sample.stamp_ns)
     point_field = message_class("sensor_msgs/msg/PointField")
     message.height = 1
     message.width = sample.nodes.shape[0]
@@ -373,7 +358,7 @@ def _encode_tether(topic: Topic, sample: TetherSample) -> Message:
 
 
 def _decode_tether(topic: Topic, message: Message) -> TetherSample:
-    _check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     names = tuple(f.name for f in message.fields)
     plain = all(f.datatype == _FLOAT64 and f.count == 1 for f in message.fields)
     if names != TETHER_COLUMNS or not plain or message.is_bigendian:
@@ -414,7 +399,7 @@ def _decode_clock(_topic: Topic, message: Message) -> ClockSample:
 def _encode_statuses(topic: Topic, sample: StatusSample) -> Message:
     status_class = message_class("diagnostic_msgs/msg/DiagnosticStatus")
     pair_class = message_class("diagnostic_msgs/msg/KeyValue")
-    message = _new(topic, sample.stamp_ns)
+    message = new_message(topic, sample.stamp_ns)
     message.status = [
         status_class(
             level=bytes([status.level]),
@@ -465,10 +450,10 @@ def _encode_drawing(topic: Topic, sample: DrawingSample) -> Message:
         marker.ns = shape.namespace
         marker.id = index
         marker.type = _MARKER_TYPES[shape.kind]
-        _set(marker.scale, shape.size)
-        _set(marker.color, shape.colour, "rgba")
-        _set(marker.pose.position, shape.position)
-        _set(marker.pose.orientation, shape.orientation, "xyzw")
+        set_values(marker.scale, shape.size)
+        set_values(marker.color, shape.colour, "rgba")
+        set_values(marker.pose.position, shape.position)
+        set_values(marker.pose.orientation, shape.orientation, "xyzw")
         marker.points = [point_class(x=x, y=y, z=z) for x, y, z in shape.points]
         marker.colors = [colour_class(r=r, g=g, b=b, a=a) for r, g, b, a in shape.colours]
         message.markers.append(marker)
@@ -497,10 +482,10 @@ def _decode_drawing(topic: Topic, message: Message) -> DrawingSample:
             _marker_kind(topic, int(m.type)),
             str(m.header.frame_id),
             _colour(m.color),
-            _vector(m.scale),
-            tuple(_vector(p) for p in m.points),
-            _vector(m.pose.position),
-            _quaternion(m.pose.orientation),
+            vector_of(m.scale),
+            tuple(vector_of(p) for p in m.points),
+            vector_of(m.pose.position),
+            quaternion_of(m.pose.orientation),
             tuple(_colour(each) for each in m.colors),
         )
         for m in message.markers
@@ -516,7 +501,10 @@ class _Codec(NamedTuple):
 _CODECS: Mapping[type[Any], _Codec] = MappingProxyType(
     {
         JointSample: _Codec(_encode_joints, _decode_joints),
-        OdometrySample: _Codec(_encode_odometry, _decode_odometry),
+        OdometrySample: _Codec(encode_odometry, decode_odometry),
+        PoseSample: _Codec(encode_pose, decode_pose),
+        PathSample: _Codec(encode_path, decode_path),
+        TwistSample: _Codec(encode_twist, decode_twist),
         ImuSample: _Codec(_encode_imu, _decode_imu),
         WrenchSample: _Codec(_encode_wrench, _decode_wrench),
         TetherSample: _Codec(_encode_tether, _decode_tether),

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from msg_schemas import qos
-from msg_schemas.refusal import RefusalCode
+from msg_schemas.refusal import REQUEST_ACCEPTED, RefusalCode
 from msg_schemas.table import (
     CONTRACT_VERSION,
     FRAMES,
@@ -35,10 +35,16 @@ _CODE_MEANINGS = {
     RefusalCode.FROM_THE_FUTURE: "stamped further ahead than the topic allows",
     RefusalCode.OUT_OF_ORDER: "stamped before the last accepted command",
     RefusalCode.WRONG_PHASE: "cannot be done in the present phase",
+    RefusalCode.OWNED: "another commander has the topic",
     RefusalCode.NOT_ACTIVE: "the node is not active",
     RefusalCode.NOT_ARMED: "the drive must be armed first",
     RefusalCode.NOT_SUPPORTED: "this plant or drive cannot do it",
 }
+
+_OWNED = (
+    "one owner: `header.frame_id` says who commands; the first one that is accepted owns the topic "
+    "until it falls silent, others are refused as `owned`"
+)
 
 _HEAD = """\
 # The contract
@@ -54,12 +60,19 @@ message packages are used.
 In a `sensor_msgs/JointState` all arrays are filled, one value per name; `position`,
 `velocity` and `effort` have the units given below. A message that breaks a rule is refused:
 nothing moves, the node lives on, and the reason appears on `{diagnostics}`.
+
+Who commands may say so in the message's `header.frame_id`, where the topic has no frame. A
+refusal then repeats it as the value `commander`, and the acceptance of a request is the event
+`{accepted}` with the values `topic` and `commander`: whoever gives each request a name of
+its own hears what became of it. Of a request in a frame its stamp stands there, as `1500000000 ns`.
 """
 
 
 def render() -> str:
     """Return the whole document as Markdown."""
-    lines = [_HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics")]
+    lines = [
+        _HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics", accepted=REQUEST_ACCEPTED)
+    ]
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]
@@ -96,6 +109,8 @@ def _section(topic: Topic) -> list[str]:
         lines += [f"- frame `{topic.frame}`{child}"]
     if topic.audience is not Audience.ALL:
         lines += [f"- for {topic.audience.value}"]
+    if topic.one_owner:
+        lines += [f"- {_OWNED}"]
     if topic.spatial_only:
         lines += ["- of parts that the planar plant does not have"]
     if topic.one_joint:

@@ -1,7 +1,7 @@
 """One value that people give: what is right, and what is said of what is not.
 
 A `Rule` stands in the metadata of a dataclass field. Node parameters
-(`msg_schemas.parameters`) and nested configurations (`rover_sim.configuration`)
+(`msg_schemas.parameters`) and nested configurations (`msg_schemas.configuration`)
 are made of such fields; here is all that both know of a single value.
 """
 
@@ -29,7 +29,7 @@ class FieldError(ValueError):
     """
 
     def __init__(self, path: str, value: object, expected: str) -> None:
-        super().__init__(f"{path} = {shown(value)}: {expected}")
+        super().__init__(f"{named(path)} = {shown(value)}: {expected}")
         self.path = path
         self.value = value
         self.expected = expected
@@ -39,6 +39,11 @@ def shown(value: object) -> str:
     """Print a value for a message, shortened where it is long."""
     printed = "null" if value is None else repr(value)
     return printed if len(printed) <= 60 else printed[:57] + "..."
+
+
+def named(path: str) -> str:
+    """Print a path for a message; quoted where a part of it would not show or break the line."""
+    return path if path.isprintable() else repr(path)
 
 
 def not_known(name: str, known: Iterable[str]) -> str:

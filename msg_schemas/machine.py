@@ -8,6 +8,10 @@ from types import MappingProxyType
 WORLD_FRAME = "map"
 BODY1_FRAME = "base_link"
 BODY2_FRAME = "body2"
+CAMERA_FRAME = "camera"
+CAMERA_OPTICAL_FRAME = "camera_optical"
+IMU_FRAME = "imu"
+TETHER_FRAME = "tether_attachment"
 
 FRAMES: Mapping[str, str] = MappingProxyType(
     {
@@ -16,11 +20,16 @@ FRAMES: Mapping[str, str] = MappingProxyType(
         BODY1_FRAME: "Body 1 (wheels, motors, tether attachment): origin at its centre of mass, "
         "x forward, y left along the wheels' axle, z up along the slider",
         BODY2_FRAME: "Body 2 (the mass that jumps): origin at its centre of mass, axes of Body 1",
+        CAMERA_FRAME: "the wall camera: x where it looks",
+        CAMERA_OPTICAL_FRAME: "the same, z where it looks, x right and y down in the picture",
+        IMU_FRAME: "the IMU, axes of Body 1",
+        TETHER_FRAME: "where the tether is attached, axes of Body 1",
     }
 )
 
 # Joints of the drives.
 JUMP_SCREW = "jump_screw"
+JUMP_SLIDER = "jump_slider"  # of the robot description: Body 2 on Body 1
 JUMP_LATCH = "jump_latch"
 FLYWHEEL = "flywheel"
 WHEEL_DRIVE = "wheel_drive"
@@ -82,6 +91,20 @@ DEPTH = "depth"
 DEPTH_GOAL = "depth_goal"
 STOPS_LEFT = "stops_left"
 PICTURE = "picture"
+
+# What the drive controller makes of its sensors.
+FORWARD = "forward"
+YAW = "yaw"
+PITCH = "pitch"
+ROLL = "roll"
+SLIP = "slip"
+GYRO_BIAS = "gyro_bias"
+GOAL_DISTANCE = "goal_distance"
+GOALS_LEFT = "goals_left"
+POSITION_ERROR = "position_error"
+HEADING_ERROR = "heading_error"
+WHEEL_EFFORT = "wheel_effort"
+TETHER_RANGE = "tether_range"
 ALARM_NAMES = ("touchdown", "slack", "snag", "over_tension")
 
 ENERGY_NAMES = (
@@ -96,6 +119,8 @@ MAX_NUT_FORCE = 1000.0  # [N]
 MAX_FLYWHEEL_TORQUE = 1.0  # [N m]
 MAX_WHEEL_RATE = 20.0  # [rad/s]
 MAX_WHEEL_TORQUE = 20.0  # [N m]
+MAX_DRIVE_SPEED = 1.0  # [m/s]
+MAX_TURN_RATE = 3.0  # [rad/s]
 MAX_TENSION = 5000.0  # [N]
 MAX_LENGTH = 1000.0  # [m]
 MAX_PAYOUT_RATE = 0.5  # [m/s]

@@ -3,8 +3,7 @@
 ``ContractNode`` is a lifecycle node that speaks by the contract's table only:
 it declares typed parameters, publishes samples, hands accepted samples to
 callbacks, and puts every refusal with its reason on diagnostics while it lives
-on. ``run`` is the ``main`` of every node: clean Ctrl-C, exit codes that mean
-something, ``--help``.
+on. ``msg_schemas.node_process`` runs one.
 
 Life of a node: ``setup`` (configure) -> ``start`` (activate) -> ``stop``
 (deactivate) -> ``release`` (clean-up). With the parameter ``autostart`` (the
@@ -13,42 +12,35 @@ default) it configures and activates itself.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import json
-import signal
-import sys
 import time
-import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import rclpy
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock import Clock, JumpThreshold, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args, try_shutdown
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode, message_class, topic_row
+from msg_schemas.access import Act, check_access
+from msg_schemas.admission import Admission, asker_of
+from msg_schemas.codecs import message_class, topic_row
 from msg_schemas.parameters import P, ParameterError, parameter
 from msg_schemas.publisher import ContractPublisher
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import REQUEST_ACCEPTED, Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.ros_parameters import (
     changed_groups,
     declare_parameters,
-    described_parameters,
 )
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
@@ -66,6 +58,10 @@ _READINESS_PERIOD = 0.1
 _SPIN_SLICE = 0.1
 _MOST_AT_ONCE = 50
 _LAST_WORDS = 0.5
+
+
+class ToldToStop(Exception):
+    """Raised in a transition that gives up because its node is told to stop."""
 
 
 class ExitCode(IntEnum):
@@ -102,11 +98,15 @@ class ContractNode(LifecycleNode):
 
     Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
     ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as they
-    need.
+    need. Where ``HEARS_MUCH``, rclpy's executor of events hands on what comes: it takes
+    less time for thousands of messages a second, but makes up for timers that were late,
+    so that several of their calls come at one time. A ``setup`` that takes more than a few
+    seconds calls ``heed_stop`` now and then.
     """
 
     NAME: ClassVar[str] = ""
     PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
+    HEARS_MUCH: ClassVar[bool] = False
 
     def __init__(self, **node_options: Any) -> None:
         """Declare parameters and open events, diagnostics and configuration.
@@ -116,12 +116,15 @@ class ContractNode(LifecycleNode):
         """
         super().__init__(self.NAME, **node_options)
         self.exit_code: ExitCode | None = None
+        self.told_to_stop: Callable[[], bool] = lambda: False
         self.active = False
         self._failure: Exception | None = None
         self._accepted: Counter[str] = Counter()
         self._refusals = RefusalLog(self.NAME)
         self._told_condition = ""
-        self._last_stamp: dict[str, int] = {}
+        self._latched: dict[str, tuple[Topic, Callable[[Any], None], Any]] = {}
+        self._is_caught_up = False
+        self._admission = Admission()
         self._opened: list[ContractPublisher] = []
         self._taken: list[Any] = []
         self._served: list[Any] = []
@@ -195,18 +198,21 @@ class ContractNode(LifecycleNode):
 
     def publisher(self, name: str) -> ContractPublisher:
         """Open a publisher for a topic of the table."""
+        check_access(self.NAME, Act.PUBLISH, name)
         made = ContractPublisher(self, name, self.refuse)
         self._opened.append(made)
         return made
 
-    def subscribe(self, name: str, callback: Callable[[Any], None]) -> None:
+    def subscribe(
+        self, name: str, callback: Callable[[Any], None], depth: int | None = None
+    ) -> None:
         """Subscribe to a topic of the table; ``callback`` gets accepted samples only.
 
-        ``callback`` may raise ``Refusal`` for what only it can judge, such as a
-        wrong phase.
+        ``depth`` deepens the queue, where several speak at once. ``callback`` may
+        raise ``Refusal`` for what only it can judge, such as a wrong phase.
         """
+        check_access(self.NAME, Act.SUBSCRIBE, name)
         row = topic_row(name)
-
         message_type = message_class(row.message)
 
         def receive(message: Any) -> None:
@@ -221,7 +227,7 @@ class ContractNode(LifecycleNode):
                 self._receive(row, callback, taken[0])
 
         subscription = self.create_subscription(
-            message_type, name, receive, qos.profile(row.intent)
+            message_type, name, receive, qos.profile(row.intent, depth)
         )
         self._taken.append(subscription)
 
@@ -231,13 +237,15 @@ class ContractNode(LifecycleNode):
         ``callback`` takes no argument (Trigger) or one bool (SetBool) and returns
         success and a message; a ``Refusal`` that it raises becomes the answer.
         """
+        check_access(self.NAME, Act.SERVE, name)
         row = SERVICES[name]
 
         def answer(request: Any, response: Any) -> Any:
             arguments = (bool(request.data),) if hasattr(request, "data") else ()
             try:
-                if not self.active:
-                    raise Refusal(name, RefusalCode.NOT_ACTIVE, f"{self.NAME} is not active")
+                unready = self._unready()
+                if unready:
+                    raise Refusal(name, RefusalCode.NOT_ACTIVE, unready)
                 response.success, response.message = callback(*arguments)
             except Refusal as refusal:
                 self.refuse(refusal)
@@ -256,6 +264,15 @@ class ContractNode(LifecycleNode):
     def now_ns(self) -> int:
         """Return the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
+
+    def knows_time(self) -> bool:
+        """Whether the node's clock goes: simulated time is unknown before it is first heard.
+
+        A sample that is heard before would seem as old as the clock's first reading.
+        """
+        clock = self.get_clock()
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return not is_simulated or clock.now().nanoseconds > 0
 
     def event(
         self,
@@ -292,34 +309,52 @@ class ContractNode(LifecycleNode):
         """Put one status on diagnostics now, besides the periodic ones."""
         self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
 
+    def _unready(self) -> str:
+        """Why nothing can be taken now; empty if it can."""
+        if not self.active:
+            return f"{self.NAME} is not active, it must be activated first"
+        if not self.knows_time():
+            return f"{self.NAME} follows simulated time and has not heard {topics.CLOCK} yet"
+        return ""
+
+    def _catch_up(self) -> None:
+        """Take what is latched, once all is ready: nobody says it again."""
+        if self._is_caught_up or self._unready():
+            return
+        self._is_caught_up = True
+        for row, callback, message in tuple(self._latched.values()):
+            self._receive(row, callback, message)
+
     def _receive(self, row: Topic, callback: Callable[[Any], None], message: Any) -> None:
         is_command = row.intent is Intent.COMMAND
-        if not self.active:
+        if row.intent is Intent.LATCHED:
+            self._latched[row.name] = (row, callback, message)
+        asker = asker_of(row, message) if is_command else ""
+        unready = self._unready()
+        if unready:
             if is_command:
-                reason = f"{self.NAME} is not active, it must be activated first"
-                self.refuse(Refusal(row.name, RefusalCode.NOT_ACTIVE, reason))
+                self._refuse_of(asker, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
             return
+        now_ns = self.now_ns()
         try:
-            sample = decode(row.name, message, self.now_ns())
-            if is_command:
-                self._check_order(row.name, sample.stamp_ns)
+            sample = self._admission.admit(row, message, now_ns)
             callback(sample)
         except Refusal as refusal:
-            self.refuse(refusal)
+            self._refuse_of(asker, refusal)
             return
+        self._admission.accepted(row, message, now_ns)
         self._accepted[row.name] += 1
+        if asker and not row.one_owner:
+            values = {"topic": row.name, "commander": asker}
+            self.event(REQUEST_ACCEPTED, f"{row.name} of {asker}", values=values)
 
-    def _check_order(self, name: str, stamp_ns: int) -> None:
-        last = self._last_stamp.get(name, 0)
-        if stamp_ns < last:
-            late = (last - stamp_ns) * 1e-9
-            reason = f"stamped {late:.3f} s before the last accepted one, stamps must not go back"
-            raise Refusal(name, RefusalCode.OUT_OF_ORDER, reason)
-        self._last_stamp[name] = stamp_ns
+    def _refuse_of(self, asker: str, refusal: Refusal) -> None:
+        refusal.commander = asker
+        self.refuse(refusal)
 
     def accept_earlier_stamps(self) -> None:
         """Forget the stamps of past commands: the clock that they follow has gone back."""
-        self._last_stamp.clear()
+        self._admission.forget()
 
     def _on_clock_jump(self, _jump: Any) -> None:
         self.accept_earlier_stamps()
@@ -333,7 +368,7 @@ class ContractNode(LifecycleNode):
         """Whether the node can do its work, and if not, what it waits for."""
         if not self.active:
             return "inactive"
-        missing = self.waiting_for()
+        missing = self.waiting_for() if self.knows_time() else (topics.CLOCK,)
         return f"waiting for {', '.join(missing)}" if missing else READY
 
     def _publish_health(self) -> None:
@@ -345,12 +380,15 @@ class ContractNode(LifecycleNode):
             "accepted": str(sum(self._accepted.values())),
             "refused": str(self._refusals.refused),
         }
+        for topic, owner in self._admission.owners(self.now_ns()).items():
+            values[f"owner of {topic}"] = owner
         level = Level.WARN if self.active and condition != READY else Level.OK
         own = Status(f"{self.NAME}: node", condition, level, self.NAME, values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
     def _tell_new_condition(self) -> None:
         """Tell at once what who waits for this node waits for."""
+        self._catch_up()
         if self._condition() != self._told_condition:
             self._publish_health()
 
@@ -401,6 +439,8 @@ class ContractNode(LifecycleNode):
     ) -> TransitionCallbackReturn:
         try:
             act()
+        except ToldToStop:
+            return TransitionCallbackReturn.FAILURE
         except Exception as error:  # noqa: BLE001 - a transition must answer, whatever went wrong
             self._failure = error
             self.get_logger().error(f"{type(error).__name__}: {error}")
@@ -410,7 +450,7 @@ class ContractNode(LifecycleNode):
     def _configure(self) -> None:
         try:
             self.setup()
-        except BaseException:
+        except Exception:
             self._close()
             raise
         self._publish_configuration()
@@ -420,8 +460,9 @@ class ContractNode(LifecycleNode):
         # again and again, and hold the node up for 0.1 s and more each time.
         gc.collect()
         gc.freeze()
-        self.active = True
+        self.active, self._is_caught_up = True, False
         self.start()
+        self._catch_up()
         self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
         self.event("active", f"{self.NAME} is active")
 
@@ -448,28 +489,46 @@ class ContractNode(LifecycleNode):
         for made in self._opened:
             made.destroy()
         self._taken.clear()
+        self._latched.clear()
         self._served.clear()
         self._opened.clear()
 
+    def heed_stop(self) -> None:
+        """Leave a transition that takes long, if the node is told to stop meanwhile.
+
+        Raises:
+            ToldToStop: it is.
+        """
+        if self.told_to_stop():
+            raise ToldToStop
+
     def bring_up(self) -> ExitCode | None:
-        """Configure and activate when ``autostart`` says so; returns why it could not."""
+        """Configure and activate when ``autostart`` says so; returns why it could not.
+
+        It goes no further than it is when the node is told to stop.
+        """
         if not self.parameters_of(ShellParameters).autostart:
             return None
         for transition in (self.trigger_configure, self.trigger_activate):
-            if transition() is not TransitionCallbackReturn.SUCCESS:
+            if self.told_to_stop():
+                return None
+            if transition() is not TransitionCallbackReturn.SUCCESS and not self.told_to_stop():
                 failed = self._failure
                 expected = isinstance(failed, (ValueError, OSError))
                 return ExitCode.BAD_CONFIGURATION if expected else ExitCode.CRASH
         return None
 
+    def wait_until_taken(self) -> None:
+        """Let what was said reach who listens, as it is lost when the process ends."""
+        deadline = time.monotonic() + _LAST_WORDS
+        for made in (*self._opened, self._events, self._diagnostics):
+            made.wait_until_taken(max(0.0, deadline - time.monotonic()))
+
     def shut_down(self) -> None:
         """Stop acting and give everything back; safe to call twice."""
         self._deactivate()
         self._publish_health()
-        # What is not taken when the process ends is lost: the last words matter most.
-        deadline = time.monotonic() + _LAST_WORDS
-        for made in (*self._opened, self._events, self._diagnostics):
-            made.wait_until_taken(max(0.0, deadline - time.monotonic()))
+        self.wait_until_taken()
         self._clean_up()
         self._jump_handle.unregister()
 
@@ -481,115 +540,3 @@ def parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInst
 
 def _text(value: object) -> str:
     return repr(value) if isinstance(value, float) else str(value)
-
-
-N = TypeVar("N", bound=ContractNode)
-
-
-def help_text(node_class: type[ContractNode]) -> str:
-    """Return what ``--help`` prints: purpose and parameters with unit, default and range."""
-    lines = [
-        f"{node_class.NAME}: {(node_class.__doc__ or '').strip()}",
-        "",
-        f"usage: {node_class.NAME} [--ros-args -p NAME:=VALUE -r FROM:=TO -r __ns:=/NAMESPACE ...]",
-        "",
-        "parameters:",
-    ]
-    lines += described_parameters(parameter_classes(node_class))
-    return "\n".join(lines)
-
-
-class _Interrupted(BaseException):
-    """Raised in the middle of bringing up, by a signal: compiling must not hold Ctrl-C up."""
-
-
-class _StopRequest:
-    """SIGINT and SIGTERM, however often they come."""
-
-    def __init__(self) -> None:
-        self.is_made = False
-        self._may_interrupt = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, *_: object) -> None:
-        self.is_made = True
-        if self._may_interrupt:
-            self._may_interrupt = False
-            raise _Interrupted
-
-    @contextlib.contextmanager
-    def interrupts(self) -> Iterator[None]:
-        """Let a signal end the block early, without an error."""
-        try:
-            self._may_interrupt = True
-            if not self.is_made:
-                yield
-        except _Interrupted:
-            pass
-        finally:
-            self._may_interrupt = False
-
-
-def run(node_class: type[N], arguments: list[str] | None = None) -> int:
-    """Run one node until it is told to stop; the ``main`` of every node.
-
-    SIGINT and SIGTERM (also twice) stop it cleanly: it deactivates, so that it
-    leaves its actuators safe, and only then leaves the graph.
-
-    Returns:
-        An ``ExitCode``.
-    """
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if {"-h", "--help"} & set(arguments):
-        print(help_text(node_class))
-        return ExitCode.OK
-    stop = _StopRequest()
-    try:
-        _init_ros(arguments)
-        return _run_until(node_class, stop)
-    except ParameterError as error:
-        print(f"{node_class.NAME}: {error}", file=sys.stderr)
-        return ExitCode.BAD_CONFIGURATION
-    except Exception:  # noqa: BLE001 - the last resort: say what happened and fail
-        traceback.print_exc()
-        return ExitCode.CRASH
-    finally:
-        try_shutdown()
-
-
-def _init_ros(arguments: list[str]) -> None:
-    try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        rest = remove_ros_args(arguments)
-    except RuntimeError as error:  # what rclpy's own errors have in common
-        msg = f"ROS arguments not understood: {str(error).splitlines()[0]}"
-        raise ParameterError(msg) from error
-    if rest:
-        msg = (
-            f"unknown argument {rest[0]!r}; parameters are given as "
-            "--ros-args -p NAME:=VALUE, --help lists them"
-        )
-        raise ParameterError(msg)
-
-
-def _run_until(node_class: type[N], stop: _StopRequest) -> int:
-    node = node_class()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        failed = None
-        with stop.interrupts():
-            failed = node.bring_up()
-        if failed is not None:
-            return failed
-        while not stop.is_made and node.exit_code is None:
-            try:
-                executor.spin_once(timeout_sec=_SPIN_SLICE)
-            except ExternalShutdownException:
-                break
-        return ExitCode.OK if node.exit_code is None else node.exit_code
-    finally:
-        node.shut_down()
-        executor.shutdown()
-        node.destroy_node()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,9 @@ class ContractPublisher:
         self._node = node
         self._name = name
         self._refuse = refuse
+        # Who commands says so, each publisher by a name of its own: a node may run twice.
+        self._commander = f"{node.get_fully_qualified_name()}#{secrets.token_hex(4)}"
+        self._is_owned = row.one_owner
         self._publisher = node.create_publisher(
             message_class(row.message), name, qos.profile(row.intent)
         )
@@ -37,7 +41,10 @@ class ContractPublisher:
     def send(self, sample: Sample) -> bool:
         """Encode and publish; returns whether it went out."""
         try:
-            self._publisher.publish(encode(self._name, sample))
+            message = encode(self._name, sample)
+            if self._is_owned:
+                message.header.frame_id = self._commander
+            self._publisher.publish(message)
         except Refusal as refusal:
             self._refuse(refusal)
             return False

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+REQUEST_ACCEPTED = "request_accepted"
+"""Event: a request whose ``header.frame_id`` says who asks was not refused; it repeats who."""
+
 
 class RefusalCode(StrEnum):
     """The reasons for which the contract turns something away."""
@@ -24,6 +27,7 @@ class RefusalCode(StrEnum):
     FROM_THE_FUTURE = "from_the_future"
     OUT_OF_ORDER = "out_of_order"
     WRONG_PHASE = "wrong_phase"
+    OWNED = "owned"
     NOT_ACTIVE = "not_active"
     NOT_ARMED = "not_armed"
     NOT_SUPPORTED = "not_supported"
@@ -36,6 +40,7 @@ class Refusal(ValueError):
         subject: topic, service or parameter that it came by.
         code: the kind of reason.
         reason: one sentence: what, which value, what would be right.
+        commander: who asked, where the message says so.
     """
 
     def __init__(self, subject: str, code: RefusalCode, reason: str) -> None:
@@ -43,3 +48,4 @@ class Refusal(ValueError):
         self.subject = subject
         self.code = code
         self.reason = reason
+        self.commander = ""

@@ -74,5 +74,7 @@ class RefusalLog:
             "refused": str(subject.refused),
             "not_shown": str(max(0, subject.held_back - 1)),
         }
+        if refusal.commander:
+            values["commander"] = refusal.commander
         name = f"{self._node}: refused {refusal.subject}"
         return Status(name, message, Level.WARN, self._node, values)

@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from math import inf
 
-from msg_schemas.samples import Sample
+from msg_schemas.samples import JointSample, JointValue, Sample
 
 
 class Intent(StrEnum):
@@ -91,6 +91,7 @@ class Topic:
         optional_joints: further names, of parts that a machine may lack.
         one_joint: a message names exactly one of ``joints``: the one it is about.
         words: texts that are allowed; empty = any.
+        one_owner: commands of one publisher at a time alone are accepted.
         spatial_only: of parts that the planar plant does not have.
     """
 
@@ -111,12 +112,30 @@ class Topic:
     is_json: bool = False
     stale: StalePolicy = field(default_factory=StalePolicy)
     audience: Audience = Audience.ALL
+    one_owner: bool = False
     spatial_only: bool = False
 
     @cached_property
     def by_path(self) -> Mapping[str, Field]:
         """Fields by their path."""
         return {item.path: item for item in self.fields}
+
+    def saturated(self, stamp_ns: int, joints: Mapping[str, JointValue]) -> JointSample:
+        """The sample as a sensor of this range tells it: what lies beyond is held at its end."""
+
+        def held(name: str, part: str, value: float) -> float:
+            row = self.by_path[f"{name}.{part}"]
+            return min(max(value, row.minimum), row.maximum)
+
+        return JointSample(
+            stamp_ns,
+            {
+                name: JointValue(
+                    *(held(name, part, getattr(value, part)) for part in value._fields)
+                )
+                for name, value in joints.items()
+            },
+        )
 
 
 @dataclass(frozen=True)

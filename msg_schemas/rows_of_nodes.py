@@ -139,13 +139,14 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "descent_node (one owner)",
+        "descent_node",
         50.0,
         fields=joint_fields(
             WINCH_DRUM,
             velocity=("m/s", "rate to add, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
         ),
         joints=(WINCH_DRUM,),
+        one_owner=True,
         stale=StalePolicy(
             max_age=0.5,
             max_lead=0.1,

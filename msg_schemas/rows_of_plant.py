@@ -363,7 +363,7 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "jump_node (one owner)",
+        "jump_node",
         20.0,
         fields=(
             *joint_fields(
@@ -384,6 +384,7 @@ _DRIVE_COMMANDS = (
         ),
         joints=(JUMP_SCREW,),
         optional_joints=(JUMP_LATCH,),
+        one_owner=True,
         stale=_stale_drive("the nut stays where it is"),
     ),
     Topic(
@@ -393,7 +394,7 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "attitude controller (one owner)",
+        "attitude controller",
         50.0,
         fields=joint_fields(
             FLYWHEEL,
@@ -405,6 +406,7 @@ _DRIVE_COMMANDS = (
             ),
         ),
         joints=(FLYWHEEL,),
+        one_owner=True,
         stale=_stale_drive("the motor is off: the flywheel coasts"),
         spatial_only=True,
     ),
@@ -415,7 +417,7 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "drive controller (one owner)",
+        "drive controller",
         20.0,
         fields=joint_fields(
             WHEEL_DRIVE,
@@ -428,6 +430,7 @@ _DRIVE_COMMANDS = (
             ),
         ),
         joints=(WHEEL_DRIVE,),
+        one_owner=True,
         stale=_stale_drive("the motor is off: the wheels coast"),
         spatial_only=True,
     ),
@@ -438,7 +441,7 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "attitude controller (one owner)",
+        "attitude controller",
         50.0,
         fields=joint_fields(
             WHEEL_DRIVE,
@@ -450,6 +453,7 @@ _DRIVE_COMMANDS = (
             ),
         ),
         joints=(WHEEL_DRIVE,),
+        one_owner=True,
         stale=_stale_drive("the motor is off: the wheels coast"),
         spatial_only=True,
     ),
@@ -459,7 +463,7 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "winch_node (one owner)",
+        "winch_node",
         50.0,
         fields=(
             *joint_fields(
@@ -480,6 +484,7 @@ _DRIVE_COMMANDS = (
             ),
         ),
         joints=(WINCH_DRUM, WINCH_BRAKE, WINCH_LIMIT),
+        one_owner=True,
         stale=StalePolicy(
             max_age=0.5,
             max_lead=0.1,
@@ -526,6 +531,29 @@ _SIMULATION = (
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.ROBOT_DESCRIPTION,
+        "rover and drum as URDF, of a plant in space; its root is the world frame",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        _SIM,
+        None,
+        spatial_only=True,
+    ),
+    Topic(
+        topics.OBSERVED_WALL,
+        "where the pictures of the wall were taken: at their depths and headings, as far away as "
+        "the range finder told; green steady, red smeared",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.LATCHED,
+        "view_node",
+        None,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        spatial_only=True,
     ),
 )
 

@@ -66,18 +66,69 @@ class JointSample:
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """Pose of a body in the world and its twist in the body's own frame (REP-147 style)."""
+    """Pose of a body in the world and its twist in the body's own frame (REP-147 style).
+
+    Attributes:
+        pose_covariance: of x, y, z and the rotations about the world's axes, row by row, 36 values;
+            empty = it is not told.
+    """
 
     stamp_ns: int
     position: Vector
     orientation: Quaternion
     linear: Vector
     angular: Vector
+    pose_covariance: tuple[float, ...] = ()
 
     def scalars(self) -> Iterator[tuple[str, float]]:
         """Yield position, orientation, linear and angular components."""
         yield from _vector("position", self.position)
         yield from _vector("orientation", self.orientation, "xyzw")
+        yield from _vector("linear", self.linear)
+        yield from _vector("angular", self.angular)
+
+
+NO_ORIENTATION: Quaternion = (0.0, 0.0, 0.0, 0.0)
+"""What a pose says that leaves the orientation to who goes there."""
+
+
+@dataclass(frozen=True)
+class PoseSample:
+    """Where to be, or where one is; `NO_ORIENTATION` leaves the orientation open."""
+
+    stamp_ns: int
+    position: Vector
+    orientation: Quaternion = NO_ORIENTATION
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield position and orientation components."""
+        yield from _vector("position", self.position)
+        yield from _vector("orientation", self.orientation, "xyzw")
+
+
+@dataclass(frozen=True)
+class PathSample:
+    """Poses to go through, in their order."""
+
+    stamp_ns: int
+    poses: tuple[PoseSample, ...]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield the components of every pose."""
+        for pose in self.poses:
+            yield from pose.scalars()
+
+
+@dataclass(frozen=True)
+class TwistSample:
+    """Velocity and angular velocity of a body in its own frame."""
+
+    stamp_ns: int
+    linear: Vector
+    angular: Vector
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield linear and angular components."""
         yield from _vector("linear", self.linear)
         yield from _vector("angular", self.angular)
 

@@ -5,8 +5,9 @@ and units, within which limits, and what happens when it falls silent or comes
 late. Nodes, recorder, reports and the generated document all read this table;
 no topic name stands anywhere else.
 
-The rows stand in ``rows_of_plant``, ``rows_of_descent`` and ``rows_of_nodes``; what
-a row can say in ``row_kinds``; frames, joints and largest values in ``machine``.
+The rows stand in ``rows_of_plant``, ``rows_of_link``, ``rows_of_descent``, ``rows_of_drive`` and
+``rows_of_nodes``; what a row can say in ``row_kinds``; frames, joints and largest values in
+``machine``.
 Others import all of it from here.
 """
 
@@ -20,6 +21,8 @@ from msg_schemas.machine import (
     BODY1_FRAME,
     BODY2_FRAME,
     BODY_SWITCH,
+    CAMERA_FRAME,
+    CAMERA_OPTICAL_FRAME,
     CAMERA_RATE,
     DEPTH,
     DEPTH_GOAL,
@@ -29,14 +32,22 @@ from msg_schemas.machine import (
     FLYWHEEL_BUDGET,
     FLYWHEEL_MOMENTUM,
     FLYWHEEL_TRAVEL,
+    FORWARD,
     FRAMES,
+    GOAL_DISTANCE,
+    GOALS_LEFT,
+    GYRO_BIAS,
     HEADING,
+    HEADING_ERROR,
     HEADING_GOAL,
     HEADING_TURN,
+    IMU_FRAME,
     JUMP_LATCH,
     JUMP_MOTOR,
     JUMP_SCREW,
+    JUMP_SLIDER,
     JUMP_STROKE,
+    MAX_DRIVE_SPEED,
     MAX_FLYWHEEL_TORQUE,
     MAX_FREE_TRAVEL,
     MAX_LENGTH,
@@ -47,13 +58,18 @@ from msg_schemas.machine import (
     MAX_SLACK,
     MAX_STROKE,
     MAX_TENSION,
+    MAX_TURN_RATE,
     MAX_WHEEL_RATE,
     MAX_WHEEL_TORQUE,
     OBSERVATION_STOP,
     PAYOUT,
     PICTURE,
+    PITCH,
     PLAIN_STOP,
+    POSITION_ERROR,
     REFERENCE,
+    ROLL,
+    SLIP,
     SMALLEST_LIMIT,
     SMEAR,
     STOPS_LEFT,
@@ -64,13 +80,16 @@ from msg_schemas.machine import (
     SWING_MINOR,
     SWING_PLANE,
     TENSION,
+    TETHER_FRAME,
     TETHER_OUT,
+    TETHER_RANGE,
     TILT_X,
     TILT_Y,
     TRAVEL_BUDGET,
     WALL_DISTANCE,
     WHEEL_BUDGET,
     WHEEL_DRIVE,
+    WHEEL_EFFORT,
     WHEEL_LEFT,
     WHEEL_MOMENTUM,
     WHEEL_MOTOR,
@@ -85,6 +104,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
     WORLD_FRAME,
+    YAW,
     YAW_ERROR,
 )
 from msg_schemas.row_kinds import (
@@ -97,6 +117,8 @@ from msg_schemas.row_kinds import (
     Unstamped,
 )
 from msg_schemas.rows_of_descent import DESCENT_SERVICES, DESCENT_TOPICS
+from msg_schemas.rows_of_drive import DRIVE_SERVICES, DRIVE_TOPICS
+from msg_schemas.rows_of_link import LINK_SERVICES, LINK_TOPICS
 from msg_schemas.rows_of_nodes import NODE_SERVICES, NODE_TOPICS
 from msg_schemas.rows_of_plant import PLANT_SERVICES, PLANT_TOPICS
 
@@ -105,6 +127,8 @@ __all__ = [
     "BODY1_FRAME",
     "BODY2_FRAME",
     "BODY_SWITCH",
+    "CAMERA_FRAME",
+    "CAMERA_OPTICAL_FRAME",
     "CAMERA_RATE",
     "CONTRACT_VERSION",
     "DEPTH",
@@ -115,14 +139,22 @@ __all__ = [
     "FLYWHEEL_BUDGET",
     "FLYWHEEL_MOMENTUM",
     "FLYWHEEL_TRAVEL",
+    "FORWARD",
     "FRAMES",
+    "GOALS_LEFT",
+    "GOAL_DISTANCE",
+    "GYRO_BIAS",
     "HEADING",
+    "HEADING_ERROR",
     "HEADING_GOAL",
     "HEADING_TURN",
+    "IMU_FRAME",
     "JUMP_LATCH",
     "JUMP_MOTOR",
     "JUMP_SCREW",
+    "JUMP_SLIDER",
     "JUMP_STROKE",
+    "MAX_DRIVE_SPEED",
     "MAX_FLYWHEEL_TORQUE",
     "MAX_FREE_TRAVEL",
     "MAX_LENGTH",
@@ -133,14 +165,19 @@ __all__ = [
     "MAX_SLACK",
     "MAX_STROKE",
     "MAX_TENSION",
+    "MAX_TURN_RATE",
     "MAX_WHEEL_RATE",
     "MAX_WHEEL_TORQUE",
     "OBSERVATION_STOP",
     "PAYOUT",
     "PICTURE",
+    "PITCH",
     "PLAIN_STOP",
+    "POSITION_ERROR",
     "REFERENCE",
+    "ROLL",
     "SERVICES",
+    "SLIP",
     "SMALLEST_LIMIT",
     "SMEAR",
     "STOPS_LEFT",
@@ -151,7 +188,9 @@ __all__ = [
     "SWING_MINOR",
     "SWING_PLANE",
     "TENSION",
+    "TETHER_FRAME",
     "TETHER_OUT",
+    "TETHER_RANGE",
     "TILT_X",
     "TILT_Y",
     "TOPICS",
@@ -159,6 +198,7 @@ __all__ = [
     "WALL_DISTANCE",
     "WHEEL_BUDGET",
     "WHEEL_DRIVE",
+    "WHEEL_EFFORT",
     "WHEEL_LEFT",
     "WHEEL_MOMENTUM",
     "WHEEL_MOTOR",
@@ -173,6 +213,7 @@ __all__ = [
     "WINCH_TO_LENGTH",
     "WINCH_WHILE_RENEWED",
     "WORLD_FRAME",
+    "YAW",
     "YAW_ERROR",
     "Audience",
     "Field",
@@ -183,11 +224,23 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.1.0"
+CONTRACT_VERSION = "2.6.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
-    {row.name: row for row in (*PLANT_TOPICS, *DESCENT_TOPICS, *NODE_TOPICS)}
+    {
+        row.name: row
+        for row in (*PLANT_TOPICS, *LINK_TOPICS, *DESCENT_TOPICS, *DRIVE_TOPICS, *NODE_TOPICS)
+    }
 )
 SERVICES: Mapping[str, Service] = MappingProxyType(
-    {row.name: row for row in (*PLANT_SERVICES, *DESCENT_SERVICES, *NODE_SERVICES)}
+    {
+        row.name: row
+        for row in (
+            *PLANT_SERVICES,
+            *LINK_SERVICES,
+            *DESCENT_SERVICES,
+            *DRIVE_SERVICES,
+            *NODE_SERVICES,
+        )
+    }
 )

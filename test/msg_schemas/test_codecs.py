@@ -18,8 +18,11 @@ from msg_schemas.samples import (
     JointSample,
     JointValue,
     OdometrySample,
+    PathSample,
+    PoseSample,
     TetherSample,
     TextSample,
+    TwistSample,
     WrenchSample,
 )
 from msg_schemas.table import (
@@ -193,13 +196,56 @@ def test_bad_actuator_commands_are_refused_with_the_value(
 
 
 SECOND = 1_000_000_000
+REST = (0.0, 0.0, 0.0)
+
+
+def good_command(row: Topic, stamp_ns: int = STAMP_NS) -> Any:
+    """A sample that the topic accepts, of joints or not."""
+    if row.sample is TwistSample:
+        return TwistSample(stamp_ns, REST, REST)
+    if row.sample is PoseSample:
+        return PoseSample(stamp_ns, REST)
+    if row.sample is PathSample:
+        return PathSample(stamp_ns, (PoseSample(stamp_ns, REST),))
+    return good(row, stamp_ns=stamp_ns)
+
+
+def test_an_orientation_is_a_unit_quaternion_or_left_open():
+    half = PoseSample(STAMP_NS, REST, (0.0, 0.0, 0.0, 0.5))
+    with pytest.raises(Refusal, match=r"norm 0\.5.*all zeros"):
+        encode(topics.DRIVE_GOAL, half)
+    with pytest.raises(Refusal, match=r"norm 0\.5"):
+        encode(topics.DRIVE_PATH, PathSample(STAMP_NS, (PoseSample(STAMP_NS, REST), half)))
+    assert encode(topics.DRIVE_GOAL, PoseSample(STAMP_NS, REST)).header.frame_id == "map"
+
+
+def test_poses_of_another_frame_are_refused():
+    message = encode(topics.DRIVE_PATH, PathSample(STAMP_NS, (PoseSample(STAMP_NS, REST),)))
+    message.poses[0].header.frame_id = "odom"
+    with pytest.raises(Refusal, match="'odom', it must be 'map'") as refused:
+        decode(topics.DRIVE_PATH, message)
+    assert refused.value.code is RefusalCode.WRONG_FRAME
+
+
+@pytest.mark.parametrize(
+    ("given", "code"),
+    [
+        ((1.0,) * 6, RefusalCode.WRONG_LENGTH),
+        ((math.nan,) * 36, RefusalCode.NOT_FINITE),
+    ],
+)
+def test_a_bad_covariance_is_refused(given: tuple[float, ...], code: RefusalCode):
+    sample = OdometrySample(STAMP_NS, REST, (0.0, 0.0, 0.0, 1.0), REST, REST, given)
+    with pytest.raises(Refusal) as refused:
+        encode(topics.ODOMETRY, sample)
+    assert refused.value.code is code
 
 
 @pytest.mark.parametrize(
     "row", [r for r in ROWS if r.intent is Intent.COMMAND], ids=lambda r: r.name
 )
 def test_commands_are_taken_within_their_age_and_refused_beyond(row: Topic):
-    sample = good(row)
+    sample = good_command(row)
     message = encode(row.name, sample)
     oldest = STAMP_NS + round(row.stale.max_age * SECOND)
     earliest = STAMP_NS - round(row.stale.max_lead * SECOND)
@@ -217,7 +263,7 @@ def test_commands_are_taken_within_their_age_and_refused_beyond(row: Topic):
     "row", [r for r in ROWS if r.intent is Intent.COMMAND], ids=lambda r: r.name
 )
 def test_an_unstamped_command_is_refused_or_stamped_as_the_table_says(row: Topic):
-    message = encode(row.name, good(row, stamp_ns=0))
+    message = encode(row.name, good_command(row, stamp_ns=0))
     if row.stale.unstamped is Unstamped.REFUSE:
         with pytest.raises(Refusal) as refused:
             decode(row.name, message, STAMP_NS)

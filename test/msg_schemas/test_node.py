@@ -14,7 +14,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status
+from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status, TextSample
 from msg_schemas.table import JUMP_SCREW
 
 if TYPE_CHECKING:
@@ -257,8 +257,10 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
     observer.wait_for_refusal(COMMAND, "not_active")
     assert "[not_active]" in observer.call(topics.SIM_PAUSE, True).message
     assert not states.samples
+    observer.send(topics.WINCH_MODE, TextSample("hold"))
 
     assert observer.change_state(NODE, "activate")
+    assert observer.wait_for_event("mode").message == "hold"  # what is latched is said once
     assert says_back(observer, 0.2)
 
     heard = len(observer.listen(topics.EVENTS))
@@ -382,11 +384,32 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     states = observer.listen(topics.JUMP_MOTOR_STATE)
 
     def set_clock(stamp_ns: int) -> None:
-        observer.send(topics.CLOCK, ClockSample(stamp_ns))
-        states.wait(lambda s: s.stamp_ns == stamp_ns, len(states))
+        since = len(states)
+
+        def is_told() -> bool:
+            observer.send(topics.CLOCK, ClockSample(stamp_ns))  # again, as clocks do
+            return any(sample.stamp_ns == stamp_ns for sample in states.samples[since:])
+
+        observer.wait_until(is_told, "nothing is told by the clock")
+
+    # It does not know the time yet: nothing is taken, and it says what it waits for.
+    observer.wait_for_status(
+        topics.DIAGNOSTICS,
+        lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.CLOCK}",
+    )
+    observer.send(topics.WINCH_MODE, TextSample("hold"))
+    observer.send(COMMAND, command(0.1, stamp_ns=100 * SECOND))
+    assert topics.CLOCK in observer.wait_for_refusal(COMMAND, "not_active").message
+    answer = observer.call(topics.SIM_PAUSE, True)
+    assert not answer.success
+    assert topics.CLOCK in answer.message
+
+    told = [s.name for each in observer.listen(topics.EVENTS).samples for s in each.statuses]
+    assert "mode" not in told
 
     # A running clock; its timer speaks at the stamps of the clock alone.
     set_clock(100 * SECOND)
+    assert observer.wait_for_event("mode").message == "hold"  # what is latched is said once
     observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
     heard = len(observer.listen(topics.EVENTS))

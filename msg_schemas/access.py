@@ -1,0 +1,201 @@
+"""Who may speak and hear what: of each node the topics and services that its work needs.
+
+A ``ContractNode`` that reaches beyond its own row does not come up, so the rows are true; and the
+SROS 2 policy that is written of them (``msg_schemas.access_policy``) gives nobody more than that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from msg_schemas import topics
+
+ALL = ("*",)
+"""Everything, as DDS Security's permissions match it."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """What one participant may do; names of topics and services as in the contract, or ``ALL``.
+
+    Attributes:
+        publishes, subscribes: topics.
+        serves, calls: services.
+    """
+
+    publishes: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    serves: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
+
+
+OF_ALL_NODES = Access(publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS))
+"""What every node does besides its own work; the clock is heard by all."""
+
+_DRIVEN = (
+    topics.JUMP_MOTOR_COMMAND,
+    topics.FLYWHEEL_COMMAND,
+    topics.WHEEL_COMMAND,
+    topics.WHEEL_TORQUE_COMMAND,
+    topics.WINCH_COMMAND,
+)
+_SENSED = (
+    topics.IMU,
+    topics.CONTACT,
+    topics.LOAD_CELL,
+    topics.ROVER_LOAD_CELL,
+    topics.MOTOR_CURRENTS,
+    topics.JUMP_MOTOR_STATE,
+    topics.FLYWHEEL_STATE,
+    topics.WHEEL_STATE,
+    topics.WINCH_STATE,
+)
+_SEEN = (
+    topics.CLOCK,
+    topics.TRUTH_BODY1,
+    topics.TRUTH_BODY2,
+    topics.TRUTH_TETHER,
+    topics.TRUTH_ENERGY,
+    topics.TRUTH_PHASE,
+    topics.CAMERA,
+    topics.SIM_STATUS,
+    topics.MARKERS,
+    topics.PLACE,
+    topics.ROBOT_DESCRIPTION,
+)
+_TO_DRIVE = (topics.CMD_VEL, topics.DRIVE_GOAL, topics.DRIVE_PATH, topics.DRIVE_START)
+_REQUESTS = (topics.JUMP_REQUEST, topics.WINCH_REQUEST, topics.DESCENT_REQUEST, *_TO_DRIVE)
+_RESETS = (topics.SIM_RESET, topics.SIM_RESET_PLANT)
+
+_PLANT = Access(
+    publishes=(*_SEEN, *_SENSED),
+    subscribes=_DRIVEN,
+    serves=(topics.SIM_PAUSE, topics.SIM_STEP, *_RESETS),
+)
+
+ACCESS: dict[str, Access] = {
+    "sim_node": _PLANT,
+    "null_plant": _PLANT,
+    "drive_emulator": Access(publishes=_SEEN, subscribes=(topics.CONFIG,), serves=_RESETS),
+    "hil_bridge": Access(
+        publishes=(*_SENSED, topics.LINK_STATUS),
+        subscribes=_DRIVEN,
+        serves=(topics.DRIVES_ARM,),
+    ),
+    "winch_node": Access(
+        publishes=(
+            topics.WINCH_COMMAND,
+            topics.WINCH_ESTIMATE,
+            topics.WINCH_MODE,
+            topics.WINCH_ALARMS,
+            topics.TENSION_WATCH,
+        ),
+        subscribes=(
+            topics.WINCH_STATE,
+            topics.LOAD_CELL,
+            topics.MOTOR_CURRENTS,
+            topics.JUMP_PHASE,
+            topics.WINCH_TRIM,
+            topics.WINCH_REQUEST,
+        ),
+        serves=(topics.WINCH_HOLD, topics.WINCH_RELAX, topics.WINCH_STOP, topics.WINCH_REARM),
+    ),
+    "descent_node": Access(
+        publishes=(
+            topics.WHEEL_COMMAND,
+            topics.FLYWHEEL_COMMAND,
+            topics.WINCH_REQUEST,
+            topics.WINCH_TRIM,
+            topics.DESCENT_PHASE,
+            topics.DESCENT_STATE,
+            topics.DESCENT_OBSERVATION,
+        ),
+        subscribes=(
+            topics.IMU,
+            topics.WINCH_STATE,
+            topics.WHEEL_STATE,
+            topics.FLYWHEEL_STATE,
+            topics.CAMERA,
+            topics.WINCH_MODE,
+            topics.JUMP_PHASE,
+            topics.DESCENT_REQUEST,
+        ),
+        serves=(
+            topics.DESCENT_HOLD,
+            topics.DESCENT_RESUME,
+            topics.DESCENT_ABORT,
+            topics.DESCENT_RELEASE,
+        ),
+    ),
+    "jump_node": Access(
+        publishes=(topics.JUMP_MOTOR_COMMAND, topics.JUMP_PHASE),
+        subscribes=(topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU, topics.JUMP_REQUEST),
+        serves=(topics.JUMP_ABORT,),
+    ),
+    "drive_node": Access(
+        publishes=(
+            topics.WHEEL_COMMAND,
+            topics.WINCH_REQUEST,
+            topics.DRIVE_PHASE,
+            topics.DRIVE_STATE,
+            topics.ODOMETRY,
+        ),
+        subscribes=(
+            topics.IMU,
+            topics.WHEEL_STATE,
+            topics.MOTOR_CURRENTS,
+            topics.CONTACT,
+            topics.WINCH_ESTIMATE,
+            topics.WINCH_MODE,
+            topics.JUMP_PHASE,
+            topics.DESCENT_PHASE,
+            *_TO_DRIVE,
+        ),
+        serves=(topics.DRIVE_STOP,),
+    ),
+    "view_node": Access(
+        publishes=(topics.OBSERVED_WALL,),
+        subscribes=(
+            topics.ROBOT_DESCRIPTION,
+            topics.DESCENT_OBSERVATION,
+            topics.TRUTH_BODY1,
+            topics.TRUTH_BODY2,
+            topics.WHEEL_STATE,
+            topics.WINCH_STATE,
+        ),
+    ),
+    "bag_record": Access(subscribes=ALL),
+    "hil_rehearsal": Access(publishes=(*_DRIVEN, *_REQUESTS), subscribes=ALL, calls=ALL),
+    "operator_console": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
+    "operator": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
+}
+"""By the node's name; ``operator`` is who sits at a command line."""
+
+
+class Act(StrEnum):
+    """What a row of access grants."""
+
+    PUBLISH = "publishes"
+    SUBSCRIBE = "subscribes"
+    SERVE = "serves"
+    CALL = "calls"
+
+
+def check_access(node: str, act: Act, name: str) -> None:
+    """Refuse what a node's row does not grant; a node without a row may do everything.
+
+    Args:
+        node: its name in ``ACCESS``.
+        act: what it is about to do.
+        name: topic or service.
+
+    Raises:
+        PermissionError: it is not granted.
+    """
+    if node not in ACCESS:
+        return
+    granted = getattr(ACCESS[node], act) + getattr(OF_ALL_NODES, act)
+    if name not in granted and granted != ALL:
+        msg = f"{node} {act} {name}, which its row in msg_schemas/access.py does not grant"
+        raise PermissionError(msg)

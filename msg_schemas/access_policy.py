@@ -1,0 +1,111 @@
+"""Writes the SROS 2 policy: ``python -m msg_schemas.access_policy [--namespace /NAME] [FILE]``.
+
+One enclave a node, ``/mother_rover/<namespace>/<node>``, with no more than its row of ``ACCESS``.
+The format is version 0.2.0 of sros2's policies, without its includes, which not every installation
+has in the same place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from msg_schemas import topics
+from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Access
+
+DEFAULT_PATH = Path("config/access_policy.xml")
+ROOT_NAMESPACE = "/"
+
+_NAMESPACE = re.compile(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+")
+_PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+_NODE_SERVICES = (
+    "change_state",
+    "get_available_states",
+    "get_available_transitions",
+    "get_state",
+    "get_transition_graph",
+    "get_type_description",
+)
+
+
+def enclave(node: str, namespace: str = ROOT_NAMESPACE) -> str:
+    """Path of a node's enclave."""
+    return f"/mother_rover{namespace.rstrip('/')}/{node}"
+
+
+def policy(namespace: str = ROOT_NAMESPACE) -> str:
+    """Return the policy of all nodes in a namespace, as XML.
+
+    Raises:
+        ValueError: it is no absolute namespace.
+    """
+    if not _NAMESPACE.fullmatch(namespace):
+        msg = f"the namespace is {namespace!r}: should be absolute, such as / or /rover1"
+        raise ValueError(msg)
+    root = ET.Element("policy", version="0.2.0")
+    enclaves = ET.SubElement(root, "enclaves")
+    for node, access in ACCESS.items():
+        each = ET.SubElement(enclaves, "enclave", path=enclave(node, namespace))
+        profile = ET.SubElement(ET.SubElement(each, "profiles"), "profile", ns=namespace, node=node)
+        _fill(profile, access, namespace)
+    ET.indent(root)
+    head = (
+        "<!-- Generated from the table in msg_schemas/access.py by\n"
+        "     python -m msg_schemas.access_policy; edit the table, not this file. -->\n"
+    )
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{head}{ET.tostring(root, "unicode")}\n'
+
+
+def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
+    own = [f"~/{name}" for name in (*_PARAMETER_SERVICES, *_NODE_SERVICES)]
+    published = {
+        *OF_ALL_NODES.publishes,
+        *access.publishes,
+        "~/transition_event",
+        "/parameter_events",
+        "/rosout",
+    }
+    heard = {topics.CLOCK, "/parameter_events", *access.subscribes}
+    for kind, act, names in (
+        ("topic", "publish", published),
+        ("topic", "subscribe", heard),
+        ("service", "reply", {*own, *access.serves}),
+        ("service", "request", {*access.calls}),
+    ):
+        if not names:
+            continue
+        granted = ET.SubElement(profile, f"{kind}s", {act: "ALLOW"})
+        for name in sorted(ALL if ALL[0] in names else names):
+            told = name.strip("/") if name == topics.CLOCK and namespace != "/" else name
+            ET.SubElement(granted, kind).text = told
+
+
+def main() -> int:
+    """Write the policy."""
+    parser = argparse.ArgumentParser(
+        prog="python -m msg_schemas.access_policy", description="write the SROS 2 policy"
+    )
+    parser.add_argument("file", type=Path, nargs="?", default=DEFAULT_PATH)
+    parser.add_argument("--namespace", default=ROOT_NAMESPACE, help="of the nodes (default: /)")
+    given = parser.parse_args()
+    try:
+        given.file.write_text(policy(given.namespace), encoding="utf-8")
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"wrote {given.file}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

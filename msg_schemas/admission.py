@@ -1,0 +1,105 @@
+"""What a node lets in: well-formed samples, commands in their order, and one commander a drive.
+
+Who commands says so in ``header.frame_id``, which has no other meaning in a command; `rclpy` does
+not tell a message's publisher. The first accepted commander owns the topic until it has been silent
+for as long as the topic's drive bears silence. Those who do not say who they are count as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isinf
+from typing import Any, NamedTuple
+
+from msg_schemas.codecs import decode
+from msg_schemas.message_parts import from_time
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.row_kinds import Intent, Topic
+
+UNNAMED = "a commander that does not say who it is"
+
+
+def commander_of(message: Any) -> str:
+    """Who says to command."""
+    return str(message.header.frame_id) or UNNAMED
+
+
+def asker_of(row: Topic, message: Any) -> str:
+    """By what name whoever asks is answered; empty = by none.
+
+    A request in a frame has no room for a name: its stamp takes that place. What is sent as a
+    stream, such as steering, is not answered message by message.
+    """
+    if not row.frame:
+        return str(message.header.frame_id)
+    stamp_ns = from_time(message.header.stamp)
+    return f"{stamp_ns} ns" if stamp_ns and isinf(row.stale.silence) else ""
+
+
+class _Owner(NamedTuple):
+    name: str
+    until_ns: int
+
+
+class Admission:
+    """Judges messages by the contract; pure."""
+
+    def __init__(self) -> None:
+        self._last_stamps: dict[str, int] = {}
+        self._owners: dict[str, _Owner] = {}
+
+    def admit(self, row: Topic, message: Any, now_ns: int) -> Any:
+        """Turn a message into a sample.
+
+        Args:
+            row: of the topic.
+            message: of its type.
+            now_ns: receiver's clock.
+
+        Raises:
+            Refusal: it breaks the contract, comes out of order, or from another commander than
+                the topic's owner.
+        """
+        sample = decode(row.name, message, now_ns)
+        if row.intent is not Intent.COMMAND:
+            return sample
+        if row.one_owner:
+            self._check_owner(row, commander_of(message), now_ns)
+        self._check_order(row.name, sample.stamp_ns)
+        return sample
+
+    def accepted(self, row: Topic, message: Any, now_ns: int) -> None:
+        """What was admitted was done as well: its commander owns the topic."""
+        if row.one_owner:
+            until_ns = now_ns + round(row.stale.silence * 1e9)
+            self._owners[row.name] = _Owner(commander_of(message), until_ns)
+
+    def owners(self, now_ns: int) -> Mapping[str, str]:
+        """Who owns which topic."""
+        owners = self._owners.copy().items()
+        return {name: owner.name for name, owner in owners if now_ns < owner.until_ns}
+
+    def forget(self) -> None:
+        """Forget owners and stamps: the clock that they follow has gone back."""
+        self._last_stamps.clear()
+        self._owners.clear()
+
+    def _check_owner(self, row: Topic, who: str, now_ns: int) -> None:
+        owner = self._owners.get(row.name)
+        if owner is None or owner.name == who or now_ns >= owner.until_ns:
+            return
+        left = (owner.until_ns - now_ns) * 1e-9
+        raise Refusal(
+            row.name,
+            RefusalCode.OWNED,
+            f"commanded by {who}, but {owner.name} owns it, until it is silent for "
+            f"{row.stale.silence:g} s ({left:.3f} s from now at the earliest)",
+        )
+
+    def _check_order(self, name: str, stamp_ns: int) -> None:
+        last = self._last_stamps.get(name, 0)
+        if stamp_ns < last:
+            late = (last - stamp_ns) * 1e-9
+            reason = f"stamped {late:.3f} s before the last accepted one, stamps must not go back"
+            raise Refusal(name, RefusalCode.OUT_OF_ORDER, reason)
+        self._last_stamps[name] = stamp_ns

@@ -1,0 +1,274 @@
+"""Nested, typed, frozen configurations: plain mappings in, dataclasses out.
+
+A configuration is a frozen dataclass whose fields are made with `quantity` (a
+number or numbers with a unit and a range), `choice` (one of a few words), `flag`, `text`,
+`section` (another such dataclass), `sections` (several of them) or `read_by` (whatever its reader
+accepts). `read` turns a mapping into it and refuses
+whatever does not fit with a `ConfigurationError` that names the dotted path, the
+value and what would be right; `to_mapping` is its inverse and holds nothing that
+JSON could not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from msg_schemas.fields import INFINITY_WORD, Rule, named, not_known, read_value, rule_of, shown
+from msg_schemas.fields import FieldError as ConfigurationError
+
+__all__ = [
+    "Configuration",
+    "ConfigurationError",
+    "Rule",
+    "choice",
+    "flag",
+    "quantity",
+    "read",
+    "read_by",
+    "section",
+    "sections",
+    "shown",
+    "text",
+    "to_mapping",
+    "with_overrides",
+]
+
+T = TypeVar("T")
+
+
+def quantity(
+    unit: str,
+    about: str,
+    default: Any = MISSING,
+    *,
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+    above: float | None = None,
+    kind: type = float,
+    length: int = 0,
+    optional: bool = False,
+    infinite: bool = False,
+) -> Any:
+    """A field that holds a number (or `length` numbers) with unit and range.
+
+    `above` is a minimum that is itself refused. Without a default the field is
+    required.
+    """
+    rule = Rule(
+        kind=kind,
+        unit=unit,
+        about=about,
+        minimum=minimum if above is None else above,
+        maximum=maximum,
+        open_minimum=above is not None,
+        length=length,
+        optional=optional,
+        infinite=infinite,
+    )
+    return field(default=default, metadata=rule.metadata())
+
+
+def choice(
+    words: Sequence[str], about: str, default: Any = MISSING, *, optional: bool = False
+) -> Any:
+    """A field that holds one of a few words."""
+    rule = Rule(kind=str, about=about, words=tuple(words), optional=optional)
+    return field(default=default, metadata=rule.metadata())
+
+
+def text(about: str, default: Any = MISSING) -> Any:
+    """A field that holds free text."""
+    return field(default=default, metadata=Rule(kind=str, about=about).metadata())
+
+
+def flag(about: str, default: Any = False) -> Any:
+    """A field that is true or false."""
+    return field(default=default, metadata=Rule(kind=bool, about=about).metadata())
+
+
+def section(kind: type, about: str, default: Any = MISSING, *, optional: bool = False) -> Any:
+    """A field that holds another configuration."""
+    rule = Rule(kind=kind, about=about, optional=optional)
+    return field(default=default, metadata=rule.metadata())
+
+
+Reader = Callable[[object, str], Any]
+"""Turns what was given at a path into the field's value, or raises ConfigurationError."""
+
+
+@dataclass(frozen=True)
+class _ReadBy(Rule):
+    """A rule whose reader says what is right; a value that it has made is left alone."""
+
+    reader: Reader = dataclasses.field(default=lambda value, _: value)
+    makes: tuple[type, ...] = ()
+
+
+def read_by(reader: Reader, makes: tuple[type, ...], about: str, default: Any = MISSING) -> Any:
+    """A field that a function reads; `makes` are the types that it returns."""
+    rule = _ReadBy(kind=object, about=about, reader=reader, makes=makes)
+    return field(default=default, metadata=rule.metadata())
+
+
+def sections(
+    kind: type | Mapping[str, type], about: str, default: Any = MISSING, *, keyed: bool = False
+) -> Any:
+    """A field that holds several configurations: a list, or a mapping by free names if `keyed`.
+
+    Where `kind` maps words to kinds, each entry is a mapping of one such word to what belongs to
+    it.
+    """
+
+    def read_one(value: object, path: str) -> Any:
+        if not isinstance(kind, Mapping):
+            return read(kind, value, path)
+        words = ", ".join(kind)
+        if not isinstance(value, Mapping) or len(value) != 1:
+            raise ConfigurationError(path, value, f"should be a mapping of one of {words}")
+        ((word, inner),) = value.items()
+        if word not in kind:
+            expected = f"no such key{not_known(str(word), kind)}"
+            raise ConfigurationError(_joined(path, str(word)), inner, expected)
+        return read(kind[word], {} if inner is None else inner, _joined(path, word))
+
+    def read_list(value: object, path: str) -> tuple[Any, ...]:
+        if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
+            raise ConfigurationError(path, value, "should be a list")
+        return tuple(read_one(each, f"{path}[{index}]") for index, each in enumerate(value))
+
+    def read_mapping(value: object, path: str) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping):
+            raise ConfigurationError(path, value, "should be a mapping of names")
+        return MappingProxyType(
+            {name: read_one(each, _joined(path, str(name))) for name, each in value.items()}
+        )
+
+    if keyed:
+        return read_by(read_mapping, (MappingProxyType,), about, default)
+    return read_by(read_list, (tuple,), about, default)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Base of every configuration: checks its fields however it is built."""
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            value = _read_field(rule_of(item), getattr(self, item.name), item.name)
+            object.__setattr__(self, item.name, value)
+        self.check()
+
+    def check(self) -> None:
+        """Refuse what no single field can show; for subclasses to extend."""
+
+
+def read(kind: type[T], mapping: object, path: str = "") -> T:
+    """Build the configuration `kind` from a mapping of its field names.
+
+    Raises:
+        ConfigurationError: On a key that does not exist, a required one that is missing, a
+            wrong type, a number that is not finite or out of range, or whatever
+            `kind.check` refuses.
+    """
+    if not isinstance(mapping, Mapping):
+        raise ConfigurationError(
+            path or "(top level)", mapping, f"should be a mapping of {_key_list(kind)}"
+        )
+    known = {item.name: item for item in _fields(kind)}
+    for key, value in mapping.items():
+        if key not in known:
+            expected = f"no such key{not_known(str(key), known)}"
+            raise ConfigurationError(_joined(path, str(key)), value, expected)
+    for name, item in known.items():
+        if name not in mapping and item.default is MISSING:
+            raise ConfigurationError(
+                _joined(path, name), None, f"missing; {_expected(rule_of(item))}"
+            )
+    try:
+        return kind(**mapping)
+    except ConfigurationError as error:
+        raise ConfigurationError(_joined(path, error.path), error.value, error.expected) from None
+
+
+def to_mapping(configuration: Any) -> dict[str, Any]:
+    """Every field of a configuration as plain, JSON-ready values; `read` inverts it."""
+    return {item.name: _plain(getattr(configuration, item.name)) for item in _fields(configuration)}
+
+
+def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) -> dict[str, Any]:
+    """Copy a nested mapping with values replaced by dotted path.
+
+    Raises:
+        ConfigurationError: If a path leads through something that is not a mapping.
+    """
+    result = {key: _copied(value) for key, value in mapping.items()}
+    for path, value in overrides.items():
+        *parents, last = str(path).split(".")
+        node: Any = result
+        for depth, name in enumerate(parents):
+            if name not in node:
+                node[name] = {}
+            if not isinstance(node[name], dict):
+                raise ConfigurationError(
+                    str(path),
+                    value,
+                    f"cannot be set, as {named('.'.join(parents[: depth + 1]))} is "
+                    f"{shown(node[name])}",
+                )
+            node = node[name]
+        node[last] = value
+    return result
+
+
+def _fields(kind: Any) -> tuple[Field[Any], ...]:
+    return dataclasses.fields(kind)
+
+
+def _key_list(kind: type) -> str:
+    return ", ".join(item.name for item in _fields(kind))
+
+
+def _joined(path: str, name: str) -> str:
+    return f"{path}.{name}" if path and name else path or name
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _copied(inner) for key, inner in value.items()}
+    return value
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_mapping(value)
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and math.isinf(value):
+        return INFINITY_WORD if value > 0 else "-" + INFINITY_WORD
+    return value
+
+
+def _expected(rule: Rule) -> str:
+    if isinstance(rule, _ReadBy):
+        return f"should be {rule.about}"
+    if not dataclasses.is_dataclass(rule.kind):
+        return f"should be {rule.accepted()}"
+    null = ", or null" if rule.optional else ""
+    return f"should be a mapping of {_key_list(rule.kind)}{null}"
+
+
+def _read_field(rule: Rule, value: object, path: str) -> Any:
+    if isinstance(rule, _ReadBy):
+        return value if isinstance(value, rule.makes) else rule.reader(value, path)
+    if not dataclasses.is_dataclass(rule.kind):
+        return read_value(rule, value, path)
+    if isinstance(value, rule.kind) or (value is None and rule.optional):
+        return value
+    if not isinstance(value, Mapping):
+        raise ConfigurationError(path, value, _expected(rule))
+    return read(rule.kind, value, path)

@@ -1,0 +1,108 @@
+"""Who may do what: the table, the policy that is written of it, and nodes that reach beyond."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import astuple
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access
+from msg_schemas.access_policy import DEFAULT_PATH, enclave, main, policy
+from msg_schemas.table import SERVICES, TOPICS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def granted(xml: str, node: str, kind: str, act: str) -> set[str]:
+    profile = ET.fromstring(xml.split("?>", 1)[1]).find(f".//profile[@node='{node}']")
+    assert profile is not None
+    return {
+        each.text or "" for group in profile.iterfind(f"{kind}s[@{act}='ALLOW']") for each in group
+    }
+
+
+def test_the_table_names_what_is_in_the_contract():
+    for access in (*ACCESS.values(), OF_ALL_NODES):
+        published, heard, served, called = (set(names) - set(ALL) for names in astuple(access))
+        assert published | heard <= set(TOPICS)
+        assert served | called <= set(SERVICES)
+
+
+def test_every_topic_has_a_speaker_and_every_service_a_server():
+    spoken = {name for access in (*ACCESS.values(), OF_ALL_NODES) for name in access.publishes}
+    assert spoken == set(TOPICS)
+    assert {name for access in ACCESS.values() for name in access.serves} == set(SERVICES)
+
+
+def test_every_node_of_the_suite_has_its_row():
+    sources = (
+        path.read_text(encoding="utf-8")
+        for package in ("rover_sim", "rover_control", "tether_winch", "rover_hil", "rover_bags",
+                        "operator_console", "rover_view")
+        for path in (ROOT / package).rglob("*.py")
+    )  # fmt: skip
+    named = {
+        name
+        for source in sources
+        for name in re.findall(r'class \w+\(\w*Node\):(?:.|\n)*?\n    NAME = "(\w+)"', source)
+    }
+    assert named
+    assert named <= set(ACCESS)
+
+
+def test_a_node_that_reaches_beyond_its_row_is_refused():
+    check_access("jump_node", Act.PUBLISH, "jump_motor/command")
+    check_access("jump_node", Act.PUBLISH, "events")
+    check_access("bag_record", Act.SUBSCRIBE, "anything/at/all")
+    check_access("somebody_elses_node", Act.PUBLISH, "winch/command")
+    with pytest.raises(PermissionError, match="jump_node publishes winch/command, which its row"):
+        check_access("jump_node", Act.PUBLISH, "winch/command")
+    with pytest.raises(PermissionError, match="bag_record serves winch/stop"):
+        check_access("bag_record", Act.SERVE, "winch/stop")
+
+
+def test_only_those_who_drive_may_command_drives():
+    drives = {name for name in TOPICS if TOPICS[name].one_owner}
+    assert drives
+    commanders = {node for node, access in ACCESS.items() if drives & set(access.publishes)}
+    written = {node for node in ACCESS if drives & granted(policy(), node, "topic", "publish")}
+    assert commanders == written
+    assert commanders.isdisjoint({"operator", "bag_record", "sim_node", "hil_bridge"})
+
+
+def test_the_shipped_policy_is_the_tables():
+    assert (ROOT / DEFAULT_PATH).read_text(encoding="utf-8") == policy()
+
+
+@pytest.mark.parametrize("node", ACCESS)
+def test_the_policy_grants_what_the_row_does(node: str):
+    xml, access = policy(), ACCESS[node]
+    hears = granted(xml, node, "topic", "subscribe")
+    assert hears == {"*"} if access.subscribes == ALL else hears >= set(access.subscribes)
+    assert granted(xml, node, "topic", "publish") >= {*access.publishes, "events", "/rosout"}
+    assert granted(xml, node, "service", "reply") >= {*access.serves, "~/change_state"}
+    assert granted(xml, node, "service", "request") == set(access.calls)
+
+
+def test_in_a_namespace_all_is_within_it():
+    xml = policy("/rovers/first")
+    assert enclave("winch_node", "/rovers/first") == "/mother_rover/rovers/first/winch_node"
+    assert f'path="{enclave("winch_node", "/rovers/first")}"' in xml
+    assert "clock" in granted(xml, "winch_node", "topic", "subscribe")
+    assert "/clock" not in granted(xml, "winch_node", "topic", "subscribe")
+    with pytest.raises(ValueError, match="'first': should be absolute"):
+        policy("first")
+
+
+def test_it_is_written_by_a_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    for namespace, code in (("/one", 0), ("one two", 2)):
+        target = tmp_path / "policy.xml"
+        monkeypatch.setattr("sys.argv", ["x", str(target), "--namespace", namespace])
+        assert main() == code
+    assert target.read_text(encoding="utf-8") == policy("/one")
+    assert "'one two': should be absolute" in capsys.readouterr().err

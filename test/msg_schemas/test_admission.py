@@ -1,0 +1,133 @@
+"""What a node lets in: order, and one commander a drive; without ROS, but for its messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.admission import UNNAMED, Admission, asker_of
+from msg_schemas.codecs import encode
+from msg_schemas.machine import JUMP_STROKE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, PoseSample, TwistSample
+from msg_schemas.table import TOPICS
+
+ROW = TOPICS[topics.WINCH_COMMAND]
+MINE, ANOTHER = "/winch_node#1", "/winch_node#2"
+SECOND = 1_000_000_000
+JOINTS = {
+    WINCH_DRUM: JointValue(20.0, 0.1, 16.0),
+    WINCH_BRAKE: JointValue(1.0),
+    WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+}
+
+
+def command(stamp_ns: int, who: str) -> Any:
+    message = encode(ROW.name, JointSample(stamp_ns, JOINTS))
+    message.header.frame_id = who
+    return message
+
+
+def give(admission: Admission, stamp_ns: int, who: str, now_ns: int | None = None) -> None:
+    message, now_ns = command(stamp_ns, who), stamp_ns if now_ns is None else now_ns
+    admission.admit(ROW, message, now_ns)
+    admission.accepted(ROW, message, now_ns)
+
+
+def refused(admission: Admission, stamp_ns: int, who: str, now_ns: int | None = None) -> Refusal:
+    with pytest.raises(Refusal) as found:
+        give(admission, stamp_ns, who, now_ns)
+    return found.value
+
+
+def test_the_first_accepted_commander_owns_the_drive_and_the_other_is_told_so():
+    admission = Admission()
+    give(admission, SECOND, MINE)
+    for after in (0, 20_000_000, 499_000_000):
+        why = refused(admission, SECOND + after, ANOTHER)
+        assert why.code is RefusalCode.OWNED
+        assert MINE in why.reason
+        assert ANOTHER in why.reason
+    assert admission.owners(SECOND) == {ROW.name: MINE}
+
+
+def test_an_owner_that_goes_on_keeps_it_and_one_that_falls_silent_loses_it():
+    admission = Admission()
+    for k in range(50):
+        give(admission, SECOND + k * 20_000_000, MINE)
+        assert refused(admission, SECOND + k * 20_000_000, ANOTHER).code is RefusalCode.OWNED
+    silent = SECOND + 49 * 20_000_000 + 500_000_000
+    assert admission.owners(silent) == {}
+    give(admission, silent, ANOTHER)
+    assert refused(admission, silent, MINE).code is RefusalCode.OWNED
+
+
+def test_who_was_refused_owns_nothing_and_keeps_nobody_out():
+    admission = Admission()
+    admission.admit(ROW, command(SECOND, MINE), SECOND)  # but its callback refused it
+    give(admission, SECOND, ANOTHER)
+
+
+def test_a_stranger_s_stamps_do_not_make_the_owner_s_late():
+    admission = Admission()
+    give(admission, SECOND, MINE)
+    ahead = SECOND + 90_000_000
+    assert refused(admission, ahead, ANOTHER, SECOND).code is RefusalCode.OWNED
+    give(admission, SECOND + 20_000_000, MINE)
+
+
+def test_stamps_that_go_back_are_refused():
+    admission = Admission()
+    give(admission, SECOND, MINE)
+    why = refused(admission, SECOND - 1_000_000, MINE, SECOND)
+    assert why.code is RefusalCode.OUT_OF_ORDER
+    admission.forget()
+    give(admission, SECOND - 1_000_000, ANOTHER, SECOND)
+
+
+def test_those_who_do_not_say_who_they_are_are_one():
+    admission = Admission()
+    give(admission, SECOND, "")
+    give(admission, SECOND, "")
+    assert UNNAMED in refused(admission, SECOND, MINE).reason
+
+
+def test_operators_may_be_many():
+    row = TOPICS[topics.JUMP_REQUEST]
+    admission = Admission()
+    for who in (MINE, ANOTHER):
+        message = encode(row.name, JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)}))
+        message.header.frame_id = who
+        admission.admit(row, message, SECOND)
+        admission.accepted(row, message, SECOND)
+
+
+def test_every_drive_has_one_owner():
+    owned = {name for name, row in TOPICS.items() if row.one_owner}
+    assert owned == {
+        topics.JUMP_MOTOR_COMMAND,
+        topics.FLYWHEEL_COMMAND,
+        topics.WHEEL_COMMAND,
+        topics.WHEEL_TORQUE_COMMAND,
+        topics.WINCH_COMMAND,
+        topics.WINCH_TRIM,
+    }
+    assert all(TOPICS[name].stale.silence <= 0.5 for name in owned)
+
+
+def test_who_asks_is_named_by_the_frame_or_where_that_is_used_by_the_stamp():
+    named = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    assert asker_of(TOPICS[topics.JUMP_REQUEST], named) == ""
+    named.header.frame_id = "rover#1"
+    assert asker_of(TOPICS[topics.JUMP_REQUEST], named) == "rover#1"
+    goal = TOPICS[topics.DRIVE_GOAL]
+    assert asker_of(goal, encode(goal.name, PoseSample(0, (1.0, 0.0, 0.0)))) == ""
+    stamped = encode(goal.name, PoseSample(1_500_000_123, (1.0, 0.0, 0.0)))
+    assert asker_of(goal, stamped) == "1500000123 ns"
+
+
+def test_a_stream_is_not_answered_message_by_message():
+    row = TOPICS[topics.CMD_VEL]
+    assert asker_of(row, encode(row.name, TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))) == ""
