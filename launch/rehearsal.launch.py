@@ -1,0 +1,21 @@
+"""The hanging rover behind a link to its drives: bridge, winch, descent, and emulated drives.
+
+ros2 launch mother_rover rehearsal.launch.py record:=rehearsal_bag
+ros2 service call /drives/arm std_srvs/srv/SetBool "{data: true}"
+ros2 service call /winch/rearm std_srvs/srv/Trigger
+ros2 topic pub --once /descent/request sensor_msgs/msg/JointState \
+    "{name: [observation_stop], position: [12.0]}"
+
+With the real machine, one argument says so, and nothing is emulated:
+
+ros2 launch mother_rover rehearsal.launch.py drives:=socketcan:can0
+"""
+
+from launch import LaunchDescription
+
+from rover_launch.description import describe
+from rover_launch.plan import HANGING, HIL
+
+
+def generate_launch_description() -> LaunchDescription:
+    return describe("winch_node", "descent_node", plant=HIL, **HANGING)

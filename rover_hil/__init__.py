@@ -1,0 +1,1 @@
+"""The link between contract and drives: CANopen, a bridge to the contract, and emulated devices."""

@@ -1,0 +1,154 @@
+"""CAN frames on a serial line: Consistent Overhead Byte Stuffing, closed by a CRC and a zero byte.
+
+A frame is [identifier, 4 bytes, big-endian, flags in the upper 3 bits][data, 0 to 8 bytes][CRC-32],
+stuffed so that it holds no zero, and ended by one. A receiver that joins late, or loses its place
+by an error, finds it again at the next zero. Errors that leave the stuffing whole meet CRC-32 (of
+Ethernet), which lets one in 4e9 through.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cobs import cobs
+
+_ID = struct.Struct(">I")
+_CRC = struct.Struct(">I")
+_EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
+_FLAGS = _EXTENDED | _REMOTE | _ERROR
+_MOST_DATA = 8
+_SHORTEST = _ID.size + _CRC.size
+# Stuffed: one byte more.
+_LONGEST = _SHORTEST + _MOST_DATA + 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A classic CAN frame.
+
+    Attributes:
+        can_id: 11 bits, or 29 when `extended`.
+        data: at most 8 bytes.
+        extended, remote, error: kinds of frames.
+    """
+
+    can_id: int
+    data: bytes
+    extended: bool = False
+    remote: bool = False
+    error: bool = False
+
+
+@dataclass
+class LineErrors:
+    """What was thrown away since the start.
+
+    Attributes:
+        stuffing: frames that are not stuffed rightly.
+        length: frames that are too short or too long.
+        checksum: frames with a wrong CRC.
+        content: frames whose CRC is right and that are no CAN frames all the same.
+    """
+
+    stuffing: int = 0
+    length: int = 0
+    checksum: int = 0
+    content: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.stuffing + self.length + self.checksum + self.content
+
+
+def encode(frame: Frame) -> bytes:
+    """The bytes of a frame, its closing zero included.
+
+    Raises:
+        ValueError: the identifier or the data are too long.
+    """
+    limit = 1 << (29 if frame.extended else 11)
+    if not 0 <= frame.can_id < limit:
+        raise ValueError(f"identifier = {frame.can_id:X}h: should be below {limit:X}h")
+    if len(frame.data) > _MOST_DATA:
+        raise ValueError(f"data has {len(frame.data)} bytes: should be at most {_MOST_DATA}")
+    head = frame.can_id
+    head |= _EXTENDED * frame.extended | _REMOTE * frame.remote | _ERROR * frame.error
+    body = _ID.pack(head) + bytes(frame.data)
+    return bytes(cobs.encode(body + _CRC.pack(binascii.crc32(body)))) + b"\x00"
+
+
+class Decoder:
+    """Finds frames in a stream of bytes, however it is cut into pieces.
+
+    Attributes:
+        errors: what was thrown away.
+        resynchronised: how often the place was lost and found again.
+    """
+
+    def __init__(self) -> None:
+        self.errors = LineErrors()
+        self.resynchronised = 0
+        self._pending = bytearray()
+        self._lost = False
+        self._overflown = False
+
+    def feed(self, received: bytes) -> Iterator[Frame]:
+        """Yield the frames that these bytes complete."""
+        *complete, rest = received.split(b"\x00")
+        for piece in complete:
+            self._take(piece)
+            frame = self._finish()
+            if frame is not None:
+                yield frame
+        self._take(rest)
+
+    def _take(self, piece: bytes) -> None:
+        # A line that babbles without a zero fills no memory.
+        room = _LONGEST + 1 - len(self._pending)
+        self._overflown |= len(piece) > room
+        self._pending += piece[: max(room, 0)]
+
+    def _finish(self) -> Frame | None:
+        stuffed, overflown = bytes(self._pending), self._overflown
+        self._pending.clear()
+        self._overflown = False
+        if not stuffed:  # zeros in a row say nothing; a sender may begin with one
+            return None
+        frame = None if overflown else self._decoded(stuffed)
+        self.errors.length += overflown
+        if frame is None:
+            self._lost = True
+        elif self._lost:
+            self._lost = False
+            self.resynchronised += 1
+        return frame
+
+    def _decoded(self, stuffed: bytes) -> Frame | None:
+        try:
+            body = cobs.decode(stuffed)
+        except cobs.DecodeError:
+            self.errors.stuffing += 1
+            return None
+        if not _SHORTEST <= len(body) <= _SHORTEST + _MOST_DATA:
+            self.errors.length += 1
+            return None
+        content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
+        if binascii.crc32(content) != crc:
+            self.errors.checksum += 1
+            return None
+        (head,) = _ID.unpack_from(content)
+        frame = Frame(
+            head & ~_FLAGS,
+            content[_ID.size :],
+            bool(head & _EXTENDED),
+            bool(head & _REMOTE),
+            bool(head & _ERROR),
+        )
+        if not frame.extended and frame.can_id >= 1 << 11:
+            self.errors.content += 1
+            return None
+        return frame

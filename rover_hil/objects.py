@@ -1,0 +1,180 @@
+"""What an object of a device's dictionary is: index, type, access, and the unit of one count."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+from canopen.objectdictionary import datatypes
+
+
+class Kind(Enum):
+    """Integer types of CiA 301.
+
+    Attributes:
+        code: of the data type.
+        letter: for `struct`.
+        bits: length.
+        smallest, largest: values.
+    """
+
+    I8 = (datatypes.INTEGER8, "b")
+    I16 = (datatypes.INTEGER16, "h")
+    I32 = (datatypes.INTEGER32, "i")
+    U8 = (datatypes.UNSIGNED8, "B")
+    U16 = (datatypes.UNSIGNED16, "H")
+    U32 = (datatypes.UNSIGNED32, "I")
+
+    def __init__(self, code: int, letter: str) -> None:
+        self.code = code
+        self.letter = letter
+        self.bits = 8 * struct.calcsize("<" + letter)
+        signed = letter.islower()
+        self.smallest = -(1 << (self.bits - 1)) if signed else 0
+        self.largest = (1 << (self.bits - 1 if signed else self.bits)) - 1
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One object of a device.
+
+    Attributes:
+        key: short name by which the suite calls it.
+        index, subindex: address in the dictionary.
+        name: as CiA 301, 402 or the device calls it.
+        kind: integer type.
+        access: ro, rw or const.
+        default: value at power-on, in counts.
+        scale: of one count, in `unit`.
+        unit: SI unit, or ``-``.
+        about: what it means, where the name does not say it all.
+    """
+
+    key: str
+    index: int
+    subindex: int
+    name: str
+    kind: Kind
+    access: str = "ro"
+    default: int = 0
+    scale: float = 1.0
+    unit: str = "-"
+    about: str = ""
+
+    @cached_property
+    def smallest(self) -> float:
+        """Smallest value in the unit."""
+        return self.kind.smallest * self.scale
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest value in the unit."""
+        return self.kind.largest * self.scale
+
+    def counts(self, value: float) -> int:
+        """The nearest whole number of counts to a value in the unit.
+
+        Raises:
+            ValueError: it is not finite, or the type does not hold it.
+        """
+        if not math.isfinite(value):
+            raise ValueError(f"{self.key} = {value}: should be a finite number")
+        counts = round(value / self.scale)
+        if not self.kind.smallest <= counts <= self.kind.largest:
+            unit = "" if self.unit == "-" else f" {self.unit}"
+            raise ValueError(
+                f"{self.key} = {value:g}{unit}: should be from {self.smallest:g} to "
+                f"{self.largest:g}{unit}"
+            )
+        return counts
+
+    def saturated(self, value: float) -> int:
+        """As `counts`, with a value beyond the type's range held at its end."""
+        return self.counts(min(max(value, self.smallest), self.largest))
+
+    def value(self, counts: int) -> float:
+        """The value in the unit."""
+        return counts * self.scale
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """A process data object: entries that travel in one frame of at most 8 bytes.
+
+    Attributes:
+        number: from 1.
+        sent_by_device: True for a TPDO, False for an RPDO.
+        entries: in the frame's order, without gaps.
+    """
+
+    number: int
+    sent_by_device: bool
+    entries: tuple[Entry, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit into a frame."""
+        if self.layout.size > 8:
+            raise ValueError(f"{self.name} has {self.layout.size} bytes: should be at most 8")
+
+    @property
+    def name(self) -> str:
+        """TPDO1, RPDO2 ..."""
+        return f"{'T' if self.sent_by_device else 'R'}PDO{self.number}"
+
+    @cached_property
+    def layout(self) -> struct.Struct:
+        """How its bytes are packed."""
+        return struct.Struct("<" + "".join(entry.kind.letter for entry in self.entries))
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of its entries."""
+        return tuple(entry.key for entry in self.entries)
+
+    def can_id(self, node_id: int) -> int:
+        """Identifier of its frames, by CiA 301's predefined connection set."""
+        return (0x80 if self.sent_by_device else 0x100) + 0x100 * self.number + node_id
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device on the link.
+
+    Attributes:
+        name: jump, wheel, winch, imu or load_cell.
+        node_id: its CANopen node.
+        product: what it is.
+        product_code, device_type: objects 1018h:02 and 1000h.
+        entries: of the profile and of the manufacturer.
+        pdos: what travels without being asked for.
+        is_drive: whether it obeys CiA 402.
+        is_on_rover: whether it runs by the rover's clock, not the mother's.
+    """
+
+    name: str
+    node_id: int
+    product: str
+    product_code: int
+    device_type: int
+    entries: tuple[Entry, ...]
+    pdos: tuple[Pdo, ...]
+    is_drive: bool
+    is_on_rover: bool
+
+    @cached_property
+    def by_key(self) -> dict[str, Entry]:
+        """Entries by their keys."""
+        return {entry.key: entry for entry in self.entries}
+
+    @property
+    def tells(self) -> tuple[Pdo, ...]:
+        """Its TPDOs."""
+        return tuple(pdo for pdo in self.pdos if pdo.sent_by_device)
+
+    @property
+    def hears(self) -> tuple[Pdo, ...]:
+        """Its RPDOs."""
+        return tuple(pdo for pdo in self.pdos if not pdo.sent_by_device)

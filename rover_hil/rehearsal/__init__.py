@@ -1,0 +1,1 @@
+"""Rehearsals: a written procedure is run against a machine, and leaves a record."""

@@ -1,0 +1,146 @@
+"""The winch flown through the link to emulated drives, held against the same flight without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
+from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
+from rover_hil.devices import SYNC_PERIOD
+from rover_sim import Simulation, build_interface, build_plant, load_spatial
+from rover_verify.checks import Batch, Measured
+from rover_verify.hil_bench import HilBench
+from tether_winch.requests import Mode
+from tether_winch.winch import Winch, WinchParameters
+
+_SCENARIO = "free_hang"
+_START = (8.0, 12.0)  # lengths that flights begin at [m]
+_WAY = (1.0, 2.0)  # and how far they go, down [m]
+_RATE = (0.1, 0.3)  # [m/s]
+_LONGEST = 60.0  # [s]
+_MOST_RUNS = 5
+_HEARD = (topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
+_SETTLING = 0.2  # of devices and drives before the winch is armed [s]
+
+Floats = NDArray[np.float64]
+
+
+class _Flight:
+    """A winch's controller on a source of samples: armed, sent to a length, and back at rest."""
+
+    def __init__(self, goal: float, rate: float) -> None:
+        self._winch = Winch(WinchParameters())
+        self._goal, self._rate = goal, rate
+        self._begun_ns: int | None = None
+        self._asked = False
+
+    def commands(self, samples: Mapping[str, Sample], stamp_ns: int) -> Mapping[str, JointSample]:
+        """What the winch tells its drive upon what is told at a time."""
+        winch = self._winch
+        drum, load, currents = (samples.get(name) for name in _HEARD)
+        if not (
+            isinstance(drum, JointSample)
+            and isinstance(load, WrenchSample)
+            and isinstance(currents, JointSample)
+        ):
+            return {}
+        winch.hear_drum(drum, stamp_ns)
+        winch.hear_load_cell(load, stamp_ns)
+        winch.hear_currents(currents, stamp_ns)
+        order = winch.step(stamp_ns)
+        self._begun_ns = stamp_ns if self._begun_ns is None else self._begun_ns
+        if not self._asked and stamp_ns - self._begun_ns >= _SETTLING * 1e9:
+            winch.rearm(stamp_ns)
+            goal = {WINCH_TO_LENGTH: JointValue(self._goal, self._rate, 0.0)}
+            winch.request(JointSample(stamp_ns, goal), stamp_ns)
+            self._asked = True
+        if order is None:
+            return {}
+        joints = {
+            WINCH_DRUM: JointValue(order.length, order.rate, order.feed_forward),
+            WINCH_BRAKE: JointValue(float(order.release_brake)),
+            WINCH_LIMIT: JointValue(0.0, 0.0, order.limit),
+        }
+        return {topics.WINCH_COMMAND: JointSample(stamp_ns, joints)}
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it holds again; RuntimeError after a fault."""
+        if self._winch.mode is Mode.FAULT:
+            raise RuntimeError(f"the winch is in fault: {self._winch.fault_reason}")
+        return self._asked and self._winch.mode is Mode.HOLD
+
+
+def _simulation(length: float, seed: int) -> Simulation[Any]:
+    scenario = load_spatial(_SCENARIO, {"tether.length": length})
+    return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
+
+
+def _flown(
+    simulation: Simulation[Any], flight: _Flight, cycle: Callable[[], None]
+) -> Iterator[tuple[float, float, float]]:
+    """Time since the beginning [s], true length [m] and tension [N], cycle by cycle to rest."""
+    begun = simulation.stamp_ns
+    while not flight.is_over:
+        cycle()
+        time = (simulation.stamp_ns - begun) * 1e-9
+        assert simulation.last is not None
+        forces = simulation.last.forces
+        length = simulation.interface.drives(simulation.state).length
+        yield time, length, forces.fairlead_tension
+        if time > _LONGEST:
+            raise RuntimeError(f"the winch did not come to rest within {_LONGEST:g} s")
+
+
+def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
+    simulation, flight = _simulation(length, seed), _Flight(goal, rate)
+    simulation.tick()
+
+    def cycle() -> None:
+        samples = dict(simulation.interface.samples(_HEARD))
+        for topic, sample in flight.commands(samples, simulation.stamp_ns).items():
+            simulation.take(topic, sample)
+        simulation.tick()
+
+    return np.array(list(_flown(simulation, flight, cycle)))
+
+
+def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Floats:
+    simulation, flight = _simulation(length, seed), _Flight(goal, rate)
+    bench = HilBench(simulation, rover_offset=3.0)
+    try:
+        bench.arm()
+
+        def cycle() -> None:
+            bench.cycle(lambda: flight.commands(bench.told, simulation.stamp_ns))
+
+        return np.array(list(_flown(simulation, flight, cycle)))
+    finally:
+        bench.close()
+
+
+def descent(batch: Batch) -> Measured:
+    """Largest distance of the drum's length from that of the same descent without a link."""
+    worst, tension, late, flights = 0.0, 0.0, 0.0, min(batch.runs, _MOST_RUNS)
+    for generator in batch.generators(flights):
+        length = float(generator.uniform(*_START))
+        goal = length + float(generator.uniform(*_WAY))
+        rate = float(generator.uniform(*_RATE))
+        seed = int(generator.integers(1, 2**31))
+        direct = _direct(length, goal, rate, seed)
+        linked = _through_the_link(length, goal, rate, seed)
+        common = min(len(direct), len(linked))
+        worst = max(worst, float(np.abs(direct[:common, 1] - linked[:common, 1]).max()))
+        worst = max(worst, abs(float(direct[-1, 1] - linked[-1, 1])))
+        tension = max(tension, float(np.abs(direct[:common, 2] - linked[:common, 2]).max()))
+        late = max(late, abs(float(direct[-1, 0] - linked[-1, 0])))
+    return Measured(
+        worst,
+        f"{flights} descents of {_WAY[0]:g} to {_WAY[1]:g} m, both ways",
+        {"tension [N]": tension, "time to rest [s]": late},
+    )

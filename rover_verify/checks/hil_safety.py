@@ -1,0 +1,385 @@
+"""What keeps the drives safe behind the link: silence, late commands, restarts, commanders, loss.
+
+Bridge and emulated machine run in one process, cycle by cycle; a cycle is 5 ms.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.admission import Admission
+from msg_schemas.codecs import encode
+from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS
+from rover_hil.devices import SYNC_PERIOD
+from rover_sim import Simulation, build_interface, build_plant, load_spatial
+from rover_verify.checks import Batch, Measured
+from rover_verify.hil_bench import PERIOD_NS, HilBench
+from rover_verify.hil_fuzz import COMMANDS
+
+Generator = np.random.Generator
+Commands = Mapping[str, JointSample]
+
+_SCENARIO = "free_hang"
+_CARRIED = 16.2  # by the winch's motor [N]
+_LARGEST_RATE = 0.3  # of the winch [m/s]
+_MOST_RUNS = 10
+_STOPPED = 0.5  # after the last command: what moves after it is unsafe [s]
+_STOPPING = 0.15  # way of the winch while its brake stops it [m]
+_OLDEST = 0.5  # command that a drive may execute [s]
+_GIVE_UP_NS = 3_000_000_000
+_COUNT = 1e-6  # of the winch's rate [m/s]
+
+
+def simulation(seed: int = 1) -> Simulation[Any]:
+    """A rover that hangs from a winch."""
+    scenario = load_spatial(_SCENARIO)
+    return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
+
+
+@contextmanager
+def open_bench(seed: int = 1) -> Iterator[HilBench]:
+    """A bench on that rover, closed again."""
+    bench = HilBench(simulation(seed), rover_offset=3.0)
+    try:
+        yield bench
+    finally:
+        bench.close()
+
+
+def winch(rate: float) -> Commands:
+    """The winch pays out, or holds with its motor."""
+    joints = {
+        WINCH_DRUM: JointValue(20.0, rate, _CARRIED),
+        WINCH_BRAKE: JointValue(1.0),
+        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    }
+    return {topics.WINCH_COMMAND: JointSample(0, joints)}
+
+
+def _of(topic: str) -> Commands:
+    return {topic: JointSample(0, COMMANDS[topic])}
+
+
+def payout_rate(bench: HilBench) -> float:
+    """True rate [m/s], exactly 0 while the brake holds."""
+    return bench.simulation.interface.drives(bench.simulation.state).payout_rate
+
+
+def works(bench: HilBench) -> list[str]:
+    """Drives that do something."""
+    return [name for name, drive in bench.machine.drives.items() if drive.setpoint is not None]
+
+
+# ----------------------------------------------------------------------------------------- silence
+
+
+def _end_of(hop: str, bench: HilBench, commands: Commands) -> Commands:
+    """Let one hop fall silent; returns what is commanded from then on."""
+    if hop == "controller to bridge":
+        return {}
+    if hop == "bridge to drive":
+        bench.bridge_is_on = False
+    elif hop == "drive to bridge":
+        bench.impair("{what: cut, way: to_bridge}")
+    else:
+        bench.impair("{what: cut}")
+    return commands
+
+
+_HOPS = ("controller to bridge", "bridge to drive", "drive to bridge", "both ways")
+
+
+def silence(batch: Batch) -> Measured:
+    """Longest time [s] from a hop's silence until the drive has its motor off and brakes."""
+    worst, standing, where = 0.0, 0.0, ""
+    runs = min(batch.runs, _MOST_RUNS)
+    for generator in batch.generators(runs):
+        cases: dict[str, Commands] = {
+            "winch paying out": winch(float(generator.uniform(0.05, _LARGEST_RATE))),
+            "winch held by its motor": winch(0.0),
+            "wheels": _of(topics.WHEEL_COMMAND),
+            "wheels by torque": _of(topics.WHEEL_TORQUE_COMMAND),
+            "flywheel": _of(topics.FLYWHEEL_COMMAND),
+            "nut": _of(topics.JUMP_MOTOR_COMMAND),
+        }
+        before = round(float(generator.uniform(0.3, 0.6)) / SYNC_PERIOD) * SYNC_PERIOD
+        for hop in _HOPS:
+            for name, commands in cases.items():
+                off, stood = _silenced(hop, commands, before)
+                standing = max(standing, stood)
+                if off > worst:
+                    worst, where = off, f"{name}, {hop}"
+    details: dict[str, float | str] = {"winch stands, brake closed [s]": standing, "worst": where}
+    return Measured(worst, f"{runs} times {len(_HOPS)} hops, six commands each", details)
+
+
+def _silenced(hop: str, commands: Commands, before: float) -> tuple[float, float]:
+    """Time until the drives are off, and until the winch stands [s]."""
+    with open_bench() as bench:
+        bench.arm()
+        bench.cycles(before, commands)
+        if not works(bench):
+            raise RuntimeError(f"nothing works that could fall silent: {', '.join(commands)}")
+        # The last command was given, and executed, at the last cycle's begin.
+        begun_ns = bench.simulation.stamp_ns - PERIOD_NS
+        commands = _end_of(hop, bench, commands)
+        off_ns: int | None = None
+        while off_ns is None or payout_rate(bench) != 0.0:
+            bench.cycles(SYNC_PERIOD, commands, [])
+            now_ns = bench.simulation.stamp_ns - begun_ns
+            if off_ns is None and not bench.driven:
+                off_ns = now_ns - PERIOD_NS  # when the cycle began that drove nothing any more
+            if now_ns > _GIVE_UP_NS:
+                return _GIVE_UP_NS * 1e-9, _GIVE_UP_NS * 1e-9
+        return off_ns * 1e-9, now_ns * 1e-9
+
+
+# ------------------------------------------------------------------------------- late and reordered
+
+
+def stale(batch: Batch) -> Measured:
+    """Commands that a drive executed late, twice, or after a newer one; and such messages let in.
+
+    Each command of a run has a rate of its own, by which it is known again where it is executed.
+    """
+    executed = wrong = 0
+    for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
+        done, bad = _executed_through_disorder(generator)
+        executed, wrong = executed + done, wrong + bad
+        wrong += _admitted_through_disorder(generator)
+    return Measured(float(wrong), f"{executed} commands were executed through disordered links")
+
+
+def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
+    seed = int(generator.integers(1, 2**31))
+    delay, jitter = float(generator.uniform(0.005, 0.6)), float(generator.uniform(0.005, 0.6))
+    way = "to_devices"  # so that the bridge goes on: what it sends is what comes late
+    disorder = (
+        f"[{{what: reorder, way: {way}, strength: 0.3, seed: {seed}}}, "
+        f"{{what: duplication, way: {way}, strength: 0.3, seed: {seed}}}, "
+        f"{{what: loss, way: {way}, strength: 0.1, seed: {seed}}}, "
+        f"{{what: jitter, on: winch, way: {way}, strength: {jitter!r}, seed: {seed}, at: 1.0}}, "
+        f"{{what: delay, on: winch, way: {way}, strength: {delay!r}, at: 1.5, duration: 1.0}}]"
+    )
+    with open_bench() as bench:
+        bench.arm()
+        bench.impair(disorder)
+        drive = bench.machine.drives["winch"]
+        given: dict[int, float] = {}
+        found: list[tuple[int, float]] = []
+        take = drive._take
+
+        def watched(counts: dict[str, int]) -> None:
+            before = drive.setpoint
+            take(counts)
+            if drive.setpoint is not None and drive.setpoint is not before:
+                found.append((counts["target_velocity"], bench.time))
+
+        drive._take = watched  # type: ignore[method-assign]
+        for k in range(round(4.0 / SYNC_PERIOD)):
+            number = 1000 + k
+            given[number] = bench.time
+            bench.cycles(SYNC_PERIOD, winch(number * _COUNT), [])
+            if not bench.bridge.channels["winch"].armed and not bench.bridge.silent(
+                bench.simulation.stamp_ns
+            ):
+                bench.bridge.arm(bench.simulation.stamp_ns)
+    late = sum(time - given[number] > _OLDEST + 2e-3 for number, time in found)
+    numbers = [number for number, _ in found]
+    again = sum(after <= before for before, after in itertools.pairwise(numbers))
+    return len(found), late + again
+
+
+def _admitted_through_disorder(generator: Generator) -> int:
+    """Messages that a node lets in though they are too old, or older than what it let in."""
+    row = TOPICS[topics.WINCH_COMMAND]
+    sent = [k * 20_000_000 + 1_000_000_000 for k in range(500)]
+    ways = generator.uniform(0.0, 1.0, len(sent)) ** 3
+    arrivals = sorted(
+        (stamp + round(way * 1e9), stamp) for stamp, way in zip(sent, ways, strict=True)
+    )
+    admission, wrong, last = Admission(), 0, 0
+    for now_ns, stamp in arrivals:
+        message = encode(row.name, JointSample(stamp, COMMANDS[row.name]))
+        try:
+            admission.admit(row, message, now_ns)
+        except Refusal:
+            continue
+        wrong += stamp < last or now_ns - stamp > row.stale.max_age * 1e9
+        last = stamp
+    return wrong
+
+
+# ---------------------------------------------------------------------------------------- restarts
+
+
+def _bridge_restarts(bench: HilBench) -> None:
+    bench.bridge_is_on = False
+    bench.cycles(0.05)
+    bench.restart_bridge()
+    bench.bridge_is_on = True
+
+
+def _bridge_restarts_late(bench: HilBench) -> None:
+    bench.bridge_is_on = False
+    bench.cycles(1.0)
+    bench.restart_bridge()
+    bench.bridge_is_on = True
+
+
+def _drive_restarts(bench: HilBench) -> None:
+    bench.impair("{what: brown_out, on: winch, duration: 0.05}")
+    bench.cycles(0.1, None, [])
+
+
+def _all_restart(bench: HilBench) -> None:
+    bench.impair("{what: brown_out, duration: 1.0}")
+    bench.cycles(1.1, None, [])
+
+
+def _leaves_the_bus(bench: HilBench) -> None:
+    bench.impair("{what: bus_off, duration: 0.3}")
+    bench.cycles(0.4, None, [])
+
+
+def _is_reset(bench: HilBench) -> None:
+    bench.simulation.reset_plant()
+    bench.machine.restart()
+
+
+_RESTARTS: Mapping[str, Callable[[HilBench], None]] = {
+    "bridge": _bridge_restarts,
+    "bridge, late": _bridge_restarts_late,
+    "winch drive": _drive_restarts,
+    "all devices": _all_restart,
+    "bus off": _leaves_the_bus,
+    "plant": _is_reset,
+}
+
+
+def rearm(batch: Batch) -> Measured:
+    """Cycles after a restart in which a drive works, or the drum turns, before it is armed."""
+    motions, where = 0, ""
+    runs = min(batch.runs, _MOST_RUNS)
+    for generator in batch.generators(runs):
+        rate = float(generator.uniform(0.05, _LARGEST_RATE))
+        commands = {**winch(rate), **_of(topics.WHEEL_COMMAND), **_of(topics.FLYWHEEL_COMMAND)}
+        for name, restart in _RESTARTS.items():
+            with open_bench() as bench:
+                bench.arm()
+                bench.cycles(0.5, commands)
+                restart(bench)
+                found = _moved_before_armed(bench, commands, ["winch"] if "winch" in name else None)
+                motions += found
+                where = name if found else where
+                if not bench.bridge.silent(bench.simulation.stamp_ns):
+                    bench.arm()
+                    bench.cycles(0.1, commands)
+                    motions += "winch" not in works(bench)  # armed, it has to work again
+    details: dict[str, float | str] = {"where": where}
+    return Measured(float(motions), f"{runs} times {len(_RESTARTS)} restarts", details)
+
+
+def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | None) -> int:
+    """Cycles with motion, from when the brake has stopped what moved at the restart."""
+    moved = 0
+    for k in range(round(1.5 / SYNC_PERIOD)):
+        bench.cycles(SYNC_PERIOD, commands, [])
+        if k * SYNC_PERIOD < _STOPPED:
+            continue
+        at_work = [name for name in works(bench) if names is None or name in names]
+        moved += bool(at_work) or payout_rate(bench) != 0.0
+    return moved
+
+
+# -------------------------------------------------------------------------------------- commanders
+
+
+def owner(batch: Batch) -> Measured:
+    """Commands of a second commander that were not refused as such, or of the owner that were."""
+    cases, wrong = 0, 0
+    row = TOPICS[topics.WINCH_COMMAND]
+    for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
+        with open_bench() as bench:
+            bench.arm()
+            admission, setpoints = Admission(), bench.machine.drives["winch"]
+            names = ("/winch_node#1", "/winch_node#2")
+            mine, last_ns = 0, -(10**12)
+            for _ in range(400):
+                bench.cycles(SYNC_PERIOD)
+                now_ns = bench.simulation.stamp_ns
+                # One at a time is at work, the other one tries; now and then the owner rests.
+                who = int(generator.random() < 0.5)
+                if who == mine and generator.random() < 0.02:
+                    bench.cycles(float(generator.uniform(0.1, 0.8)))
+                    now_ns = bench.simulation.stamp_ns
+                rate = (1000 + who) * _COUNT
+                message = encode(row.name, JointSample(now_ns, winch(rate)[row.name].joints))
+                message.header.frame_id = names[who]
+                free = now_ns - last_ns >= row.stale.silence * 1e9
+                cases += 1
+                try:
+                    sample = admission.admit(row, message, now_ns)
+                    bench.bridge.take(row.name, sample, now_ns)
+                except Refusal as refusal:
+                    told = refusal.code is RefusalCode.OWNED and names[mine] in refusal.reason
+                    wrong += who == mine or free or not told
+                    continue
+                admission.accepted(row, message, now_ns)
+                wrong += who != mine and not free
+                mine, last_ns = who, now_ns
+                bench.settle()
+                setpoint = setpoints.setpoint
+                if setpoint is not None:
+                    wrong += round(setpoint.values["target_velocity"] / _COUNT) != 1000 + who
+    return Measured(float(wrong), f"{cases} commands of two commanders to one drive")
+
+
+# -------------------------------------------------------------------------------- loss and delay
+
+
+def lossy(batch: Batch) -> Measured:
+    """Runs with 30 % loss and up to 500 ms delay in which something moved that should not."""
+    unsafe, farthest = 0, 0.0
+    runs = min(batch.runs, _MOST_RUNS)
+    for generator in batch.generators(runs):
+        for delay in (0.5, float(generator.uniform(0.0, 0.5))):
+            bad, way = _flown_with_loss(generator, delay)
+            unsafe += bad
+            farthest = max(farthest, way)
+    details: dict[str, float | str] = {"farthest after it began [m]": farthest}
+    return Measured(float(unsafe), f"{2 * runs} runs, half of them with 500 ms", details)
+
+
+def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
+    """Whether it was unsafe, and how far the winch paid out after it had begun [m]."""
+    rate = float(generator.uniform(0.05, _LARGEST_RATE))
+    seed = int(generator.integers(1, 2**31))
+    commands = {**winch(rate), **_of(topics.WHEEL_COMMAND)}
+    with open_bench() as bench:
+        bench.arm()
+        bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
+        begun = bench.simulation.interface.drives(bench.simulation.state).length
+        bench.impair(
+            f"[{{what: loss, strength: 0.3, seed: {seed}}}, "
+            f"{{what: delay, strength: {max(delay, SYNC_PERIOD)!r}}}]"
+        )
+        unsafe = False
+        for k in range(round(4.0 / SYNC_PERIOD)):
+            if k * SYNC_PERIOD == 2.0:
+                bench.impair("")  # and when the link is well again, nothing moves by itself
+            bench.cycles(SYNC_PERIOD, commands, [])
+            if k * SYNC_PERIOD > _STOPPED:
+                unsafe |= payout_rate(bench) != 0.0 or bool(works(bench))
+        end = bench.simulation.interface.drives(bench.simulation.state).length
+    way = end - begun
+    return unsafe or way > rate * _STOPPED + _STOPPING, way

@@ -1,0 +1,68 @@
+"""How long the loop over the link takes: emulator, bridge and a controller as processes."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+from pathlib import Path
+
+from msg_schemas import topics
+from msg_schemas.samples import Status
+from rover_verify.checks import Batch, Measured
+from rover_verify.stage import open_stage
+
+_CLOCK_OFFSET = 12.5  # of the rover's clock, set wrong on purpose [s]
+_LOOPS = 2000  # of which the percentiles are made
+_WARM_UP = 500
+_ATTEMPTS = 100
+
+
+@cache
+def _measured(folder: Path, seed: int) -> tuple[Status, dict[str, Status]]:
+    """The link's status, and that of each device, after enough loops in real time."""
+    link = f"udp_multicast:239.74.163.2:{random.Random(seed).randrange(44000, 48000)}"
+    with open_stage(folder) as stage:
+        stage.processes.start(
+            "rover_hil.emulator.emulator_node",
+            {"link": link, "rover_clock_offset": _CLOCK_OFFSET},
+        )
+        stage.processes.start("rover_hil.bridge_node", {"link": link, "use_sim_time": True})
+        observer = stage.observer()
+        for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
+            observer.listen(name)
+        for node in ("drive_emulator", "hil_bridge"):
+            observer.wait_until_ready(node)
+        reports = observer.listen(topics.LINK_STATUS)
+        for _ in range(_ATTEMPTS):
+            if observer.call(topics.DRIVES_ARM, True).success:
+                break
+            reports.wait(lambda _: True, len(reports))
+        stage.processes.start("rover_verify.stage.answerer", {"use_sim_time": True})
+        told = observer.wait_for_status(
+            topics.LINK_STATUS,
+            lambda s: int(s.values.get("round_trip_count", "0")) >= _LOOPS + _WARM_UP,
+        )
+        return told, {s.name.rpartition(" ")[2]: s for s in reports.last.statuses}
+
+
+def round_trip(batch: Batch) -> Measured:
+    """99th percentile of the time from a state's sampling to the execution of its command."""
+    told, _ = _measured(batch.folder, batch.seed)
+    names = (
+        "round_trip_p50", "round_trip_max", "round_trip_count", "command_time_p99",
+        "answer_time_p99", "cycles", "late_cycles", "incomplete_cycles", "overdue_round_trips",
+        "frames_lost",
+    )  # fmt: skip
+    details: dict[str, float | str] = {name: float(told.values[name]) for name in names}
+    return Measured(float(told.values["round_trip_p99"]), "200 Hz on this machine", details)
+
+
+def clock_offset(batch: Batch) -> Measured:
+    """Error of the rover's clock against the mother's, over the uncertainty that is told."""
+    _, devices = _measured(batch.folder, batch.seed)
+    rover, mother = devices["imu"].values, devices["winch"].values
+    found = float(rover["clock_offset"]) - float(mother["clock_offset"])
+    uncertainty = float(rover["clock_uncertainty"]) + float(mother["clock_uncertainty"])
+    error = abs(found - _CLOCK_OFFSET)
+    details: dict[str, float | str] = {"error [s]": error, "uncertainty [s]": uncertainty}
+    return Measured(error / uncertainty, "rover against mother", details)

@@ -1,0 +1,184 @@
+"""Messages and frames that nobody should obey, made at random.
+
+A fuzzed message is a good command with something wrong in it. A fuzzed frame is noise, or a frame
+that was seen on the link, damaged in a way that its checksum would not have found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode, to_time
+from msg_schemas.machine import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS
+from rover_hil.devices import BRIDGE_NODE, DRIVES
+from rover_hil.link import HEARTBEAT_ID, SYNC_ID
+
+Generator = np.random.Generator
+Frame = tuple[int, bytes]
+
+COMMANDS: dict[str, dict[str, JointValue]] = {
+    topics.WINCH_COMMAND: {
+        WINCH_DRUM: JointValue(20.0, 0.3, 16.2),
+        WINCH_BRAKE: JointValue(1.0),
+        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    },
+    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
+    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
+    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
+    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
+}
+"""A good command of each drive, by its topic."""
+
+_PARTS = ("position", "velocity", "effort")
+_NAMES = ("", "winch_drum ", "WINCH_DRUM", "drum", "jump_screw\n", "\u202e", "x" * 300, "ÿ")
+_NANO = 1_000_000_000
+
+
+# ----------------------------------------------------------------------------------------- messages
+
+
+def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, Any]:
+    """A command with one to three things wrong in it: its topic, and the message.
+
+    Args:
+        generator: of what is random.
+        now_ns: at which a good one would be stamped.
+    """
+    topic = str(generator.choice(list(COMMANDS)))
+    message = encode(topic, JointSample(now_ns, COMMANDS[topic]))
+    message.header.frame_id = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
+    # Each at most once, so that none puts right what it has made wrong before.
+    for kind in generator.permutation(len(_WRONGS))[: int(generator.integers(1, 4))]:
+        _WRONGS[int(kind)](generator, topic, message, now_ns)
+    return topic, message
+
+
+def _change_number(generator: Generator, message: Any, value: float) -> None:
+    part = _PARTS[int(generator.integers(3))]
+    numbers = list(getattr(message, part)) or [0.0]
+    numbers[int(generator.integers(len(numbers)))] = value
+    setattr(message, part, numbers)
+
+
+def _not_finite(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    _change_number(generator, message, float(generator.choice([math.nan, math.inf, -math.inf])))
+
+
+def _out_of_limits(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    size = 10.0 ** float(generator.uniform(5.0, 300.0))
+    _change_number(generator, message, size if generator.random() < 0.5 else -size)
+
+
+def _wrong_name(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    names = list(message.name) or [""]
+    names[int(generator.integers(len(names)))] = _NAMES[int(generator.integers(len(_NAMES)))]
+    message.name = names
+
+
+def _joint_twice(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    message.name = [*message.name, *list(message.name)[:1]] or ["", ""]
+    if generator.random() < 0.5:
+        for part in _PARTS:
+            setattr(message, part, [*getattr(message, part), 0.0])
+
+
+def _no_joint(_generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    message.name = []
+    for part in _PARTS:
+        setattr(message, part, [])
+
+
+def _wrong_length(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    part = _PARTS[int(generator.integers(3))]
+    numbers = list(getattr(message, part))
+    longer = [*numbers, *generator.normal(size=int(generator.integers(1, 50))).tolist()]
+    setattr(message, part, longer if generator.random() < 0.5 else numbers[:-1])
+
+
+def _old(generator: Generator, topic: str, message: Any, now_ns: int) -> None:
+    age = TOPICS[topic].stale.max_age + 10.0 ** float(generator.uniform(-3.0, 9.0))
+    message.header.stamp = to_time(max(now_ns - round(age * _NANO), -(2**31) * _NANO))
+
+
+def _from_the_future(generator: Generator, topic: str, message: Any, now_ns: int) -> None:
+    lead = TOPICS[topic].stale.max_lead + 10.0 ** float(generator.uniform(-3.0, 8.0))
+    message.header.stamp = to_time(now_ns + round(lead * _NANO))
+
+
+def _unstamped(_generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+    message.header.stamp = to_time(0)
+
+
+_Wrong = Callable[[Generator, str, Any, int], None]
+_WRONGS: Sequence[_Wrong] = (
+    _not_finite,
+    _out_of_limits,
+    _wrong_name,
+    _joint_twice,
+    _no_joint,
+    _wrong_length,
+    _old,
+    _from_the_future,
+    _unstamped,
+)
+
+
+# ------------------------------------------------------------------------------------------- frames
+
+
+def fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
+    """A frame that is noise, or a damaged one of those seen; never a good heartbeat of the bridge.
+
+    Args:
+        generator: of what is random.
+        seen: frames of the link.
+    """
+    while True:
+        frame = _fuzzed_frame(generator, seen)
+        if frame not in seen and frame != (HEARTBEAT_ID + BRIDGE_NODE, b"\x05"):
+            return frame
+
+
+def _fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
+    kind = generator.random()
+    if seen and kind < 0.4:
+        can_id, data = seen[int(generator.integers(len(seen)))]
+        return _damaged(generator, can_id, bytearray(data))
+    data = generator.bytes(int(generator.integers(0, 9)))
+    if kind < 0.7:
+        drive = DRIVES[int(generator.integers(len(DRIVES)))]
+        pdo = drive.hears[int(generator.integers(len(drive.hears)))]
+        return pdo.can_id(drive.node_id), data if generator.random() < 0.3 else generator.bytes(8)
+    if kind < 0.8:
+        drive = DRIVES[int(generator.integers(len(DRIVES)))]
+        return 0x600 + drive.node_id, generator.bytes(8)
+    if kind < 0.85:
+        control = (0, SYNC_ID, HEARTBEAT_ID + BRIDGE_NODE)
+        return control[int(generator.integers(len(control)))], data
+    return int(generator.integers(0x800)), data
+
+
+def _damaged(generator: Generator, can_id: int, data: bytearray) -> Frame:
+    how = generator.random()
+    if how < 0.15:
+        return can_id, bytes(data[: int(generator.integers(len(data) + 1))])
+    if how < 0.3:
+        return int(generator.integers(0x800)), bytes(data)
+    for _ in range(int(generator.integers(1, 6))):
+        if data:
+            data[int(generator.integers(len(data)))] ^= 1 << int(generator.integers(8))
+    return can_id, bytes(data)

@@ -1,0 +1,440 @@
+"""Bridge and emulated machine together, cycle by cycle: what moves, and what never does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    WHEEL_DRIVE,
+    WHEEL_LEFT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, Level
+from rover_hil.devices import SYNC_PERIOD, WINCH
+from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
+from rover_hil.link import unpack
+from rover_hil.objects import Pdo
+from rover_hil.wiring import TOLD
+from rover_sim import Simulation, build_interface, build_plant, load_spatial
+from rover_verify.hil_bench import HilBench
+
+WEIGHT = 16.2
+RATE = 0.3
+STOP = 0.6  # watchdog, brake and 20 kg that it stops together [s]
+
+
+def simulation(quality: str = "perfect") -> Simulation[Any]:
+    scenario = load_spatial("free_hang", {"sensors.quality": quality})
+    return Simulation(build_interface(build_plant(scenario), 1), SYNC_PERIOD)
+
+
+@pytest.fixture
+def bench(compiled_in_space: None) -> Iterator[HilBench]:
+    made = HilBench(simulation(), rover_offset=1.25)
+    yield made
+    made.close()
+
+
+def winch(rate: float = RATE, brake: float = 1.0) -> dict[str, JointSample]:
+    joints = {
+        WINCH_DRUM: JointValue(20.0, rate, WEIGHT),
+        WINCH_BRAKE: JointValue(brake),
+        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    }
+    return {topics.WINCH_COMMAND: JointSample(0, joints)}
+
+
+def drum(bench: HilBench) -> JointValue:
+    sample = bench.told[topics.WINCH_STATE]
+    assert isinstance(sample, JointSample)
+    return sample.joints[WINCH_DRUM]
+
+
+def brake_is_open(bench: HilBench) -> bool:
+    sample = bench.told[topics.WINCH_STATE]
+    assert isinstance(sample, JointSample)
+    return sample.joints[WINCH_BRAKE].position == 1.0
+
+
+def paying_out(bench: HilBench) -> None:
+    bench.arm()
+    bench.cycles(0.6, winch())
+    assert drum(bench).velocity == pytest.approx(RATE, rel=0.05)
+    assert brake_is_open(bench)
+
+
+def assert_it_stops(bench: HilBench, within: float) -> None:
+    """The drum stands with its brake closed, by the plant itself, whoever is heard."""
+    bench.cycles(within)
+    state = bench.simulation.state
+    assert bench.simulation.interface.drives(state).payout_rate == 0.0
+    assert not bench.machine.drives["winch"].automaton.enabled
+
+
+# ----------------------------------------------------------------------------------- what is told
+
+
+def test_all_sensors_and_drives_are_told_as_the_simulator_tells_them(bench: HilBench):
+    bench.cycles(0.1)
+    assert set(bench.told) == set(TOLD)
+    stamp_ns = bench.simulation.stamp_ns - round(SYNC_PERIOD * 1e9)
+    direct = dict(bench.simulation.interface.samples(TOLD))
+    for topic, sample in bench.told.items():
+        mine = dict(sample.scalars())
+        assert getattr(sample, "stamp_ns") == stamp_ns  # noqa: B009 - all samples here have one
+        for path, value in direct[topic].scalars():
+            assert mine[path] == pytest.approx(value, abs=0.05), (topic, path)
+
+
+def test_a_clock_that_is_off_is_found_to_its_uncertainty(bench: HilBench):
+    bench.cycles(0.1)
+    now_ns = bench.simulation.stamp_ns
+    for name, station in bench.bridge.stations.items():
+        found = station.clock.now(now_ns)
+        assert found is not None
+        truth = 1.25 if station.device.is_on_rover else 0.0
+        assert abs(found.value - truth) <= found.uncertainty + 1e-9, name
+
+
+# ------------------------------------------------------------------------------------------ arming
+
+
+def test_nothing_moves_before_it_is_armed_and_the_refusal_says_how(bench: HilBench):
+    bench.cycles(0.1)
+    with pytest.raises(Refusal, match=topics.DRIVES_ARM) as refused:
+        bench.cycle(winch())
+    assert refused.value.code is RefusalCode.NOT_ARMED
+    bench.cycle(winch(rate=0.0, brake=0.0))  # asks for nothing, is refused nothing
+    assert all(channel.state == DISABLED for channel in bench.bridge.channels.values())
+
+
+def test_it_is_not_armed_while_a_drive_is_silent_or_another_one_than_it_should_be(
+    bench: HilBench,
+):
+    with pytest.raises(Refusal, match="not heard on the link: jump, wheel, winch"):
+        bench.bridge.arm(0)
+    bench.cycles(0.1)
+    bench.bridge.checked(WINCH, "1018h:03 Revision number is 1, should be 65536")
+    with pytest.raises(Refusal, match="winch: 1018h:03 Revision"):
+        bench.bridge.arm(bench.simulation.stamp_ns)
+    assert not any(channel.armed for channel in bench.bridge.channels.values())
+
+
+def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: HilBench):
+    bench.arm()
+    states = {name: channel.state for name, channel in bench.bridge.channels.items()}
+    assert set(states.values()) == {SWITCHED_ON}
+    bench.cycles(0.02, winch(rate=0.0))
+    assert bench.bridge.channels["winch"].state == ENABLED
+    assert bench.bridge.channels["wheel"].state == SWITCHED_ON
+
+
+@pytest.mark.parametrize(
+    ("topic", "joints", "told", "joint"),
+    [
+        (
+            topics.WHEEL_COMMAND,
+            {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
+            topics.WHEEL_STATE,
+            WHEEL_LEFT,
+        ),
+        (
+            topics.WHEEL_TORQUE_COMMAND,
+            {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
+            topics.WHEEL_STATE,
+            WHEEL_LEFT,
+        ),
+        (
+            topics.FLYWHEEL_COMMAND,
+            {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
+            topics.FLYWHEEL_STATE,
+            FLYWHEEL,
+        ),
+        (
+            topics.JUMP_MOTOR_COMMAND,
+            {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
+            topics.JUMP_MOTOR_STATE,
+            JUMP_SCREW,
+        ),
+    ],
+)
+def test_each_motor_turns_as_it_is_told(
+    bench: HilBench, topic: str, joints: dict[str, JointValue], told: str, joint: str
+):
+    bench.arm()
+    before = bench.told[told]
+    bench.cycles(0.5, {topic: JointSample(0, joints)})
+    after = bench.told[told]
+    assert isinstance(before, JointSample)
+    assert isinstance(after, JointSample)
+    way = after.joints[joint].position - before.joints[joint].position
+    assert abs(way) > 1e-3
+    assert not bench.happened("jump_drive_refuses")
+
+
+def test_the_wheel_drive_tells_the_torque_that_its_current_makes(bench: HilBench):
+    bench.arm()
+    told = bench.machine.devices["wheel"].values
+    for torque in (0.4, -0.4):
+        command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 0.0, torque)})
+        bench.cycles(0.1, {topics.WHEEL_TORQUE_COMMAND: command})
+        # What the gear takes away comes on top.
+        assert 0.35 < math.copysign(1.0, torque) * told["torque"] < 0.7
+
+
+# --------------------------------------------------------------------------------- what ends a move
+
+
+def test_a_controller_that_falls_silent_stops_its_drive_and_another_command_starts_it(
+    bench: HilBench,
+):
+    paying_out(bench)
+    assert_it_stops(bench, STOP)
+    assert bench.happened("winch_commands_ceased")
+    assert bench.bridge.channels["winch"].state == SWITCHED_ON
+    assert not brake_is_open(bench)
+    bench.cycles(0.5, winch())
+    assert brake_is_open(bench)
+
+
+def test_a_dead_bridge_stops_the_drives_by_their_own_watchdogs(bench: HilBench):
+    paying_out(bench)
+    bench.bridge_is_on = False
+    before = drum(bench).position
+    assert_it_stops(bench, STOP)
+    assert bench.machine.drives["winch"].automaton.error_code == 0x8250
+    drives = bench.simulation.interface.drives(bench.simulation.state)
+    assert drives.length - before < RATE * 0.4
+
+
+def test_a_bridge_that_comes_back_moves_nothing_until_it_is_armed(bench: HilBench):
+    paying_out(bench)
+    bench.bridge_is_on = False
+    assert_it_stops(bench, STOP)
+    bench.restart_bridge()
+    bench.bridge_is_on = True
+    bench.cycles(0.2)
+    assert bench.bridge.channels["winch"].state == FAULT
+    with pytest.raises(Refusal, match=topics.DRIVES_ARM):
+        bench.cycle(winch())
+    bench.arm()  # resets the fault, as its cause is gone
+    bench.cycles(0.5, winch())
+    assert brake_is_open(bench)
+
+
+def test_a_drive_that_begins_anew_is_disarmed_and_the_others_are_not(bench: HilBench):
+    paying_out(bench)
+    bench.machine.drives["winch"].power_on()
+    with pytest.raises(Refusal, match="not armed"):
+        bench.cycles(0.1, winch())
+    assert_it_stops(bench, STOP)
+    assert bench.happened("winch_restarted")
+    assert not bench.bridge.channels["winch"].armed
+    assert bench.bridge.channels["wheel"].armed
+
+
+def test_a_fault_brakes_is_told_with_its_code_and_is_reset_only_when_its_cause_is_gone(
+    bench: HilBench,
+):
+    paying_out(bench)
+    bench.impair("{what: drive_fault, on: winch, cause: overtemperature}")
+    with pytest.raises(Refusal, match="not armed"):
+        bench.cycles(0.1, winch())
+    assert_it_stops(bench, STOP)
+    told = [change for _, change in bench.changes if change.name == "winch_emergency"]
+    assert told[0].level is Level.ERROR
+    assert "4310h" in told[0].reason
+    bench.arm()
+    assert bench.bridge.channels["winch"].state == FAULT
+    bench.impair("")
+    bench.arm()
+    assert bench.bridge.channels["winch"].state == SWITCHED_ON
+
+
+def test_disarming_takes_the_power_at_once(bench: HilBench):
+    paying_out(bench)
+    bench.bridge.disarm("asked to disarm", bench.simulation.stamp_ns)
+    assert_it_stops(bench, STOP)
+    assert all(channel.state == DISABLED for channel in bench.bridge.channels.values())
+
+
+def test_what_a_drive_cannot_do_is_told_and_it_lets_go(bench: HilBench):
+    bench.arm()
+    joints = {JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
+    bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
+    assert bench.happened("jump_drive_refuses")
+    assert bench.happened("jump_refuses")
+
+
+# ------------------------------------------------------------------- what the link does to command
+
+
+class Recorder:
+    """Frames that go to the winch's drive."""
+
+    def __init__(self, bench: HilBench) -> None:
+        self.sets: list[list[tuple[int, bytes]]] = []
+        self._ids = [pdo.can_id(WINCH.node_id) for pdo in WINCH.hears]
+        self._near = bench.bridge.channels["winch"]._send
+        bench.bridge.channels["winch"]._send = self._send
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        if can_id == self._ids[0]:
+            self.sets.append([])
+        self.sets[-1].append((can_id, data))
+        self._near(can_id, data)
+
+
+def deliver(bench: HilBench, frames: list[tuple[int, bytes]]) -> None:
+    for can_id, data in frames:
+        bench._near.send(can_id, data)
+    bench.settle()
+
+
+def rejected(bench: HilBench) -> int:
+    return bench.machine.drives["winch"]._counts["rejected"]
+
+
+def test_repeated_and_reordered_sets_are_never_executed(bench: HilBench):
+    bench.arm()
+    recorder = Recorder(bench)
+    bench.cycles(0.1, winch(rate=0.1))
+    bench.cycles(0.1, winch(rate=0.0))
+    setpoint = bench.machine.drives["winch"].setpoint
+    assert setpoint is not None
+    before = rejected(bench)
+    for old in recorder.sets:
+        deliver(bench, old)
+    assert rejected(bench) - before == len(recorder.sets)
+    assert bench.machine.drives["winch"].setpoint is setpoint
+
+
+def test_a_set_with_a_frame_missing_is_never_executed(bench: HilBench):
+    bench.arm()
+    bench.cycles(0.1, winch(rate=0.0))
+    drive = bench.machine.drives["winch"]
+    setpoint = drive.setpoint
+    channel = bench.bridge.channels["winch"]
+    whole = channel._send
+    for left_out in range(3):
+        frames: list[tuple[int, bytes]] = []
+
+        def keep(can_id: int, data: bytes, into: list[tuple[int, bytes]] = frames) -> None:
+            into.append((can_id, data))
+
+        channel._send = keep
+        bench.bridge.take(
+            topics.WINCH_COMMAND,
+            JointSample(bench.simulation.stamp_ns, winch()[topics.WINCH_COMMAND].joints),
+            bench.simulation.stamp_ns,
+        )
+        deliver(bench, [frame for k, frame in enumerate(frames) if k != left_out])
+        assert drive.setpoint is setpoint
+    channel._send = whole
+
+
+def test_a_set_that_comes_late_is_never_executed_however_new_its_number_is(bench: HilBench):
+    bench.arm()
+    bench.cycles(0.1, winch(rate=0.0))
+    drive, channel = bench.machine.drives["winch"], bench.bridge.channels["winch"]
+    frames: list[tuple[int, bytes]] = []
+    whole = channel._send
+    channel._send = lambda can_id, data: frames.append((can_id, data))
+    now_ns = bench.simulation.stamp_ns
+    bench.bridge.take(
+        topics.WINCH_COMMAND, JointSample(now_ns, winch()[topics.WINCH_COMMAND].joints), now_ns
+    )
+    bench.bridge_is_on = False
+    bench.cycles(0.6)
+    channel._send = whole
+    before = rejected(bench)
+    deliver(bench, frames)
+    assert rejected(bench) - before == 1
+    assert drive.setpoint is None
+
+
+def test_a_half_open_link_stops_the_drive_though_commands_reach_it(bench: HilBench):
+    paying_out(bench)
+    network = bench._near.network
+    answers = {can_id: network.subscribers.pop(can_id) for can_id in bench.bridge.can_ids}
+    with pytest.raises(Refusal, match=r"not heard|not armed"):
+        bench.cycles(2.0, winch())
+    assert_it_stops(bench, STOP)
+    network.subscribers.update(answers)
+
+
+def test_a_lost_answer_is_counted_and_its_topics_are_not_told(bench: HilBench):
+    bench.cycles(0.1)
+    station = bench.bridge.stations["winch"]
+    pdo = WINCH.tells[1]
+    can_id = pdo.can_id(WINCH.node_id)
+    network = bench._near.network
+    kept = network.subscribers.pop(can_id)
+    bench.told.clear()
+    bench.cycle()
+    network.subscribers[can_id] = kept
+    assert set(bench.told) == set(TOLD) - {topics.WINCH_STATE, topics.MOTOR_CURRENTS}
+    bench.cycle()
+    assert station.lost == 1
+    assert bench.bridge.incomplete == 1
+    assert topics.WINCH_STATE in bench.told
+
+
+def test_frames_that_are_none_are_counted_and_do_nothing(bench: HilBench):
+    bench.cycles(0.1)
+    can_id = WINCH.tells[0].can_id(WINCH.node_id)
+    for data in (b"", b"\x00", bytes(7)):
+        bench.bridge.heard(can_id, data, bench.simulation.stamp_ns)
+    assert bench.bridge.stations["winch"].strange == 3
+
+
+def test_a_command_is_executed_within_its_cycle_and_the_round_trip_says_so(bench: HilBench):
+    bench.arm()
+    bench.cycles(0.5, winch(rate=0.0))
+    found = bench.bridge.round_trip.percentiles()
+    assert found is not None
+    assert found.number >= 90
+    assert found.largest == 0.0  # nothing takes time here but the plant
+    assert bench.bridge.overdue == bench.bridge.late == 0
+
+
+def test_a_delay_of_the_drives_delays_the_motion(compiled_in_space: None):
+    made = HilBench(simulation(), command_delay=0.1)
+    try:
+        made.arm()
+        made.cycles(0.09, winch())
+        assert not brake_is_open(made)
+        made.cycles(0.15, winch())
+        assert brake_is_open(made)
+    finally:
+        made.close()
+
+
+def test_single_commands_by_sdo_are_refused(bench: HilBench):
+    import struct
+
+    drive = bench.machine.drives["winch"]
+    request = struct.pack("<BHB4s", 0x2B, 0x6040, 0, b"\x0f\x00\x00\x00")
+    answers: list[bytes] = []
+    bench._near.network.subscribe(0x583, lambda _id, data, _t: answers.append(bytes(data)))
+    deliver(bench, [(0x603, request)])
+    assert answers[0][0] == 0x80  # abort
+    assert struct.unpack_from("<I", answers[0], 4) == (0x0800_0022,)
+    assert not drive.automaton.enabled
+
+
+def test_counts_of_pdos_travel_as_they_are():
+    pdo: Pdo = WINCH.tells[0]
+    counts = {"statusword": 0x0237, "position": -5, "inputs": 1, "cycle": 240}
+    assert unpack(pdo, pdo.layout.pack(*counts.values())) == counts
+    assert math.isclose(WINCH.by_key["position"].value(-5), -5e-6)

@@ -1,0 +1,141 @@
+"""The drive's automaton: every state with every order, against the standard's table."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from canopen.profiles.p402 import State402
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, controlword, state_of
+from rover_hil.emulator.cia402 import Automaton, DriveState, Order, order_of
+
+WORDS = {
+    Order.SHUTDOWN: 0x06,
+    Order.SWITCH_ON: 0x07,
+    Order.ENABLE: 0x0F,
+    Order.DISABLE_VOLTAGE: 0x00,
+    Order.QUICK_STOP: 0x02,
+    Order.FAULT_RESET: 0x80,
+}
+# CiA 402, figure of the state machine: what each order leads to; what is not there does nothing.
+TABLE = {
+    DriveState.DISABLED: {Order.SHUTDOWN: DriveState.READY},
+    DriveState.READY: {
+        Order.SWITCH_ON: DriveState.SWITCHED_ON,
+        Order.ENABLE: DriveState.ENABLED,
+        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
+        Order.QUICK_STOP: DriveState.DISABLED,
+    },
+    DriveState.SWITCHED_ON: {
+        Order.ENABLE: DriveState.ENABLED,
+        Order.SHUTDOWN: DriveState.READY,
+        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
+        Order.QUICK_STOP: DriveState.DISABLED,
+    },
+    DriveState.ENABLED: {
+        Order.SWITCH_ON: DriveState.SWITCHED_ON,
+        Order.SHUTDOWN: DriveState.READY,
+        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
+        Order.QUICK_STOP: DriveState.QUICK_STOP,
+    },
+    DriveState.QUICK_STOP: {Order.DISABLE_VOLTAGE: DriveState.DISABLED},
+    DriveState.FAULT: {Order.FAULT_RESET: DriveState.DISABLED},
+    DriveState.REACTING: {},
+    DriveState.NOT_READY: {},
+}
+
+
+def brought_to(state: DriveState) -> Automaton:
+    """An automaton in a state, by orders and faults alone."""
+    made = Automaton()
+    if state is DriveState.NOT_READY:
+        return made
+    made.power_on()
+    ways = {
+        DriveState.READY: (0x06,),
+        DriveState.SWITCHED_ON: (0x06, 0x07),
+        DriveState.ENABLED: (0x06, 0x07, 0x0F),
+        DriveState.QUICK_STOP: (0x06, 0x07, 0x0F, 0x02),
+    }
+    for word in ways.get(state, ()):
+        made.command(word)
+    if state in {DriveState.REACTING, DriveState.FAULT}:
+        made.fail(0x4310)
+    if state is DriveState.FAULT:
+        made.come_to_rest()
+    assert made.state is state
+    return made
+
+
+@pytest.mark.parametrize(("state", "order"), list(itertools.product(DriveState, Order)))
+def test_each_order_leads_where_the_standard_says(state: DriveState, order: Order):
+    drive = brought_to(state)
+    drive.command(WORDS[order])
+    assert drive.state is TABLE[state].get(order, state)
+
+
+@pytest.mark.parametrize("state", DriveState)
+def test_the_statusword_is_what_the_library_reads(state: DriveState):
+    assert state_of(brought_to(state).statusword) == state.value
+
+
+@pytest.mark.parametrize("state", DriveState)
+def test_a_fault_comes_from_every_state_and_keeps_the_first_code(state: DriveState):
+    drive = brought_to(state)
+    was_in_fault = state in {DriveState.REACTING, DriveState.FAULT}
+    assert drive.fail(0x3220) is not was_in_fault
+    assert drive.error_code == (0x4310 if was_in_fault else 0x3220)
+    drive.come_to_rest()
+    assert drive.state is DriveState.FAULT
+    assert not drive.enabled
+
+
+def test_a_fault_is_reset_by_the_edge_of_its_bit_alone():
+    drive = brought_to(DriveState.FAULT)
+    drive.command(0x80)
+    assert state_of(drive.statusword) == DISABLED
+    assert drive.error_code == 0
+    drive.fail(0x3220)
+    drive.come_to_rest()
+    drive.command(0x80)  # the bit was set already
+    assert state_of(drive.statusword) == FAULT
+    drive.command(0x00)
+    drive.command(0x80)
+    assert state_of(drive.statusword) == DISABLED
+
+
+def test_a_quick_stop_ends_switched_on_disabled_when_the_drive_stands():
+    drive = brought_to(DriveState.QUICK_STOP)
+    drive.command(0x0F)  # transition 16 does not exist here
+    assert not drive.enabled
+    assert state_of(drive.statusword) == DriveState.QUICK_STOP.value
+    drive.come_to_rest()
+    assert state_of(drive.statusword) == DISABLED
+
+
+@given(st.lists(st.integers(0, 0xFFFF), max_size=30))
+def test_no_sequence_of_controlwords_enables_without_shutdown_before(words: list[int]):
+    drive = Automaton()
+    drive.power_on()
+    ordered = [order_of(word, before) for before, word in itertools.pairwise([0, *words])]
+    for word in words:
+        drive.command(word)
+    assert not drive.enabled or Order.SHUTDOWN in ordered
+
+
+@pytest.mark.parametrize("state", [s for s in DriveState if s is not DriveState.NOT_READY])
+@pytest.mark.parametrize("target", [DISABLED, SWITCHED_ON, ENABLED])
+def test_the_bridge_s_controlwords_bring_a_drive_where_it_should_be(state: DriveState, target: str):
+    drive = brought_to(state)
+    for _ in range(4):
+        drive.come_to_rest()
+        drive.command(controlword(state_of(drive.statusword), target))
+    stays = {DriveState.REACTING, DriveState.FAULT}  # until it is armed, which resets it
+    assert drive.state.value == (DriveState.FAULT if state in stays else target)
+
+
+def test_the_names_are_the_library_s():
+    assert {state.value for state in DriveState} == set(State402.SW_MASK)

@@ -1,0 +1,77 @@
+"""The offset of a clock is where the estimate says, to its uncertainty."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_hil.clock_offset import ClockOffset
+from rover_hil.statistics import Window
+
+NANO = 1_000_000_000
+WAYS = st.integers(1_000, 5_000_000)
+
+
+@given(
+    offset=st.integers(-(10**12), 10**12),
+    drift=st.floats(-90e-6, 90e-6),
+    ways=st.lists(st.tuples(WAYS, WAYS, WAYS), min_size=1, max_size=80),
+)
+def test_the_true_offset_lies_within_the_uncertainty_whatever_the_ways_take(
+    offset: int, drift: float, ways: list[tuple[int, int, int]]
+):
+    clock, now = ClockOffset(), 0
+    for there, at_device, back in ways:
+        now += 5_000_000
+        taken, answered = now + there, now + there + at_device
+
+        def by_device(true_ns: int) -> int:
+            return true_ns + offset + round(drift * true_ns)
+
+        assert clock.add(now, by_device(taken), by_device(answered), answered + back)
+        now = answered + back
+    found = clock.now(now)
+    assert found is not None
+    truth = (offset + drift * now) / NANO
+    assert abs(found.value - truth) <= found.uncertainty + 2e-9
+
+
+def test_the_narrowest_exchange_counts_until_drift_makes_it_wider_than_a_later_one():
+    clock = ClockOffset()
+    clock.add(0, 1_000_050, 1_000_050, 100)  # good to 50 ns
+    clock.add(1000, 1_500_000, 1_500_000, 1_001_000)  # good to 0.5 ms
+    early = clock.now(2000)
+    assert early is not None
+    assert early.uncertainty < 1e-6
+    # 10 s later 100 ppm make 1 ms, and an exchange good to 0.5 ms is the better one.
+    later = 10 * NANO
+    clock.add(later, later + 1_400_000, later + 1_400_000, later + 1_000_000)
+    late = clock.now(later + 1_000_000)
+    assert late is not None
+    assert late.value != early.value
+    assert late.uncertainty < 0.6e-3
+
+
+def test_an_exchange_that_cannot_be_is_none():
+    clock = ClockOffset()
+    assert not clock.add(100, 50, 200, 150)  # answered later than it was received
+    assert not clock.add(100, 200, 150, 400)  # answered before it was taken
+    assert clock.now(0) is None
+    clock.add(0, 10, 20, 30)
+    clock.reset()
+    assert clock.now(0) is None
+
+
+def test_percentiles_are_values_that_were_measured():
+    window = Window(size=1000)
+    assert window.percentiles() is None
+    for value in range(2000):
+        window.add(float(value))
+    found = window.percentiles()
+    assert found is not None
+    assert found.number == len(window) == 1000
+    assert found.p50 in {1499.0, 1500.0}
+    assert found.p99 == 1990.0
+    assert found.largest == 1999.0
+    window.clear()
+    assert window.percentiles() is None

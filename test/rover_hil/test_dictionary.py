@@ -1,0 +1,131 @@
+"""Object dictionaries: what the devices are, their EDS files, and how counts carry units."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rover_hil.devices import BRIDGE_NODE, DEVICES, DRIVES, JUMP, WINCH
+from rover_hil.dictionary import (
+    DOCUMENT,
+    EDS_FOLDER,
+    differences,
+    export,
+    object_dictionary,
+    with_table,
+)
+from rover_hil.link import pack, unpack
+from rover_hil.objects import Device, Entry, Kind, Pdo
+
+ROOT = Path(__file__).parents[2]
+ENTRIES = [(device, entry) for device in DEVICES for entry in device.entries]
+PDOS = [(device, pdo) for device in DEVICES for pdo in device.pdos]
+CIA_402 = {
+    0x603F, 0x6040, 0x6041, 0x605A, 0x6060, 0x6061, 0x6064, 0x606C, 0x6072, 0x6076, 0x6077, 0x6078,
+    0x607A, 0x6502,
+}  # fmt: skip
+
+
+def of(item: tuple[Device, object]) -> str:
+    device, part = item
+    return f"{device.name}-{getattr(part, 'key', getattr(part, 'name', ''))}"
+
+
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.name)
+def test_the_eds_file_read_back_by_the_library_is_the_dictionary(device: Device):
+    read = canopen.import_od(str(EDS_FOLDER / f"{device.name}.eds"))
+    assert differences(device, read) == []
+    assert len(read) == len(object_dictionary(device))
+
+
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.name)
+def test_the_eds_file_is_what_the_dictionary_generates(device: Device):
+    committed = (EDS_FOLDER / f"{device.name}.eds").read_text(encoding="utf-8")
+    assert committed == export(device), "run: python -m rover_hil.dictionary"
+
+
+def test_the_document_s_table_is_what_the_dictionary_generates():
+    text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
+    assert text == with_table(text), "run: python -m rover_hil.dictionary"
+    assert "60FFh" in text
+
+
+def test_a_dictionary_that_differs_is_told_by_object():
+    other: Any = object_dictionary(WINCH)
+    other[0x60FF].factor = 1e-3
+    other[0x6076].default = 1
+    del other[0x6072]
+    found = "\n".join(differences(WINCH, other))
+    assert "60FFh:00 Target velocity: a count is 0.001 m/s, should be 1e-06 m/s" in found
+    assert "6076h:00 Motor rated torque: default is 1, should be 5000" in found
+    assert "6072h:00 Max torque is missing" in found
+
+
+def test_drives_have_the_objects_of_cia_402_and_all_devices_those_of_cia_301():
+    for device in DEVICES:
+        held = set(object_dictionary(device))
+        assert {0x1000, 0x1001, 0x1005, 0x1014, 0x1016, 0x1017, 0x1018} <= held
+        assert not device.is_drive or held >= CIA_402
+    assert all(0x60FF in object_dictionary(device) for device in DRIVES if device is not JUMP)
+
+
+def test_nodes_and_identifiers_are_taken_once():
+    nodes = [device.node_id for device in DEVICES]
+    assert len(set(nodes)) == len(nodes)
+    assert BRIDGE_NODE not in nodes
+    identifiers = [pdo.can_id(device.node_id) for device, pdo in PDOS]
+    assert len(set(identifiers)) == len(identifiers)
+
+
+@pytest.mark.parametrize("item", PDOS, ids=of)
+def test_a_pdo_s_bytes_are_those_that_the_library_packs(item: tuple[Device, Pdo]):
+    device, pdo = item
+    node = canopen.LocalNode(device.node_id, object_dictionary(device))
+    node.associate_network(canopen.Network())
+    maps = node.tpdo if pdo.sent_by_device else node.rpdo
+    mapped = maps[pdo.number]
+    mapped.read(from_od=True)
+    counts = {entry.key: entry.kind.smallest + 3 * k + 1 for k, entry in enumerate(pdo.entries)}
+    for variable, entry in zip(mapped, pdo.entries, strict=True):
+        variable.raw = counts[entry.key]
+    assert bytes(mapped.data) == pack(pdo, counts)
+    assert mapped.cob_id == pdo.can_id(device.node_id)
+    assert unpack(pdo, bytes(mapped.data)) == counts
+
+
+def test_a_frame_of_another_length_is_none_of_a_pdo():
+    pdo = WINCH.hears[0]
+    assert unpack(pdo, bytes(pdo.layout.size - 1)) is None
+    assert unpack(pdo, b"") is None
+
+
+@given(item=st.sampled_from(ENTRIES), share=st.floats(0.0, 1.0))
+def test_a_value_survives_its_counts_to_half_a_count(item: tuple[Device, Entry], share: float):
+    entry = item[1]
+    value = entry.smallest + share * (entry.largest - entry.smallest)
+    back = entry.value(entry.counts(value))
+    assert abs(back - value) <= 0.5 * entry.scale * (1.0 + 1e-6) + 1e-12 * abs(value)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3276.8, -3276.9])
+def test_what_the_type_does_not_hold_is_refused_with_its_range(value: float):
+    torque = WINCH.by_key["target_torque"]
+    with pytest.raises(ValueError, match="target_torque = "):
+        torque.counts(value)
+
+
+def test_a_sensor_beyond_its_range_stays_at_its_end():
+    torque = WINCH.by_key["torque"]
+    assert torque.saturated(1e9) == Kind.I16.largest
+    assert torque.saturated(-1e9) == Kind.I16.smallest
+
+
+def test_a_pdo_that_fits_no_frame_is_refused():
+    with pytest.raises(ValueError, match="TPDO1 has 12 bytes"):
+        Pdo(1, True, tuple(Entry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))

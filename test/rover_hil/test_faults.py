@@ -1,0 +1,318 @@
+"""The table of faults with processes: emulator and bridge over DDS and a link, and who commands.
+
+Simulated time waits for each of them, so that a machine that starves one is slow, and not wrong.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.samples import JointSample, JointValue, StatusSample
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Process, Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge_node"
+RATE = 0.1  # of the winch [m/s]
+FUZZED = 1000
+MINE, STRANGER = "/commander#1", "/stranger#2"
+PATIENCE = 120.0
+ATTEMPTS = 60
+STARVED = 5.0  # a process may be, before it counts as gone [s]
+
+
+def winch(rate: float) -> dict[str, JointValue]:
+    return {
+        WINCH_DRUM: JointValue(20.0, rate, 16.2),
+        WINCH_BRAKE: JointValue(1.0),
+        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    }
+
+
+ROLL = {WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)}
+PAY_OUT = winch(RATE)
+
+
+class Rig:
+    """Emulator and bridge in step with each other and with a commander, who never gives up."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._processes = stage.processes
+        self._link = f"udp_multicast:239.74.163.2:{random.SystemRandom().randrange(44000, 48000)}"
+        self.emulator = self.start_emulator()
+        self.bridge = self.start_bridge()
+        self.observer: Observer = stage.observer()
+        self.clock = self.observer.listen(topics.CLOCK)
+        self.states = self.observer.listen(topics.WINCH_STATE)
+        self.events = self.observer.listen(topics.EVENTS)
+        for name in (topics.IMU, topics.WHEEL_STATE):
+            self.observer.listen(name)
+        for node in ("drive_emulator", "hil_bridge"):
+            self.observer.wait_until_ready(node)
+        self.commands: dict[str, dict[str, JointValue]] = {topics.WINCH_COMMAND: winch(0.0)}
+        self._publishers = {
+            name: self.observer.publisher(name)
+            for name in (topics.WINCH_COMMAND, topics.WHEEL_COMMAND)
+        }
+        self.clock.wait()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._command)
+        self._thread.start()
+
+    def start_emulator(self) -> Process:
+        # What nobody looks at here is told seldom.
+        seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
+        given = {"scenario": "free_hang", "lockstep": True, "lockstep_patience": STARVED}
+        return self._processes.start(EMULATOR, {"link": self._link, **given, **seldom})
+
+    def start_bridge(self) -> Process:
+        given = {
+            "link": self._link,
+            "use_sim_time": True,
+            "lockstep": True,
+            "lockstep_commands": topics.WINCH_COMMAND,
+            "lockstep_patience": STARVED,
+        }
+        return self._processes.start(BRIDGE, given)
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _command(self) -> None:
+        """Answer each tick, for which time waits."""
+        seen = 0
+        while not self._ending.is_set():
+            try:
+                self.clock.wait(lambda _: True, seen, 0.2)
+            except AssertionError:
+                continue  # time stands still
+            seen = len(self.clock)
+            for name, joints in list(self.commands.items()):
+                self.send(name, joints, MINE)
+
+    def send(self, name: str, joints: dict[str, JointValue], who: str) -> None:
+        message = encode(name, JointSample(self.clock.last.stamp_ns, joints))
+        message.header.frame_id = who
+        self._publishers[name].publish(message)
+
+    # --- what is done ----------------------------------------------------------------------------
+
+    def impair(self, text: str) -> None:
+        result = self.observer.set_parameter("drive_emulator", "impairments", text)
+        assert result.successful, result.reason
+
+    def arm(self) -> None:
+        """Arm as soon as all are heard."""
+        for _ in range(ATTEMPTS):
+            if self.observer.call(topics.DRIVES_ARM, True).success:
+                return
+            self.pass_time(0.1)
+        raise AssertionError("the drives could not be armed")
+
+    def pass_time(self, seconds: float) -> None:
+        end_ns = self.time_ns + round(seconds * 1e9)
+        self.clock.wait(lambda s: s.stamp_ns >= end_ns, len(self.clock) - 1, PATIENCE)
+
+    def begin(self, text: str) -> int:
+        """Have an impairment begin; returns when it did [ns]."""
+        since = len(self.events)
+        self.impair(text)
+        told = self.event("impairment_began", since)
+        return int(told.stamp_ns)
+
+    # --- what is seen ----------------------------------------------------------------------------
+
+    @property
+    def time_ns(self) -> int:
+        return int(self.clock.last.stamp_ns)
+
+    def event(self, name: str, since: int, reason: str = "") -> StatusSample:
+        def is_it(sample: StatusSample) -> bool:
+            return any(s.name == name and reason in s.message for s in sample.statuses)
+
+        found = self.events.wait(is_it, since)
+        assert isinstance(found, StatusSample)
+        return found
+
+    def state(self, after_ns: int) -> JointSample:
+        """The first state of the winch that is stamped so late."""
+        found = self.states.wait(lambda s: s.stamp_ns > after_ns, 0, PATIENCE)
+        assert isinstance(found, JointSample)
+        return found
+
+    def pay_out(self) -> None:
+        """Arm, and pay out steadily; what a starved machine has disarmed is armed again."""
+        self.commands = {topics.WINCH_COMMAND: PAY_OUT}
+        for _ in range(ATTEMPTS):
+            self.arm()
+            since, end_ns = len(self.states), self.time_ns + 1_000_000_000
+
+            def is_over(state: JointSample, end_ns: int = end_ns) -> bool:
+                return moves(state) or state.stamp_ns > end_ns
+
+            if moves(self.states.wait(is_over, since)):
+                return
+        raise AssertionError("the winch never paid out")
+
+
+def moves(state: JointSample) -> bool:
+    return is_open(state) and state.joints[WINCH_DRUM].velocity > 0.9 * RATE
+
+
+def is_open(state: JointSample) -> bool:
+    return state.joints[WINCH_BRAKE].position == 1.0
+
+
+def length(state: JointSample) -> float:
+    return state.joints[WINCH_DRUM].position
+
+
+@pytest.fixture(scope="module")
+def rig(shared_stage: Stage, compiled_in_space: None) -> Iterator[Rig]:
+    made = Rig(shared_stage)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(
+    "impairment",
+    [
+        "{what: loss, strength: 0.1}",
+        "{what: duplication, strength: 0.5}",
+        "{what: reorder, strength: 0.3}",
+        "{what: bit_errors, strength: 2.0e-4}",
+        "{what: stale_stamps, strength: 0.05}",
+        "{what: drifted_load_cell, strength: 1.0}",
+        "{what: bus_off, on: imu}",
+    ],
+)
+def test_the_winch_goes_on(rig: Rig, impairment: str):
+    rig.pay_out()
+    since = len(rig.events)
+    begun_ns = rig.begin(impairment)
+    state = rig.state(begun_ns + 400_000_000)
+    rig.impair("")
+    assert is_open(state)
+    assert state.joints[WINCH_DRUM].velocity > 0.8 * RATE
+    ended = rig.event("impairment_ended", since)
+    assert ended.statuses[0].values["what"] in impairment
+
+
+@pytest.mark.parametrize(
+    ("impairment", "tells", "reason"),
+    [
+        ("{what: cut}", "winch_silent", ""),
+        ("{what: cut, on: winch, way: to_devices}", "winch_emergency", "8250h"),
+        ("{what: cut, on: winch, way: to_bridge}", "winch_unheard", ""),
+        ("{what: delay, strength: 0.5}", "winch_silent", ""),
+        ("{what: jitter, strength: 1.0}", "winch_silent", ""),
+        (
+            "[{what: loss, strength: 0.3}, {what: delay, strength: 0.5}]",
+            "winch_silent",
+            "",
+        ),
+        ("{what: bit_errors, strength: 0.05}", "winch_silent", ""),
+        ("{what: stale_stamps, on: winch, strength: 5.0}", "winch_silent", ""),
+        ("{what: bus_off, on: winch}", "winch_silent", ""),
+        ("{what: brown_out, on: winch}", "winch_drive", "not ready"),
+        ("{what: drive_fault, on: winch, cause: overtemperature}", "winch_emergency", "4310h"),
+    ],
+)
+def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
+    rig: Rig, impairment: str, tells: str, reason: str
+):
+    rig.pay_out()
+    since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
+    begun_ns = rig.begin(impairment)
+    before = length(rig.state(begun_ns - 20_000_000))
+    rig.event(tells, since, reason)
+    rig.pass_time(0.6)
+    rig.impair("")
+    rig.event("impairment_ended", since)
+    # The link is well, commands go on, and the brake stays closed.
+    first = rig.state(rig.time_ns)
+    again = rig.state(first.stamp_ns + 200_000_000)
+    assert not is_open(first)
+    assert not is_open(again)
+    assert length(again) == pytest.approx(length(first), abs=1e-3)
+    assert length(first) - before < RATE * 0.5 + 0.05
+    rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "not_armed", refused)
+    rig.pay_out()
+
+
+def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
+    rig.pay_out()
+    rig.commands = {topics.WINCH_COMMAND: winch(0.0), topics.WHEEL_COMMAND: ROLL}
+    wheels = rig.observer.listen(topics.WHEEL_STATE)
+    wheels.wait(lambda s: max(v.velocity for v in s.joints.values()) > 0.5, len(wheels))
+    since = len(rig.events)
+    begun_ns = rig.begin("{what: cut, on: rover, duration: 30.0}")
+    rig.event("wheel_disarmed", since)
+    rig.event("imu_silent", since)
+    ended = rig.events.wait(
+        lambda s: s.statuses[0].name == "impairment_ended", since, 4.0 * PATIENCE
+    )
+    assert ended.stamp_ns - begun_ns == pytest.approx(30e9, abs=20e6)
+    # On the mother machine all went on; of the rover nothing was heard.
+    during = [s for s in rig.states.samples if begun_ns + 10**9 < s.stamp_ns < ended.stamp_ns]
+    assert len(during) > 0.99 * 29 * 200
+    assert all(map(is_open, during))
+    heard = [s.stamp_ns for s in rig.observer.listen(topics.IMU).samples]
+    margin_ns = 20_000_000  # clocks of two processes are a tick or two apart
+    assert not any(begun_ns + margin_ns < at < ended.stamp_ns - margin_ns for at in heard)
+    back = wheels.wait(lambda s: s.stamp_ns > ended.stamp_ns, 0, PATIENCE)
+    later = wheels.wait(lambda s: s.stamp_ns > back.stamp_ns + 300_000_000, 0, PATIENCE)
+    turned = [abs(v.position - back.joints[name].position) for name, v in later.joints.items()]
+    assert max(turned) < 0.05
+    rig.observer.wait_for_refusal(topics.WHEEL_COMMAND, "not_armed")
+
+
+def test_a_second_commander_is_refused_and_told_who_has_the_drive(rig: Rig):
+    rig.pay_out()
+    since = len(rig.observer.listen(topics.DIAGNOSTICS))
+    for _ in range(20):
+        rig.send(topics.WINCH_COMMAND, winch(-RATE), STRANGER)
+        rig.pass_time(0.01)
+    told = rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "owned", since)
+    assert MINE in told.message
+    assert STRANGER in told.message
+    assert min(s.joints[WINCH_DRUM].velocity for s in rig.states.samples[-20:]) > 0.8 * RATE
+
+
+def test_fuzzed_messages_do_nothing_and_the_bridge_lives_on(rig: Rig):
+    from rover_verify.hil_fuzz import fuzzed_message
+
+    rig.pay_out()
+    rig.commands = {topics.WINCH_COMMAND: winch(0.0)}
+    rig.pass_time(1.0)
+    generator = np.random.default_rng(random.SystemRandom().randrange(2**32))
+    before = rig.states.last
+    publishers: dict[str, Any] = {}
+    for _ in range(FUZZED):
+        # Stamps lie wrong by years or not at all: by this clock or that of the bridge.
+        topic, message = fuzzed_message(generator, rig.time_ns)
+        publishers.setdefault(topic, rig.observer.publisher(topic)).publish(message)
+    rig.pass_time(0.3)
+    after = rig.state(rig.time_ns)
+    assert is_open(after)  # its own commander's commands still hold it
+    assert length(after) == pytest.approx(length(before), abs=1e-3)
+    assert rig.bridge.is_running
+    assert rig.emulator.is_running
+
+
+def test_a_wrong_impairment_is_refused_with_what_would_be_right(rig: Rig):
+    answer = rig.observer.set_parameter("drive_emulator", "impairments", "{what: lost}")
+    assert not answer.successful
+    assert "should be one of delay, jitter, loss" in answer.reason

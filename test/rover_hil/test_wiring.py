@@ -1,0 +1,151 @@
+"""Contract and objects correspond both ways, to the size of a count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from contract_samples import samples_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_schemas import topics
+from msg_schemas.codecs import encode
+from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, Sample
+from msg_schemas.table import TOPICS
+from rover_hil.devices import BY_NAME, DEVICES, JUMP, WINCH
+from rover_hil.wiring import (
+    AT_REST,
+    COMMANDED,
+    TOLD,
+    asks_for_rest,
+    command_of,
+    sample_of,
+    setpoint_of,
+    values_of,
+)
+
+SWITCHES = ("jump_latch", "winch_brake")
+# What the objects hold is less than the contract allows, in these alone: such commands are refused.
+NARROWER = {"winch_drum.effort": 3276.7}
+
+
+@st.composite
+def commands(draw: st.DrawFn) -> tuple[str, JointSample]:
+    topic = draw(st.sampled_from(sorted(COMMANDED)))
+    sample = draw(samples_of(TOPICS[topic]))
+    joints = dict(sample.joints)
+    for name in SWITCHES:
+        if name in joints:
+            joints[name] = JointValue(float(draw(st.booleans())))
+    for path, limit in NARROWER.items():
+        name = path.partition(".")[0]
+        if name in joints:
+            joints[name] = joints[name]._replace(effort=min(joints[name].effort, limit))
+    return topic, JointSample(sample.stamp_ns, joints)
+
+
+@given(commands())
+def test_a_command_comes_back_from_its_set_point_to_a_count(item: tuple[str, JointSample]):
+    topic, sample = item
+    device = COMMANDED[topic]
+    setpoint = setpoint_of(topic, sample)
+    entries = device.by_key
+    counted = {key: entries[key].value(entries[key].counts(v)) for key, v in setpoint.items()}
+    back = command_of(device, counted)
+    assert back is not None
+    assert back[0] == topic
+    for name, value in sample.joints.items():
+        count = max(entry.scale for entry in entries.values() if "target" in entry.key or (
+            entry.key == "max_torque"))  # fmt: skip
+        for mine, theirs in zip(value, back[1][name], strict=True):
+            assert abs(mine - theirs) <= count
+
+
+@given(st.data())
+def test_what_devices_tell_is_what_the_contract_s_samples_say(data: st.DataObject):
+    told: dict[str, Sample] = {}
+    for topic in TOLD:
+        narrow = samples_of(TOPICS[topic])
+        told[topic] = data.draw(narrow)
+    told |= dict(physical(told))
+    values = values_of(told)
+    counted = {
+        name: {
+            key: BY_NAME[name].by_key[key].value(BY_NAME[name].by_key[key].saturated(value))
+            for key, value in each.items()
+        }
+        for name, each in values.items()
+    }
+    back = values_of({topic: sample_of(topic, 1, counted) for topic in TOLD})
+    for name, each in counted.items():
+        for key, value in each.items():
+            entry = BY_NAME[name].by_key[key]
+            assert abs(back[name][key] - value) <= 1.01 * entry.scale, (name, key)
+    for topic in TOLD:
+        encode(topic, sample_of(topic, 1, counted))  # within the contract's limits
+
+
+def physical(told: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
+    """Samples that a machine can give: switches are closed or open, floor is any of the others."""
+    contact, winch = told[topics.CONTACT], told[topics.WINCH_STATE]
+    assert isinstance(contact, JointSample)
+    assert isinstance(winch, JointSample)
+    closed = {
+        name: round(contact.joints.get(name, JointValue()).position)
+        for name in ("wheel_left", "wheel_right", "body")
+    }
+    joints = {name: JointValue(float(on)) for name, on in closed.items()}
+    floor = JointValue(float(any(closed.values())))
+    yield topics.CONTACT, JointSample(1, {"floor": floor, **joints})
+    brake = JointValue(float(round(winch.joints[WINCH_BRAKE].position)))
+    yield topics.WINCH_STATE, JointSample(1, {**winch.joints, WINCH_BRAKE: brake})
+
+
+def test_every_topic_that_a_bridge_should_tell_or_obey_is_wired():
+    wired = {*TOLD, *COMMANDED}
+    not_on_the_link = {topics.CAMERA}  # it has a computer of its own
+    for name, row in TOPICS.items():
+        if row.publisher == "sim_node or hardware bridge":
+            assert name in wired | not_on_the_link
+    assert {device.name for devices in TOLD.values() for device in devices} == {
+        device.name for device in DEVICES
+    }
+
+
+def winch(rate: float = 0.0, brake: float = 0.0, tension: float = 0.0) -> JointSample:
+    return JointSample(
+        1,
+        {
+            WINCH_DRUM: JointValue(10.0, rate, tension),
+            WINCH_BRAKE: JointValue(brake),
+            WINCH_LIMIT: JointValue(0.0, 0.0, 0.01),
+        },
+    )
+
+
+@pytest.mark.parametrize("sample", [winch(brake=0.5), winch(tension=4000.0)])
+def test_what_the_objects_cannot_say_is_refused_with_the_reason(sample: JointSample):
+    with pytest.raises(Refusal, match=r"must be 1 or 0|should be from") as refused:
+        setpoint_of(topics.WINCH_COMMAND, sample)
+    assert refused.value.code is RefusalCode.OUT_OF_LIMITS
+
+
+def test_a_limit_smaller_than_a_count_stays_a_limit():
+    setpoint = setpoint_of(topics.WINCH_COMMAND, winch())
+    assert setpoint["max_torque"] == WINCH.by_key["max_torque"].scale
+
+
+def test_a_closed_brake_at_no_rate_asks_for_rest_and_nothing_else_does():
+    topic = topics.WINCH_COMMAND
+    assert asks_for_rest(topic, setpoint_of(topic, winch()))
+    assert not asks_for_rest(topic, setpoint_of(topic, winch(brake=1.0)))
+    assert not asks_for_rest(topic, setpoint_of(topic, winch(rate=0.1)))
+
+
+def test_a_mode_that_a_drive_lacks_is_no_command():
+    assert command_of(WINCH, {**AT_REST, "mode": 10}) is None
+    assert command_of(JUMP, {**AT_REST, "mode": 9}) is None
+    assert command_of(JUMP, AT_REST) is None
