@@ -56,12 +56,15 @@ class RotorParameters:
     flywheel_bias: float = parameter(
         1.5, "rad/s", "rate about which it reacts while pictures are taken", 0.0, 100.0
     )
+    flywheel_ramp: float = parameter(
+        1.5, "rad/s^2", "at which bias and return to the middle come and go", 0.01, 100.0
+    )
     travel_centre: float = parameter(
         -94.2, "rad", "angle of the screw in the middle of the nut's free travel", -1e4, 1e4
     )
     travel: float = parameter(70.0, "rad", "by which it may leave the middle", 0.1, 1e4)
     travel_braking: float = parameter(
-        3.0, "1/s", "rate of the screw over what is left of its travel, at most", 0.1, 100.0
+        0.8, "1/s", "rate of the screw over what is left of its travel, at most", 0.1, 100.0
     )
     travel_time: float = parameter(
         8.0, "s", "in which the nut is brought back to the middle", 1.0, 600.0
@@ -180,7 +183,8 @@ class FlywheelReaction:
         )
         self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
         self._side = 0.0  # to which the bias turns
-        self._pumped = 0.0  # [N m s]
+        self._drawn = 0.0  # rate by the bias, or toward the middle of the travel [rad/s]
+        self._wanted = 0.0  # rate of the screw [rad/s]
         self._away = 0.0  # from the middle of the travel [rad]
 
     @property
@@ -212,23 +216,25 @@ class FlywheelReaction:
         """
         p = self.rotors
         away = self._away = angle - p.travel_centre
-        before = self.axis.momentum
         said = f"travel {away:.3g} of {p.travel:.3g} rad"
         momentum = self.axis.step(tilt_rate, h, away / p.travel, said)
         if not quiet:
             self._side = 0.0
         elif self._side == 0.0:
             self._side = -math.copysign(1.0, away)
-        wanted = (momentum + pumped) / self.inertia + self._side * p.flywheel_bias
+        drawn = self._side * p.flywheel_bias
         if not quiet:
-            wanted -= (away - swept / self.inertia) / p.travel_time
-        # Slower the nearer the end, never against it.
+            drawn = -(away - swept / self.inertia) / p.travel_time
+        # Not at once, as that would tilt the rover.
+        ramp = p.flywheel_ramp * h
+        self._drawn = min(max(drawn, self._drawn - ramp), self._drawn + ramp)
+        wanted = (momentum + pumped) / self.inertia + self._drawn
+        # Slower the nearer the end, never against it; a hard stop would tilt the rover.
         room = p.travel - math.copysign(away, away * wanted)
         most = max(p.travel_braking * room, 0.0)
         wanted = min(max(wanted, -most), most)
-        change = momentum + pumped - before - self._pumped
-        self._pumped = pumped
-        torque = change / h + p.flywheel_tracking * self.inertia * (wanted - rate)
+        change, self._wanted = wanted - self._wanted, wanted
+        torque = self.inertia * (change / h + p.flywheel_tracking * (wanted - rate))
         friction = p.flywheel_friction * math.tanh(wanted / p.flywheel_friction_rate)
         torque += friction + p.flywheel_viscous * rate
         return min(max(torque, -p.flywheel_torque), p.flywheel_torque)

@@ -17,7 +17,8 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
-from msg_schemas.node import ContractNode, run
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     ImuSample,

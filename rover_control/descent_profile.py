@@ -32,9 +32,11 @@ from rover_control.swing_estimator import SwingEstimate
 from rover_control.yaw_keeper import Handing
 
 SUBJECT = "descent"  # of refusals
+_FELT_TIME = 0.5  # over which the camera's rate is judged, as its estimate is noisy [s]
 _BEGIN = 1.25  # damping begins where this much above where it ends
 _PERIODS = 1.3  # of the swing that a settling may take at least
 _AGAIN = 1.6  # over the rate at which handing on ends, where it begins
+_BORNE = 0.85  # of the steady rate, that a cone may take along
 _PLANE = 0.15  # minor over major axis, below which a swing counts as plane
 _ROUND = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
 
@@ -156,6 +158,8 @@ class DescentProfile:
         self._since = math.nan  # in the phase [s]
         self._arrived = math.nan  # at the stop [s]
         self._steady_since = math.nan
+        self._stepped = math.nan  # [s]
+        self._felt = 0.0  # mean square of the camera's rate [(rad/s)^2]
         self._taken = 0
         self._trials = 0
         self._last_exposure = -math.inf
@@ -271,6 +275,7 @@ class DescentProfile:
         if math.isnan(self._since):
             self._since = now
         exposes = False
+        self._feel(swing.camera_rate, now)
         self._handing = handing
         if self.phase is DescentPhase.STANDBY:
             if self.stops and now - self._known_since >= p.first_look:
@@ -285,7 +290,7 @@ class DescentProfile:
         elif self.phase is DescentPhase.SETTLING:
             self._settle(swing, length, winch_rests and rotors_rest, now)
         elif self.phase is DescentPhase.EXPOSING:
-            exposes = self._expose(swing, now)
+            exposes = self._expose(now)
         return Wish(
             self.keeps,
             self._rate(length),
@@ -296,6 +301,15 @@ class DescentProfile:
             self._unwinds,
             exposes,
         )
+
+    def _feel(self, rate: float, now: float) -> None:
+        h = 0.0 if math.isnan(self._stepped) else now - self._stepped
+        self._stepped = now
+        self._felt += min(h / _FELT_TIME, 1.0) * (rate * rate - self._felt)
+
+    @property
+    def _is_steady(self) -> bool:
+        return self._felt < self.parameters.steady_rate**2
 
     def _trims(self, swing: SwingEstimate, length: float) -> bool:
         """Whether the winch damps; rotors that hand a momentum on need swing to push against."""
@@ -366,7 +380,7 @@ class DescentProfile:
         p = self.parameters
         stop = self._stop
         assert stop is not None
-        steady = swing.camera_rate < p.steady_rate and all_rests
+        steady = self._is_steady and all_rests
         known = swing.swing_error < p.known_error
         if stop.observes and known and now - self._since > 0.5 and not steady:
             why = self._hopeless(swing, length, length)
@@ -401,14 +415,14 @@ class DescentProfile:
             text = f"swings by {_deg(ellipse.major)} x {_deg(ellipse.minor)}"
             self._enter(DescentPhase.DAMPING, text, now)
 
-    def _expose(self, swing: SwingEstimate, now: float) -> bool:
+    def _expose(self, now: float) -> bool:
         p = self.parameters
         if self._stop is None:
             # The last picture is still being taken.
             if now - self._last_exposure >= p.exposure_time:
                 self._enter(DescentPhase.STANDBY, "pictures taken", now)
             return False
-        if swing.camera_rate >= p.steady_rate:
+        if not self._is_steady:
             if now - self._last_exposure > 2.0 * p.exposure_time and now - self._since > 2.0:
                 self._steady_since = math.nan
                 self._enter(DescentPhase.SETTLING, "unsteady again", now)
@@ -455,7 +469,10 @@ class DescentProfile:
         if quick and not self._is_there:
             return there * w > max(p.damped_rate, _ROUND * self._circle_rate(stop.depth))
         minor = self.hanging.grown(ellipse.minor, length, stop.depth)
-        span = still_span(there, minor, w, p.damped_rate)
+        # What the winch can make no rounder is steady enough, or hopeless.
+        is_round = ellipse.major < _ROUND * math.sqrt(ellipse.major * abs(ellipse.minor))
+        limit = p.steady_rate if is_round else p.damped_rate
+        span = still_span(there, minor, w, limit)
         settling = self.phase is DescentPhase.SETTLING
         return span < self._needed / (_BEGIN if settling else 1.0)
 
@@ -468,9 +485,10 @@ class DescentProfile:
     def _hopeless(self, swing: SwingEstimate, length: float, depth: float) -> str:
         """Why no damping makes the rover still enough for pictures at a depth, if so."""
         p, w = self.parameters, self.hanging.swing_frequency(depth)
+        # Just after a push the ellipse is not known well; what may be plane is to be damped.
+        known = max(abs(swing.ellipse.minor) - 2.0 * swing.swing_error / swing.frequency, 0.0)
         major, minor = (
-            self.hanging.grown(abs(each), length, depth)
-            for each in (swing.ellipse.major, swing.ellipse.minor)
+            self.hanging.grown(each, length, depth) for each in (swing.ellipse.major, known)
         )
         passed_on = self._is_there and self._handing.time <= p.hand_limit
         if passed_on or best_span(major, minor, w, p.steady_rate) >= self._needed:
@@ -506,8 +524,10 @@ class DescentProfile:
         # The longer it takes the less is to be had: estimates of momentum and twist are off, too.
         limit *= 1.0 + max(self._handed_for - p.hand_patience, 0.0) / p.hand_patience
         # Once is enough: what is left then is near what its estimate and the twist's are off.
-        ease = 1.0 if self._hands_on else _AGAIN
-        return self._circle_rate(stop.depth) > ease * limit
+        limit *= 1.0 if self._hands_on else _AGAIN
+        if stop.observes:
+            limit = min(limit, _BORNE * p.steady_rate)
+        return self._circle_rate(stop.depth) > limit
 
     def _is_wound(self, swing: SwingEstimate) -> bool:
         """Whether the tether's twist would spin the rover, or it still turns by it."""

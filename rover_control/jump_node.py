@@ -6,7 +6,8 @@ import sys
 from dataclasses import dataclass
 
 from msg_schemas import topics
-from msg_schemas.node import ContractNode, run
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     ImuSample,

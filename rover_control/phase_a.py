@@ -39,7 +39,7 @@ from rover_control.rotor_pump import Pumping, RotorPump
 from rover_control.steady_swing import SteadySwing
 from rover_control.swing_damping import DampingParameters, WinchTrim
 from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
-from rover_control.yaw_keeper import YawKeeper, YawParameters
+from rover_control.yaw_keeper import Handing, YawKeeper, YawParameters
 
 _NANO = 1e9
 _SILENCE = 0.3  # a sensor that was not heard for longer is lost [s]
@@ -313,7 +313,7 @@ class PhaseA:
             swing,
             self._length,
             winch_rests=not self._brake_is_open,
-            handing=self.yaw.handing(swing, self.twist, self._length),
+            handing=self._handing(swing),
             rotors_rest=(self.wheels.is_quiet and self._ease == 0.0)
             or not self.parameters.uses_rotors,
             now=now,
@@ -324,6 +324,10 @@ class PhaseA:
         if wish.exposes:
             exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
         return Orders(wheel_rate, torque, ask, trim, exposure)
+
+    def _handing(self, swing: SwingEstimate) -> Handing:
+        handing = self.yaw.handing(swing, self.twist, self._length)
+        return handing if self.parameters.uses_rotors else handing._replace(time=math.inf)
 
     def _react(
         self, swing: SwingEstimate, wish: Wish, h: float
@@ -336,6 +340,7 @@ class PhaseA:
         if self.estimator.pushes != self._pushes:
             self._pushes = self.estimator.pushes
             self.steady.restart()
+            self.yaw.restart()
         lasting = self.steady.step(swing, self.twist, h)
         torque = self.yaw.step(
             swing,
@@ -350,7 +355,7 @@ class PhaseA:
             lasting, self._length, torque, damps=not (wish.hands_on or wish.unwinds)
         )
         pumped = Pumping(*(self._ease * each for each in wanted))
-        coned = self._cone(h)
+        coned = self._cone(swing, h)
         own = self.pointing.own_tilt_rates(coned)
         own_x = self.pump.own_tilt_rate(pumped.x, swing.frequency) + own[0]
         own_y = self.pump.own_tilt_rate(pumped.y, swing.frequency) + own[1]
@@ -369,23 +374,32 @@ class PhaseA:
                 self._changes.append(Transition("attitude_budget", text, level))
         return rate, torque
 
-    def _cone(self, h: float) -> Pumping:
+    def _cone(self, swing: SwingEstimate, h: float) -> Pumping:
         """Momenta that turn the rover to its heading; with a stop to go to, none."""
         if self.pointing.is_active and not self.profile.is_idle:
             self.pointing.stop()
             text = "the heading is let go, a stop was asked for"
             self._changes.append(Transition("pointing_ended", text, Level.OK))
-        # The tilt of the coning hides how the swing turns.
+        # The tilt of the coning, over a hundred times as fast as the swing, hides how that turns.
         self.estimator.keeps_yaw_bias = self.pointing.is_coning
-        momenta = self.pointing.step(self.twist, self.twist, self._length, h)
+        momenta = self.pointing.step(
+            self.twist,
+            self._length,
+            swing,
+            (self._flywheel_momentum, self._wheel_momentum),
+            h,
+        )
         reached = self.pointing.take_reached()
         if reached is not None:
             text = (
                 f"the heading is reached after {reached.turning:.0f} s, and will be held for "
                 f"{reached.holding:.0f} s, limited by {reached.limit}"
             )
-            values = {"turning": reached.turning, "holding": reached.holding}
+            values = reached._asdict()
             self._changes.append(Transition("pointing_reached", text, Level.OK, values))
+        lost = self.pointing.take_lost()
+        if lost:
+            self._changes.append(Transition("pointing_ended", lost, Level.WARN))
         return momenta
 
     def _winch(

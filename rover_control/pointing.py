@@ -18,6 +18,15 @@ can be reached from no twist, and is held until the spin back has used up R. Fro
 drifts away, by half the acceleration times the square of the time. What the gyro's bias is not
 known to adds to the error all the time. A turn is promised with less than the largest rate, as the
 mass may be off.
+
+How much the coning turns is measured on the way. The momentum about the plumb line, of the rover's
+spin, of its tilt's motion and of its rotors H,
+
+    I_z w_z + I (phi_x phi_y' - phi_y phi_x') + H_x phi_x + H_y phi_y,
+
+changes by nothing but the twist and, by turns, the swing. What the last three make of w_z is the
+rotors', be it coning or a wheel's bias that turns with the swing; the rest is the spin by the
+twist. How far the rotors' momentum and the tilt that answers to it belong together tells the mass.
 """
 
 from __future__ import annotations
@@ -30,9 +39,12 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
 from rover_control.rotor_pump import NO_PUMPING, Pumping
+from rover_control.swing_estimator import SwingEstimate
 
 SUBJECT = "pointing"  # of refusals
 _LEARNT = 15.0  # of full coning, from which on its rate is known [s]
+_SURE = 2.0  # standard deviations of the yaw rate within which a heading counts as known
+_HEAVIEST = 1.5  # part of the mass that is known, that is believed, and its inverse
 _SPIN_TIME = 8.0  # over which the spin that is not the coning's is smoothed [s]
 
 
@@ -84,15 +96,16 @@ class Pointing:
         self._gain = tilt**2 * (inertia * square / (hanging.inertia_about_z * w) - 0.5 * w)
         self._own = [w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)]
         self._target = math.nan
+        self._coning_inertia = inertia
+        self._weighs = (hanging.stiffness - inertia * w * w) / (w * w)
         self._phase = self._spin = self._coned = 0.0
-        self._full = 0.0  # for how long it has coned as much as it can [s]
-        self._back = 0.0  # spin by the twist, as the model has it [rad/s]
-        self._turned = 0.0  # by full coning alone [rad]
+        self._learnt = _Learnt()
         self._reached = False
         self._told: Forecast | None = None
+        self._arrived = 0.0  # when it was reached, since it was asked [s]
+        self._lost = ""
         self._begun = 0.0  # error of the yaw rate when it was asked [rad/s]
         self._time = 0.0  # since then [s]
-        self._heading: float | None = None  # at the last step
         self.forecast: Forecast | None = None
 
     @property
@@ -146,9 +159,14 @@ class Pointing:
         held, limit = math.inf, "twist"
         if pull > 0.0:
             held = (rate - back) / pull + math.sqrt(2.0 * p.tolerance / pull)
-        if yaw_error > 0.0 and p.tolerance / yaw_error < held:
-            held, limit = p.tolerance / yaw_error, "gyro bias"
+        known = self._known_for(yaw_error) - time
+        if known < held:
+            held, limit = max(known, 0.0), "gyro bias"
         return Forecast(time, held, limit)
+
+    def _known_for(self, yaw_error: float) -> float:
+        """How long a heading is known to within the tolerance [s], by the yaw rate's error."""
+        return self.parameters.tolerance / (_SURE * yaw_error) if yaw_error > 0.0 else math.inf
 
     @staticmethod
     def _pull(twist: float, torsion: float, slips: float) -> float:
@@ -197,8 +215,9 @@ class Pointing:
                 f"tether, limited by {promise.limit}; it must be {p.least_hold:.0f} s",
             )
         self._target = heading + turn
-        self._spin = self._coned = self._full = self._back = self._turned = 0.0
+        self._coned, self._learnt = 0.0, _Learnt()
         self._time, self._reached, self._begun = 0.0, False, yaw_error
+        self._arrived = 0.0
         self.forecast = self.foretell(turn, twist, length, yaw_error=yaw_error)
         return self.forecast
 
@@ -220,27 +239,49 @@ class Pointing:
         taken, self._told = self._told, None
         return taken
 
-    def step(self, heading: float, twist: float, length: float, h: float) -> Pumping:
+    def take_lost(self) -> str:
+        """Why the heading was let go, once; empty = it was not."""
+        taken, self._lost = self._lost, ""
+        return taken
+
+    def step(
+        self,
+        heading: float,
+        length: float,
+        swing: SwingEstimate,
+        momenta: tuple[float, float],
+        h: float,
+    ) -> Pumping:
         """Advance by h; returns the momenta that the rotors are to have.
 
         Args:
-            heading: without ever jumping [rad].
-            twist: of the tether [rad].
+            heading: about the tether, without ever jumping: its twist [rad].
             length: of the tether [m].
+            swing: swing and tilt as estimated.
+            momenta: of the rotors about base_link x and y [N m s].
             h: duration [s].
         """
         p = self.parameters
         w = p.coning_frequency
-        if self._heading is None:
-            self._heading = heading
-        turning, self._heading = (heading - self._heading) / h, heading
-        self._spin += min(h / _SPIN_TIME, 1.0) * (turning - self._coned - self._spin)
+        learnt, most = self._learnt, self.largest_rate
+        (ux, uy), (px, py) = swing.direction, swing.tilt
+        (vx, vy), (qx, qy) = swing.direction_rate, swing.tilt_rate
+        swept = (ux + px) * (vy + qy) - (uy + py) * (vx + qx)
+        leaning = momenta[0] * (ux + px) + momenta[1] * (uy + py)
+        by_rotors = leaning / learnt.mass(self._weighs) + self._coning_inertia * swept
+        by_rotors /= -self.hanging.inertia_about_z
+        self._spin += min(h / _SPIN_TIME, 1.0) * (swing.yaw_rate - by_rotors - self._spin)
         wanted = 0.0
         if self.is_active:
+            self._time += h
+            if abs(self._coned) >= 0.99 * most and not self._reached:
+                sense = math.copysign(1.0, self._coned)
+                learnt.add(h, sense * (by_rotors + 0.5 * swept), leaning, swept)
+            self._look_whether_reached(heading, length)
+            self._look_whether_lost(heading)
+        if self.is_active:
             # What spins back is made up for.
-            wanted = self.error(heading) / p.approach - self._spin
-            self._watch(heading, twist, length, turning, h)
-        most = self.largest_rate
+            wanted = (self.error(heading) / p.approach - self._spin) / learnt.share(most)
         wanted = min(max(wanted, -most), most)
         change = most * h / p.coning_ramp
         self._coned = min(max(wanted, self._coned - change), self._coned + change)
@@ -253,43 +294,72 @@ class Pointing:
         across = sense * amplitude * math.sin(self._phase)
         return Pumping(along, across, -sense * amplitude * math.cos(self._phase) / w)
 
-    def _watch(self, heading: float, twist: float, length: float, turning: float, h: float) -> None:
-        """Learn on the way how well the coning turns, and foretell the holding where it ends."""
-        p, most = self.parameters, self.largest_rate
-        self._time += h
-        pull = self._pull(twist, self.hanging.torsion(length), self.hanging.swivel_friction)
-        self._back += h * pull / self.hanging.inertia_about_z
-        if abs(self._coned) >= 0.99 * most and not self._reached:
-            self._full += h
-            self._turned += h * (turning + self._back) / math.copysign(most, self._coned)
+    def _look_whether_reached(self, heading: float, length: float) -> None:
+        """Foretell the holding where the turn ends."""
+        p, learnt = self.parameters, self._learnt
         if self._reached or abs(self.error(heading)) > p.tolerance:
             return
         self._reached = True
-        share = self._turned / self._full if self._full > _LEARNT else 1.0
-        share = min(max(share, 0.3), 2.0)
-        # It goes by the mass to the power -2, the inertia by the mass.
-        inertia = self.hanging.inertia_about_z / math.sqrt(share)
-        self._told = self._holding(share * most, inertia, pull)
-
-    def _holding(self, rate: float, inertia: float, pull: float) -> Forecast:
-        """How long the heading that was reached is held.
-
-        Args:
-            rate: largest by coning [rad/s].
-            inertia: about the tether [kg m^2].
-            pull: torque of the twist [N m].
-        """
-        p = self.parameters
-        back = self._back * self.hanging.inertia_about_z / inertia
+        torsion, slips = self.hanging.torsion(length), self.hanging.swivel_friction
+        pull = self._pull(self._target, torsion, slips)
+        inertia = self.hanging.inertia_about_z * learnt.mass(self._weighs)
         held, limit = math.inf, "twist"
         if pull != 0.0:
-            left = max(rate - math.copysign(1.0, pull) * back, 0.0)
+            # The twist turns against its own sign, and is held off by coning the other way.
+            left = learnt.share(self.largest_rate) * self.largest_rate
+            left = max(left + math.copysign(1.0, pull) * self._spin, 0.0)
             drift = math.sqrt(2.0 * p.tolerance * inertia / abs(pull))
             held = left * inertia / abs(pull) + drift
-        if self._begun > 0.0 and p.tolerance / self._begun - self._time < held:
-            held, limit = max(p.tolerance / self._begun - self._time, 0.0), "gyro bias"
-        return Forecast(self._time, held, limit)
+        known = self._known_for(self._begun) - self._time
+        if known < held:
+            held, limit = max(known, 0.0), "gyro bias"
+        self._arrived = self._time
+        self._told = Forecast(self._time, held, limit)
+
+    def _look_whether_lost(self, heading: float) -> None:
+        """Let go what is held no longer, or not known to be."""
+        p, degrees = self.parameters, math.degrees(self.parameters.tolerance)
+        held = self._time - self._arrived
+        if self._time > self._known_for(self._begun):
+            why = f"it is not known to within {degrees:.0f} deg any more, by the gyro's bias"
+        elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.tolerance:
+            why = f"the tether's twist has turned it away by {degrees:.0f} deg"
+        else:
+            return
+        self._lost = f"the heading is let go after {held:.0f} s: {why}"
+        self.stop()
 
     def own_tilt_rates(self, momenta: Pumping) -> tuple[float, float]:
         """Tilt rates along x and y [rad/s] that the coning itself causes."""
         return self._own[0] * momenta.x, self._own[1] * momenta.y
+
+
+class _Learnt:
+    """Sums over the time of full coning, and what follows from them once they are long enough."""
+
+    def __init__(self) -> None:
+        self._time = self._turned = self._leaning = self._swept = 0.0
+
+    def add(self, h: float, rate: float, leaning: float, swept: float) -> None:
+        """Take a step: the rate by the rotors, and what it is made of."""
+        self._time += h
+        self._turned += h * rate
+        self._leaning += h * leaning
+        self._swept += h * swept
+
+    def share(self, rate: float) -> float:
+        """Rate by full coning over what the model says [rad/s]."""
+        if self._time < _LEARNT:
+            return 1.0
+        return min(max(self._turned / (self._time * rate), 0.3), 2.0)
+
+    def mass(self, weighs: float) -> float:
+        """The rover's mass over what is known of it.
+
+        Args:
+            weighs: momentum of the rotors over the tilt's rate that it makes [kg m^2].
+        """
+        if self._time < _LEARNT or self._swept == 0.0:
+            return 1.0
+        found = self._leaning / (self._swept * weighs)
+        return min(max(found, 1.0 / _HEAVIEST), _HEAVIEST)

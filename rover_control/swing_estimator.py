@@ -49,6 +49,7 @@ _PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
 _MASS_ERROR = 0.2  # part by which the mass may be off
 _LEAST_PULL = 0.3  # of the weight, below which the tether is not taut
 _MOST_PULL = 3.0  # of the weight, that is believed
+_MOST_DIRECTION = 1.0  # of swing and tilt, that is believed [rad]
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class SwingEstimator:
         self.hanging = hanging
         self.length = math.nan
         self.rate = 0.0
-        self.keeps_yaw_bias = False  # learns nothing about it: while the tilt turns fast
+        self.keeps_yaw_bias = False  # learns nothing about it: while rotors cone the rover
         self.pushes = 0  # times that something pushed the rover
         self.restart()
 
@@ -154,15 +155,17 @@ class SwingEstimator:
         self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
         unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
         self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
+        self._flow: Array = np.zeros((_SIZE, _SIZE))  # of the states; _predict fills in the rest
+        for at in (0, _AXIS):
+            self._flow[at + _U, at + _V] = self._flow[at + _P, at + _Q] = 1.0
         stiffness, g = self.hanging.stiffness, self.hanging.rover_gravity
-        self._rows: list[tuple[Array, Array]] = []
+        # Gyro along x and y, then what the accelerometer shows of the tilts.
+        self._rows: Array = np.zeros((4, _SIZE))
         for k, inertia in enumerate(self.hanging.inertias):
-            turning, pulled = np.zeros(_SIZE), np.zeros(_SIZE)
             at = k * _AXIS
-            turning[[at + _V, at + _Q, at + _B]] = 1.0
-            pulled[at + _P] = g - self.hanging.imu_below * stiffness / inertia
-            pulled[at + _C] = g
-            self._rows.append((turning, pulled))
+            self._rows[k, [at + _V, at + _Q, at + _B]] = 1.0
+            self._rows[2 + k, at + _P] = g - self.hanging.imu_below * stiffness / inertia
+            self._rows[2 + k, at + _C] = g
 
     def hear_drum(self, length: float, rate: float) -> None:
         """Take length paid out [m] and payout rate [m/s]."""
@@ -206,67 +209,95 @@ class SwingEstimator:
         pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MOST_PULL)
         self._predict(momentum_change, pull, h)
         self._step = h
-        variance = self.parameters.gyro_noise**2 / h
+        # Winch and bounce change the pull, not the direction it comes from.
+        scale = self.hanging.rover_gravity / force[2] if self._is_taut(force) else math.nan
+        measured = [-gyro[1], gyro[0]]
+        variances = [self.parameters.gyro_noise**2 / h] * 2
+        if not math.isnan(scale):
+            for k, inertia in enumerate(self.hanging.inertias):
+                known = -self.hanging.imu_below * momentum_change[k] / (h * inertia)
+                measured.append(force[k] * scale - known)
+                variances.append((self.parameters.force_noise * scale) ** 2 / h)
+        rows = self._rows[: len(measured)]
+        missed = np.array(measured) - rows @ self._state
+        self._look_for_pushes(missed.tolist(), h)
+        self._update(rows, missed, np.array(variances))
+        if not self._is_credible():
+            self.restart()
+            self.pushes += 1
+
+    def _is_credible(self) -> bool:
+        """Whether a hanging rover can be what is estimated.
+
+        One that stands, or that is thrown about on a slack tether, is not what the equations are
+        of: the estimate runs away, the faster the larger it is.
+        """
+        directions = self._state[_U:_YAW_BIAS:_AXIS], self._state[_P:_YAW_BIAS:_AXIS]
+        variances = self._spread.diagonal()
+        return bool(
+            max(float(np.abs(each).max()) for each in directions) < _MOST_DIRECTION
+            and np.isfinite(variances).all()
+            and (variances >= 0.0).all()
+        )
+
+    def _is_taut(self, force: Vector) -> bool:
+        return force[2] > _LEAST_PULL * self.hanging.rover_gravity
+
+    def _look_for_pushes(self, missed: list[float], h: float) -> None:
+        """Take by how much the gyro missed."""
         # At the start, and just after a push, there is nothing to miss.
         settled = float(self._spread[_V, _V]) < self.parameters.shock**2
-        taut = force[2] > _LEAST_PULL * self.hanging.rover_gravity
-        turning = (-gyro[1], gyro[0])
-        for k, (row, pulled) in enumerate(self._rows):
-            missed = self._update(row, turning[k], variance)
-            self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed - self._missed[k])
+        state = self._state.tolist()
+        for k, inertia in enumerate(self.hanging.inertias):
+            self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed[k] - self._missed[k])
             # A model that is off misses in proportion to the tilt's motion.
-            at, inertia = k * _AXIS, self.hanging.inertias[k]
-            tilt, tilt_rate = float(self._state[at + _P]), float(self._state[at + _Q])
+            tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
             limit = self.parameters.shock + _MODEL_ERROR * moving
             if abs(self._missed[k]) > limit and settled:
                 self._shaken()
-            if taut:
-                # Winch and bounce change the pull, not the direction it comes from.
-                scale = self.hanging.rover_gravity / force[2]
-                known = -self.hanging.imu_below * momentum_change[k] / (h * inertia)
-                noise = (self.parameters.force_noise * scale) ** 2 / h
-                self._update(pulled, force[k] * scale - known, noise)
 
     def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:
         d, length = self.hanging.lever, self.length
         share = d / length
-        flow = np.zeros((_SIZE, _SIZE))
-        state = self._state
+        state = self._state.tolist()
         yaw = self.turned / h
-        x, vx, y, vy = (float(state[at]) for at in (_U, _V, _AXIS + _U, _AXIS + _V))
-        phi_x, phi_y = (float(state[at + _U] + state[at + _P]) for at in (0, _AXIS))
-        rate_x, rate_y = (float(state[at + _V] + state[at + _Q]) for at in (0, _AXIS))
+        x, vx, phi_x, rate_x = _motion(state, 0)
+        y, vy, phi_y, rate_y = _motion(state, _AXIS)
         self._swept = phi_x * rate_y - phi_y * rate_x
         # Large swings: a^2 + b^2 of the ellipse slows it down, a b turns its axes.
         size = x * x + y * y + (vx * vx + vy * vy) / self.hanging.swing_frequency(length) ** 2
         pull = self.hanging.pull(length) * (1.0 - size / 8.0)
-        turning = yaw - 0.375 * (x * vy - y * vx)
+        # The axes of base_link turn in space by the solid angle, too, that its z axis sweeps.
+        heading_rate = yaw + 0.5 * self._swept
+        turning = heading_rate - 0.375 * (x * vy - y * vx)
+        flow, growth = self._flow, 2.0 * self.rate / length
         for k, inertia in enumerate(self.hanging.inertias):
             at, other = k * _AXIS, (1 - k) * _AXIS
             right = pulled * self.hanging.stiffness / inertia
-            flow[at + _U, at + _V] = 1.0
             flow[at + _V, at + _U] = -pull / length
-            flow[at + _V, at + _V] = -2.0 * self.rate / length
+            flow[at + _V, at + _V] = -growth
             flow[at + _V, at + _P] = share * right
-            flow[at + _P, at + _Q] = 1.0
             flow[at + _Q, at + _U] = pull / length
-            flow[at + _Q, at + _V] = 2.0 * self.rate / length
+            flow[at + _Q, at + _V] = growth
             flow[at + _Q, at + _P] = -(1.0 + share) * right
             sign = 1.0 if k == 0 else -1.0
             for n in _SWINGING:
                 flow[at + n, other + n] = sign * turning
             for n in _TILTING:
-                flow[at + n, other + n] = sign * yaw
+                flow[at + n, other + n] = sign * heading_rate
         step = flow * h
         forward = _EYE + step + 0.5 * step @ step
-        moved = forward @ state
+        moved = forward @ self._state
         for k, inertia in enumerate(self.hanging.inertias):
-            kick = -momentum_change[k] / inertia  # of phi'
-            moved[k * _AXIS + _V] -= share * kick
-            moved[k * _AXIS + _Q] += (1.0 + share) * kick
-        # The yaw's own bias turns what it turns: x' = ... + yaw y.
-        for n in (*_SWINGING, *_TILTING):
+            kick = -momentum_change[k] / inertia  # of phi', evenly over the step
+            at = k * _AXIS
+            for swinging, tilting, part in ((_V, _Q, kick), (_U, _P, 0.5 * h * kick)):
+                moved[at + swinging] -= share * part
+                moved[at + tilting] += (1.0 + share) * part
+        # The yaw's own bias turns what it turns: x' = ... + yaw y. Of the tilt nothing is learnt
+        # about it: how far rotors tilt a rover whose mass is off would be taken for its turning.
+        for n in _SWINGING:
             forward[n, _YAW_BIAS] = -h * state[_AXIS + n]
             forward[_AXIS + n, _YAW_BIAS] = h * state[n]
         self._state = moved
@@ -279,21 +310,19 @@ class SwingEstimator:
             spread[k * _AXIS + _V, k * _AXIS + _V] += h * _PUSH_TIME * unknown**2
         self._spread = 0.5 * (spread + spread.T)
 
-    def _update(self, row: Array, measured: float, variance: float) -> float:
-        """Take a measurement; returns by how much it missed.
+    def _update(self, rows: Array, missed: Array, variances: Array) -> None:
+        """Take measurements at once: their rows (k, SIZE), what they missed, their variances.
 
         In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
         """
-        along = self._spread @ row
-        expected = float(row @ along) + variance
-        missed = measured - float(row @ self._state)
-        gain = along / expected
+        along = self._spread @ rows.T
+        expected = rows @ along + np.diag(variances)
+        gain = np.linalg.solve(expected, along.T).T
         if self.keeps_yaw_bias:
             gain[_YAW_BIAS] = 0.0
-        self._state = self._state + gain * missed
-        kept = _EYE - gain[:, None] * row[None, :]
-        self._spread = kept @ self._spread @ kept.T + variance * gain[:, None] * gain[None, :]
-        return missed
+        self._state = self._state + gain @ missed
+        kept = _EYE - gain @ rows
+        self._spread = kept @ self._spread @ kept.T + (gain * variances) @ gain.T
 
     def _shaken(self) -> None:
         """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
@@ -324,3 +353,9 @@ class SwingEstimator:
             math.sqrt(max(errors)),
             math.sqrt(spread[_YAW_BIAS]),
         )
+
+
+def _motion(state: list[float], at: int) -> tuple[float, float, float, float]:
+    """u, u', phi and phi' of an axis whose states begin there."""
+    u, v, p, q = state[at : at + 4]
+    return u, v, u + p, v + q

@@ -27,6 +27,7 @@ from rover_control.swing_estimator import SwingEstimate
 _UNWINDING = 0.5  # of the largest yaw rate, that is counted on
 _FOLLOWING, _ENDING = 3.0, 7.0  # times of the twist's loop and of the momentum's, over the rate's
 _SOFTLY = 2.0  # radians of the swing in which the torque comes up
+_SEEN = math.tau  # radians of the swing over which the momentum is smoothed
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,12 @@ class YawKeeper:
         self.parameters = parameters
         self.hanging = hanging
         self._torque = 0.0  # [N m]
+        self._momentum = math.nan  # followed [N m s]
+        self._followed = 0.0  # for so long, in radians of the swing
+
+    def restart(self) -> None:
+        """Follow the momentum anew: something pushed the rover."""
+        self._followed = 0.0
 
     def momentum(self, swing: SwingEstimate, length: float) -> float:
         """About the plumb line, of swing and spin [N m s]."""
@@ -79,7 +86,8 @@ class YawKeeper:
 
     def handing(self, swing: SwingEstimate, twist: float, length: float) -> Handing:
         """What it would take from here, by swing, twist [rad] and length [m]."""
-        momentum, torsion = self.momentum(swing, length), self.hanging.torsion(length)
+        torsion = self.hanging.torsion(length)
+        momentum = self._momentum if self._followed > 0.0 else self.momentum(swing, length)
         most = self.twist_bound(length) * torsion
         time = math.inf
         if most > 0.0:
@@ -111,18 +119,23 @@ class YawKeeper:
         """
         p, torsion = self.parameters, self.hanging.torsion(length)
         quick = p.rate_periods / swing.frequency
-        rate = 0.0
+        momentum = self._follow(swing, torsion * twist, length, h)
+        rate = goal = 0.0
         if unwinds:
             rate = -twist / (_FOLLOWING * quick)
         elif hands_on and torsion > 0.0:
-            momentum = self.momentum(swing, length)
             wanted, follows = self._unwinding(abs(momentum) / torsion, _ENDING * quick)
             if wanted > self.twist_bound(length):
                 wanted, follows = self.twist_bound(length), 0.0
-            away = math.copysign(wanted, momentum) - twist
+            goal = math.copysign(wanted, momentum)
+            away = goal - twist
             # What is begun must be stopped again, with half of the torque that there is.
             stopped = math.sqrt(abs(away) * largest / self.hanging.inertia_about_z)
             rate = min(max(away / (_FOLLOWING * quick), -stopped), stopped) - follows * twist
+        if rate * twist < 0.0 <= goal * twist:
+            # Not past no twist at all.
+            most = math.sqrt(abs(twist) * largest / self.hanging.inertia_about_z)
+            rate = min(max(rate, -most), most)
         rate = min(max(rate, -p.largest_rate), p.largest_rate)
         need = self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
         need = min(max(need + torsion * twist, -largest), largest)
@@ -131,6 +144,16 @@ class YawKeeper:
         self._torque = min(max(need, self._torque - change), self._torque + change)
         self._torque = min(max(self._torque, -largest), largest)
         return self._torque
+
+    def _follow(self, swing: SwingEstimate, pull: float, length: float, h: float) -> float:
+        """The momentum as it is estimated, smoothed about what the twist's pull [N m] changes."""
+        now = self.momentum(swing, length)
+        if self._followed == 0.0:
+            self._momentum = now
+        self._followed += swing.frequency * h
+        share = swing.frequency * h / min(self._followed, _SEEN)
+        self._momentum += share * (now - self._momentum) - pull * h
+        return self._momentum
 
     def _unwinding(self, left: float, time: float) -> tuple[float, float]:
         """Twist [rad] that hands the rest of a momentum on while it is unwound to nothing.

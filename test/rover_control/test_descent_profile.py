@@ -127,6 +127,21 @@ def test_a_cone_that_nothing_can_damp_ends_the_stop_with_the_reason():
     assert world.pictures == 0
 
 
+def test_a_circle_that_the_winch_can_make_no_rounder_is_taken_as_it_is():
+    # It turns the camera by 0.09 deg/s: more than damping ends with, less than pictures bear.
+    world = World(7.4, 0.2, 0.19)
+    world.ask(7.5)
+    rate = 0.2 * HANGING.swing_frequency(7.5)
+    assert math.degrees(PROFILE.damped_rate) < rate < math.degrees(PROFILE.steady_rate)
+    world.yaw_rate = math.radians(0.2)
+    world.run(20.0)
+    assert world.profile.phase is DescentPhase.DAMPING
+    # What was too much is gone; the circle stays.
+    world.yaw_rate = 0.0
+    world.run(100.0)
+    assert world.pictures == PROFILE.exposures
+
+
 def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
     world = World(2.0, 3.0, 1.5)
     world.hands_on = True
@@ -145,6 +160,22 @@ def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
     )
     world.run(400.0)
     assert world.ended() == [f"{PROFILE.exposures} pictures"]
+
+
+def test_a_cone_that_pictures_would_not_bear_is_not_taken_along_for_want_of_patience():
+    world = World(2.0, 0.8, 0.7)
+    world.hands_on = True
+    world.ask(7.5)
+    momentum = 1.1 * PROFILE.steady_rate**2 * HANGING.reach_inertia(7.5)
+    momentum /= HANGING.swing_frequency(7.5)
+    inertia = HANGING.reach_inertia(2.0) * HANGING.swing_frequency(2.0)
+    while world.now < 0.9 * PROFILE.stop_limit:
+        # So much is left, however long it is handed on.
+        world.minor = momentum / (inertia * world.major)
+        world.step()
+    assert world.length == 2.0
+    world.run(PROFILE.stop_limit)
+    assert world.length > 2.0
 
 
 def test_a_plane_swing_is_the_winch_s_even_where_the_tether_passes_a_momentum_on():

@@ -14,7 +14,15 @@ from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, Sample, Status
+from msg_schemas.samples import (
+    ClockSample,
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    Sample,
+    Status,
+)
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_planar
 
@@ -25,6 +33,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("com
 
 MODULE, NODE = "rover_control.jump_node", "jump_node"
 NANO = 1_000_000_000
+NOW_NS = 5 * NANO
 
 
 def start_both(stage: Stage) -> tuple[Process, Observer]:
@@ -225,13 +234,21 @@ def test_parameters_are_limits_with_ranges_and_take_effect(stage: Stage):
 
 
 def test_health_says_what_it_waits_for_until_its_sensors_are_heard(stage: Stage):
-    # Without a clock no time goes by, so that what was heard stays fresh.
     stage.processes.start(MODULE, {"use_sim_time": True})
     observer = stage.observer()
+    observer.wait_for_status(topics.DIAGNOSTICS, partial(says, f"waiting for {topics.CLOCK}"))
+    # A clock that stands: what was heard stays fresh.
+    diagnostics = observer.listen(topics.DIAGNOSTICS)
+
+    def knows_time() -> bool:
+        observer.send(topics.CLOCK, ClockSample(NOW_NS))
+        return bool(diagnostics.last.stamp_ns == NOW_NS)
+
+    observer.wait_until(knows_time, "the clock is not heard")
     sensors: dict[str, Sample] = {
-        topics.CONTACT: JointSample(0, {FLOOR_SWITCH: JointValue(1.0)}),
-        topics.JUMP_MOTOR_STATE: JointSample(0, {JUMP_SCREW: JointValue(0.0)}),
-        topics.IMU: ImuSample(0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)),
+        topics.CONTACT: JointSample(NOW_NS, {FLOOR_SWITCH: JointValue(1.0)}),
+        topics.JUMP_MOTOR_STATE: JointSample(NOW_NS, {JUMP_SCREW: JointValue(0.0)}),
+        topics.IMU: ImuSample(NOW_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)),
     }
     missing = list(sensors)
     for topic, sample in sensors.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hanging_model import HangingModel
 
@@ -72,6 +73,20 @@ def test_the_ellipse_is_told_with_its_sense_and_plane():
     assert watched(mirrored, 30.0).estimate.ellipse.minor < math.radians(-0.3)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_a_cone_sweeps_and_how_it_precesses_is_not_taken_for_the_gyro_s_bias(sign: float):
+    frequency = HANGING.swing_frequency(2.0)
+    u, v = complex(math.radians(3.0)), 1j * sign * math.radians(2.2) * frequency
+    model = HangingModel(HANGING, 2.0, u, v, phi=u, phi_rate=v, bias=(0.0, 0.0, 0.001))
+    model = replace(model, noise=GYRO_NOISE, force_noise=0.01)
+    estimator = watched(model, 60.0)
+    # Heading and plane: the half and three eighths of w a b, 0.05 and 0.04 deg/s here.
+    swept = 0.5 * frequency * math.radians(3.0) * math.radians(2.2)
+    yaw_rate = estimator.estimate.yaw_rate + sign * swept
+    assert swept > math.radians(0.04)
+    assert abs(yaw_rate) < math.radians(0.02)
+
+
 def test_a_swing_keeps_its_plane_in_space_while_the_rover_yaws():
     model = make_model(15.0, yaw_rate=0.05)
     estimate = watched(model, 50.0).estimate
@@ -97,6 +112,30 @@ def test_what_the_rotors_do_is_not_taken_for_swing():
     other = still()
     unknown = misses(watched(other, 40.0, pump=0.02, told=False).estimate, other)[0]
     assert unknown > 1.5 * known
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_swing_that_rotors_push_all_the_time_is_told_without_a_lag(sign: float):
+    # Momenta at right angles to the swing's velocity, as they turn the rover; IMU read at 50 Hz.
+    amplitude, frequency = math.radians(1.5), HANGING.swing_frequency(2.0)
+    u, v = complex(amplitude), 1j * amplitude * frequency
+    model = HangingModel(HANGING, 2.0, u, v, phi=u, phi_rate=v)
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    push = sign * 0.03 * frequency
+    missed = []
+    for k in range(1500):
+        phase = frequency * 0.02 * k
+        rates = (push * math.cos(phase), push * math.sin(phase))
+        model.step(rates)
+        gyro, force = model.step(rates)
+        estimator.hear_drum(2.0, 0.0)
+        estimator.step(gyro, force, (-0.02 * rates[1], 0.02 * rates[0]), 0.02)
+        if k > 1000:
+            told = complex(*estimator.estimate.direction)
+            missed.append(abs(told) - abs(model.in_base(model.u)))
+    # The swing grows or falls by more than that, within some seconds.
+    assert abs(abs(model.u) - amplitude) > math.radians(0.3)
+    assert max(abs(each) for each in missed) < math.radians(0.03)
 
 
 def test_a_free_tilt_is_told_from_the_swing():
@@ -138,3 +177,18 @@ def test_a_slack_tether_shows_no_tilt():
     before = estimator.estimate.tilt
     estimator.step((0.0, 0.0, 0.0), (5.0, 5.0, 0.1), (0.0, 0.0), 0.01)
     assert estimator.estimate.tilt == pytest.approx(before, abs=1e-3)
+
+
+@pytest.mark.parametrize("pull", [0.0, 0.2, 1.0, 5.0])
+@pytest.mark.parametrize("h", [0.01, 0.1, 0.2])
+def test_what_no_hanging_rover_does_does_not_make_the_estimate_run_away(pull: float, h: float):
+    rng = np.random.default_rng(1)
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    estimator.hear_drum(51.0, 0.0)
+    for k in range(1500):
+        jolt = 0.3 if k % 500 in range(200, 205) else 0.0
+        x, y, z = rng.normal(jolt, GYRO_NOISE, 3)
+        estimator.step((x, y, z), (0.01, 0.0, pull * HANGING.rover_gravity), (0.0, 0.0), h)
+        estimate = estimator.estimate
+        assert max(abs(angle) for angle in (*estimate.direction, *estimate.tilt)) < 1.0
+        assert estimate.swing_error < 1.0

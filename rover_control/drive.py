@@ -1,0 +1,407 @@
+"""Driving as a service to operators: what the follower of goals needs around it. Pure.
+
+Requests are refused at the boundary, with the reason: what the mechanism cannot do, a goal that the
+tether does not reach, a rover that hangs, jumps or is held by its descent, a winch that is not
+armed, sensors that are silent. While something is driven, the same end it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    FLOOR_SWITCH,
+    PAYOUT,
+    STRETCHED,
+    TENSION,
+    TETHER_OUT,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+)
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, PathSample, PoseSample, TwistSample
+from msg_schemas.table import TOPICS
+from msg_schemas.transition import Transition
+from rover_control.drive_follower import (
+    DriveFollower,
+    DrivePhase,
+    FollowerParameters,
+    Sensed,
+)
+from rover_control.drive_odometry import DriveOdometry, OdometryParameters, Tether
+from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters, plan
+from rover_control.drive_tether import TetherCare, TetherParameters, TetherRequest
+from rover_control.drive_watch import DriveWatch, WatchParameters
+from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
+
+_NANO = 1e9
+_LONGEST_STEP = 0.2  # of the controller [s]
+_ROLLS = 1.5e-3  # turn of a wheel that is no noise of its encoder [rad]
+_JUMPING = frozenset({"compressing", "letting_down", "flight", "landed"})
+_STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.silence  # [s]
+
+
+@dataclass(frozen=True)
+class DriveParameters:
+    """What the machine is like, and patience with its sensors."""
+
+    torque_per_ampere: float = parameter(
+        0.96, "N m/A", "at the wheels by the motor's current, gears included", 1e-3, 1e3
+    )
+    drive_gravity: float = parameter(1.62, "m/s^2", "where the rover drives", 0.01, 100.0)
+    sensor_silence: float = parameter(0.5, "s", "after which a sensor is lost", 0.02, 60.0)
+    sensor_steps: int = parameter(
+        25, "-", "steps on end with a silent sensor after which the rover stops", 1, 10000
+    )
+    lost_floor: float = parameter(
+        1.0, "s", "without touching the floor, after which the rover stops", 0.0, 60.0
+    )
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """All parameters of driving."""
+
+    drive: DriveParameters = field(default_factory=DriveParameters)
+    chassis: ChassisParameters = field(default_factory=ChassisParameters)
+    odometry: OdometryParameters = field(default_factory=OdometryParameters)
+    planner: PlannerParameters = field(default_factory=PlannerParameters)
+    follower: FollowerParameters = field(default_factory=FollowerParameters)
+    watch: WatchParameters = field(default_factory=WatchParameters)
+    tether: TetherParameters = field(default_factory=TetherParameters)
+
+
+class Drives(NamedTuple):
+    """What to send now; None = nothing."""
+
+    wheel_rate: float | None = None  # of the left wheel [rad/s]
+    winch: TetherRequest | None = None
+
+
+class Drive:
+    """The controller with its supervision.
+
+    Args:
+        settings: all parameters.
+    """
+
+    def __init__(self, settings: DriveSettings) -> None:
+        self.settings = settings
+        self.kinematics = RatchetKinematics(settings.chassis)
+        self.odometry = DriveOdometry(self.kinematics, settings.odometry)
+        self.follower = DriveFollower(
+            settings.follower,
+            self.odometry,
+            DrivePlanner(self.kinematics, settings.planner),
+            DriveWatch(settings.watch),
+        )
+        self.tether = TetherCare(settings.tether)
+        self.torque = 0.0  # at the wheels [N m]
+        self._rates = (0.0, 0.0)
+        self._angles: tuple[float, float, float] | None = None  # left, right [rad], time [s]
+        self._still = (0.0, 0.0, 0.0)  # angles at the last motion [rad], and its time [s]
+        self._forward = 0.0  # acceleration along base_link x, gravity taken off [m/s^2]
+        self._heard: dict[str, float] = {}
+        self._silent_steps = 0
+        self._off_floor: float | None = None
+        self._steered_at = -math.inf
+        self._stepped: float | None = None
+        self._jump = self._descent = ""
+
+    # --- what is known ---------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> DrivePhase:
+        """What is done."""
+        return self.follower.phase
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether the rover is driven."""
+        return not self.phase.is_over
+
+    @property
+    def is_on_floor(self) -> bool:
+        """Whether the rover touches the floor, as far as was heard."""
+        return topics.CONTACT in self._heard and self._off_floor is None
+
+    def waiting_for(self, now_ns: int) -> tuple[str, ...]:
+        """Topics that are silent."""
+        now, p = now_ns / _NANO, self.settings.drive
+        needed = [topics.IMU, topics.WHEEL_STATE, topics.CONTACT, topics.MOTOR_CURRENTS]
+        if self.settings.tether.uses_winch:
+            needed.append(topics.WINCH_ESTIMATE)
+        silent = tuple(
+            name for name in needed if now - self._heard.get(name, -math.inf) > p.sensor_silence
+        )
+        if self.settings.tether.uses_winch and not self.tether.mode:
+            silent = (*silent, topics.WINCH_MODE)
+        return silent
+
+    def take_changes(self) -> list[Transition]:
+        """Return what changed since the last call, and forget it."""
+        return self.follower.take_changes()
+
+    # --- sensors ---------------------------------------------------------------------------------
+
+    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+        """Take a reading of the IMU."""
+        self._heard[topics.IMU] = now_ns / _NANO
+        odometry, gravity = self.odometry, self.settings.drive.drive_gravity
+        odometry.hear_gyro(
+            sample.angular_velocity,
+            sample.linear_acceleration,
+            (sample.stamp_ns or now_ns) / _NANO,
+            at_rest=self.follower.is_at_rest and self.is_on_floor,
+        )
+        self._forward = sample.linear_acceleration[0] - gravity * odometry.up[0]
+
+    def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
+        """Take angles and rates of the wheels."""
+        self._heard[topics.WHEEL_STATE] = now_ns / _NANO
+        left, right = sample.joints[WHEEL_LEFT], sample.joints[WHEEL_RIGHT]
+        self._rates = (left.velocity, right.velocity)
+        now = (sample.stamp_ns or now_ns) / _NANO
+        before, self._angles = self._angles, (left.position, right.position, now)
+        moved = max(abs(left.position - self._still[0]), abs(right.position - self._still[1]))
+        if moved > _ROLLS:
+            self._still = (left.position, right.position, now)
+        if before is not None and now > before[2] and self.is_on_floor:
+            self.odometry.hear_wheels(
+                left.position - before[0],
+                right.position - before[1],
+                now - before[2],
+                self.torque,
+            )
+
+    def hear_currents(self, sample: JointSample, now_ns: int) -> None:
+        """Take the motors' currents; the wheel motor's counts."""
+        self._heard[topics.MOTOR_CURRENTS] = now_ns / _NANO
+        current = sample.joints[WHEEL_MOTOR].effort
+        self.torque += 0.1 * (current * self.settings.drive.torque_per_ampere - self.torque)
+
+    def hear_contact(self, sample: JointSample, now_ns: int) -> None:
+        """Take the contact switches; the floor's counts."""
+        now = self._heard[topics.CONTACT] = now_ns / _NANO
+        if sample.joints[FLOOR_SWITCH].position >= 0.5:
+            self._off_floor = None
+        elif self._off_floor is None:
+            self._off_floor = now
+
+    def hear_winch_mode(self, mode: str) -> None:
+        """Take what the winch is doing."""
+        self.tether.hear_mode(mode)
+
+    def hear_winch_estimate(self, sample: JointSample, now_ns: int) -> None:
+        """Take what the winch makes of its sensors."""
+        self._heard[topics.WINCH_ESTIMATE] = now_ns / _NANO
+        payout, tension = sample.joints[PAYOUT], sample.joints[TENSION]
+        weight = sample.joints[TETHER_OUT].effort
+        known = tension.position >= 0.5
+        pull = tension.effort if known else math.nan
+        self.tether.hear_estimate(payout.position, payout.velocity, pull, weight)
+        if known and not self.is_in_turn:
+            seen = Tether(sample.joints[STRETCHED].position, pull, weight)
+            self.odometry.hear_tether(seen, is_taut=self.tether.is_taut)
+
+    @property
+    def is_in_turn(self) -> bool:
+        """Whether the rover turns: then the attachment moves and the way does not count it."""
+        return self.follower.rate < 0.0
+
+    def hear_jump(self, phase: str) -> None:
+        """Take what the jump is doing."""
+        self._jump = phase
+
+    def hear_descent(self, phase: str) -> None:
+        """Take what the descent is doing: it uses the same wheels and winch."""
+        self._descent = phase
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def place(self, sample: PoseSample) -> None:
+        """Take where the rover stands.
+
+        Raises:
+            Refusal: it drives.
+        """
+        if self.is_busy:
+            raise Refusal(
+                topics.DRIVE_START,
+                RefusalCode.WRONG_PHASE,
+                f"the rover drives ({self.phase}); {topics.DRIVE_STOP} ends that",
+            )
+        goal = goal_of(sample)
+        heading = goal.heading if goal.wants_heading else 0.0
+        self.odometry.place(GroundPose(goal.x, goal.y, heading), knows_heading=goal.wants_heading)
+
+    def request(self, sample: PoseSample, now_ns: int) -> None:
+        """Drive to a pose.
+
+        Raises:
+            Refusal: it cannot be reached, or not now.
+        """
+        self._drive_to(topics.DRIVE_GOAL, (goal_of(sample),), now_ns)
+
+    def request_path(self, sample: PathSample, now_ns: int) -> None:
+        """Drive through poses.
+
+        Raises:
+            Refusal: there is none, one cannot be reached, or not now.
+        """
+        if not sample.poses:
+            raise Refusal(
+                topics.DRIVE_PATH,
+                RefusalCode.WRONG_LENGTH,
+                "poses are none, one at least is needed",
+            )
+        self._drive_to(topics.DRIVE_PATH, tuple(map(goal_of, sample.poses)), now_ns)
+
+    def _drive_to(self, subject: str, goals: tuple[Goal, ...], now_ns: int) -> None:
+        self._check_ready(subject, now_ns)
+        for goal in goals:
+            self._check_reach(subject, goal)
+        if len(goals) == 1:
+            self._check_near(subject, goals[0])
+        self.follower.drive_to(goals, now_ns / _NANO)
+
+    def _check_near(self, subject: str, goal: Goal) -> None:
+        if self.follower.planner.is_there(self.odometry.pose, goal):
+            return
+        try:
+            plan(self.kinematics, self.odometry.pose, goal)
+        except Refusal as refusal:
+            raise Refusal(subject, refusal.code, refusal.reason) from None
+
+    def steer(self, sample: TwistSample, now_ns: int) -> None:
+        """Drive as a twist says, until it is not renewed.
+
+        Raises:
+            Refusal: the mechanism cannot, it is too fast, or not now.
+        """
+        forward, turn = sample.linear[0], sample.angular[2]
+        rate = self.kinematics.wheel_rate(forward, turn)
+        p = self.settings.follower
+        for name, value, most, unit in (
+            ("linear.x", forward if turn == 0.0 else 0.0, p.drive_speed, "m/s"),
+            ("angular.z", turn, p.turn_rate, "rad/s"),
+        ):
+            if value > most * (1.0 + 1e-9):
+                raise Refusal(
+                    topics.CMD_VEL,
+                    RefusalCode.OUT_OF_LIMITS,
+                    f"{name} is {value:g} {unit}, it must be at most {most:g} {unit}",
+                )
+        if rate == 0.0:
+            if self.phase is DrivePhase.STEERED:
+                self._steered_at = now_ns / _NANO
+                self.follower.steer(0.0, self._steered_at)
+            elif self.is_busy:
+                self.follower.stop("steered to a stop", now_ns / _NANO)
+            return
+        if self.phase is not DrivePhase.STEERED:
+            self._check_ready(topics.CMD_VEL, now_ns)
+        self._steered_at = now_ns / _NANO
+        self.follower.steer(rate, self._steered_at)
+
+    def stop(self, now_ns: int) -> str:
+        """Come to rest and forget all goals; always done."""
+        if self.is_busy:
+            self.follower.stop("asked for", now_ns / _NANO)
+        else:
+            self.follower.phase = DrivePhase.RELEASED
+        return "wheels and winch are free"
+
+    def _check_reach(self, subject: str, goal: Goal) -> None:
+        far, longest = math.hypot(goal.x, goal.y), self.settings.tether.longest_tether
+        drop = self.odometry.drop
+        reach = math.sqrt(max(longest**2 - drop**2, 0.0))
+        if far > reach:
+            raise Refusal(
+                subject,
+                RefusalCode.OUT_OF_LIMITS,
+                f"({goal.x:g}, {goal.y:g}) m lies {far:.4g} m from the plumb line, the tether of "
+                f"{longest:g} m reaches {reach:.4g} m",
+            )
+
+    def _check_ready(self, subject: str, now_ns: int) -> None:
+        silent = self.waiting_for(now_ns)
+        if silent:
+            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        if self._off_floor is not None:
+            raise Refusal(
+                subject,
+                RefusalCode.WRONG_PHASE,
+                "the rover does not stand on the floor, it must before it drives",
+            )
+        other = self._other_user()
+        if other:
+            raise Refusal(subject, RefusalCode.WRONG_PHASE, other)
+        unready = self.tether.unready()
+        if unready:
+            raise Refusal(subject, RefusalCode.NOT_ARMED, unready)
+
+    def _other_user(self) -> str:
+        """Who else uses the drives; empty = nobody."""
+        if self._jump in _JUMPING:
+            return f"the rover jumps ({self._jump})"
+        if self._descent not in ("", "released"):
+            return (
+                f"the descent is in {self._descent} and has wheels and winch; "
+                f"{topics.DESCENT_RELEASE} gives them back"
+            )
+        return ""
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(self, now_ns: int) -> Drives:
+        """Advance to now; returns what is to be sent."""
+        now = now_ns / _NANO
+        h = 0.0 if self._stepped is None else min(max(now - self._stepped, 0.0), _LONGEST_STEP)
+        self._stepped = now
+        if self.is_busy:
+            self._supervise(now_ns)
+        request = self.tether.step(now, h, leads=self.is_busy)
+        follower = self.follower
+        before = follower.rate
+        still = 0.0 if self._angles is None else self._angles[2] - self._still[2]
+        sensed = Sensed(self._rates, self.torque, self._forward, still)
+        rate = follower.step(sensed, now, h, may_move=self.tether.holds)
+        drives = self.is_busy or before != 0.0 or rate != 0.0
+        return Drives(rate if drives else None, request)
+
+    def _supervise(self, now_ns: int) -> None:
+        now = now_ns / _NANO
+        silent = self.waiting_for(now_ns)
+        # By steps and not by time: one that comes late finds what was said meanwhile still unread.
+        self._silent_steps = self._silent_steps + 1 if silent else 0
+        reason = self.tether.trouble(now) or self._other_user()
+        if self._silent_steps >= self.settings.drive.sensor_steps:
+            reason = f"{', '.join(silent)} not heard"
+        elif self._off_floor is not None and now - self._off_floor > self.settings.drive.lost_floor:
+            reason = "the rover does not touch the floor any more"
+        if reason:
+            self.follower.fail(reason, now)
+        elif self.phase is DrivePhase.STEERED and now - self._steered_at > _STEERING_LASTS:
+            self.follower.stop(f"no {topics.CMD_VEL} for {_STEERING_LASTS:g} s", now)
+
+    def halt(self) -> Drives:
+        """What to send last, when nobody steps any more."""
+        if not self.is_busy:
+            return Drives()
+        self.follower.stop("the node stops", self._stepped or 0.0)
+        self.follower.rate = 0.0
+        return Drives(0.0, self.tether.step(math.inf, 0.0, leads=False))
+
+
+def goal_of(sample: PoseSample) -> Goal:
+    """A pose on the ground; without an orientation the heading is left open."""
+    x, y, z, w = sample.orientation
+    heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    is_open = not any(sample.orientation)
+    return Goal(sample.position[0], sample.position[1], math.nan if is_open else heading)

@@ -1,0 +1,321 @@
+"""Drives from goal to goal: turns, straight ways and stops in turn, each until it is done. Pure.
+
+Between two motions the rover stands: it comes to rest, the gyro tells its bias, and the next piece
+is planned from where the rover is now. A motion ends at its amount by the odometry, in time, or by
+what the watch finds; then the rover stops, says so, and does nothing more until it is asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import Level
+from msg_schemas.transition import Transition
+from rover_control.drive_odometry import DriveOdometry
+from rover_control.drive_planner import DrivePlanner, Goal, Piece
+from rover_control.drive_watch import DriveWatch
+
+_CREEP = 0.15  # part of the full speed at which a motion ends
+_AWAY = 0.6  # from where every near goal can be turned to [m]
+_AT_REST = 0.02  # rate below which a wheel rests [rad/s]
+
+
+class DrivePhase(StrEnum):
+    """What is being done; words of the contract."""
+
+    RELEASED = "released"
+    STANDING = "standing"
+    TURNING = "turning"
+    DRIVING = "driving"
+    STEERED = "steered"
+    STUCK = "stuck"
+    FAILED = "failed"
+
+    @property
+    def is_over(self) -> bool:
+        """Nothing is done any more."""
+        return self in (DrivePhase.RELEASED, DrivePhase.STUCK, DrivePhase.FAILED)
+
+
+@dataclass(frozen=True)
+class FollowerParameters:
+    """How fast the rover moves, and its patience."""
+
+    drive_speed: float = parameter(0.10, "m/s", "straight ahead", 0.005, 1.0)
+    turn_rate: float = parameter(0.20, "rad/s", "of a turn", 0.01, 3.0)
+    wheel_acceleration: float = parameter(
+        0.8, "rad/s^2", "of the motor's wheel, up and down", 0.05, 20.0
+    )
+    drive_lag: float = parameter(0.05, "s", "from a command to the wheel's rate", 0.0, 1.0)
+    settle_time: float = parameter(0.5, "s", "at rest before the gyro is believed", 0.0, 10.0)
+    gyro_error: float = parameter(
+        2.5e-5, "rad/s", "error of the gyro's bias with which the rover drives on", 1e-6, 0.1
+    )
+    longest_stop: float = parameter(20.0, "s", "for the gyro at most", 0.1, 100.0)
+    largest_bend: float = parameter(
+        0.15, "rad", "by which a straight way may turn before it is planned anew", 0.01, 3.0
+    )
+    most_pieces: int = parameter(40, "-", "of a way to one goal", 1, 1000)
+    motion_patience: float = parameter(
+        3.0, "-", "times its usual time that a motion may take, 10 s more", 1.0, 100.0
+    )
+
+
+class Sensed(NamedTuple):
+    """What the follower hears in a step."""
+
+    rates: tuple[float, float]  # of the wheels, left and right [rad/s]
+    torque: float  # at the wheels, by the motor's current [N m]
+    forward: float  # acceleration along base_link x, gravity taken off [m/s^2]
+    still: float  # for so long no encoder has moved [s]
+
+
+class DriveFollower:
+    """Carries out goals.
+
+    Args:
+        parameters: speeds and patience.
+        odometry: heard by somebody else, read here.
+        planner: of the pieces.
+        watch: of the motions.
+    """
+
+    def __init__(
+        self,
+        parameters: FollowerParameters,
+        odometry: DriveOdometry,
+        planner: DrivePlanner,
+        watch: DriveWatch,
+    ) -> None:
+        self.parameters = parameters
+        self.odometry = odometry
+        self.planner = planner
+        self.watch = watch
+        self.phase = DrivePhase.RELEASED
+        self.goals: deque[Goal] = deque()
+        self.rate = 0.0  # commanded of the left wheel [rad/s]
+        self._changes: list[Transition] = []
+        self._piece: Piece | None = None
+        self._steered = 0.0
+        self._pieces = 0
+        self._rested = 0.0  # all the wheels, nothing commanded [s]
+        self._begin(DrivePhase.RELEASED, 0.0)
+
+    # --- what is known ---------------------------------------------------------------------------
+
+    @property
+    def goal(self) -> Goal | None:
+        """The present goal."""
+        return self.goals[0] if self.goals else None
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing drives the rover, and it has come to rest."""
+        return self._rested >= self.parameters.settle_time
+
+    def take_changes(self) -> list[Transition]:
+        """Return what changed since the last call, and forget it."""
+        taken, self._changes = self._changes, []
+        return taken
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def drive_to(self, goals: Sequence[Goal], now: float) -> None:
+        """Drive to goals, one after the other; what was driven to before is forgotten."""
+        self.goals = deque(goals)
+        self._new_goal()
+        self._begin(DrivePhase.STANDING, now)
+        self._tell("drive_begun", f"{len(goals)} goals" if len(goals) > 1 else "a goal")
+
+    def steer(self, rate: float, now: float) -> None:
+        """Turn the motor's wheel at a rate [rad/s] until another is asked for."""
+        self.goals.clear()
+        if self.phase is not DrivePhase.STEERED or (rate < 0.0) != (self._steered < 0.0):
+            self._begin(DrivePhase.STEERED, now)
+        self._steered = rate
+
+    def stop(self, reason: str, now: float) -> None:
+        """Come to rest and forget all goals."""
+        self._end(DrivePhase.RELEASED, "drive_stopped", reason, now)
+
+    def fail(self, reason: str, now: float) -> None:
+        """The same, because something does not go."""
+        self._end(DrivePhase.FAILED, "drive_failed", reason, now, Level.WARN)
+
+    def _end(
+        self, phase: DrivePhase, name: str, reason: str, now: float, level: Level = Level.OK
+    ) -> None:
+        left = len(self.goals)
+        self.goals.clear()
+        self._begin(phase, now)
+        pose = self.odometry.pose
+        self._tell(name, reason, level, goals_left=left, x=pose.x, y=pose.y, heading=pose.heading)
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(self, sensed: Sensed, now: float, h: float, *, may_move: bool = True) -> float:
+        """Advance by h; returns the rate to command [rad/s].
+
+        Args:
+            sensed: what is heard.
+            now: [s].
+            h: since the last step [s].
+            may_move: false: no motion is begun yet.
+        """
+        moves = max(map(abs, sensed.rates)) > _AT_REST or self.rate != 0.0
+        self._rested = 0.0 if moves else min(self._rested + h, sensed.still)
+        wanted = 0.0
+        if self.phase is DrivePhase.STANDING:
+            if may_move:
+                self._stand(now)
+        elif self.phase in (DrivePhase.TURNING, DrivePhase.DRIVING):
+            wanted = self._move(sensed, now, h)
+        elif self.phase is DrivePhase.STEERED and may_move:
+            wanted = self._follow_steering(sensed, now, h)
+        change = self.parameters.wheel_acceleration * h
+        self.rate += min(max(wanted - self.rate, -change), change)
+        return self.rate
+
+    def _stand(self, now: float) -> None:
+        p = self.parameters
+        known = self.is_at_rest and self.odometry.bias_error <= p.gyro_error
+        waited = now - self._since > p.settle_time + p.longest_stop
+        if not known and not (waited and self.rate == 0.0):
+            return
+        self._end_piece()
+        goal = self.goal
+        if goal is None:
+            self._end(DrivePhase.RELEASED, "drive_done", "all goals are reached", now)
+            return
+        pose = self.odometry.pose
+        if len(self.goals) > 1:  # of a path's poses the last one's heading counts alone
+            goal = goal._replace(heading=math.nan)
+        if self.planner.is_there(pose, goal):
+            turn = self.planner.last_turn(pose, goal)
+            if turn > 0.0:
+                self._start(Piece(turn, 0.0, pose.heading + turn, True), now)
+                return
+            self.goals.popleft()
+            self._tell(
+                "goal_reached",
+                f"{pose.distance(goal.x, goal.y):.3f} m from ({goal.x:.3f}, {goal.y:.3f}) m",
+                x=pose.x, y=pose.y, heading=pose.heading, goals_left=len(self.goals),
+            )  # fmt: skip
+            self._new_goal()
+            return
+        if self._pieces >= p.most_pieces:
+            self.fail(f"the goal is not reached in {self._pieces} pieces", now)
+            return
+        try:
+            piece = self.planner.next_piece(pose, goal)
+        except Refusal:
+            # Too near to turn to: on, and back from farther away.
+            piece = Piece(0.0, _AWAY, pose.heading, False)
+        self._pieces += 1
+        self._start(piece, now)
+
+    def _new_goal(self) -> None:
+        self._pieces = 0
+        self.planner.begin()
+
+    def _start(self, piece: Piece, now: float) -> None:
+        self._piece = piece
+        self._begin(DrivePhase.TURNING if piece.turn > 0.0 else DrivePhase.DRIVING, now)
+
+    def _begin(self, phase: DrivePhase, now: float) -> None:
+        self.phase = phase
+        self._since = now
+        self._rested = 0.0
+        self._from = (self.odometry.turned, self.odometry.way)
+        self._last = (self.odometry.turned, self.odometry.way)
+        self.watch.begin()
+
+    def _end_piece(self) -> None:
+        """A straight way is over: what it bent by itself is learnt."""
+        if self._driven is not None:
+            turned, way = self._driven
+            self.planner.learn(self.odometry.turned - turned, self.odometry.way - way)
+        self._driven = None
+
+    _driven: tuple[float, float] | None = None  # heading and way at the start of a straight way
+
+    def _move(self, sensed: Sensed, now: float, h: float) -> float:
+        piece = self._piece
+        assert piece is not None
+        p, odometry = self.parameters, self.odometry
+        share = self.watch.speed_share(sensed.torque)
+        turning = self.phase is DrivePhase.TURNING
+        if turning:
+            full, amount = p.turn_rate, piece.turn
+            done = odometry.turned - self._from[0]
+            moving = abs(odometry.yaw_rate)
+            per_rate = odometry.kinematics.yaw_rate(-1.0)
+        else:
+            full, amount = p.drive_speed, piece.way
+            done = odometry.way - self._from[1]
+            moving = odometry.speed
+            per_rate = odometry.kinematics.speed(1.0)
+        left = amount - done - moving * p.drive_lag
+        if self._watched(sensed, now, h) or self._took_too_long(amount / full, now):
+            return 0.0
+        bent = not turning and abs(odometry.turned - self._from[0]) > p.largest_bend
+        if left <= 0.0 or bent:
+            self._finish(turning, now)
+            return 0.0
+        # The ramp down ends at a creep, not at rest, so that it ends at all.
+        braking = math.sqrt(2.0 * p.wheel_acceleration * per_rate * left)
+        speed = min(full * share, max(braking - 0.5 * _CREEP * full, _CREEP * full))
+        rate = speed / per_rate
+        return -rate if turning else rate
+
+    def _finish(self, turning: bool, now: float) -> None:
+        piece = self._piece
+        assert piece is not None
+        if turning and piece.way > 0.0:
+            # From one motion to the other through rest: the ratchets take over there.
+            self._piece = piece._replace(turn=0.0)
+            self._begin(DrivePhase.DRIVING, now)
+        else:
+            if not turning:
+                self._driven = self._from
+            self._begin(DrivePhase.STANDING, now)
+
+    def _took_too_long(self, usual: float, now: float) -> bool:
+        limit = self.parameters.motion_patience * usual + 10.0
+        if now - self._since <= limit:
+            return False
+        self.fail(f"{self.phase} takes longer than {limit:.3g} s", now)
+        return True
+
+    def _follow_steering(self, sensed: Sensed, now: float, h: float) -> float:
+        return 0.0 if self._watched(sensed, now, h) else self._steered
+
+    def _watched(self, sensed: Sensed, now: float, h: float) -> bool:
+        """Whether the watch has ended the motion."""
+        odometry, watch = self.odometry, self.watch
+        rate = sensed.rates[0]
+        reason = watch.common(self.rate, rate, sensed.torque, odometry.inclination, h)
+        turned, way = odometry.turned - self._last[0], odometry.way - self._last[1]
+        self._last = (odometry.turned, odometry.way)
+        if not reason and self.rate < 0.0:
+            reason = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
+        elif not reason and self.rate > 0.0:
+            reason = watch.straight(odometry.speed, sensed.forward, h)
+            pose = odometry.pose
+            distance = math.hypot(pose.x, pose.y, odometry.drop)
+            outward = pose.x * math.cos(pose.heading) + pose.y * math.sin(pose.heading)
+            expected = way * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
+            reason = reason or watch.tether(way, expected, odometry.tether_range)
+        if reason:
+            self._end(DrivePhase.STUCK, "drive_stuck", reason, now, Level.WARN)
+        return bool(reason)
+
+    def _tell(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:
+        self._changes.append(Transition(name, reason, level, values))

@@ -1,0 +1,230 @@
+"""The ``drive_node`` executable: drives the rover on the floor, on request."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from msg_schemas import topics
+from msg_schemas.machine import WHEEL_DRIVE
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import (
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    PathSample,
+    PoseSample,
+    Status,
+    TextSample,
+    TwistSample,
+)
+from rover_control.drive import Drive, Drives, DriveSettings
+from rover_control.drive_report import odometry_sample, state_sample
+
+# The controller's parameters are parts of its own, by their name there.
+_PARTS: Mapping[str, type[Any]] = {
+    part.name: type(getattr(DriveSettings(), part.name)) for part in fields(DriveSettings)
+}
+
+
+@dataclass(frozen=True)
+class DriveNodeParameters:
+    """How often the node acts, and with what."""
+
+    command_rate: float = parameter(
+        50.0, "Hz", "how often the controller is stepped and the wheels told", 10.0, 100.0,
+        read_only=True,
+    )  # fmt: skip
+    odometry_rate: float = parameter(
+        20.0, "Hz", "how often the pose is told", 0.1, 100.0, read_only=True
+    )
+    state_rate: float = parameter(
+        10.0, "Hz", "how often the estimates are told", 0.1, 50.0, read_only=True
+    )
+    wheel_torque: float = parameter(2.0, "N m", "that the wheel motor may use", 0.1, 20.0)
+
+
+class DriveNode(ContractNode):
+    """Drives from goal to goal on the floor, or as it is steered."""
+
+    NAME = "drive_node"
+    PARAMETERS = (DriveNodeParameters, *_PARTS.values())
+
+    def setup(self) -> None:
+        """Open topics and services."""
+        self._wheel_outlet = self.publisher(topics.WHEEL_COMMAND)
+        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
+        self._phase_outlet = self.publisher(topics.DRIVE_PHASE)
+        self._state_outlet = self.publisher(topics.DRIVE_STATE)
+        self._odometry_outlet = self.publisher(topics.ODOMETRY)
+        self._begin()
+        self.subscribe(topics.IMU, self._on_imu)
+        self.subscribe(topics.WHEEL_STATE, self._on_wheels)
+        self.subscribe(topics.MOTOR_CURRENTS, self._on_currents)
+        self.subscribe(topics.CONTACT, self._on_contact)
+        self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
+        self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
+        self.subscribe(topics.JUMP_PHASE, self._on_jump)
+        self.subscribe(topics.DESCENT_PHASE, self._on_descent)
+        self.serve(topics.DRIVE_STOP, self._on_stop)
+        self.subscribe(topics.DRIVE_START, self._on_start_pose)
+        self.subscribe(topics.DRIVE_GOAL, self._on_goal)
+        self.subscribe(topics.DRIVE_PATH, self._on_path)
+        self.subscribe(topics.CMD_VEL, self._on_twist)
+
+    def start(self) -> None:
+        """Drive nothing until it is asked for."""
+        rates = self.parameters_of(DriveNodeParameters)
+        self.every(1.0 / rates.command_rate, self._step)
+        self.every(1.0 / rates.odometry_rate, self._tell_odometry)
+        self.every(1.0 / rates.state_rate, self._tell_state)
+
+    def stop(self) -> None:
+        """The wheels stand; the winch keeps what it holds until it misses its renewal."""
+        self._send(self._drive.halt())
+        self._tell_changes()
+
+    def parameters_changed(self) -> None:
+        """Take new parameters while nothing is driven; the pose stays."""
+        if not self.active:
+            return
+        if self._drive.is_busy:
+            text = "new parameters hold from the next start of the node on, the rover drives"
+            self.report(Status(f"{self.NAME}: parameters", text, Level.WARN, self.NAME))
+            return
+        pose = self._drive.odometry.pose
+        self._begin()
+        self._drive.odometry.place(pose)
+
+    def clock_jumped(self) -> None:
+        """Start over where the rover stands: what was timed means nothing any more."""
+        if self.active:
+            self._send(self._drive.halt())
+            self._tell_changes()
+            pose = self._drive.odometry.pose
+            self._begin()
+            self._drive.odometry.place(pose)
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """The sensors that are silent: goals are refused until they are heard."""
+        return self._drive.waiting_for(self.now_ns())
+
+    def health(self) -> tuple[Status, ...]:
+        """The phase, and why the rover is stuck."""
+        if not self.active:
+            return ()
+        ended = self._ended
+        level = Level.WARN if ended else Level.OK
+        text = self._drive.phase.value + (f": {ended}" if ended else "")
+        return (Status(f"{self.NAME}: drive", text, level, self.NAME),)
+
+    # --- what is heard ---------------------------------------------------------------------------
+
+    def _on_imu(self, sample: ImuSample) -> None:
+        self._drive.hear_imu(sample, self.now_ns())
+
+    def _on_wheels(self, sample: JointSample) -> None:
+        self._drive.hear_wheels(sample, self.now_ns())
+
+    def _on_currents(self, sample: JointSample) -> None:
+        self._drive.hear_currents(sample, self.now_ns())
+
+    def _on_contact(self, sample: JointSample) -> None:
+        self._drive.hear_contact(sample, self.now_ns())
+
+    def _on_winch_estimate(self, sample: JointSample) -> None:
+        self._drive.hear_winch_estimate(sample, self.now_ns())
+
+    def _on_winch_mode(self, sample: TextSample) -> None:
+        self._heard_mode = sample.text
+        self._drive.hear_winch_mode(sample.text)
+
+    def _on_jump(self, sample: TextSample) -> None:
+        self._heard_jump = sample.text
+        self._drive.hear_jump(sample.text)
+
+    def _on_descent(self, sample: TextSample) -> None:
+        self._heard_descent = sample.text
+        self._drive.hear_descent(sample.text)
+
+    def _on_start_pose(self, sample: PoseSample) -> None:
+        self._drive.place(sample)
+        pose = self._drive.odometry.pose
+        values = {"x": pose.x, "y": pose.y, "heading": pose.heading}
+        text = f"at ({pose.x:.3f}, {pose.y:.3f}) m, heading {pose.heading:.3f} rad"
+        self.event("pose_taken", text, values=values)
+
+    def _on_goal(self, sample: PoseSample) -> None:
+        self._drive.request(sample, self.now_ns())
+        self._tell_changes()
+
+    def _on_path(self, sample: PathSample) -> None:
+        self._drive.request_path(sample, self.now_ns())
+        self._tell_changes()
+
+    def _on_twist(self, sample: TwistSample) -> None:
+        self._drive.steer(sample, self.now_ns())
+        self._tell_changes()
+
+    def _on_stop(self) -> tuple[bool, str]:
+        answer = self._drive.stop(self.now_ns())
+        self._tell_changes()
+        return True, answer
+
+    # --- what is told ----------------------------------------------------------------------------
+
+    _heard_mode = _heard_jump = _heard_descent = ""
+
+    def _begin(self) -> None:
+        values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
+        self._drive = Drive(DriveSettings(**values))
+        # What is latched is not said again.
+        self._drive.hear_winch_mode(self._heard_mode)
+        self._drive.hear_jump(self._heard_jump)
+        self._drive.hear_descent(self._heard_descent)
+        self._told_phase = self._ended = ""
+        self._tell_changes()
+
+    def _step(self) -> None:
+        self._send(self._drive.step(self.now_ns()))
+        self._tell_changes()
+
+    def _send(self, drives: Drives) -> None:
+        now_ns = self.now_ns()
+        if drives.wheel_rate is not None:
+            torque = self.parameters_of(DriveNodeParameters).wheel_torque
+            value = JointValue(0.0, drives.wheel_rate, torque)
+            self._wheel_outlet.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+        if drives.winch is not None:
+            ask = drives.winch
+            value = JointValue(ask.position, ask.velocity, ask.effort)
+            self._winch_outlet.send(JointSample(now_ns, {ask.joint: value}))
+
+    def _tell_changes(self) -> None:
+        for change in self._drive.take_changes():
+            self.event(change.name, change.reason, change.level, change.values)
+            self._ended = change.reason if change.level is not Level.OK else ""
+        phase = self._drive.phase.value
+        if phase != self._told_phase:
+            self._told_phase = phase
+            self._phase_outlet.send(TextSample(phase))
+
+    def _tell_odometry(self) -> None:
+        self._odometry_outlet.send(odometry_sample(self._drive, self.now_ns()))
+
+    def _tell_state(self) -> None:
+        self._state_outlet.send(state_sample(self._drive, self.now_ns()))
+
+
+def main() -> int:
+    """Run the node."""
+    return run(DriveNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

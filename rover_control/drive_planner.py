@@ -1,0 +1,183 @@
+"""From a goal on the ground to what ratchets can do: turn left, drive straight, turn left. Pure.
+
+In the pivot's coordinates (module `ratchet_kinematics`) the two turns stand still, so a goal pose
+takes exactly one straight way, from pivot to pivot; a goal that leaves the heading open takes the
+straight way on which base_link comes there, which is beside the pivot's.
+
+No turn goes right, so a heading that has come out a little too far left costs a full turn. Three
+things keep that rare: a straight way is aimed a little to the right of its goal, so that the next
+correction is a left one; it is made in pieces, each aimed anew; and what the rover bends off by
+itself, as learnt on the ways before, is allowed for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from rover_control.ratchet_kinematics import GroundPose, RatchetKinematics, left_turn, wrapped
+
+
+@dataclass(frozen=True)
+class PlannerParameters:
+    """How ways are cut into pieces and aimed, and how near is near enough."""
+
+    near_goal: float = parameter(0.10, "m", "so near is at the goal", 0.01, 10.0)
+    near_heading: float = parameter(0.05, "rad", "so near is at its heading", 0.005, 1.0)
+    aim_right: float = parameter(
+        0.03, "rad", "by which a piece that is not the last is aimed right of the goal", 0.0, 0.5
+    )
+    first_piece: float = parameter(
+        1.0, "m", "first piece of a way, to learn how it bends", 0.1, 1e3
+    )
+    piece_share: float = parameter(
+        0.5, "-", "part of the way that is left, that a further piece makes", 0.1, 0.9
+    )
+    last_piece: float = parameter(
+        1.5, "m", "a way that is no longer than this is made in one piece", 0.1, 1e3
+    )
+    bend_memory: float = parameter(
+        1.0, "m", "of way in which a new bend takes the old one's place", 0.01, 1e3
+    )
+
+
+class Goal(NamedTuple):
+    """Where base_link is to be."""
+
+    x: float
+    y: float
+    heading: float = math.nan  # NaN = left open [rad]
+
+    @property
+    def wants_heading(self) -> bool:
+        """Whether a heading is asked for."""
+        return not math.isnan(self.heading)
+
+
+class Segment(NamedTuple):
+    """One motion of the mechanism."""
+
+    kind: str  # TURN or STRAIGHT
+    amount: float  # to turn left [rad], or to drive [m]
+    heading: float  # at its end [rad]
+
+
+TURN, STRAIGHT = "turn", "straight"
+
+
+def plan(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[Segment, ...]:
+    """The ideal motions from a pose to a goal: at most turn, straight, turn.
+
+    Raises:
+        Refusal: the goal leaves its heading open and lies where the turn about the right wheel
+            cannot point at it.
+    """
+    heading, way = _course(kinematics, start, goal)
+    segments = [Segment(TURN, left_turn(start.heading, heading), heading)]
+    segments.append(Segment(STRAIGHT, way, heading))
+    if goal.wants_heading:
+        segments.append(Segment(TURN, left_turn(heading, goal.heading), wrapped(goal.heading)))
+    return tuple(each for each in segments if each.amount > 1e-9)
+
+
+def _course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
+    """Heading [rad] and length [m] of the straight way."""
+    px, py = kinematics.pivot_of(start)
+    if goal.wants_heading:
+        gx, gy = kinematics.pivot_of(GroundPose(goal.x, goal.y, goal.heading))
+        way = math.hypot(gx - px, gy - py)
+        return (math.atan2(gy - py, gx - px) if way > 1e-9 else start.heading), way
+    distance = math.hypot(goal.x - px, goal.y - py)
+    ahead, left = kinematics.pivot
+    if distance <= abs(left):
+        raise Refusal(
+            topics.DRIVE_GOAL,
+            RefusalCode.NOT_SUPPORTED,
+            f"the goal is {distance:.3g} m from the right wheel, about which the rover turns; one "
+            f"that leaves its heading open must be more than {abs(left):.3g} m from there",
+        )
+    heading = math.atan2(goal.y - py, goal.x - px) - math.asin(-left / distance)
+    return wrapped(heading), math.sqrt(distance**2 - left**2) + ahead
+
+
+class Piece(NamedTuple):
+    """What to do next on the way to a goal."""
+
+    turn: float  # left, at first [rad]
+    way: float  # then straight [m]
+    heading: float  # after the turn [rad]
+    is_last: bool  # the way ends at the goal
+
+
+class DrivePlanner:
+    """Cuts the way to a goal into pieces, from the estimated pose each time.
+
+    Args:
+        kinematics: of the chassis.
+        parameters: how.
+    """
+
+    def __init__(self, kinematics: RatchetKinematics, parameters: PlannerParameters) -> None:
+        self.kinematics = kinematics
+        self.parameters = parameters
+        self.bend = 0.0  # turn by itself over the way, left positive [rad/m]
+        self._pieces = 0
+
+    def begin(self) -> None:
+        """A new goal."""
+        self._pieces = 0
+
+    def learn(self, turned: float, way: float) -> None:
+        """Take how far the rover has turned [rad] by itself on a straight way [m]."""
+        if way > 0.0:
+            share = way / (way + self.parameters.bend_memory)
+            self.bend += share * (turned / way - self.bend)
+
+    def is_there(self, pose: GroundPose, goal: Goal) -> bool:
+        """Whether the place is reached, whatever the heading."""
+        if goal.wants_heading:
+            # What a last turn makes of it.
+            pivot = self.kinematics.pivot_of(pose)
+            pose = self.kinematics.pose_at(pivot, goal.heading)
+        return pose.distance(goal.x, goal.y) <= self.parameters.near_goal
+
+    def last_turn(self, pose: GroundPose, goal: Goal) -> float:
+        """Left turn [rad] that the goal's heading still needs, 0 where it is near enough."""
+        if not goal.wants_heading:
+            return 0.0
+        if abs(wrapped(goal.heading - pose.heading)) <= self.parameters.near_heading:
+            return 0.0
+        return left_turn(pose.heading, goal.heading)
+
+    def next_piece(self, pose: GroundPose, goal: Goal) -> Piece:
+        """The next turn and straight way.
+
+        Raises:
+            Refusal: see `plan`.
+        """
+        p = self.parameters
+        course, left = _course(self.kinematics, pose, goal)
+        is_last = left <= p.last_piece
+        way = left
+        if not is_last:
+            way = min(p.first_piece, left) if self._pieces == 0 else p.piece_share * left
+        self._pieces += 1
+        # The chord of an arc lies half its bend off its first tangent.
+        aim = course - 0.5 * self.bend * way - (0.0 if is_last else p.aim_right)
+        turn = left_turn(pose.heading, aim)
+        if self._may_stay(wrapped(pose.heading - aim), left, is_last=is_last):
+            turn = 0.0
+        return Piece(turn, way, pose.heading + turn, is_last)
+
+    def _may_stay(self, beyond: float, left: float, *, is_last: bool) -> bool:
+        """Whether a heading may be left as it is that lies `beyond` [rad] left of the aim."""
+        p = self.parameters
+        if beyond < 0.0:  # a left turn is cheap, but not for nothing
+            return -beyond * left < 0.1 * p.near_goal
+        if is_last:
+            return beyond * left < 0.8 * p.near_goal
+        return (beyond - p.aim_right) * left < 0.5 * p.near_goal

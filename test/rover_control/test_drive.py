@@ -1,0 +1,367 @@
+"""Driving: goals are reached on a rover that slips, what does not go is refused or noticed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from rolling_rover import RollingRover
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import PathSample, PoseSample, TwistSample
+from rover_control.drive import Drive, DriveSettings
+from rover_control.drive_follower import DrivePhase, FollowerParameters
+from rover_control.drive_odometry import OdometryParameters
+from rover_control.drive_tether import TetherParameters
+
+# The gyro is known sooner, and less well.
+QUICK = DriveSettings(
+    follower=replace(FollowerParameters(), longest_stop=1.0),
+    odometry=replace(OdometryParameters(), yaw_bias=0.002),
+)
+
+
+def facing(heading: float) -> tuple[float, float, float, float]:
+    return (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
+
+
+def pose(x: float, y: float, heading: float | None = None) -> PoseSample:
+    if heading is None:
+        return PoseSample(0, (x, y, 0.0))
+    return PoseSample(0, (x, y, 0.0), facing(heading))
+
+
+def twist(forward: float, turn: float) -> TwistSample:
+    return TwistSample(0, (forward, 0.0, 0.0), (0.0, 0.0, turn))
+
+
+def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> Drive:
+    drive = Drive(settings)
+    for _ in range(25):
+        rover.step(drive)
+    drive.place(pose(rover.x, rover.y, rover.heading))
+    return drive
+
+
+def phase_of(drive: Drive) -> DrivePhase:
+    return drive.phase
+
+
+def names(drive: Drive) -> list[str]:
+    return [change.name for change in drive.take_changes()]
+
+
+def refused(code: RefusalCode, text: str, ask: Any, *arguments: Any) -> None:
+    with pytest.raises(Refusal, match=text) as refusal:
+        ask(*arguments)
+    assert refusal.value.code is code
+
+
+@pytest.mark.parametrize("slip", [(0.25, 0.26), (0.27, 0.25)])
+def test_a_pose_is_reached_with_its_heading_whatever_the_sides_slip(slip: tuple[float, float]):
+    rover = RollingRover(slip=slip, x=1.0, y=1.0, seed=3)
+    drive = ready(rover)
+    drive.request(pose(3.0, 0.5, 1.2), rover.now_ns)
+    rover.run(drive, 300.0)
+    assert names(drive) == ["drive_begun", "goal_reached", "drive_done"]
+    assert phase_of(drive) is DrivePhase.RELEASED
+    assert math.hypot(rover.x - 3.0, rover.y - 0.5) < 0.2
+    assert abs(math.remainder(rover.heading - 1.2, 2.0 * math.pi)) < 0.1
+    seen = drive.odometry.pose
+    assert math.hypot(seen.x - rover.x, seen.y - rover.y) < 0.1
+
+
+def test_of_a_path_the_places_are_gone_through_in_their_order():
+    rover = RollingRover(seed=1)
+    drive = ready(rover)
+    way: Sequence[PoseSample] = (pose(1.5, 0.0, -3.0), pose(1.5, 1.5), pose(0.0, 1.0))
+    drive.request_path(PathSample(0, tuple(way)), rover.now_ns)
+    least = [math.inf] * 3
+    while drive.is_busy and rover.now < 400.0:
+        rover.step(drive)
+        for k, each in enumerate(way):
+            least[k] = min(least[k], math.dist(each.position[:2], (rover.x, rover.y)))
+    assert names(drive).count("goal_reached") == 3
+    assert max(least) < 0.2
+    # The first pose's heading was not turned to: that would have been a full turn more.
+    assert rover.heading < 2.0 * math.pi
+
+
+def test_the_wheels_never_turn_the_rover_right():
+    rover = RollingRover(seed=2)
+    drive = ready(rover)
+    drive.request(pose(-1.0, -1.0), rover.now_ns)
+    before = rover.heading
+    while drive.is_busy and rover.now < 200.0:
+        rover.step(drive)
+        assert rover.heading >= before - 1e-9
+        before = rover.heading
+    assert names(drive)[-1] == "drive_done"
+
+
+# --- the tether -------------------------------------------------------------------------------
+
+
+def test_the_winch_holds_a_little_more_than_the_tether_weighs_and_the_length_in_the_end():
+    rover = RollingRover(drop=45.0)
+    drive = ready(rover)
+    assert rover.requests == []
+    drive.request(pose(1.0, -0.3), rover.now_ns)
+    rover.run(drive, 100.0)
+    joints = [joint for joint, _ in rover.requests]
+    assert joints[0] == WINCH_AT_TENSION
+    assert joints[-1] == WINCH_TO_LENGTH
+    weight = 0.005 * 1.62 * 45.0
+    margin = drive.tether.parameters.tension_margin
+    asked = [effort for joint, effort in rover.requests if joint == WINCH_AT_TENSION]
+    assert asked == pytest.approx([weight + margin] * len(asked), rel=1e-3)
+    # Renewed well within the second that the winch waits.
+    assert len(asked) > 2.0 * 8.0
+
+
+def test_the_rover_stands_until_the_winch_holds_the_tension_and_gives_up_when_it_does_not():
+    rover = RollingRover(obeys=False)
+    drive = ready(rover)
+    drive.request(pose(2.0, 0.0), rover.now_ns)
+    rover.run(drive, 30.0)
+    assert phase_of(drive) is DrivePhase.FAILED
+    (failed,) = [c for c in drive.take_changes() if c.name == "drive_failed"]
+    assert "has not taken the request" in failed.reason
+    assert rover.way == 0.0
+
+
+def test_a_winch_that_is_taken_away_stops_the_rover():
+    rover = RollingRover()
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    while phase_of(drive) is not DrivePhase.DRIVING:
+        rover.step(drive)
+    rover.obeys, rover.mode = False, "fault"
+    rover.step(drive)
+    rover.step(drive)
+    assert phase_of(drive) is DrivePhase.FAILED
+    assert "has left its tension for fault" in drive.take_changes()[-1].reason
+
+
+def test_a_machine_without_the_winch_s_help_drives_as_well():
+    rover = RollingRover()
+    settings = replace(QUICK, tether=replace(TetherParameters(), uses_winch=False))
+    drive = ready(rover, settings)
+    drive.request(pose(1.5, 0.0), rover.now_ns)
+    rover.run(drive, 100.0)
+    assert names(drive)[-1] == "drive_done"
+    assert rover.requests == []
+
+
+# --- being stuck ------------------------------------------------------------------------------
+
+
+def stuck_after(rover: RollingRover, drive: Drive, limit: float) -> tuple[str, float]:
+    """The reason that is told, and how far the wheels turned meanwhile [m]."""
+    begun, turned = rover.now, rover.angles[0]
+    while drive.is_busy and rover.now < begun + limit:
+        rover.step(drive)
+    assert phase_of(drive) is DrivePhase.STUCK
+    (change,) = [c for c in drive.take_changes() if c.name == "drive_stuck"]
+    return change.reason, abs(rover.angles[0] - turned) * 0.15
+
+
+def test_a_rover_that_is_stuck_from_the_start_is_noticed_by_the_accelerometer():
+    rover = RollingRover(stuck=True)
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    reason, rolled = stuck_after(rover, drive, 60.0)
+    assert "by the accelerometer" in reason
+    assert rolled < 0.6
+
+
+def test_a_rover_that_gets_stuck_on_its_way_is_noticed_by_the_tether():
+    rover = RollingRover(x=6.0, drop=5.0)
+    drive = ready(rover)
+    drive.request(pose(12.0, 0.0), rover.now_ns)
+    while rover.x < 7.5:
+        rover.step(drive)
+    while phase_of(drive) is not DrivePhase.DRIVING or drive.odometry.speed < 0.09:
+        rover.step(drive)
+    for _ in range(200):  # beyond the start that the accelerometer sees
+        rover.step(drive)
+    rover.stuck = True
+    reason, rolled = stuck_after(rover, drive, 60.0)
+    assert "the tether does not follow" in reason
+    assert rolled < 1.6
+
+
+def test_a_turn_that_does_not_turn_is_noticed_by_the_gyro():
+    rover = RollingRover(stuck=True)
+    drive = ready(rover)
+    drive.request(pose(-3.0, 0.0), rover.now_ns)
+    reason, rolled = stuck_after(rover, drive, 60.0)
+    assert "by the gyro" in reason
+    assert rolled < 0.5
+
+
+def test_a_blocked_motor_is_noticed():
+    rover = RollingRover(blocked=True)
+    drive = ready(rover)
+    drive.request(pose(3.0, 0.0), rover.now_ns)
+    reason, _ = stuck_after(rover, drive, 60.0)
+    assert "blocked" in reason
+
+
+def test_wheels_that_dig_in_slow_down_and_then_stop():
+    rover = RollingRover(current=1.0)
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    fastest = 0.0
+    for _ in range(600):
+        rover.step(drive)
+        fastest = max(fastest, drive.odometry.speed)
+    assert drive.is_busy
+    usual = drive.settings.follower.drive_speed
+    assert fastest < 0.9 * usual
+    rover.current = 1.5
+    reason, _ = stuck_after(rover, drive, 30.0)
+    assert "dig in" in reason
+
+
+def test_after_being_stuck_the_next_goal_is_driven_to():
+    rover = RollingRover(stuck=True)
+    drive = ready(rover)
+    drive.request(pose(1.5, 0.0), rover.now_ns)
+    stuck_after(rover, drive, 60.0)
+    rover.stuck = False
+    drive.place(pose(rover.x, rover.y, rover.heading))
+    drive.request(pose(1.5, 0.0), rover.now_ns)
+    rover.run(drive, 100.0)
+    assert names(drive)[-1] == "drive_done"
+
+
+# --- steering ---------------------------------------------------------------------------------
+
+
+def test_the_rover_goes_as_it_is_steered_and_stops_when_that_ceases():
+    rover = RollingRover()
+    drive = ready(rover)
+    for _ in range(300):
+        drive.steer(twist(0.1, 0.0), rover.now_ns)
+        rover.step(drive)
+    assert phase_of(drive) is DrivePhase.STEERED
+    assert rover.x == pytest.approx(0.1 * 6.0, abs=0.15)
+    for _ in range(300):
+        drive.steer(twist(0.0, 0.2), rover.now_ns)
+        rover.step(drive)
+    assert rover.heading == pytest.approx(0.2 * 6.0, abs=0.4)  # less two ramps
+    rover.run(drive, 20.0)
+    assert phase_of(drive) is DrivePhase.RELEASED
+    assert rover.rates == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert any("0.5 s" in change.reason for change in drive.take_changes())
+
+
+def test_a_twist_that_is_too_fast_or_impossible_is_refused_and_changes_nothing():
+    rover = RollingRover()
+    drive = ready(rover)
+    for forward, turn, code, text in (
+        (0.5, 0.0, RefusalCode.OUT_OF_LIMITS, r"0\.5 m/s, it must be at most 0\.1 m/s"),
+        (0.0, 2.0, RefusalCode.OUT_OF_LIMITS, "at most"),
+        (-0.1, 0.0, RefusalCode.NOT_SUPPORTED, "ratchet"),
+        (0.0, -0.1, RefusalCode.NOT_SUPPORTED, "left only"),
+    ):
+        refused(code, text, drive.steer, twist(forward, turn), rover.now_ns)
+    assert phase_of(drive) is DrivePhase.RELEASED
+
+
+# --- at the boundary --------------------------------------------------------------------------
+
+
+def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
+    rover = RollingRover()
+    drive = ready(rover)
+    far = pose(100.0, 0.0)
+    refused(RefusalCode.OUT_OF_LIMITS, "reaches", drive.request, far, rover.now_ns)
+    none = PathSample(0, ())
+    refused(RefusalCode.WRONG_LENGTH, "one at least", drive.request_path, none, rover.now_ns)
+    near = pose(0.08, -0.3)
+    refused(RefusalCode.NOT_SUPPORTED, "right wheel", drive.request, near, rover.now_ns)
+    assert not drive.is_busy
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "text"),
+    [
+        (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
+        (lambda rover, drive: drive.hear_jump("flight"), RefusalCode.WRONG_PHASE, "jumps"),
+        (
+            lambda rover, drive: drive.hear_descent("holding"),
+            RefusalCode.WRONG_PHASE,
+            topics.DESCENT_RELEASE,
+        ),
+        (lambda rover, drive: setattr(rover, "mode", "disarmed"), RefusalCode.NOT_ARMED, "armed"),
+    ],
+)
+def test_a_rover_that_is_not_free_does_not_drive(change: Any, code: RefusalCode, text: str):
+    rover = RollingRover()
+    drive = ready(rover)
+    change(rover, drive)
+    rover.step(drive)
+    refused(code, text, drive.request, pose(2.0, 0.0), rover.now_ns)
+    refused(code, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
+
+
+def test_silent_sensors_are_named_and_stop_the_rover():
+    drive = Drive(QUICK)
+    refused(RefusalCode.STALE, topics.IMU, drive.request, pose(2.0, 0.0), 0)
+    rover = RollingRover()
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    while phase_of(drive) is not DrivePhase.DRIVING:
+        rover.step(drive)
+    for _ in range(60):
+        rover.now_ns += 20_000_000
+        drive.step(rover.now_ns)
+    assert phase_of(drive) is DrivePhase.FAILED
+    assert topics.WHEEL_STATE in drive.take_changes()[-1].reason
+
+
+def test_a_rover_that_leaves_the_floor_stops_and_its_turning_wheels_move_it_no_further():
+    rover = RollingRover()
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    while rover.x < 0.3:
+        rover.step(drive)
+    rover.on_floor = False
+    rover.step(drive)
+    lifted = drive.odometry.pose
+    rover.run(drive, 10.0)
+    assert phase_of(drive) is DrivePhase.FAILED
+    assert "floor" in drive.take_changes()[-1].reason
+    assert (drive.odometry.pose.x, drive.odometry.pose.y) == pytest.approx(lifted[:2], abs=1e-3)
+
+
+def test_where_the_rover_stands_is_taken_while_it_stands_alone():
+    rover = RollingRover()
+    drive = ready(rover)
+    drive.place(pose(4.0, 3.0))
+    assert drive.odometry.pose == pytest.approx((4.0, 3.0, 0.0), abs=1e-2)
+    drive.place(pose(4.0, 3.0, 2.0))
+    assert drive.odometry.pose.heading == pytest.approx(2.0)
+    drive.request(pose(6.0, 3.0), rover.now_ns)
+    refused(RefusalCode.WRONG_PHASE, "drives", drive.place, pose(0.0, 0.0))
+
+
+def test_asked_to_stop_it_comes_to_rest_and_the_winch_holds():
+    rover = RollingRover()
+    drive = ready(rover)
+    drive.request(pose(5.0, 0.0), rover.now_ns)
+    while rover.x < 0.2:
+        rover.step(drive)
+    drive.stop(rover.now_ns)
+    assert phase_of(drive) is DrivePhase.RELEASED
+    rover.run(drive, 10.0)
+    assert rover.mode == "hold"
+    assert rover.x < 0.4
+    assert drive.step(rover.now_ns).wheel_rate is None

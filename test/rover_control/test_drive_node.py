@@ -1,0 +1,70 @@
+"""drive_node as a process, on a plant that follows commands perfectly."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+from graph import forbidden_to_controllers, subscriptions_of
+
+from msg_schemas import topics
+from msg_schemas.samples import OdometrySample, PoseSample, TwistSample
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+# Standing on the floor, with tether enough; slow, so that nothing is lost on a busy machine.
+PLANT = {
+    "scenario": "floor_rubble",
+    "overrides": '{"tether.length": 30.0, "start.position": [1.0, 0.0]}',
+    "real_time_factor": 1.0,
+}
+# As that plant has it: no slip, grousers on hard ground, no accelerations; and no winch.
+DRIVE = {
+    "use_sim_time": True,
+    "uses_winch": False,
+    "wheel_radius": 0.16,
+    "driving_slip": 0.0,
+    "slip_by_torque": 0.0,
+    "turning_slip": 0.0,
+    "start_speed": 1.0,
+    "drive_speed": 0.5,
+    "turn_rate": 1.0,
+    "wheel_acceleration": 5.0,
+    "longest_stop": 0.1,
+}
+
+
+def test_a_goal_is_driven_to_and_what_cannot_be_is_refused(stage: Stage):
+    observer = stage.observer()
+    for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.ODOMETRY):
+        observer.listen(name)
+    truth = observer.listen(topics.TRUTH_BODY1)
+    stage.processes.start("rover_sim.null_plant_node", PLANT)
+    node = stage.processes.start("rover_control.drive_node", DRIVE)
+    observer.wait_until_ready("drive_node")
+    assert not subscriptions_of(observer, "drive_node", topics.CMD_VEL) & forbidden_to_controllers()
+
+    observer.send(topics.CMD_VEL, TwistSample(0, (-0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    refusal = observer.wait_for_refusal(topics.CMD_VEL, "not_supported")
+    assert "ratchet" in refusal.message
+    observer.send(topics.DRIVE_GOAL, PoseSample(0, (500.0, 0.0, 0.0)))
+    observer.wait_for_refusal(topics.DRIVE_GOAL, "out_of_limits")
+
+    ahead = (0.0, 0.0, 0.0, 1.0)
+    observer.send(topics.DRIVE_START, PoseSample(0, (1.0, 0.0, 0.0), ahead))
+    observer.wait_for_event("pose_taken")
+    observer.send(topics.DRIVE_GOAL, PoseSample(0, (2.0, 0.6, 0.0)))
+    observer.wait_for_event("drive_done")
+    observer.wait_for_text(topics.DRIVE_PHASE, "released")
+    true: OdometrySample = truth.last
+    # The plant turns about the middle of its axle's track, not about base_link's own pivot.
+    assert math.dist(true.position[:2], (2.0, 0.6)) < 0.5
+    seen: OdometrySample = observer.listen(topics.ODOMETRY).last
+    assert math.dist(seen.position[:2], (2.0, 0.6)) < 0.11
+    assert len(seen.pose_covariance) == 36
+    assert observer.call(topics.DRIVE_STOP).success
+    assert node.stop() == 0

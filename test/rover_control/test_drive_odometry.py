@@ -1,0 +1,183 @@
+"""Dead reckoning by encoders and gyro, with the tether's help."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rover_control.drive_odometry import (
+    DriveOdometry,
+    OdometryParameters,
+    Tether,
+    chord_of,
+)
+from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
+
+H = 0.02  # [s]
+G = (0.0, 0.0, 1.62)
+CHASSIS = ChassisParameters()
+
+
+def odometry(**values: float | bool) -> DriveOdometry:
+    parameters = replace(OdometryParameters(), **values)  # type: ignore[arg-type]
+    return DriveOdometry(RatchetKinematics(CHASSIS), parameters)
+
+
+class Ride:
+    """Tells an odometry what wheels and gyro see, without noise."""
+
+    def __init__(self, reckoning: DriveOdometry, bias: float = 0.0) -> None:
+        self.reckoning, self.bias, self.now = reckoning, bias, 0.0
+        reckoning.hear_gyro((0.0, 0.0, bias), G, 0.0, at_rest=False)
+
+    def roll(self, left: float, right: float, yaw: float, time: float, *, rests: bool = False):
+        for _ in range(round(time / H)):
+            self.now += H
+            self.reckoning.hear_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=rests)
+            self.reckoning.hear_wheels(left * H, right * H, H)
+
+
+def test_straight_ahead_covers_the_wheels_way_less_the_slip():
+    reckoning = odometry()
+    reckoning.place(GroundPose(1.0, 2.0, 0.5))
+    Ride(reckoning).roll(1.0, 1.0, 0.0, 10.0)
+    way = 0.15 * 10.0 * (1.0 - CHASSIS.driving_slip)
+    assert reckoning.way == pytest.approx(way)
+    assert reckoning.pose.x == pytest.approx(1.0 + way * math.cos(0.5))
+    assert reckoning.pose.y == pytest.approx(2.0 + way * math.sin(0.5))
+
+
+def test_the_slip_follows_the_torque_that_the_way_asks_for():
+    reckoning = odometry()
+    for _ in range(500):
+        reckoning.hear_wheels(H, H, H, CHASSIS.driving_torque + 0.1)
+    assert reckoning.slip == pytest.approx(
+        CHASSIS.driving_slip + 0.1 * CHASSIS.slip_by_torque, abs=1e-3
+    )
+
+
+def test_a_turn_moves_the_rover_about_its_right_wheel_by_the_gyro_alone():
+    reckoning = odometry()
+    reckoning.place(GroundPose(1.0, 2.0, 0.5))
+    pivot = reckoning.kinematics.pivot_of(reckoning.pose)
+    Ride(reckoning).roll(-5.0, 0.0, 0.25, 4.0)
+    assert reckoning.pose.heading == pytest.approx(1.5)
+    assert reckoning.kinematics.pivot_of(reckoning.pose) == pytest.approx(pivot)
+    assert reckoning.way == 0.0
+
+
+def test_a_difference_between_the_sides_bends_the_way_as_both_wheels_make_it():
+    # Left slips 0.276, right 0.236: the middle of the axle covers what the mean slip leaves.
+    reckoning = odometry()
+    left, right = 0.15 * (1.0 - 0.276), 0.15 * (1.0 - 0.236)
+    yaw = (right - left) / CHASSIS.track
+    Ride(reckoning).roll(1.0, 1.0, yaw, 20.0)
+    radius = 0.5 * (left + right) / yaw
+    angle = yaw * 20.0
+    # The middle of the axle on its arc, from there base_link behind it.
+    x = 0.08 + radius * math.sin(angle) - 0.08 * math.cos(angle)
+    y = radius * (1.0 - math.cos(angle)) - 0.08 * math.sin(angle)
+    assert reckoning.pose.x == pytest.approx(x, abs=2e-3)
+    assert reckoning.pose.y == pytest.approx(y, abs=2e-3)
+
+
+def test_a_wheel_that_overruns_its_axle_rolls_without_slip():
+    reckoning = odometry()
+    Ride(reckoning).roll(0.0, 1.0, 0.0, 1.0)
+    assert reckoning.pose.x == pytest.approx(0.15)
+
+
+def test_the_gyro_s_bias_is_learnt_at_rest_and_taken_off():
+    reckoning = odometry()
+    ride = Ride(reckoning, bias=3e-3)
+    before = reckoning.bias_error
+    ride.roll(0.0, 0.0, 0.0, 5.0, rests=True)
+    assert reckoning.bias == pytest.approx(3e-3, abs=2e-5)
+    assert reckoning.bias_error < 0.02 * before
+    assert reckoning.pose == pytest.approx((0.0, 0.0, 0.0))
+    ride.roll(1.0, 1.0, 0.0, 20.0)
+    assert reckoning.pose.heading == pytest.approx(0.0, abs=5e-4)
+
+
+def test_a_bias_that_was_never_learnt_shows_in_the_heading_s_error():
+    reckoning = odometry(start_heading_error=0.0)
+    Ride(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
+    error = math.sqrt(reckoning.covariance()[2, 2])
+    assert error == pytest.approx(0.005 * 20.0, rel=0.02)
+    assert reckoning.pose.heading == pytest.approx(0.06, rel=0.01)
+
+
+def test_gravity_shows_the_pitch_and_the_gyro_carries_it_on():
+    reckoning = odometry()
+    force = (-1.62 * math.sin(0.1), 0.0, 1.62 * math.cos(0.1))
+    for k in range(200):
+        reckoning.hear_gyro((0.0, 0.0, 0.0), force, H * k, at_rest=True)
+    assert reckoning.pitch == pytest.approx(0.1, abs=1e-3)
+    # Standing nose down, the body's x is ahead and down: gravity's reaction pulls along -x.
+    for k in range(200, 250):
+        reckoning.hear_gyro((0.0, 0.1, 0.0), G, H * k, at_rest=False)
+    assert reckoning.pitch > 0.18
+
+
+def taut(x: float, y: float, drop: float = 10.0) -> Tether:
+    return Tether(math.hypot(x, y, drop), 1.0, 0.0)
+
+
+def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
+    values = {"slip_scatter": 0.05, "slip_distance": 100.0, "tether_error": 0.02}
+    reckoning = odometry(start_error=0.01, **values)
+    reckoning.place(GroundPose(0.0, 5.0, math.pi / 2.0))
+    reckoning.hear_tether(taut(0.0, 5.0, 3.0), is_taut=True)
+    assert reckoning.drop == pytest.approx(3.0)
+    ride = Ride(reckoning)
+    y = 5.0
+    for _ in range(800):
+        ride.roll(1.0, 1.0, 0.0, H)
+        y += 0.15 * (1.0 - 0.32) * H
+        reckoning.hear_tether(taut(0.0, y, 3.0), is_taut=True)
+    blind = 5.0 + 0.15 * (1.0 - CHASSIS.driving_slip) * 16.0
+    assert abs(reckoning.pose.y - y) < 0.4 * abs(blind - y)
+    assert reckoning.slip > CHASSIS.driving_slip + 0.01
+
+
+def test_a_slack_tether_only_bounds_the_distance():
+    reckoning = odometry()
+    reckoning.place(GroundPose(5.0, 0.0, 0.0))
+    reckoning.hear_tether(taut(5.0, 0.0), is_taut=True)
+    before = reckoning.pose
+    reckoning.hear_tether(taut(9.0, 0.0), is_taut=False)
+    assert reckoning.pose == before
+    reckoning.hear_tether(taut(4.0, 0.0), is_taut=False)
+    assert reckoning.pose.x < before.x
+
+
+def test_the_sag_is_that_of_a_shallow_catenary():
+    # Exact catenary between supports at one level: L = 2 a sinh(c/2a), a = H/w.
+    chord, weight_by_length, horizontal = 20.0, 0.0081, 2.0
+    a = horizontal / weight_by_length
+    length = 2.0 * a * math.sinh(chord / (2.0 * a))
+    end_tension = horizontal * math.cosh(chord / (2.0 * a))
+    weight = weight_by_length * length
+    found = chord_of(Tether(length, end_tension + 0.5 * weight, weight), chord)
+    assert length - found == pytest.approx(length - chord, rel=0.02)
+
+
+def test_the_covariance_is_that_of_many_rides():
+    scatter, ends = 0.03, []
+    generator = np.random.default_rng(4)
+    for _ in range(60):
+        slip, x = CHASSIS.driving_slip + scatter * generator.standard_normal(), 0.0
+        keep = math.exp(-0.1116 * 0.5 / 5.0)
+        for _ in range(80):
+            x += 0.15 * 0.5 * (1.0 - slip)
+            spread = scatter * math.sqrt(1.0 - keep**2) * generator.standard_normal()
+            slip = CHASSIS.driving_slip + keep * (slip - CHASSIS.driving_slip) + spread
+        ends.append(x)
+    reckoning = odometry(start_error=0.0, slip_scatter=scatter, slip_distance=5.0)
+    Ride(reckoning).roll(1.0, 1.0, 0.0, 40.0)
+    told = math.sqrt(reckoning.covariance()[0, 0])
+    assert told == pytest.approx(float(np.std(ends)), rel=0.35)
+    assert reckoning.pose.x == pytest.approx(float(np.mean(ends)), abs=3.0 * told / math.sqrt(60.0))

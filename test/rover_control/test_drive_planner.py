@@ -1,0 +1,118 @@
+"""From poses to turns and straight ways: what is planned leads there, by left turns alone."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msg_schemas.refusal import Refusal
+from rover_control.drive_planner import (
+    STRAIGHT,
+    TURN,
+    DrivePlanner,
+    Goal,
+    PlannerParameters,
+    plan,
+)
+from rover_control.ratchet_kinematics import (
+    ChassisParameters,
+    GroundPose,
+    RatchetKinematics,
+    wrapped,
+)
+
+RATCHETS = RatchetKinematics(ChassisParameters())
+places = st.floats(-20.0, 20.0)
+angles = st.floats(-math.pi, math.pi)
+poses = st.builds(GroundPose, places, places, angles)
+
+
+def carried_out(start: GroundPose, goal: Goal) -> GroundPose:
+    pose = start
+    for segment in plan(RATCHETS, start, goal):
+        assert segment.amount > 0.0
+        move = RATCHETS.turned if segment.kind == TURN else RATCHETS.driven
+        pose = move(pose, segment.amount)
+        assert wrapped(pose.heading - segment.heading) == pytest.approx(0.0, abs=1e-9)
+    return pose
+
+
+@settings(deadline=None)
+@given(poses, poses)
+def test_two_turns_and_a_straight_way_reach_every_pose(start: GroundPose, end: GroundPose):
+    pose = carried_out(start, Goal(*end))
+    assert (pose.x, pose.y) == pytest.approx((end.x, end.y), abs=1e-9)
+    assert wrapped(pose.heading - end.heading) == pytest.approx(0.0, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(poses, places, places)
+def test_a_turn_and_a_straight_way_reach_every_place_that_is_not_under_the_wheel(
+    start: GroundPose, x: float, y: float
+):
+    pivot = RATCHETS.pivot_of(start)
+    if math.hypot(x - pivot[0], y - pivot[1]) <= 0.22:
+        with pytest.raises(Refusal, match=r"more than 0\.22 m"):
+            plan(RATCHETS, start, Goal(x, y))
+        return
+    segments = plan(RATCHETS, start, Goal(x, y))
+    assert [each.kind for each in segments] in ([TURN, STRAIGHT], [STRAIGHT])
+    pose = carried_out(start, Goal(x, y))
+    assert (pose.x, pose.y) == pytest.approx((x, y), abs=1e-7)
+
+
+def test_a_goal_ahead_of_the_rover_is_straight_ahead():
+    (segment,) = plan(RATCHETS, GroundPose(1.0, 2.0, 0.5), Goal(*RATCHETS.driven(
+        GroundPose(1.0, 2.0, 0.5), 3.0)))  # fmt: skip
+    assert segment.kind == STRAIGHT
+    assert segment.amount == pytest.approx(3.0)
+
+
+def planner(**values: float) -> DrivePlanner:
+    return DrivePlanner(RATCHETS, PlannerParameters(**values))
+
+
+def test_a_long_way_is_made_in_pieces_aimed_right_and_the_last_one_straight():
+    made = planner(aim_right=0.03, first_piece=1.0, piece_share=0.5, last_piece=1.5)
+    goal = Goal(10.0, 0.0, 0.0)
+    first = made.next_piece(GroundPose(0.0, 0.0, -1.0), goal)
+    assert first.way == pytest.approx(1.0)
+    assert not first.is_last
+    assert first.turn == pytest.approx(1.0 - 0.03, abs=0.05)
+    second = made.next_piece(GroundPose(1.0, 0.0, -0.2), goal)
+    assert second.way == pytest.approx(4.5, abs=0.1)
+    last = made.next_piece(GroundPose(9.0, 0.0, 0.0), goal)
+    assert last.is_last
+    assert last.way == pytest.approx(1.0)
+    assert last.turn == 0.0
+
+
+def test_a_heading_little_left_of_the_course_is_kept_and_one_far_left_costs_a_full_turn():
+    made = planner()
+    assert made.next_piece(GroundPose(0.0, 0.0, 0.02), Goal(1.0, 0.0, 0.0)).turn == 0.0
+    away = made.next_piece(GroundPose(0.0, 0.0, 0.5), Goal(1.0, 0.0, 0.0))
+    assert away.turn > math.pi
+
+
+def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
+    made = planner(bend_memory=0.1)
+    for _ in range(5):
+        made.learn(0.04, 2.0)
+    assert made.bend == pytest.approx(0.02, rel=0.01)
+    # An arc of 0.02 rad/m over 1 m, begun right of its chord.
+    piece = made.next_piece(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
+    straight = planner().next_piece(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
+    assert piece.heading - straight.heading == pytest.approx(-0.5 * made.bend * piece.way)
+
+
+def test_a_goal_is_reached_where_its_last_turn_would_put_the_rover():
+    made = planner(near_goal=0.05)
+    goal = Goal(3.0, 1.0, 2.0)
+    before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)
+    assert made.is_there(before, goal)
+    assert before.distance(3.0, 1.0) > 0.05
+    assert made.last_turn(before, goal) == pytest.approx(1.5)
+    assert made.last_turn(RATCHETS.turned(before, 1.49), goal) == 0.0

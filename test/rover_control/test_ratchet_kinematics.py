@@ -1,0 +1,79 @@
+"""What one motor and two ratchets can do, and what they cannot, with the reason."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from msg_schemas.refusal import Refusal, RefusalCode
+from rover_control.ratchet_kinematics import (
+    ChassisParameters,
+    GroundPose,
+    RatchetKinematics,
+    left_turn,
+    wrapped,
+)
+
+CHASSIS = ChassisParameters(wheel_radius=0.15, track=0.44, axle_ahead=0.08)
+RATCHETS = RatchetKinematics(CHASSIS)
+
+
+def test_a_turn_leaves_the_right_wheel_where_it_is():
+    pose = GroundPose(2.0, -1.0, 0.7)
+    after = RATCHETS.turned(pose, 1.9)
+    assert RATCHETS.pivot_of(after) == pytest.approx(RATCHETS.pivot_of(pose))
+    assert after.heading == pytest.approx(2.6)
+    # base_link goes round the right wheel: sqrt(0.08^2 + 0.22^2) m away from it.
+    chord = 2.0 * math.hypot(0.08, 0.22) * math.sin(0.95)
+    assert pose.distance(after.x, after.y) == pytest.approx(chord)
+
+
+def test_the_turn_goes_left_and_takes_the_rover_back():
+    after = RATCHETS.turned(GroundPose(0.0, 0.0, 0.0), 0.01)
+    # dr/dheading = z x (r - pivot) = (-0.22, -0.08) m.
+    assert after.x == pytest.approx(-0.0022, rel=0.02)
+    assert after.y == pytest.approx(-0.0008, rel=0.1)
+
+
+def test_rates_follow_from_radius_track_and_slip():
+    assert RATCHETS.driving_rate(0.1) == pytest.approx(0.1 / (0.15 * (1.0 - 0.256)))
+    # The left wheel's way back on a circle of the track's radius.
+    assert RATCHETS.turning_rate(0.2) == pytest.approx(-0.2 * 0.44 / (0.15 * (1.0 - 0.33)))
+
+
+@pytest.mark.parametrize(
+    ("forward", "turn", "rate"),
+    [
+        (0.0, 0.0, 0.0),
+        (0.1, 0.0, RATCHETS.driving_rate(0.1)),
+        (0.0, 0.2, RATCHETS.turning_rate(0.2)),
+        (-0.22 * 0.2, 0.2, RATCHETS.turning_rate(0.2)),
+    ],
+)
+def test_what_the_mechanism_can_do_becomes_a_wheel_rate(forward: float, turn: float, rate: float):
+    assert RATCHETS.wheel_rate(forward, turn) == pytest.approx(rate)
+
+
+@pytest.mark.parametrize(
+    ("forward", "turn", "reason"),
+    [
+        (-0.1, 0.0, r"-0\.1 m/s.*ratchet.*possible are linear\.x >= 0"),
+        (0.0, -0.2, r"-0\.2 rad/s.*left only; possible is angular\.z > 0"),
+        (0.1, -0.2, r"left only"),
+        (0.1, 0.2, r"0\.1 m/s with angular\.z 0\.2.*possible are.*linear\.x 0 \(or -0\.044 m/s"),
+    ],
+)
+def test_what_it_cannot_is_refused_with_what_would_be_possible(
+    forward: float, turn: float, reason: str
+):
+    with pytest.raises(Refusal, match=reason) as refused:
+        RATCHETS.wheel_rate(forward, turn)
+    assert refused.value.code is RefusalCode.NOT_SUPPORTED
+
+
+def test_angles_are_wrapped_and_left_turns_are_never_negative():
+    assert wrapped(3.0 * math.pi) == pytest.approx(math.pi)
+    assert wrapped(-0.1) == pytest.approx(-0.1)
+    assert left_turn(0.1, 0.0) == pytest.approx(2.0 * math.pi - 0.1)
+    assert left_turn(3.0, -3.0) == pytest.approx(2.0 * math.pi - 6.0)
