@@ -1,0 +1,69 @@
+"""What `plan` starts, told to ROS 2's own `launch`; importable where ROS 2 is sourced."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.launch_context import LaunchContext
+from launch.launch_description import LaunchDescription
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from msg_schemas import topics
+from msg_schemas.access_policy import enclave
+from rover_launch.plan import PACKAGE, Plan, Started, arguments_of, plan
+
+
+def describe(*controllers: str, **defaults: str) -> LaunchDescription:
+    """A launch of the plant with controllers, and on request with recorder and viewer.
+
+    Args:
+        controllers: executables of the controllers.
+        defaults: of arguments that are other than in `plan.arguments_of`.
+    """
+    config = str(Path(get_package_share_directory(PACKAGE)) / "config")
+    arguments = arguments_of(controllers, config, defaults)
+
+    def act(context: LaunchContext) -> list[Any]:
+        given = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
+        return _actions(plan(controllers, given))
+
+    declared = [
+        DeclareLaunchArgument(
+            each.name,
+            default_value=each.default,
+            description=each.about,
+            **({"choices": each.choices} if each.choices else {}),
+        )
+        for each in arguments
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=act)])
+
+
+def _actions(planned: Plan) -> list[Any]:
+    messages = [LogInfo(msg=message) for message in planned.messages]
+    return [*messages, *(_node(each, planned) for each in planned.started)]
+
+
+def _node(started: Started, planned: Plan) -> Node:
+    ending = {"on_exit": Shutdown(reason=started.ends_all)} if started.ends_all else {}
+    # A namespace has a clock of its own: the one topic that is absolute by convention.
+    own_clock = [(topics.CLOCK, topics.CLOCK.strip("/"))] if planned.namespace else []
+    return Node(
+        package=started.package,
+        executable=started.executable,
+        namespace=planned.namespace,
+        parameters=[*started.files, dict(started.parameters)],
+        remappings=own_clock,
+        arguments=[
+            *started.arguments,
+            "--ros-args",
+            *("--enclave", enclave(started.as_whom, f"/{planned.namespace.strip('/')}")),
+            *("--log-level", planned.log_level),
+        ],
+        output="screen",
+        **ending,
+    )

@@ -1,0 +1,151 @@
+"""The ``view_node`` executable: the frames of the machine's links, and the observed wall."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from msg_schemas import topics
+from msg_schemas.codecs import to_time
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
+from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
+from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
+from rover_view.machine import DescriptionError, Machine, Placed
+from rover_view.observed_wall import ObservedWall
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the wheels on PyPI; a sourced ROS 2 has it
+    TFMessage = None
+
+NO_TF = (
+    "no tf: tf2_msgs cannot be imported here (ROS 2 Jazzy has it as ros-jazzy-tf2-msgs); viewers "
+    "show markers, but no robot model"
+)
+_NOTHING = JointValue()
+
+
+@dataclass(frozen=True)
+class ViewParameters:
+    """How often frames are told."""
+
+    frame_rate: float = parameter(
+        30.0, "Hz", "of the frames of what moves", 1.0, 100.0, read_only=True
+    )
+
+
+class ViewNode(ContractNode):
+    """Tells viewers where the machine's links are, and where its pictures were taken."""
+
+    NAME = "view_node"
+    PARAMETERS = (ViewParameters,)
+
+    def setup(self) -> None:
+        """Open everything; without tf2_msgs, say so and go on with the wall."""
+        self._machine: Machine | None = None
+        self._wall = ObservedWall()
+        self._wall_outlet = self.publisher(topics.OBSERVED_WALL)
+        self._body1: OdometrySample | None = None
+        self._body2: OdometrySample | None = None
+        self._wheels: tuple[float, float] = (0.0, 0.0)
+        self._length: float | None = None
+        self._told_ns = -1
+        self._moving: Any = None
+        self._still: Any = None
+        self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
+        self.subscribe(topics.DESCENT_OBSERVATION, self._on_picture)
+        if TFMessage is None:
+            self.get_logger().warning(NO_TF)
+            return
+        # Relative names, so that rovers in namespaces have trees of their own.
+        self._moving = self.create_publisher(TFMessage, "tf", 100)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._still = self.create_publisher(TFMessage, "tf_static", latched)
+        self.subscribe(topics.TRUTH_BODY1, self._on_body1)
+        self.subscribe(topics.TRUTH_BODY2, self._on_body2)
+        self.subscribe(topics.WHEEL_STATE, self._on_wheels)
+        self.subscribe(topics.WINCH_STATE, self._on_winch)
+
+    def start(self) -> None:
+        """Tell frames from now on."""
+        if self._moving is not None:
+            rate = self.parameters_of(ViewParameters).frame_rate
+            self.every(1.0 / rate, self._tell_frames, by_wall_clock=True)
+
+    def clock_jumped(self) -> None:
+        """Begin anew: the pictures are of another run."""
+        self._told_ns = -1
+        self._wall = ObservedWall()
+        self._wall_outlet.send(self._wall.drawing(self.now_ns()))
+
+    def _on_description(self, sample: TextSample) -> None:
+        try:
+            self._machine = Machine.read(sample.text)
+        except DescriptionError as error:
+            raise Refusal(topics.ROBOT_DESCRIPTION, RefusalCode.BAD_TEXT, str(error)) from None
+        if self._still is not None:
+            self._still.publish(frames_message(self._machine.fixed, self.now_ns()))
+
+    def _on_picture(self, sample: JointSample) -> None:
+        if self._machine is None:
+            raise Refusal(
+                topics.DESCENT_OBSERVATION,
+                RefusalCode.NOT_ACTIVE,
+                f"nothing is known of the camera, {topics.ROBOT_DESCRIPTION} was not heard",
+            )
+        if self._wall.add(sample, self._machine):
+            self._wall_outlet.send(self._wall.drawing(sample.stamp_ns))
+
+    def _on_body1(self, sample: OdometrySample) -> None:
+        self._body1 = sample
+
+    def _on_body2(self, sample: OdometrySample) -> None:
+        self._body2 = sample
+
+    def _on_wheels(self, sample: JointSample) -> None:
+        joints = sample.joints
+        self._wheels = (joints[WHEEL_LEFT].position, joints[WHEEL_RIGHT].position)
+
+    def _on_winch(self, sample: JointSample) -> None:
+        self._length = sample.joints[WINCH_DRUM].position
+
+    def _tell_frames(self) -> None:
+        machine, body = self._machine, self._body1
+        if machine is None or body is None or body.stamp_ns == self._told_ns:
+            return
+        self._told_ns = body.stamp_ns
+        placed = [*machine.bodies(body, self._body2), *machine.wheels(*self._wheels)]
+        if self._length is not None:
+            placed += machine.drum(self._length)
+        self._moving.publish(frames_message(placed, body.stamp_ns))
+
+
+def frames_message(placed: Iterable[Placed], stamp_ns: int) -> Any:
+    """The frames as tf's message."""
+    transforms = []
+    for each in placed:
+        told = TransformStamped()
+        told.header.stamp = to_time(stamp_ns)
+        told.header.frame_id, told.child_frame_id = each.parent, each.child
+        place, turned = told.transform.translation, told.transform.rotation
+        place.x, place.y, place.z = each.position
+        turned.x, turned.y, turned.z, turned.w = each.orientation
+        transforms.append(told)
+    return TFMessage(transforms=transforms)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(ViewNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
