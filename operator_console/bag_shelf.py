@@ -1,0 +1,70 @@
+"""The bags of one folder that can be replayed: only what is listed there can be asked for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from operator_console.replay import Replay, read_replay
+from rover_bags.files.store import BagError
+
+_BAG_FILES: Final = frozenset({".mcap", ".db3"})
+
+
+class ShelfError(ValueError):
+    """A bag that is not there or cannot be read; the text says why."""
+
+
+class BagShelf:
+    """The bags in a folder; None: there are none."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self._last: tuple[str, int, str] | None = None
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Name, size [B] and time of change [s since 1970] of each bag, the newest first."""
+        found = [
+            {"name": name, "size": size, "changed": changed}
+            for name, (_, size, changed) in self._bags().items()
+        ]
+        return sorted(found, key=lambda bag: -float(bag["changed"]))
+
+    def replay(self, name: str) -> str:
+        """A bag as JSON; the last one is kept.
+
+        Raises:
+            ShelfError: There is no such bag, or it cannot be read.
+        """
+        bags = self._bags()
+        if name not in bags:
+            raise ShelfError(f"there is no bag {name!r} in the folder")
+        path, size, _ = bags[name]
+        if self._last is not None and self._last[:2] == (name, size):
+            return self._last[2]
+        try:
+            made: Replay = read_replay(path)
+        except (BagError, ValueError, OSError) as error:
+            raise ShelfError(f"{name}: {error}") from error
+        text = json.dumps(made.as_dict(), separators=(",", ":"), allow_nan=False)
+        self._last = (name, size, text)
+        return text
+
+    def _bags(self) -> dict[str, tuple[Path, int, float]]:
+        return {path.name: (path, *_size(path)) for path in self._paths()}
+
+    def _paths(self) -> Iterator[Path]:
+        if self.folder is None or not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            files = path.iterdir() if path.is_dir() else iter([path])
+            if any(file.suffix in _BAG_FILES for file in files):
+                yield path
+
+
+def _size(path: Path) -> tuple[int, float]:
+    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+    states = [file.stat() for file in files]
+    return sum(state.st_size for state in states), max(state.st_mtime for state in states)

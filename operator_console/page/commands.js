@@ -1,0 +1,142 @@
+// The operators' commands: asked again before something moves, refusals shown with their reason.
+
+import { element, number } from "./format.js";
+
+const HEAD = new Set(["hold", "abort"]); // always at hand in the header, never asked again
+const TITLES = { everything: "whole machine", descent: "descent", winch: "winch alone", jump: "jump", simulation: "simulation" };
+
+export class Commands {
+  // send(name, values): a promise of the outcome. now(): what an operator should see before deciding.
+  constructor({ send, now }) {
+    this.send = send;
+    this.now = now;
+    this.enabled = false;
+    this.note = "";
+    this.list = document.getElementById("command-list");
+    this.answer = document.getElementById("answer");
+    for (const name of HEAD) {
+      document.getElementById(name).addEventListener("click", () => this.carryOut({ name, arguments: [] }, {}));
+    }
+  }
+
+  fill(rows) {
+    const groups = Map.groupBy ? Map.groupBy(rows, (row) => row.group) : groupBy(rows);
+    this.list.replaceChildren(...[...groups].map(([group, members]) => {
+      const forms = members.filter((row) => !HEAD.has(row.name)).map((row) => this.form(row));
+      const isUsual = group === "everything" || group === "descent";
+      return element("details", { open: isUsual, "data-group": group },
+        element("summary", {}, TITLES[group] ?? group), ...forms);
+    }));
+    this.enable(this.enabled, this.note);
+  }
+
+  form(row) {
+    const inputs = row.arguments.map((argument) => {
+      const id = `argument-${row.name}-${argument.name}`;
+      const input = element("input", { id, name: argument.name, inputMode: "decimal", autocomplete: "off", placeholder: argument.required ? "" : "own" });
+      input.size = 6;
+      const range = `${short(argument.minimum)} … ${short(argument.maximum)} ${argument.unit}`;
+      input.title = `${argument.about}: ${range}`;
+      input.setAttribute("aria-label", `${row.name} ${argument.name} in ${argument.unit}`);
+      return element("label", { for: id, title: input.title }, element("span", {}, argument.name), input, element("i", {}, argument.unit));
+    });
+    const button = element("button", { type: "submit", "data-command": row.name, title: row.about }, row.name);
+    const problem = element("p", { class: "problem", hidden: true });
+    const form = element("form", { class: inputs.length ? "command" : "command plain", title: row.about, noValidate: true }, button, ...inputs, problem);
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      problem.hidden = true;
+      try {
+        this.ask(row, read(row, new FormData(form)));
+      } catch (error) {
+        problem.textContent = error.message;
+        problem.hidden = false;
+      }
+    });
+    return form;
+  }
+
+  async ask(row, values) {
+    if (row.moves && !(await confirmed(row, values, this.now()))) return;
+    await this.carryOut(row, values);
+  }
+
+  async carryOut(row, values) {
+    if (!(HEAD.has(row.name) ? this.stops : this.enabled)) return this.show("✕", `${row.name} was not sent`, this.note, "error");
+    const text = spoken(row, values);
+    this.show("…", text, "sent, waiting for the answer", "waiting");
+    const outcome = await this.send(row.name, values);
+    if (outcome.done) return this.show("✓", `${text}: taken`, outcome.reason ?? "", "ok");
+    const word = outcome.verdict ?? (outcome.unknown ? "unknown" : "refused");
+    const code = outcome.code ? ` [${outcome.code}]` : "";
+    return this.show("✕", `${text}: ${word}`, `${outcome.reason}${code}`, "error");
+  }
+
+  show(sign, title, text, level) {
+    this.answer.hidden = false;
+    this.answer.dataset.level = level;
+    this.answer.replaceChildren(element("span", { class: "sign", "aria-hidden": "true" }, sign),
+      element("div", {}, element("b", {}, title), element("span", {}, text)));
+  }
+
+  // note: why commands are not to be had.
+  enable(enabled, note) {
+    this.enabled = enabled;
+    this.note = note;
+    document.getElementById("commands-note").textContent = enabled ? "" : note;
+    for (const button of document.querySelectorAll("#command-list button, #stops button")) button.disabled = !enabled;
+    for (const input of this.list.querySelectorAll("input")) input.disabled = !enabled;
+    this.stops = enabled;
+  }
+
+  // Only what ends a motion.
+  enableStops() {
+    for (const button of document.querySelectorAll("#stops button")) button.disabled = false;
+    this.stops = true;
+  }
+}
+
+function read(row, data) {
+  const values = {};
+  for (const argument of row.arguments) {
+    const text = String(data.get(argument.name) ?? "").trim().replace(",", ".").replace("−", "-");
+    if (!text && !argument.required) continue;
+    const value = Number(text);
+    const range = `${short(argument.minimum)} to ${short(argument.maximum)} ${argument.unit}`;
+    if (!text || !Number.isFinite(value)) throw new Error(`${argument.name}: give a number, ${range}`);
+    if (value < argument.minimum || value > argument.maximum) throw new Error(`${argument.name}: ${short(value)} is outside ${range}`);
+    values[argument.name] = value;
+  }
+  return values;
+}
+
+function spoken(row, values) {
+  const parts = row.arguments.filter(({ name }) => name in values).map(({ name, unit }, index) =>
+    `${index ? `${name} ` : ""}${short(values[name])} ${unit}`);
+  return [row.name, ...parts].join(" ");
+}
+
+function confirmed(row, values, now) {
+  const dialog = document.getElementById("confirm");
+  document.getElementById("confirm-title").textContent = `${spoken(row, values)} ?`;
+  document.getElementById("confirm-text").textContent = `${row.name}: ${row.about}.`;
+  document.getElementById("confirm-now").textContent = now;
+  document.getElementById("confirm-yes").textContent = `Send: ${spoken(row, values)}`;
+  dialog.returnValue = "";
+  dialog.showModal();
+  document.getElementById("confirm-no").focus();
+  return new Promise((resolve) => {
+    dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
+  });
+}
+
+// No more digits than it needs.
+function short(value) {
+  return number(value, Math.abs(value) >= 1000 || Number.isInteger(value) ? 0 : 3).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
+}
+
+function groupBy(rows) {
+  const groups = new Map();
+  for (const row of rows) groups.set(row.group, [...(groups.get(row.group) ?? []), row]);
+  return groups;
+}

@@ -1,0 +1,176 @@
+// Puts the page together: what comes from the link or from a bag goes to views, numbers and plots.
+
+import { Commands } from "./commands.js";
+import { age, number, setText } from "./format.js";
+import { Gauges } from "./gauges.js";
+import { Journal } from "./journal.js";
+import { Link } from "./link.js";
+import { Plots } from "./plots.js";
+import { Replay } from "./replay.js";
+import { View } from "./views.js";
+
+const PLOT_PERIOD = 250; // [ms]
+const SOURCES = { simulation: "as simulated", payout: "a straight line by the payout" };
+
+const state = { frame: null, at: 0, machine: null, place: null, mayCommand: false, link: "lost", silence: null };
+applyTheme(stored("theme") ?? "auto");
+
+const side = new View(document.getElementById("side"), [0, 2]);
+const top = new View(document.getElementById("top"), [0, 1]);
+const gauges = new Gauges();
+const journal = new Journal(document.getElementById("journal"));
+const plots = new Plots(document.getElementById("plots"), (time) => replay.isOpen && replay.goTo(time));
+const replay = new Replay({
+  onOpen: (opened) => {
+    plots.fill(opened.bag.frames);
+    journal.fill(opened.bag.journal);
+    side.trail = []; top.trail = [];
+    for (const view of [side, top]) { view.place = opened.bag.place; view.machine = opened.bag.machine; }
+    showMode();
+  },
+  onFrame: (frame, opened) => {
+    show(frame, 0, false);
+    journal.showUpTo(frame.time);
+    plots.draw([opened.first, opened.last], frame.time);
+  },
+  onClose: () => {
+    for (const view of [side, top]) { view.trail = []; view.place = state.place; view.machine = state.machine; }
+    plots.range = null;
+    plots.fill(past.frames);
+    journal.fill(past.journal);
+    showMode();
+    refresh();
+    plots.draw(null);
+  },
+  onFail: (text) => commands.show("✕", "replay", text, "error"),
+});
+const past = { frames: [], journal: [] };
+const commands = new Commands({
+  send: (name, values) => link.command(name, values),
+  now: () => `Now: depth ${reading("depth", 2)} m, tension ${reading("tension", 1)} N, descent ${word("descent")}, winch ${word("winch")}.`,
+});
+const link = new Link({ onContent: take, onState: showLink });
+showLink("lost", null);
+
+function take(content) {
+  if (content.kind === "welcome") {
+    state.mayCommand = content.may_command;
+    document.getElementById("leave").hidden = !content.by_token;
+    showLink(link.state, link.silence());
+  } else if (content.kind === "commands") {
+    commands.fill(content.commands);
+    showLink(link.state, link.silence());
+  } else if (content.kind === "machine" || content.kind === "place") {
+    state[content.kind] = content[content.kind];
+    if (!replay.isOpen) for (const view of [side, top]) view.set(content.kind, state[content.kind]);
+  } else if (content.kind === "past") {
+    past.frames = content.frames;
+    past.journal = content.journal;
+    if (!replay.isOpen) { plots.fill(past.frames); journal.fill(past.journal); plots.draw(null); }
+  } else if (content.kind === "journal") {
+    past.journal.push(...content.entries);
+    past.journal.splice(0, past.journal.length - 300);
+    if (!replay.isOpen) content.entries.forEach((entry) => journal.add(entry));
+  } else if (content.kind === "frame") {
+    state.frame = content;
+    state.at = performance.now();
+    keepPast(content);
+    if (!replay.isOpen) { plots.add(content); refresh(); }
+  }
+}
+
+function keepPast(frame) {
+  const last = past.frames.at(-1);
+  if (last && frame.time < last.time) past.frames.length = 0;
+  if (!last || frame.time - last.time >= 0.5 || frame.time < last.time) past.frames.push({ time: frame.time, values: frame.values });
+  if (past.frames.length > 2000) past.frames.splice(0, 200);
+}
+
+function refresh() {
+  if (replay.isOpen || !state.frame) return;
+  show(state.frame, (performance.now() - state.at) / 1000, state.link !== "live");
+}
+
+function show(frame, since, isOld) {
+  side.show(frame, isOld);
+  top.show(frame, isOld);
+  gauges.show(frame, since, isOld);
+  const geometry = frame.geometry;
+  const text = geometry ? `${SOURCES[geometry.source]}${geometry.stale || isOld ? `, ${age(geometry.age + since)}` : ""}` : "";
+  setText(document.getElementById("side-source"), text);
+  setText(document.getElementById("top-source"), text);
+}
+
+function showLink(name, silence) {
+  state.link = name;
+  state.silence = silence;
+  document.body.dataset.link = name;
+  const seen = silence === null ? "Nothing was received yet." : `What is shown is ${age(silence)}.`;
+  setText(document.getElementById("lost-title"), name === "silent" ? "SERVER SILENT" : "NO CONNECTION");
+  setText(document.getElementById("lost-text"), `${name === "silent" ? "The console's server says nothing." : "The console's server is not reached."} ${seen} Commands are disabled.`);
+  showMode();
+  refresh();
+}
+
+function showMode() {
+  const mode = replay.isOpen ? "replay" : state.link;
+  const box = document.getElementById("mode");
+  box.dataset.mode = mode;
+  document.body.dataset.mode = replay.isOpen ? "replay" : "live";
+  setText(document.getElementById("plots-title"), replay.isOpen ? "The whole bag (click to go there)" : "Last minutes");
+  setText(document.getElementById("mode-word"), replay.isOpen ? "REPLAY" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
+  const remarks = replay.isOpen ? [replay.bag.name, ...replay.bag.remarks].join("; ") : state.mayCommand ? "" : "view only";
+  setText(document.getElementById("mode-text"), remarks);
+  document.getElementById("mode-text").title = remarks;
+  const why = state.link !== "live" ? "no connection" : !state.mayCommand ? "view only" : replay.isOpen ? "replay: go back to live to command" : "";
+  commands.enable(!why, why);
+  // What ends a motion is at hand also while a bag is looked at.
+  if (replay.isOpen && state.link === "live" && state.mayCommand) commands.enableStops();
+}
+
+function reading(name, digits) {
+  const found = state.frame?.values[name];
+  return found ? number(found[0], digits) : "–";
+}
+
+function word(name) {
+  return state.frame?.words[name]?.[0]?.replaceAll("_", " ") || "not heard";
+}
+
+setInterval(() => { if (!replay.isOpen && state.link === "live") plots.draw(null); }, PLOT_PERIOD);
+
+for (const button of document.querySelectorAll("[data-view]")) {
+  button.addEventListener("click", () => {
+    const view = button.dataset.view === "side" ? side : top;
+    view.set("extent", button.dataset.extent);
+    press(button, `[data-view="${button.dataset.view}"]`);
+  });
+}
+for (const button of document.querySelectorAll("[data-minutes]")) {
+  button.addEventListener("click", () => {
+    plots.window = 60 * Number(button.dataset.minutes);
+    press(button, "[data-minutes]");
+    if (!replay.isOpen) plots.draw(null);
+  });
+}
+function press(button, all) {
+  for (const each of document.querySelectorAll(all)) each.setAttribute("aria-pressed", String(each === button));
+}
+
+document.getElementById("theme").addEventListener("click", () => {
+  const isDark = getComputedStyle(document.documentElement).getPropertyValue("--is-dark").trim() === "1";
+  applyTheme(isDark ? "light" : "dark");
+  plots.build();
+  side.draw();
+  top.draw();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { plots.build(); side.draw(); top.draw(); });
+
+function applyTheme(name) {
+  document.documentElement.dataset.theme = name;
+  try { localStorage.setItem("theme", name); } catch { /* it is asked for again next time */ }
+}
+
+function stored(name) {
+  try { return localStorage.getItem(name); } catch { return null; }
+}

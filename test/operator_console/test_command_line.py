@@ -1,0 +1,120 @@
+"""The executable `rover`: its arguments, its exit codes, and what an operator is told."""
+
+import json
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.table import WINCH_DRUM
+from operator_console.command_line import Exit, checked_arguments, main, make_parser
+from operator_console.commands import COMMANDS
+from rover_verify.stage import Process, Stage
+
+PATIENCE = "60"
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [
+        (["descend", "nan"], "depth = nan: should be a number at least 0 and at most 1000 m"),
+        (["ascend", "-1"], "depth = -1.0: should be a number at least 0"),
+        (["payout", "3", "--rate", "0.6"], "rate = 0.6: should be .* at most 0.5 m/s"),
+        (["jump", "0.3m"], "stroke = '0.3m': should be a number at least 0.005"),
+        (["turn", "-1e3"], "angle = -1000.0: should be a number at least -180"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_is_sent(
+    given: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(given) == Exit.BAD_ARGUMENTS
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"rover {given[0]}: ")
+    assert re.search(complaint, printed.err)
+
+
+@pytest.mark.parametrize(
+    "given", [["fly"], [], ["descend"], ["hold", "3"], ["arm", "--timeout", "0"]]
+)
+def test_what_is_no_command_is_refused(given: list[str], capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as ended:
+        main(given)
+    assert ended.value.code == Exit.BAD_ARGUMENTS
+    assert "usage: rover" in capsys.readouterr().err
+
+
+def test_help_lists_every_command_and_exit_code():
+    text = make_parser().format_help()
+    assert all(f"    {name} " in text for name in COMMANDS)
+    assert all(f"  {int(code)}  " in text for code in Exit)
+
+
+@pytest.mark.process
+@pytest.mark.ros
+def test_an_operator_is_told_what_became_of_each_order(stage: Stage):
+    # Slow simulated time, and patience: a machine that is busy elsewhere must not brake the winch.
+    patient = {"use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0}
+    slow = {"scenario": "free_hang", "real_time_factor": 0.5}
+
+    def rover(*given: str) -> Process:
+        return stage.processes.start("operator_console.command_line", None, *given)
+
+    def told(*given: str) -> tuple[int, dict[str, Any]]:
+        process = rover(*given, "--json", "--timeout", PATIENCE)
+        code = process.wait()
+        return code, json.loads(process.output.splitlines()[-1])
+
+    nobody = rover("payout", "20", "--timeout", "0.5")
+    assert nobody.wait() == Exit.NOBODY
+    assert "winch_node is not heard in the namespace /" in nobody.output
+
+    stage.processes.start("rover_sim.null_plant_node", slow)
+    stage.processes.start("tether_winch.winch_node", patient)
+    observer = stage.observer()
+    observer.wait_until_ready("winch_node")
+    start = observer.listen(topics.WINCH_STATE).wait().joints[WINCH_DRUM].position
+
+    code, refused = told("payout", str(start + 0.2))
+    assert (code, refused["verdict"], refused["code"]) == (Exit.REFUSED, "refused", "not_armed")
+    assert "winch/rearm arms it" in refused["reason"]
+    code, armed = told("arm")
+    assert (code, armed["verdict"]) == (Exit.DONE, "accepted")
+
+    code, done = told("payout", str(start + 0.2), "--wait")
+    assert (code, done["ending"]["is_done"]) == (Exit.DONE, True)
+    there = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM].position
+    assert there == pytest.approx(start + 0.2, abs=0.05)
+
+    # Ctrl-C while it moves: what was begun is brought to rest before the command ends.
+    jog = rover("jog", "0.02", "--timeout", PATIENCE)
+    jog.wait_for_output("renewed until Ctrl-C")
+    observer.wait_for_text(topics.WINCH_MODE, "rate")
+    assert jog.stop(signal.SIGINT) == Exit.DONE
+    assert "hold: accepted by winch/hold" in jog.output
+    assert re.search("at rest; .*winch hold", jog.output)
+
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+TYPED = [
+    line.split("#")[0].split()[1:]
+    for document in DOCUMENTS
+    for block in re.findall(r"```bash\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+    for line in block.splitlines()
+    if line.startswith("rover ")
+]
+
+
+@pytest.mark.parametrize("typed", TYPED, ids=" ".join)
+def test_what_the_documents_type_is_taken(typed: list[str]):
+    options = make_parser().parse_args(typed)
+    if options.command in COMMANDS:
+        checked_arguments(COMMANDS[options.command], options)
+
+
+def test_the_documents_type_commands():
+    assert len({typed[0] for typed in TYPED}) >= 10

@@ -1,0 +1,174 @@
+"""The page in a real browser: a descent by click, a refusal with its reason, a bag replayed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from console_page import PATIENCE, browser_page, sync_api
+from contract_bag import MadeUp, Parabola
+from descent_mother import DescentMother
+from winch_hoist import Hoist, HoistParameters
+
+from msg_schemas import topics
+from operator_console.access import Access
+from operator_console.bag_shelf import BagShelf
+from operator_console.server import Content, Server, ServerSettings
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+    from rover_verify.stage import Stage
+
+pytestmark = [pytest.mark.process]
+
+START = 5.0  # [m]
+QUICK = {"first_look": 1.5, "steady_time": 0.3}
+
+
+class Pit:
+    """Console, winch and descent as processes, around a mother machine of the test's own."""
+
+    def __init__(self, stage: Stage) -> None:
+        observer = stage.observer()
+        hoist = Hoist(HoistParameters(start_length=START))
+        hoist.step(None, 0.01)  # compiled here, not while time runs
+        start = stage.processes.start
+        self.console = start("operator_console.console_node", {"port": 0})
+        start("tether_winch.winch_node", {"use_sim_time": True})
+        start("rover_control.descent_node", {"use_sim_time": True, **QUICK})
+        self.mother = DescentMother(observer, hoist, START)
+        self.mother.begin()
+        observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+        observer.wait_until_ready("winch_node")
+        observer.wait_until_ready("descent_node")
+        self.address = self.console.wait_for_output(r"the page is at (\S+)").group(1)
+
+
+@pytest.fixture
+def pit(stage: Stage) -> Iterator[Pit]:
+    made = Pit(stage)
+    try:
+        yield made
+    finally:
+        made.mother.end()
+
+
+def shown(page: Page, key: str) -> float:
+    """A number of the page."""
+    return float(page.inner_text(f'[data-value="{key}"] .value').replace("−", "-"))
+
+
+def wait_for(page: Page, selector: str, text: str) -> None:
+    """Wait until an element says what matches from the text's beginning to its end."""
+    said = sync_api().expect(page.locator(selector))
+    said.to_have_text(re.compile(f"^(?:{text})$"), timeout=PATIENCE)
+
+
+def order(page: Page, name: str, **arguments: float) -> None:
+    """Fill in a command and press its button."""
+    for argument, value in arguments.items():
+        page.fill(f"#argument-{name}-{argument}", f"{value:g}")
+    page.click(f'[data-command="{name}"]')
+
+
+def descend(page: Page) -> None:
+    """Until it is taken: on a busy machine sensors may seem old for a moment."""
+    for _ in range(20):
+        order(page, "descend", depth=6.0, rate=0.2)
+        assert "depth 5.0" in page.inner_text("#confirm-now")
+        page.click("#confirm-yes")
+        answer = page.locator('#answer:is([data-level="ok"], [data-level="error"])')
+        wait_for(page, "#answer b", "descend 6 m rate 0.2 m/s: .*")
+        if "taken" in answer.inner_text():
+            return
+        assert "[stale]" in answer.inner_text()
+    raise AssertionError("the descent is refused again and again")
+
+
+@pytest.mark.ros
+def test_an_operator_descends_by_click_and_reads_why_an_order_is_refused(pit: Pit):
+    with browser_page() as page:
+        page.goto(pit.address)
+        page.wait_for_selector('body[data-link="live"]')
+        wait_for(page, "[data-word=winch]", "disarmed")
+        assert shown(page, "depth") == pytest.approx(START, abs=0.05)
+
+        # What moves something is asked again, and goes nowhere if the answer is no.
+        order(page, "arm")
+        assert "arm ?" in page.inner_text("#confirm-title")
+        page.click("#confirm-no")
+        assert page.is_hidden("#answer")
+        order(page, "arm")
+        page.click("#confirm-yes")
+        page.wait_for_selector('#answer[data-level="ok"]')
+        wait_for(page, "[data-word=winch]", "hold")
+
+        # Beyond what the contract allows the page itself says no; beyond the machine's, the node.
+        order(page, "descend", depth=5000.0)
+        assert "depth: 5000 is outside 0 to 1000 m" in page.inner_text(".problem:visible")
+        order(page, "descend", depth=900.0)
+        page.click("#confirm-yes")
+        page.wait_for_selector('#answer[data-level="error"]')
+        refusal = page.inner_text("#answer")
+        assert "descend 900 m: refused" in refusal
+        assert "[out_of_limits]" in refusal
+        assert re.search(r"\b48\b", refusal), refusal
+        assert shown(page, "depth") == pytest.approx(START, abs=0.05)
+
+        descend(page)
+        wait_for(page, "[data-value=depth] .value", r"5\.(0[5-9]|[1-9]\d)|6\.\d\d")
+        assert "descend 6" in page.inner_text("#journal")
+
+        # One click, no question.
+        page.click("#hold")
+        wait_for(page, "[data-word=descent]", "holding")
+        assert shown(page, "depth") < 6.0
+
+        # A console that ends leaves no doubt.
+        pit.console.stop()
+        page.wait_for_selector("#lost", state="visible")
+        assert "NO CONNECTION" in page.inner_text("#lost")
+        assert page.is_disabled("#hold")
+        assert page.is_disabled('[data-command="descend"]')
+
+
+def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
+    made = MadeUp()
+    jump = Parabola()
+    made.jumps([jump], until=3.0, rate=50.0)
+    made.event(2.5, "jump_landed", "it stands", {})
+    made.write(tmp_path / "jump")
+    settings = ServerSettings("127.0.0.1", 0, Access(), BagShelf(tmp_path))
+    server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})
+    server.keep("commands", {"commands": []})
+    server.start()
+    try:
+        with browser_page() as page:
+            page.goto(server.address)
+            page.wait_for_selector('#bags option[value="jump"]', state="attached")
+            page.select_option("#bags", "jump")
+            page.wait_for_selector('body[data-mode="replay"]')
+            assert "of 00:03" in page.inner_text("#replay-time")
+            page.wait_for_selector(".mark", state="attached")
+            assert page.is_hidden("#journal li")
+            page.select_option("#speed", "4")
+            page.click("#play")
+            wait_for(page, "#replay-time", "00:03 of .*")
+            assert shown(page, "tension") == pytest.approx(5.0)
+            assert "landed" in page.inner_text("#journal")
+            assert page.inner_text("[data-word=plant]").startswith("landed")
+            page.click(".mark")
+            wait_for(page, "#replay-time", "00:02 of .*")
+            page.click("#live")
+            page.wait_for_selector('body[data-mode="live"]')
+    finally:
+        server.stop()
+
+
+def _nothing(_asked: Content) -> Future[Content]:
+    raise AssertionError("nothing is asked for")

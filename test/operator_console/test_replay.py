@@ -1,0 +1,100 @@
+"""A bag as frames: the same as live, with ages, the journal and what is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from contract_bag import MadeUp, Parabola
+
+from msg_schemas import topics
+from msg_schemas.samples import TextSample
+from msg_schemas.table import TOPICS
+from operator_console.bag_shelf import BagShelf, ShelfError
+from operator_console.replay import read_replay, sample_at
+from rover_bags.read import read_bag
+
+JUMP = Parabola()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = MadeUp()
+    made.jumps([JUMP], until=3.0, rate=50.0)
+    made.add(1.5, topics.JUMP_PHASE, TextSample("flight"))
+    made.event(2.0, "landed", "it stands", {})
+    made.refusal(2.5, topics.JUMP_REQUEST, "jump_stroke.position is nan")
+    where = tmp_path_factory.mktemp("bags")
+    made.write(where / "jump")
+    (where / "notes.txt").write_text("no bag", encoding="utf-8")
+    return where
+
+
+def test_frames_show_what_the_bag_holds_at_their_time(folder: Path):
+    replay = read_replay(folder / "jump")
+    times = [made["time"] for made in replay.frames]
+    assert times == sorted(times)
+    assert times[1] - times[0] == pytest.approx(0.1)
+    assert times[-1] - times[0] == pytest.approx(3.0, abs=0.21)
+    for made in replay.frames[1:]:
+        x, _, z, *_ = made["geometry"]["body1"]
+        (px, pz, _), _ = JUMP.at(made["time"] - made["geometry"]["age"])
+        assert (x, z) == pytest.approx((px, pz), abs=0.1)
+        assert made["geometry"]["source"] == "simulation"
+        tension = made["values"]["tension"]
+        assert tension[0] == pytest.approx(5.0)
+        assert not tension[2]
+
+
+def test_words_events_and_refusals_come_when_they_came(folder: Path):
+    replay = read_replay(folder / "jump")
+    told = [made["time"] for made in replay.frames if made["words"]["jump"][0] == "flight"]
+    assert told[0] == pytest.approx(1.5, abs=0.11)
+    by_title = {entry["title"]: entry for entry in replay.journal}
+    assert by_title["landed"]["time"] == pytest.approx(2.0, abs=0.01)
+    refusal = by_title[f"refused {topics.JUMP_REQUEST}"]
+    assert refusal["time"] == pytest.approx(2.5, abs=0.01)
+    assert refusal["text"] == "jump_stroke.position is nan [not_finite]"
+
+
+def test_long_bags_are_shown_more_coarsely_and_say_so(folder: Path):
+    replay = read_replay(folder / "jump", most_frames=11)
+    assert len(replay.frames) in {10, 11, 12}
+    assert any("shown every 0.3 s" in remark for remark in replay.remarks)
+
+
+def test_a_bag_that_was_cut_off_says_so(folder: Path, tmp_path: Path):
+    made = MadeUp()
+    made.jumps([JUMP], until=2.0, rate=20.0)
+    replay = read_replay(made.write(tmp_path / "cut", close=False))
+    assert any("did not close" in remark for remark in replay.remarks)
+    assert replay.frames
+
+
+def test_samples_come_back_as_they_were(folder: Path):
+    bag = read_bag(folder / "jump")
+    for name, track in bag.tracks.items():
+        if name != topics.PLACE:
+            assert isinstance(sample_at(track, len(track) - 1), TOPICS[name].sample)
+
+
+def test_only_what_is_listed_can_be_replayed(folder: Path):
+    shelf = BagShelf(folder)
+    (listed,) = shelf.listed()
+    assert listed["name"] == "jump"
+    assert listed["size"] > 1000
+    content = json.loads(shelf.replay("jump"))
+    assert content["name"] == "jump"
+    assert content["machine"]["scenario"] == "made up"
+    for name in ("../jump", "notes.txt", "", "..", "jump/..", str(folder / "jump"), "other"):
+        with pytest.raises(ShelfError, match="there is no bag"):
+            shelf.replay(name)
+    assert BagShelf(None).listed() == []
+
+
+def test_what_cannot_be_read_is_told(tmp_path: Path):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "broken_0.mcap").write_bytes(b"nothing of the kind")
+    with pytest.raises(ShelfError, match="broken: "):
+        BagShelf(tmp_path).replay("broken")
