@@ -8,18 +8,27 @@ PACKAGE = "mother_rover"
 # scripts/<name> makes it known to `ros2 run` (the tests hold both together).
 EXECUTABLES = {
     "sim_node": "rover_sim.sim_node:main",
+    "null_plant": "rover_sim.null_plant_node:main",
     "jump_node": "rover_control.jump_node:main",
     "descent_node": "rover_control.descent_node:main",
+    "drive_node": "rover_control.drive_node:main",
+    "view_node": "rover_view.view_node:main",
     "winch_node": "tether_winch.winch_node:main",
+    "hil_bridge": "rover_hil.bridge_node:main",
+    "drive_emulator": "rover_hil.emulator.emulator_node:main",
+    "hil_rehearsal": "rover_hil.rehearsal.rehearsal_node:main",
+    "operator_console": "operator_console.console_node:main",
     "bag_record": "rover_bags.record:main",
     "bag_recover": "rover_bags.recover:main",
     "bag_report": "rover_bags.report:main",
     "bag_resim": "rover_bags.resim:main",
+    "bag_identify": "rover_bags.identify:main",
     "paper_study": "rover_studies.paper_study:main",
     "sweep": "rover_studies.sweep:main",
     "demo": "rover_verify.demo:main",
     "verify": "rover_verify.matrix:main",
     "bench": "rover_verify.bench:main",
+    "rover": "operator_console.command_line:main",
     "winch_report": "rover_verify.winch_report:main",
 }
 
@@ -28,9 +37,13 @@ TOP_LEVEL = [
     "rover_sim",
     "rover_control",
     "tether_winch",
+    "rover_hil",
+    "rover_launch",
     "rover_bags",
+    "operator_console",
     "rover_studies",
     "rover_verify",
+    "rover_view",
 ]
 
 setup(
@@ -44,6 +57,8 @@ setup(
     packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
     package_data={
         "": ["py.typed"],
+        "operator_console": ["page/*", "page/vendor/uplot/*"],
+        "rover_hil": ["eds/*.eds", "procedures/*.yaml"],
         "rover_sim": ["scenarios/*.yaml", "scenarios/bases/*.yaml"],
         "rover_verify": ["*.yaml"],
     },
@@ -54,10 +69,17 @@ setup(
         ("share/" + PACKAGE + "/launch", sorted(glob("launch/*.launch.py"))),
         ("share/" + PACKAGE + "/config", sorted(glob("config/*"))),
     ],
-    entry_points={"console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()]},
+    entry_points={
+        "console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()],
+        # So that other tools of python-can read our serial lines too.
+        "can.interface": ["cobs_serial=rover_hil.serial_bus:CobsSerialBus"],
+    },
     install_requires=[
         "ros-jazzy-rclpy[fastrtps]",
         "ros-jazzy-common-interfaces",
+        "argcomplete>=3.1",
+        "canopen>=2.3",
+        "cobs>=1.2",
         "lz4>=4.0",
         "matplotlib>=3.6",
         "mcap>=1.5",
@@ -66,9 +88,13 @@ setup(
         "numpy>=1.26",
         "pillow>=9.4",
         "pyarrow>=14.0,<26",  # 26 refuses numpy 1.26, which Ubuntu 24.04 has
+        "pyserial>=3.5",
+        "python-can[multicast]>=4.5",
         "pyyaml>=6.0",
+        "rich>=13.7",
         "rosbags>=0.11",
         "scipy>=1.11",
+        "tornado>=6.4",
         "tqdm>=4.64",
         "zstandard>=0.20",
     ],
@@ -76,9 +102,12 @@ setup(
         "test": [
             "dask[distributed]>=2024.5",
             "hypothesis>=6.98",
+            "junitparser>=3.1",
+            "playwright>=1.40",
             "pytest>=7.4",
             "pytest-timeout>=2.2",
             "pytest-xdist>=3.4",
+            "urdf-parser-py>=0.0.4",
         ],
         "cluster": ["dask[distributed]>=2024.5"],
         "bench": ["exudyn>=1.8"],

@@ -76,20 +76,24 @@ from rover_sim.scenario import (
     SpatialScenario,
     dump_scenario,
     list_scenarios,
+    load_overridden,
     load_planar,
     load_scenario,
     load_spatial,
     parse_override,
     scenario_from_mapping,
 )
-from rover_sim.sim_loop import Simulation
+from rover_sim.sim_loop import Simulation, Tick
+from rover_sim.spatial_displacement import Displacement, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
+from rover_sim.telling import Teller, TruthRates, ready_simulation, totals
 
 __all__ = [
     "COMMANDS",
     "AnyScenario",
     "Command",
+    "Displacement",
     "Energies",
     "Event",
     "FlywheelCommand",
@@ -112,24 +116,31 @@ __all__ = [
     "State",
     "StaticsError",
     "StepResult",
+    "Teller",
     "TetherSection",
+    "Tick",
+    "TruthRates",
     "WheelRateCommand",
     "WheelTorqueCommand",
     "WinchCommand",
     "build_interface",
     "build_plant",
     "compile_ahead",
+    "displaced",
     "dump_scenario",
     "jump",
     "jump_many",
     "list_scenarios",
+    "load_overridden",
     "load_planar",
     "load_scenario",
     "load_spatial",
     "parse_override",
     "read_yaml",
+    "ready_simulation",
     "roll_out",
     "run",
     "scenario_from_mapping",
     "static_equilibrium",
+    "totals",
 ]

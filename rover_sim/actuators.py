@@ -307,6 +307,31 @@ class Actuators:
             f"the scenario {self._equipment.scenario} has no {part}, so it has no {drive}",
         )
 
+    # --- stopping --------------------------------------------------------------------------------
+
+    def let_go(self, topic: str, states: DriveStates) -> None:
+        """Stop a drive at once, as its watchdog would: its controller tells it to do nothing.
+
+        Args:
+            topic: one of ``COMMANDS``, of the drive.
+            states: what the drives feel now.
+        """
+        if topic == topics.WINCH_COMMAND:
+            self._winch.drop()
+        elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
+            self._wheel.drop()
+        else:
+            jump = self._jump.command
+            self._jump.drop()
+            if isinstance(jump, JumpMotorCommand):
+                self._hold_nut(jump, states.compression)
+
+    def _hold_nut(self, jump: JumpMotorCommand, at: float) -> None:
+        nut = self._equipment.nut
+        if nut is not None and nut.holds:
+            within = min(max(at, -nut.free_travel), nut.stroke)
+            self._jump.hold(replace(jump, compression=within, trips=False))
+
     # --- watchdogs -------------------------------------------------------------------------------
 
     def silenced(self, states: DriveStates, now_ns: int) -> list[Silence]:
@@ -321,14 +346,12 @@ class Actuators:
         age = self._jump.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
             found.append(_silence("flywheel", age, "the motor is off", torque=jump.torque))
-        at, nut = states.compression, self._equipment.nut
         if age is not None and isinstance(jump, JumpMotorCommand):
+            at = states.compression
             if _on_its_way(jump, at):
                 what = f"the nut stops at {at:.4g} m"
                 found.append(_silence("jump_motor", age, what, compression=at))
-            if nut is not None and nut.holds:
-                within = min(max(at, -nut.free_travel), nut.stroke)
-                self._jump.hold(replace(jump, compression=within, trips=False))
+            self._hold_nut(jump, at)
         age = self._wheel.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and wheel is not None and _asks_for_motion(wheel):
             found.append(_silence("wheel_motor", age, "the motor is off"))

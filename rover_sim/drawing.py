@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from msg_schemas.samples import Colour, Quaternion, Shape, Vector
-from msg_schemas.table import WORLD_FRAME
+from msg_schemas.table import BODY1_FRAME, BODY2_FRAME, WHEEL_LEFT, WHEEL_RIGHT, WORLD_FRAME
+from rover_sim.machine import Rover
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.boulders import cap_radius
@@ -36,6 +37,8 @@ _BARE_FLOOR = 20.0  # side of the floor that is drawn where there is no patch [m
 _FLOOR_MESH = 0.5  # [m]
 _WALL_SECTORS = 48
 _WALL_MESH = 2.0  # over depth [m]
+# The quaternion of a cylinder whose axis, its own z, lies along y.
+_ALONG_Y = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 def usual_tension(carried: float, line_density: float, length: float, gravity: float) -> float:
@@ -106,6 +109,13 @@ def ground(terrain: Terrain) -> tuple[Shape, ...]:
     if terrain.has_hole:
         shapes.append(_wall(terrain))
     return tuple(shapes)
+
+
+def bare_floor(height: float) -> Shape:
+    """A level piece of floor below the fairlead, at a height in map [m]."""
+    ends = np.array([-0.5, 0.5]) * _BARE_FLOOR
+    grid = np.array([[(x, y, height) for y in ends.tolist()] for x in ends.tolist()])
+    return _triangles("floor", FLOOR_COLOUR, _meshes(grid))
 
 
 def _floor(terrain: Terrain) -> Shape:
@@ -183,6 +193,32 @@ def solid(
     )
 
 
+def rover_solids(
+    rover: Rover, centre1: Array, centre2: Array, rotation: Array, orientation: Array
+) -> tuple[Shape, ...]:
+    """Both bodies and the wheels of a rover in space.
+
+    Args:
+        rover: its sizes.
+        centre1: centre of mass of Body 1 in map [m], (3,).
+        centre2: of Body 2.
+        rotation: of both, base_link to map, (3, 3).
+        orientation: the same as a quaternion (x, y, z, w).
+    """
+    middle = centre1 + rotation @ np.array(rover.body1_centre)
+    shapes = [
+        solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, middle, orientation),
+        solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, centre2, orientation),
+    ]
+    axle = _product(orientation, _ALONG_Y)
+    diameter = 2.0 * rover.wheels.radius
+    size = (diameter, diameter, rover.wheels.width)
+    for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
+        hub = centre1 + rotation @ np.array(place)
+        shapes.append(solid(name, "cylinder", WHEEL_COLOUR, size, hub, axle))
+    return tuple(shapes)
+
+
 def as_vector(values: ArrayLike) -> Vector:
     """Three plain floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
@@ -193,3 +229,17 @@ def as_quaternion(values: ArrayLike) -> Quaternion:
     """Four plain floats, (x, y, z, w)."""
     x, y, z, w = np.asarray(values, dtype=np.float64).tolist()
     return (x, y, z, w)
+
+
+def _product(first: Array, second: tuple[float, float, float, float]) -> Array:
+    """Product of two quaternions (x, y, z, w): the second rotation, then the first."""
+    x0, y0, z0, w0 = first.tolist()
+    x1, y1, z1, w1 = second
+    return np.array(
+        [
+            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
+            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
+            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
+            w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
+        ]
+    )

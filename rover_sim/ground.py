@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from rover_sim import configuration
-from rover_sim.configuration import Configuration, ConfigurationError, choice, quantity
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
 from rover_sim.mirrored import Mirrored, refuse_what_is_refused_by
 from rover_sim.physics import boulders, contact, places, tether_contact, wheel_soil
 from rover_sim.physics.ancf import Array

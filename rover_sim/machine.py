@@ -14,8 +14,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rover_sim import configuration
-from rover_sim.configuration import Configuration, ConfigurationError, quantity
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.mirrored import Mirrored
 from rover_sim.physics import motor as motors
 from rover_sim.physics import shaft, slider, wheel_soil

@@ -11,7 +11,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from rover_sim.configuration import Configuration, ConfigurationError
+from msg_schemas.configuration import Configuration, ConfigurationError
 
 
 @dataclass(frozen=True)

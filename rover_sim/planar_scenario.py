@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeAlias, get_args
 
-from rover_sim import configuration
-from rover_sim.configuration import Configuration, choice, quantity, text
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, choice, quantity, text
 from rover_sim.scenario_parts import CrossSection, Integration, ScenarioError, known
 
 Model: TypeAlias = Literal["planar"]

@@ -17,8 +17,8 @@ from typing import Any, TypeAlias
 
 import yaml
 
+from msg_schemas import configuration
 from msg_schemas.yaml_reader import read_yaml
-from rover_sim import configuration
 from rover_sim.planar_scenario import Scenario
 from rover_sim.scenario_parts import ScenarioError
 from rover_sim.spatial_scenario import SpatialScenario
@@ -30,6 +30,7 @@ __all__ = [
     "SpatialScenario",
     "dump_scenario",
     "list_scenarios",
+    "load_overridden",
     "load_planar",
     "load_scenario",
     "load_spatial",
@@ -72,6 +73,18 @@ def load_scenario(
     """
     mapping = _mapping_of(name_or_path)
     return scenario_from_mapping(configuration.with_overrides(mapping, overrides or {}))
+
+
+def load_overridden(name_or_path: str, overrides: str) -> AnyScenario:
+    """`load_scenario` with overrides as a node's parameter has them: YAML or JSON, or nothing.
+
+    Raises:
+        ScenarioError: as `load_scenario`; or the overrides are no mapping.
+    """
+    read = read_yaml(overrides, name="overrides") if overrides.strip() else {}
+    if not isinstance(read, Mapping):
+        raise ScenarioError("overrides", read, 'should be a mapping, such as {"start.slack": 2.0}')
+    return load_scenario(name_or_path, read)
 
 
 def load_planar(

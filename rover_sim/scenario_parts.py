@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from rover_sim.configuration import Configuration, ConfigurationError, quantity
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.section import TetherSection
 
 ScenarioError = ConfigurationError

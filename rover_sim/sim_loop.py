@@ -190,6 +190,10 @@ class Simulation(Generic[S]):
         self._actuators.take(topic, sample, drives, self.stamp_ns)
         self.commands += 1
 
+    def let_go(self, topic: str) -> None:
+        """Stop the drive of a topic, one of ``actuators.COMMANDS``, as its watchdog would."""
+        self._actuators.let_go(topic, self.interface.drives(self.state))
+
     def tick(self) -> Tick[S]:
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns

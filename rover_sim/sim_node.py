@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from msg_schemas import topics
-from msg_schemas.node import ContractNode, ExitCode, run
-from msg_schemas.parameters import ParameterError, parameter
-from msg_schemas.samples import Level, Status, StatusSample, TextSample
-from msg_schemas.table import TOPICS
-from msg_schemas.yaml_reader import read_yaml
+from msg_schemas.node import ContractNode, ExitCode
+from msg_schemas.node_process import run
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import Level, Status, StatusSample
 from rover_sim.actuators import COMMANDS, stopped
-from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.happenings import Happening
-from rover_sim.interfaces import build_interface
 from rover_sim.plant import Phase
-from rover_sim.plants import build_plant
-from rover_sim.scenario import AnyScenario, ScenarioError, load_scenario
-from rover_sim.sim_loop import NANO, Schedule, Simulation, Tick
+from rover_sim.scenario import AnyScenario, ScenarioError, load_overridden
+from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
-
-
-def _table_rate(name: str) -> float:
-    rate = TOPICS[name].rate
-    if rate is None:
-        raise AssertionError(f"{name} has no rate")
-    return rate
-
+from rover_sim.telling import (
+    Teller,
+    TruthRates,
+    rate_parameter,
+    ready_simulation,
+    table_rate,
+    totals,
+)
 
 AS_SCENARIO = "scenario"
 MODELS = ("planar", "spatial")
@@ -81,86 +76,36 @@ class SimParameters:
     )
 
 
-def _rate(about: str, name: str) -> Any:
-    return parameter(
-        _table_rate(name), "Hz", f"{about}, in simulated time", 0.1, 1e4, read_only=True
-    )
-
-
 @dataclass(frozen=True)
-class RateParameters:
+class RateParameters(TruthRates):
     """How often is published; at most once a tick."""
 
-    clock_rate: float = _rate("rate of the clock", topics.CLOCK)
-    sensor_rate: float = _rate("rate of sensors and drives", topics.IMU)
-    truth_rate: float = _rate("rate of the bodies' true motion and the energy", topics.TRUTH_BODY1)
-    tether_rate: float = _rate("rate of the tether's true shape", topics.TRUTH_TETHER)
-    camera_rate: float = _rate("rate of the wall camera's figures", topics.CAMERA)
-    marker_rate: float = _rate("rate of markers to look at", topics.MARKERS)
-
-    def check(self, tick: float) -> None:
-        """Refuse rates that the tick does not allow."""
-        for field in dataclasses.fields(self):
-            rate = getattr(self, field.name)
-            if rate * tick > 1.0 + 1e-9:
-                msg = (
-                    f"{field.name} is {rate:g} Hz, it must be at most {1.0 / tick:g} Hz, "
-                    f"once per tick of {tick:g} s"
-                )
-                raise ParameterError(msg)
-
-    def of_topics(self, wanted: Iterable[str]) -> dict[str, float]:
-        """Rate [Hz] of each of the wanted topics."""
-        rates = {
-            topics.CLOCK: self.clock_rate,
-            topics.TRUTH_BODY1: self.truth_rate,
-            topics.TRUTH_BODY2: self.truth_rate,
-            topics.TRUTH_ENERGY: self.truth_rate,
-            topics.TRUTH_TETHER: self.tether_rate,
-            topics.CAMERA: self.camera_rate,
-            topics.MARKERS: self.marker_rate,
-        }
-        return {name: rates.get(name, self.sensor_rate) for name in wanted}
+    clock_rate: float = rate_parameter("rate of the clock", topics.CLOCK)
+    sensor_rate: float = rate_parameter("rate of sensors and drives", topics.IMU)
 
 
 class SimNode(ContractNode):
     """Simulates tether and rover: publishes clock, sensors and truth, obeys actuator commands."""
 
     NAME = "sim_node"
-    PARAMETERS = (SimParameters, RateParameters)
+    WANTED: type[SimParameters] = SimParameters
+    PARAMETERS = (WANTED, RateParameters)
 
     _runner: SimRunner | None = None
     _scenario: AnyScenario | None = None
-    _told_phase: Phase | None = None
 
     # --- life ------------------------------------------------------------------------------------
 
     def setup(self) -> None:
         """Load the scenario, compile and build the plant, open everything."""
-        wanted = self.parameters_of(SimParameters)
+        wanted = self.parameters_of(self.WANTED)
         rates = self.parameters_of(RateParameters)
         rates.check(wanted.tick)
         scenario = load(wanted)
-        self.get_logger().info(
-            f"scenario {scenario.name}: compiling (tens of seconds the first time on a machine, "
-            "a second or two from then on)"
-        )
-        begin = time.monotonic()
-        if not compile_ahead(scenario):
-            self.get_logger().warning(
-                "the compiled code cannot be kept: results may differ from other runs in their "
-                "last bits"
-            )
-        plant = build_plant(scenario)
-        plant.warm_up()
-        outside = build_interface(plant, wanted.seed)
-        simulation = Simulation(outside, wanted.tick)
-        self.get_logger().info(f"compiled and at rest after {time.monotonic() - begin:.1f} s")
-        self._schedule = Schedule(rates.of_topics(outside.topics))
-        self._outlets = {name: self.publisher(name) for name in outside.topics}
-        self._phase_outlet = self.publisher(topics.TRUTH_PHASE)
+        simulation = self.simulation_of(scenario, wanted)
+        told = rates.of_topics(simulation.interface.topics, rates.sensor_rate)
+        self._teller = Teller(self, simulation, told | {topics.CLOCK: rates.clock_rate})
         self._status_outlet = self.publisher(topics.SIM_STATUS)
-        self._place_outlet = self.publisher(topics.PLACE)
         runner = SimRunner(
             simulation,
             wanted.real_time_factor,
@@ -176,12 +121,16 @@ class SimNode(ContractNode):
         self.serve(topics.SIM_RESET_PLANT, lambda: (True, self._reset(runner, clock=False)))
         self._scenario, self._runner = scenario, runner
 
+    def simulation_of(self, scenario: AnyScenario, wanted: SimParameters) -> Simulation[Any]:
+        """The plant in its simulation, ready to run."""
+        return ready_simulation(scenario, wanted.seed, wanted.tick, self)
+
     def start(self) -> None:
         """Let simulated time run."""
         if self._runner is not None:
-            self._place_outlet.send(self._simulation.interface.place(self.now_ns()))
+            self._teller.begin()
             self._runner.start()
-        period = 1.0 / _table_rate(topics.SIM_STATUS)
+        period = 1.0 / table_rate(topics.SIM_STATUS)
         self.every(period, self._publish_status, by_wall_clock=True)
 
     def stop(self) -> None:
@@ -191,21 +140,25 @@ class SimNode(ContractNode):
 
     def release(self) -> None:
         """Let go of the plant."""
-        self._runner = self._scenario = self._told_phase = None
+        self._runner = self._scenario = None
 
     def configuration(self) -> Mapping[str, Any]:
         """Scenario with all values, and the seed."""
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
-        return {"scenario": scenario, "seed": self.parameters_of(SimParameters).seed}
+        return {"scenario": scenario, "seed": self.parameters_of(self.WANTED).seed}
 
     def now_ns(self) -> int:
         """Simulated time [ns]: this node is the clock."""
         return 0 if self._runner is None else self._runner.stamp_ns
 
+    def knows_time(self) -> bool:
+        """Always: this node is the clock."""
+        return True
+
     def parameters_changed(self) -> None:
         """Take the new real-time factor."""
         if self._runner is not None and self.active:
-            self._runner.set_factor(self.parameters_of(SimParameters).real_time_factor)
+            self._runner.set_factor(self.parameters_of(self.WANTED).real_time_factor)
 
     def _reset(self, runner: SimRunner, *, clock: bool) -> str:
         message = runner.reset(clock=clock)
@@ -217,34 +170,15 @@ class SimNode(ContractNode):
 
     def ticked(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish what is due."""
-        self._tell(self._schedule.due(before_ns, tick.stamp_ns))
-        self._tell_phase(tick.after.phase)
-        for happening in tick.happenings:
-            self.happened(happening)
+        self._teller.ticked(tick, before_ns)
 
     def restarted(self) -> None:
         """Publish everything once that can be told without a tick before it."""
-        outside = self._simulation.interface
-        self._tell(name for name in outside.topics if name not in outside.measured_over_a_tick)
-        self._tell_phase(self._simulation.phase)
-
-    def _tell(self, due: Iterable[str]) -> None:
-        heard = [name for name in due if self._outlets[name].is_heard]
-        for name, sample in self._simulation.interface.samples(heard):
-            self._outlets[name].send(sample)
+        self._teller.restarted()
 
     def happened(self, happening: Happening) -> None:
-        """Publish an event; what is not well goes to the diagnostics too."""
-        self.event(
-            happening.name,
-            happening.message,
-            happening.level,
-            happening.values,
-            happening.stamp_ns,
-        )
-        if happening.level is not Level.OK:
-            name = f"{self.NAME}: {happening.name}"
-            self.report(Status(name, happening.message, happening.level, self.NAME))
+        """Publish an event."""
+        self._teller.happened(happening)
 
     def finished(self) -> None:
         """End the process: the wanted duration is over."""
@@ -264,11 +198,6 @@ class SimNode(ContractNode):
             raise AssertionError("told by a thread that does not run")
         return self._runner.simulation
 
-    def _tell_phase(self, phase: Phase) -> None:
-        if phase is not self._told_phase:
-            self._told_phase = phase
-            self._phase_outlet.send(TextSample(phase.value))
-
     # --- status ----------------------------------------------------------------------------------
 
     def _publish_status(self) -> None:
@@ -284,27 +213,13 @@ class SimNode(ContractNode):
         if runner is None:
             return Status(f"{self.NAME}: plant", "not configured")
         simulation, pacer = runner.simulation, runner.pacer
-        phase, result, measured = simulation.phase, simulation.last, pacer.measured
-        values: dict[str, str] = {
-            "phase": phase.value,
+        phase, measured = simulation.phase, pacer.measured
+        values = totals(simulation) | {
             "paused": str(runner.paused).lower(),
-            "simulated_time": repr(simulation.stamp_ns / NANO),
             "real_time_factor": repr(pacer.factor),
             "measured_real_time_factor": "" if measured is None else f"{measured:.4g}",
             "wall_time_given_up": f"{pacer.given_up:.4g}",
-            "ticks": str(simulation.ticks),
-            "commands": str(simulation.commands),
-            "halved_ticks": str(simulation.halved_ticks),
-            "peak_tension": repr(simulation.peak_tension),
         }
-        if result is not None:
-            values |= {
-                "outcome": result.outcome.value,
-                "newton_iterations": str(result.newton_iterations),
-                "smallest_step": repr(result.smallest_step),
-                "constraint_drift": repr(result.constraint_drift),
-                "energy_drift": repr(result.energies.drift),
-            }
         level, message = Level.OK, "running"
         if phase.final:
             level, message = Level.ERROR, stopped(phase)
@@ -324,12 +239,7 @@ def load(wanted: SimParameters) -> AnyScenario:
         ScenarioError: it does not exist or holds bad values; the overrides are no mapping; or it is
             of another model than asked for.
     """
-    overrides = read_yaml(wanted.overrides, name="overrides") if wanted.overrides.strip() else {}
-    if not isinstance(overrides, Mapping):
-        raise ScenarioError(
-            "overrides", overrides, 'should be a mapping, such as {"start.slack": 2.0}'
-        )
-    scenario = load_scenario(wanted.scenario, overrides)
+    scenario = load_overridden(wanted.scenario, wanted.overrides)
     if wanted.model not in (AS_SCENARIO, scenario.model):
         raise ScenarioError(
             "model",

@@ -7,7 +7,6 @@ who does.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,8 +26,6 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
     BODY_SWITCH,
     FLOOR_SWITCH,
     FLYWHEEL,
@@ -46,19 +43,15 @@ from msg_schemas.table import (
 )
 from rover_sim.actuators import DriveStates, Equipment, Nut
 from rover_sim.drawing import (
-    BODY1_COLOUR,
-    BODY2_COLOUR,
-    WHEEL_COLOUR,
     as_quaternion,
     as_vector,
     contact_force,
     ground,
-    solid,
+    rover_solids,
     tether_line,
     usual_tension,
 )
 from rover_sim.machine import Rover
-from rover_sim.physics import drum as drums
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.body_motion import BodyMotion
 from rover_sim.physics.jump_drive import Latch
@@ -80,8 +73,6 @@ _SENSORS_OF_ROVER = (
     topics.FLYWHEEL_STATE,
     topics.WHEEL_STATE,
 )
-# The quaternion of a cylinder whose axis, its own z, lies along y.
-_ALONG_Y = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 class SpatialInterface:
@@ -259,18 +250,7 @@ class SpatialInterface:
             )
         ]
         if rover is not None:
-            turned, orientation = state.rotation, state.orientation
-            centre = state.G1 + turned @ np.array(rover.body1_centre)
-            shapes += [
-                solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, centre, orientation),
-                solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, state.G2, orientation),
-            ]
-            axle = _product(orientation, _ALONG_Y)
-            diameter = 2.0 * rover.wheels.radius
-            size = (diameter, diameter, rover.wheels.width)
-            for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
-                middle = state.G1 + turned @ np.array(place)
-                shapes.append(solid(name, "cylinder", WHEEL_COLOUR, size, middle, axle))
+            shapes += rover_solids(rover, state.G1, state.G2, state.rotation, state.orientation)
             shapes += self._contact_forces(moment, rover)
         return DrawingSample(moment.stamp_ns, tuple(shapes))
 
@@ -315,7 +295,7 @@ class SpatialInterface:
         ):
             held = rover.slider.spring_rate * max(readings.nut, 0.0)
         value = JointValue(readings.nut, readings.nut_rate, held)
-        return _within_range(topics.JUMP_MOTOR_STATE, stamp_ns, {JUMP_SCREW: value})
+        return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {JUMP_SCREW: value})
 
     @property
     def _rover(self) -> Rover:
@@ -327,15 +307,14 @@ class SpatialInterface:
         drum = self.plant.model.drum
         tension = 0.0
         if self._scenario.winch is not None and self._moment is not None:
-            turns = drum.full_turns - self._moment.state.machines.drum.angle / math.tau
             torque = readings.currents[2] * drum.motor.torque_constant * drum.gear_ratio
             # A positive torque pays out; what is carried pulls the other way.
-            tension = -torque / float(drums.radius_at(drum, turns))
+            tension = -torque / self.plant.drum_radius(self._moment.state)
         joints = {
             WINCH_DRUM: JointValue(readings.length, readings.payout_rate, tension),
             WINCH_BRAKE: JointValue(0.0 if readings.brake_closed else 1.0),
         }
-        return _within_range(topics.WINCH_STATE, stamp_ns, joints)
+        return TOPICS[topics.WINCH_STATE].saturated(stamp_ns, joints)
 
 
 class _Moment(NamedTuple):
@@ -392,7 +371,7 @@ def _currents(stamp_ns: int, readings: Readings) -> Sample:
 
 def _camera(stamp_ns: int, readings: Readings) -> Sample:
     joints = {WALL_DISTANCE: JointValue(readings.wall_distance), SMEAR: JointValue(readings.smear)}
-    return _within_range(topics.CAMERA, stamp_ns, joints)
+    return TOPICS[topics.CAMERA].saturated(stamp_ns, joints)
 
 
 def _flywheel(stamp_ns: int, readings: Readings) -> Sample:
@@ -407,34 +386,3 @@ def _wheels(stamp_ns: int, readings: Readings) -> Sample:
         for name, (angle, rate) in zip((WHEEL_LEFT, WHEEL_RIGHT), values, strict=True)
     }
     return JointSample(stamp_ns, joints)
-
-
-def _within_range(topic: str, stamp_ns: int, joints: Mapping[str, JointValue]) -> JointSample:
-    """The sample as a sensor of the contract's range tells it: beyond, it saturates."""
-    row = TOPICS[topic].by_path
-
-    def held(name: str, part: str, value: float) -> float:
-        field = row[f"{name}.{part}"]
-        return min(max(value, field.minimum), field.maximum)
-
-    return JointSample(
-        stamp_ns,
-        {
-            name: JointValue(*(held(name, part, getattr(value, part)) for part in value._fields))
-            for name, value in joints.items()
-        },
-    )
-
-
-def _product(first: Array, second: tuple[float, float, float, float]) -> Array:
-    """Product of two quaternions (x, y, z, w): the second rotation, then the first."""
-    x0, y0, z0, w0 = first.tolist()
-    x1, y1, z1, w1 = second
-    return np.array(
-        [
-            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
-            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
-            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
-            w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
-        ]
-    )

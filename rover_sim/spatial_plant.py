@@ -292,7 +292,7 @@ class SpatialPlant:
         """Advance by one control tick; see `rover_sim.plant.Plant.step`."""
         tick = check_tick(dt)
         free = state.machines.jump.latch == Latch.FREE
-        radius = self._drum_radius(state)
+        radius = self.drum_radius(state)
         orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
         if state.phase.final:
             outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
@@ -369,11 +369,14 @@ class SpatialPlant:
         element_tensions(tether, to_rows(state.nodes), to_rows(state.node_rates), means)
         arcs = self.to_arc_lengths(state)
         if self._model.has_winch:
-            rates = np.array([[np.zeros(3), state.mouth[1]], state.node_rates[0]])
+            ends = self.to_full_nodes(state)[:2]
+            # The element grows as the drum pays out: its material comes after its second node.
+            follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
+            rates = np.array([[follows, state.mouth[1]], state.node_rates[0]])
             first = np.empty(1)
             element_tensions(
                 tether._replace(elements=1, element_length=float(arcs[1])),
-                to_rows(self.to_full_nodes(state)[:2]),
+                to_rows(ends),
                 to_rows(rates),
                 first,
             )
@@ -392,12 +395,13 @@ class SpatialPlant:
         """Rate of the tether at the drum [m/s], > 0 lengthens it."""
         if not self._model.has_winch:
             return 0.0
-        return self._drum_radius(state) * state.machines.drum.rate
+        return self.drum_radius(state) * state.machines.drum.rate
 
-    def _drum_radius(self, state: SpatialState) -> float:
+    def drum_radius(self, state: SpatialState) -> float:
         """Where the tether runs off the drum [m]."""
         turns = self._model.drum.full_turns - state.machines.drum.angle / (2.0 * math.pi)
-        return float(drums.radius_at(self._model.drum, turns))
+        # As Python: the compiled one is handed all of the drum's values, which takes far longer.
+        return float(drums.radius_at.py_func(self._model.drum, turns))
 
     def _some_state(self) -> SpatialState:
         """A state that is found without simulating."""

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
-from rover_sim import configuration
-from rover_sim.configuration import Configuration, choice, quantity, text
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, choice, quantity, text
 from rover_sim.ground import Place, TetherContact
 from rover_sim.machine import Rover, Vector, Winch
 from rover_sim.physics.drum import DrumParameters
@@ -232,13 +232,18 @@ class SpatialScenario(Configuration):
             raise ScenarioError("rover", None, "a standing start needs a rover")
         if self.place.floor is None:
             raise ScenarioError("place.floor", None, "a standing start needs a floor")
-        reach = math.hypot(*self.start.position, self.place.floor_height)
+        reach = math.hypot(*self.start.position, self._attachment_height(self.rover))
         if reach >= self.tether.length:
             raise ScenarioError(
                 "tether.length",
                 self.tether.length,
                 f"should be above {reach:.4g} m, or the tether does not reach the rover",
             )
+
+    def _attachment_height(self, rover: Rover) -> float:
+        """Of a rover that stands level on the floor, in map [m]."""
+        above_floor = rover.attachment[2] - rover.wheels.axle_z + rover.wheels.tip_radius
+        return self.place.floor_height + above_floor
 
     @classmethod
     def from_mapping(cls, mapping: object) -> SpatialScenario:

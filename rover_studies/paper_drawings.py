@@ -251,7 +251,12 @@ def convergence_plot(found: Sequence[Convergence]) -> str:
                         meshes[:-1], values, line + "o", color=_CASE_COLOURS[number],
                         label=f"{geometry}, {_SHAPE_WORDS[shape]}",
                     )  # fmt: skip
-            axes.set(xscale="log", yscale="log", xticks=meshes[:-1])
+            drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()])
+            # Where no mesh differs from the finest there is nothing to take a logarithm of.
+            axes.set(
+                xscale="log", yscale="log" if np.isfinite(drawn).any() else "linear",
+                xticks=meshes[:-1],
+            )  # fmt: skip
             axes.set_xticklabels([str(mesh) for mesh in meshes[:-1]])
             axes.minorticks_off()
             axes.set_xlabel("number of elements n")

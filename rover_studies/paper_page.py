@@ -106,7 +106,7 @@ def page(
     ]
     parts += [
         "<h2>How far the numbers can be trusted</h2>",
-        _figure(convergence_plot(convergences)),
+        _figure(convergence_plot(convergences)) if _has_meshes(convergences) else "",
         (
             "<p>Dashed lines that stay high are the scatter again: there is nothing to converge to."
             " Energy: what the balance of each jump misses, as a share of the energy in play. Step:"
@@ -120,6 +120,11 @@ def page(
         f"<title>Study of the tethered jump</title><style>{_STYLE}</style></head>"
         f"<body><main>{''.join(parts)}</main></body></html>\n"
     )
+
+
+def _has_meshes(found: Sequence[Convergence]) -> bool:
+    """Whether there is a coarser mesh than the finest, to converge from."""
+    return len({one.key.elements for one in found}) > 1
 
 
 def _safe(text: object) -> str:

@@ -65,7 +65,7 @@ MAX_LOSS = 0.10
 _READY_TIMEOUT = 170.0
 _ASK_TIMEOUT = 20.0
 _JUMP_TIMEOUT = 60.0
-_REPORT_TIMEOUT = 60.0
+_REPORT_TIMEOUT = 300.0
 _LOOK = 0.1
 
 SIM, JUMP, WINCH, RECORD = (
@@ -177,15 +177,18 @@ class Show:
     def report(self, folder: Path, domain: int) -> None:
         """Have the bag reported by the suite's own command."""
         self._bar.set_description("reporting")
-        done = subprocess.run(
-            [sys.executable, "-m", "rover_bags.report", self.bag.name, "--out", "."],
-            cwd=folder,
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=_REPORT_TIMEOUT,
-            env=environment(domain),
-        )
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "rover_bags.report", self.bag.name, "--out", "."],
+                cwd=folder,
+                check=False,
+                capture_output=True,
+                text=True,
+                timeout=_REPORT_TIMEOUT,
+                env=environment(domain),
+            )
+        except subprocess.TimeoutExpired as error:
+            raise DemoError(f"bag_report took longer than {_REPORT_TIMEOUT:g} s") from error
         if done.returncode != 0:
             raise DemoError(f"bag_report ended with code {done.returncode}:\n{done.stderr}")
         (folder / "report.txt").write_text(done.stdout, encoding="utf-8")

@@ -1,7 +1,8 @@
 """`verify`: measure every requirement that has a check, and report all of them.
 
 Results are kept as they come: a run that was stopped goes on where it was with the same command,
-as long as runs, seed and source code are the same.
+as long as runs, seed and source code are the same. Checks of many long runs keep each of them, for
+any number of runs.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import shutil
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ _SOURCES = (
     "rover_verify",
 )  # fmt: skip
 _OPEN_RUNS = 2
-"""Of a row that decides nothing: enough to tell how far it is from its limit."""
+"""Of a row that decides nothing and was not asked for: enough to tell how far it is."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +105,16 @@ def measure(row: Requirement, batch: Batch) -> Result:
 
 
 class Store:
-    """Results on disk, one file a row, valid for one combination of runs, seed and source."""
+    """Results on disk, one file a row, valid for one combination of runs, seed and source.
 
-    def __init__(self, folder: Path, runs: int, seed: int, source: str) -> None:
+    Of open rows only those that are named have all runs.
+    """
+
+    def __init__(
+        self, folder: Path, runs: int, seed: int, source: str, named: Collection[str] = ()
+    ) -> None:
         self._folder = folder
+        self._named = named
         self._key = {"runs": runs, "seed": seed, "source": source}
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -130,7 +137,10 @@ class Store:
         partial.replace(self._path(row))
 
     def _key_of(self, row: Requirement) -> dict[str, object]:
-        return {**self._key, "limit": str(row.limit), "check": row.check, "status": row.status}
+        named = row.id in self._named
+        limit = str(row.limit)
+        row_key = {"limit": limit, "check": row.check, "status": row.status, "named": named}
+        return {**self._key, **row_key}
 
     def _path(self, row: Requirement) -> Path:
         return self._folder / f"{row.id}.json"
@@ -156,16 +166,25 @@ def verify(
     *,
     fresh: bool = False,
     quiet: bool = False,
+    named: Collection[str] = (),
 ) -> list[Result]:
-    """Measure the rows, in their order; kept results are taken over unless `fresh`."""
-    store = Store(out / "verification" / "results", runs, seed, source_digest())
+    """Measure the rows, in their order; kept results are taken over unless `fresh`.
+
+    Open rows are measured on few runs, but for those whose identifiers are `named`.
+    """
+    source = source_digest()
+    store = Store(out / "verification" / "results", runs, seed, source, named)
+    keep = (out / "verification" / "kept" / source).resolve()
+    if fresh:
+        shutil.rmtree(keep, ignore_errors=True)
     results: list[Result] = []
     with tqdm(total=len(rows), disable=quiet, unit="row", dynamic_ncols=True, leave=False) as bar:
         for row in rows:
             bar.set_description(row.id)
             kept = None if fresh else store.get(row)
-            count = min(runs, _OPEN_RUNS) if row.status == "open" else runs
-            result = kept if kept is not None else _measure_row(row, out, count, seed, bar)
+            is_short = row.status == "open" and row.id not in named
+            batch = Batch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
+            result = kept if kept is not None else _measure_row(row, out, batch, bar)
             if kept is None and row.check is not None:
                 store.put(row, result)
             results.append(result)
@@ -176,7 +195,7 @@ def verify(
     return results
 
 
-def _measure_row(row: Requirement, out: Path, runs: int, seed: int, bar: Any) -> Result:
+def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> Result:
     folder = out / "verification" / "scratch" / row.id
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -185,7 +204,7 @@ def _measure_row(row: Requirement, out: Path, runs: int, seed: int, bar: Any) ->
         bar.set_postfix_str(f"{done}/{total}", refresh=False)
         bar.refresh()
 
-    result = measure(row, Batch(runs, seed, folder.resolve(), progress))
+    result = measure(row, replace(batch, folder=folder.resolve(), progress=progress))
     bar.set_postfix_str("")
     if result.state in {"PASS", "OPEN"}:
         shutil.rmtree(folder, ignore_errors=True)
@@ -228,7 +247,9 @@ def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[
 def main(arguments: Sequence[str] | None = None) -> int:
     """Verify; exit code 1 if a required row failed or its check broke."""
     parser = argparse.ArgumentParser(prog="verify", description=__doc__)
-    parser.add_argument("--runs", type=int, default=20, help="of each batch; open rows: at most 2")
+    parser.add_argument(
+        "--runs", type=int, default=20, help="of each batch; open rows: 2, unless named"
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     parser.add_argument("--only", nargs="+", metavar="ID", help="these rows, or all that begin so")
     parser.add_argument("--list", action="store_true", help="show the requirements and stop")
@@ -261,6 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.seed,
             fresh=options.fresh,
             quiet=not sys.stderr.isatty(),
+            named=options.only or (),
         )
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)

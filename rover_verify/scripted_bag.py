@@ -31,13 +31,14 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_bags.store import BagWriter, standard_type
+from rover_bags.files.store import BagWriter, standard_type
 from rover_sim import (
     Phase,
     Simulation,
     SpatialState,
     build_interface,
     build_plant,
+    compile_ahead,
     load_spatial,
 )
 
@@ -86,13 +87,20 @@ class Recording:
         self, path: Path, scenario: str, overrides: Mapping[str, object], seed: int
     ) -> None:
         self.scenario = load_spatial(scenario, dict(overrides))
+        compile_ahead(self.scenario)  # so that it runs the code that others run
         plant = build_plant(self.scenario)
+        plant.warm_up()
         self.simulation = Simulation(build_interface(plant, seed), TICK)
         self.events: list[tuple[str, float]] = []
         self._writer = BagWriter(path, sync=False, chunk_period=1e9)
         self._channels: dict[str, int] = {}
         self._phase: Phase | None = None
-        content = {"node": "/sim_node", "scenario": self.scenario.to_mapping(), "seed": seed}
+        content = {
+            "node": "/sim_node",
+            "scenario": self.scenario.to_mapping(),
+            "seed": seed,
+            "parameters": {"tick": TICK},
+        }
         self.tell(topics.CONFIG, TextSample(json.dumps(content)))
         outside = self.simulation.interface
         self._due([name for name in outside.topics if name not in outside.measured_over_a_tick])

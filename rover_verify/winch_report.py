@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from rover_bags.store import BagError
+from rover_bags.files.store import BagError
 from rover_verify.checks import Batch, winch_bag
 from rover_verify.checks import winch as checks
 from rover_verify.winch_flight import Flight, flight_of_bag, flight_of_session

@@ -9,9 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from rover_verify.stage import Observer, Processes, Stage
+
+# The same examples each time, so that a failure is a change's. HYPOTHESIS_PROFILE=exploring looks
+# for others.
+settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
+settings.register_profile("exploring", deadline=None, print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 # Both are read when ROS is imported, which is why the fixtures import late: publishing a wrong type
 # is an error, and other machines on the network stay out.

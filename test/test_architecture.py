@@ -19,6 +19,7 @@ def undeclared_requirements(root: Path) -> list[str]:
 
 CHECKS: list[Check] = [
     architecture.forbidden_arrows,
+    architecture.forbidden_layers,
     architecture.impure_physics,
     architecture.package_cycles,
     architecture.topic_strings,
@@ -130,6 +131,36 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
             "from rover_sim import run",
             "use what rover_sim itself offers",
         ),
+        (
+            architecture.forbidden_layers,
+            "rover_bags/files/bad.py",
+            "from rover_bags.read import read_bag",
+            "rover_bags.files must not import rover_bags.read",
+        ),
+        (
+            architecture.forbidden_layers,
+            "rover_bags/findings/bad.py",
+            "from rover_bags.views import plots",
+            "rover_bags.findings must not import rover_bags.views",
+        ),
+        (
+            architecture.forbidden_arrows,
+            "rover_hil/bad.py",
+            "import rover_sim",
+            "rover_hil.bad must not import rover_sim",
+        ),
+        (
+            architecture.forbidden_arrows,
+            "rover_hil/bad.py",
+            "from rover_hil.emulator import device",
+            "rover_hil.bad must not import rover_hil.emulator",
+        ),
+        (
+            architecture.forbidden_arrows,
+            "rover_hil/emulator/bad.py",
+            "from rover_sim import run",
+            "use what rover_sim itself offers",
+        ),
         (architecture.impure_physics, "rover_sim/physics/bad.py", "import rclpy", "rclpy"),
         (architecture.impure_physics, "rover_sim/physics/bad.py", "import yaml", "yaml"),
         (
@@ -196,6 +227,11 @@ def test_a_broken_rule_is_named(tree: Path, check: Check, name: str, text: str, 
     write(tree, name, text)
     violations = check(tree)
     assert any(complaint in violation for violation in violations), violations
+
+
+def test_the_emulator_may_use_the_simulator_s_public_face(tree: Path):
+    write(tree, "rover_hil/emulator/machine.py", "import rover_sim")
+    assert architecture.forbidden_arrows(tree) == []
 
 
 def test_the_jump_predictor_may_use_the_simulator_s_public_face(tree: Path):

@@ -13,16 +13,25 @@ import yaml
 from msg_schemas.fields import rule_of
 from msg_schemas.node import ContractNode
 from msg_schemas.parameters import from_mapping
+from operator_console.console_node import OperatorConsole
 from rover_control.descent import DescentParameters
 from rover_control.descent_node import DescentNode
+from rover_control.drive_node import DriveNode
 from rover_control.jump_node import JumpNode
 from rover_control.swing_damping import DampingParameters
+from rover_hil.bridge_node import BridgeNode
+from rover_hil.emulator.emulator_node import EmulatorNode
+from rover_sim.null_plant_node import NullPlantNode
 from rover_sim.sim_node import SimNode
+from rover_view.view_node import ViewNode
 from tether_winch.servo import ServoParameters
 from tether_winch.winch_node import WinchNode
 
 CONFIG = Path(__file__).parents[1] / "config"
-NODES: list[type[ContractNode]] = [SimNode, JumpNode, WinchNode, DescentNode]
+NODES: list[type[ContractNode]] = [
+    SimNode, NullPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, BridgeNode,
+    EmulatorNode, OperatorConsole, ViewNode,
+]  # fmt: skip
 
 
 def fields_of(node: type[ContractNode]) -> Iterator[tuple[type[Any], Any]]:

@@ -1,4 +1,4 @@
-"""Launch files: what they start exists, what they set are parameters."""
+"""Launch files: what they start exists, what they set are parameters, what they refuse."""
 
 from __future__ import annotations
 
@@ -10,48 +10,61 @@ from typing import Any
 
 import pytest
 
+from rover_launch.plan import (
+    PARAMETERS,
+    PLANTS,
+    Plan,
+    PlanError,
+    Started,
+    arguments_of,
+    files_of,
+    plan,
+)
+from rover_sim.null_plant_node import NullPlantParameters
 from rover_sim.sim_node import SimParameters
 
 ROOT = Path(__file__).parents[1]
+CONFIG = str(ROOT / "config")
 FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-KINDS = {"str": str, "float": float, "bool": bool, "int": int}
+MISSION = ("winch_node", "descent_node", "drive_node", "jump_node")
 
 
-def strings_of_calls(path: Path, function: str, keyword: str) -> list[str]:
-    """Literal values of a keyword in all calls of a function."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [
-        item.value.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == function
-        for item in node.keywords
-        if item.arg == keyword
-        and isinstance(item.value, ast.Constant)
-        and isinstance(item.value.value, str)
+def controllers_of(path: Path) -> tuple[str, ...]:
+    """What a launch file gives to `describe`."""
+    (call,) = [
+        node
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "describe"
     ]
+    return tuple(str(ast.literal_eval(each)) for each in call.args)
+
+
+def planned(
+    *controllers: str, find: Any = lambda _name: None, **values: str
+) -> tuple[Plan, dict[str, Started]]:
+    given = {each.name: each.default for each in arguments_of(controllers, CONFIG, {})}
+    assert values.keys() <= given.keys()
+    made = plan(controllers, given | values, find)
+    return made, {each.executable: each for each in made.started}
+
+
+# ------------------------------------------------------------------------------------- the files
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_what_is_started_is_an_executable_of_the_package(path: Path):
+@pytest.mark.parametrize("plant", PLANTS)
+def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: str):
+    controllers = controllers_of(path)
+    made, started = planned(*controllers, plant=plant, record="bag")
     shims = {shim.name for shim in (ROOT / "scripts").iterdir()}
-    assert {*strings_of_calls(path, "Node", "executable")} <= shims
+    assert {PLANTS[plant], "bag_record", *controllers} <= started.keys() <= shims
+    assert all(Path(file).is_file() for each in made.started for file in each.files)
 
 
-def test_the_simulator_s_arguments_are_its_parameters_with_their_types():
-    tree = ast.parse((ROOT / "launch" / "sim.launch.py").read_text(encoding="utf-8"))
-    (given,) = [
-        node.value
-        for node in tree.body
-        if isinstance(node, ast.Assign)
-        and getattr(node.targets[0], "id", "") == "PARAMETERS"
-        and isinstance(node.value, ast.Dict)
-    ]
-    types = {field.name: type(field.default) for field in dataclasses.fields(SimParameters)}
-    for key, value in zip(given.keys, given.values, strict=True):
-        assert isinstance(key, ast.Constant)
-        assert isinstance(value, ast.Tuple)
-        assert isinstance(value.elts[0], ast.Name)
-        assert KINDS[value.elts[0].id] is types[str(key.value)]
+def test_the_mission_is_all_controllers_there_are():
+    assert {*controllers_of(ROOT / "launch" / "mission.launch.py")} == {
+        name for path in FILES for name in controllers_of(path)
+    }
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
@@ -68,3 +81,87 @@ def test_it_is_a_launch_description(path: Path):
     declared = [each for each in entities if isinstance(each, DeclareLaunchArgument)]
     assert declared
     assert all(each.description for each in declared)
+
+
+# ------------------------------------------------------------------------------------ the arguments
+
+
+@pytest.mark.parametrize("parameters", [SimParameters, NullPlantParameters])
+def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: type[Any]):
+    types = {field.name: type(field.default) for field in dataclasses.fields(parameters)}
+    assert {name: kind for name, (kind, _) in PARAMETERS.items()}.items() <= types.items()
+
+
+def test_only_what_is_given_goes_before_the_plant_s_file():
+    _, started = planned(plant="null", real_time_factor="2", start_paused="True", seed="7")
+    assert started["null_plant"].parameters == {
+        "real_time_factor": 2.0,
+        "start_paused": True,
+        "seed": 7,
+    }
+    assert planned()[1]["sim_node"].parameters == {}
+
+
+def test_the_winch_has_room_for_the_trim_only_beside_a_descent():
+    assert files_of(("winch_node", "jump_node"))["winch_node"] == ("winch_node",)
+    assert files_of(MISSION)["winch_node"] == ("winch_node", "winch_descent")
+
+
+def test_the_end_of_the_plant_ends_all_and_that_of_a_controller_nothing():
+    made, started = planned(*MISSION)
+    assert [each.executable for each in made.started if each.ends_all] == ["sim_node"]
+    assert started["winch_node"].parameters["use_sim_time"]
+
+
+def test_real_drives_run_by_the_wall_clock_and_nothing_is_emulated():
+    _, started = planned(*MISSION, plant="hil", drives="socketcan:can0", scenario="marius_hills")
+    assert "drive_emulator" not in started
+    assert started["hil_bridge"].parameters == {"use_sim_time": False, "link": "socketcan:can0"}
+    assert not any(started[name].parameters["use_sim_time"] for name in MISSION)
+
+
+def test_emulated_drives_and_bridge_share_the_link_of_a_rover():
+    link = "udp_multicast:239.74.163.9"
+    _, started = planned(plant="hil", link=link, scenario="free_hang", model="spatial")
+    assert started["hil_bridge"].parameters == {"use_sim_time": True, "link": link}
+    assert started["drive_emulator"].parameters == {"scenario": "free_hang", "link": link}
+
+
+def test_without_rviz_that_is_said_and_everything_else_is_started():
+    without, started = planned(*MISSION, rviz="true")
+    assert "rviz2" not in started
+    assert "view_node" in started
+    (message,) = without.messages
+    assert "ros-jazzy-rviz2" in message
+    found, started = planned(*MISSION, rviz="true", find=lambda name: f"/usr/bin/{name}")
+    assert not found.messages
+    assert started["rviz2"].arguments == ("-d", f"{CONFIG}/mother_rover.rviz")
+    assert found.started[:-1] == without.started
+
+
+def test_the_operators_page_is_started_on_request():
+    assert "operator_console" not in planned(*MISSION)[1]
+    page = planned(*MISSION, console="true")[1]["operator_console"]
+    assert page.files == (f"{CONFIG}/operator_console.yaml",)
+    assert page.parameters == {"use_sim_time": True}
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [
+        ({"plant": "toy"}, "plant is 'toy', it must be one of sim, null, hil"),
+        ({"real_time_factor": "fast"}, "real_time_factor is 'fast', it must be of type float"),
+        ({"start_paused": "maybe"}, "start_paused is 'maybe', it must be true or false"),
+        ({"plant": "hil", "real_time_factor": "2"}, "real_time_factor is '2': with plant:=hil"),
+        ({"plant": "hil", "model": "planar"}, "emulated drives play a spatial scenario"),
+        ({"drives": "socketcan:can0"}, "plant is sim: nothing would speak to them"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(values: dict[str, str], complaint: str):
+    with pytest.raises(PlanError, match=complaint):
+        planned(**values)
+
+
+def test_a_default_of_an_argument_that_is_not_there_is_refused():
+    with pytest.raises(PlanError, match="has the argument speed"):
+        arguments_of((), CONFIG, {"speed": "2"})

@@ -133,7 +133,7 @@ def toward_rate(
 def _has_arrived(motion: Motion, goal: float, limits: MotionLimits, h: float) -> bool:
     return (
         abs(goal - motion.length) <= _ARRIVED
-        and abs(motion.rate) <= _ARRIVED / h
+        and abs(motion.rate) * h <= _ARRIVED
         and abs(motion.acceleration) <= limits.jerk * h
     )
 

@@ -23,9 +23,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from msg_schemas import topics
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_MOTOR
+from msg_schemas.machine import (
+    MAX_LENGTH,
+    MAX_PAYOUT_RATE,
+    MAX_TENSION,
+    PAYOUT,
+    REFERENCE,
+    STRETCHED,
+    TENSION,
+    TETHER_OUT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_MOTOR,
+)
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, Level, WrenchSample
+from msg_schemas.samples import JointSample, JointValue, Level, WrenchSample
 from msg_schemas.transition import Transition
 from tether_winch.drum_model import DrumModel, DrumParameters
 from tether_winch.estimates import (
@@ -206,6 +218,33 @@ class Winch:
         if source is TensionSource.MOTOR and self.parameters.guard.load_cell_required:
             return math.nan, TensionSource.NONE
         return value, source
+
+    def estimate(self, now_ns: int) -> JointSample | None:
+        """What is made of encoder, current and load cell, as `winch/estimate` tells it.
+
+        None before the drum has spoken. Where no tension is valid, the stretched length is that
+        under what hangs.
+        """
+        if not self.payout.is_known:
+            return None
+        tension, source = self.tension_now(now_ns)
+        known = source is not TensionSource.NONE
+        length, rate = max(self.payout.length_at(now_ns / _NANO), 0.0), self.payout.rate
+        weight = self.drum.hanging_weight(length)
+        stretched = self.drum.stretched(length, tension if known else weight + self.load.mean)
+        aim = self.servo.reference
+        values = {
+            PAYOUT: JointValue(length, rate, 0.0),
+            STRETCHED: JointValue(stretched, rate * stretched / length if length else rate, 0.0),
+            TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
+            TETHER_OUT: JointValue(self.parameters.drum.line_density * length, 0.0, weight),
+            REFERENCE: JointValue(
+                min(max(aim.length, 0.0), MAX_LENGTH),
+                min(max(aim.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
+                min(self.servo.aimed_tension, MAX_TENSION),
+            ),
+        }
+        return JointSample(now_ns, values)
 
     # --- asked from outside ----------------------------------------------------------------------
 
@@ -526,7 +565,8 @@ class Winch:
         self.mode = mode
         self._in_mode_since = now
         self._driven = 0
-        self._transitions.append(Transition(f"winch_{mode}", reason, level, values or {}))
+        told = {"length": self.payout.length, **(values or {})}
+        self._transitions.append(Transition(f"winch_{mode}", reason, level, told))
 
     def _tell_alarm(self, name: str, is_on: bool, tension: float) -> None:
         values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}

@@ -10,19 +10,12 @@ from dataclasses import dataclass
 from msg_schemas import topics
 from msg_schemas.machine import (
     ALARM_NAMES,
-    MAX_LENGTH,
-    MAX_PAYOUT_RATE,
-    MAX_TENSION,
-    PAYOUT,
-    REFERENCE,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
     WINCH_BRAKE,
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from msg_schemas.node import ContractNode, run
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
@@ -255,30 +248,9 @@ class WinchNode(ContractNode):
                 self.report(Status(name, change.reason, change.level, self.NAME))
 
     def _tell_estimates(self) -> None:
-        winch = self._winch
-        if not winch.payout.is_known:
-            return
-        now_ns = self.now_ns()
-        tension, source = winch.tension_now(now_ns)
-        known = source is not TensionSource.NONE
-        length, rate = max(winch.payout.length_at(now_ns * 1e-9), 0.0), winch.payout.rate
-        pull = tension if known else winch.drum.hanging_weight(length) + winch.load.mean
-        stretched = winch.drum.stretched(length, pull)
-        reference = winch.servo.reference
-        weight = winch.drum.hanging_weight(length)
-        line_density = winch.parameters.drum.line_density
-        values = {
-            PAYOUT: JointValue(length, rate, 0.0),
-            STRETCHED: JointValue(stretched, rate * stretched / length if length else rate, 0.0),
-            TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
-            TETHER_OUT: JointValue(line_density * length, 0.0, weight),
-            REFERENCE: JointValue(
-                min(max(reference.length, 0.0), MAX_LENGTH),
-                min(max(reference.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
-                min(winch.servo.aimed_tension, MAX_TENSION),
-            ),
-        }
-        self._estimate_outlet.send(JointSample(now_ns, values))
+        made = self._winch.estimate(self.now_ns())
+        if made is not None:
+            self._estimate_outlet.send(made)
 
 
 def _told(command: DriveCommand, now_ns: int) -> JointSample:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from numba import njit, types
 from numba.core.registry import CPUDispatcher
 
-from rover_sim.physics.linked import LinkedCompiler
+from rover_sim.physics.compilers import KernelCompiler, LinkedCompiler
 
 # Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
 FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
@@ -66,7 +66,12 @@ class _Inner(_Compiled):
         return self._entry(*inspect.signature(self.py_func).bind(*args, **kwargs).args)
 
 
-_ALWAYS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_ALWAYS: Final[dict[str, Any]] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "pipeline_class": KernelCompiler,
+}
 _FOR_CALLERS: Final[dict[str, Any]] = {
     "no_cpython_wrapper": True,
     "pipeline_class": LinkedCompiler,
@@ -80,7 +85,7 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     the functions that it calls in other files as well: after a change of these it would go on with
     the old ones. So the stamp that it compares is replaced by that of all sources.
     """
-    compile_later: Any = njit(cache=True, **_ALWAYS, **options)
+    compile_later: Any = njit(**{"cache": True, **_ALWAYS, **options})
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = compile_later(function)

@@ -41,12 +41,15 @@ class Batch:
         seed: seed of everything random.
         folder: scratch folder of this check, empty.
         progress: told how many of how many runs are done.
+        kept: folder of what a check wants to find again when it is started again after a kill,
+            valid for one state of the source; None: nothing is kept.
     """
 
     runs: int
     seed: int
     folder: Path
     progress: Callable[[int, int], None] = lambda _done, _total: None
+    kept: Path | None = None
 
     def generators(self, runs: int | None = None) -> Iterator[np.random.Generator]:
         """One independent random generator a run, the same whatever the number of runs."""

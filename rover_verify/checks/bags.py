@@ -16,10 +16,10 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
 
 from msg_schemas import topics
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError
 from rover_bags.read import read_bag
 from rover_bags.recover import recover
-from rover_bags.scan import BagScan
-from rover_bags.store import BagError
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import (
     RECORD,
@@ -220,7 +220,7 @@ def refused_folders(batch: Batch) -> Measured:
 
 def report_agrees(batch: Batch) -> Measured:
     """Difference of the height found in the bag from what the plant itself reported [m]."""
-    from rover_bags.metrics import measure  # noqa: PLC0415 - the report's part, big to load
+    from rover_bags.findings.metrics import measure  # noqa: PLC0415 - the report's part, big to load
 
     bag = read_bag(_whole_bag(batch))
     metrics = measure(bag)

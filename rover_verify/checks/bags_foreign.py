@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from rover_bags.folder import ScanError
-from rover_bags.scan import BagScan
+from rover_bags.files.folder import ScanError
+from rover_bags.files.scan import BagScan
 from rover_verify.checks import Batch, Measured
 from rover_verify.stage.foreign_bags import KINDS, METADATA, Kind, Recorded, cut, messages, split
 

@@ -18,11 +18,11 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.samples import DrawingSample, TextSample
 from msg_schemas.table import TOPICS
+from rover_bags.files.records import Message
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagWriter, standard_type
+from rover_bags.findings.timeline import MomentKind, Timeline, timeline_of
 from rover_bags.read import read_bag
-from rover_bags.records import Message
-from rover_bags.scan import BagScan
-from rover_bags.store import BagWriter, standard_type
-from rover_bags.timeline import MomentKind, Timeline, timeline_of
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.scripted_bag import Deed, record_mission
 

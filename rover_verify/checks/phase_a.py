@@ -7,27 +7,23 @@ friction that are off by up to 20 % from what the controllers take them for.
 from __future__ import annotations
 
 import math
-import multiprocessing
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from rover_control.descent_profile import ProfileParameters
 from rover_control.phase_a import PhaseAParameters
 from rover_verify.checks import Batch, Measured
+from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging_rig import HangingFlight, Picture, Start
-
-T = TypeVar("T")
 
 STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
 KICK_AT, KICK = 30.0, math.radians(1.5)
 LONGEST = 1200.0  # of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
 _OFF = 0.2  # by which mass and friction may be off
-_WORKERS = 2
 ALL = "everything"
 MODES = {
     ALL: (True, True),
@@ -50,7 +46,8 @@ class Descent(NamedTuple):
     swing: float  # major amplitude at the end [rad]
 
 
-def _draw(rng: np.random.Generator, length: float, major: float, minor: float) -> Start:
+def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> Start:
+    """A start with directions, sensor errors, mass and friction of its own."""
     plane, heading = rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     mass, friction = rng.uniform(1.0 - _OFF, 1.0 + _OFF, 2)
@@ -75,7 +72,7 @@ def _parameters(mode: str) -> PhaseAParameters:
 def descend(seed: int, index: int, mode: str = ALL) -> Descent:
     """One descent from 2 m to 45 m with six stops and a kick."""
     rng = np.random.default_rng([seed, index])
-    flight = HangingFlight(_draw(rng, 2.0, 3.0, 1.5), _parameters(mode))
+    flight = HangingFlight(draw(rng, 2.0, 3.0, 1.5), _parameters(mode))
     kicked_toward = float(rng.uniform(0.0, math.tau))
     flight.begin()
     for depth in STOPS:
@@ -126,12 +123,12 @@ def damp(seed: int, index: int, length: float) -> float:
     # Pictures need less than that on a long tether: damped on, until it is still all the time, and
     # for as long as it takes.
     profile = ProfileParameters(damped_rate=0.0008, steady_time=60.0, stop_limit=1500.0)
-    flight = HangingFlight(_draw(rng, length, 3.0, 0.0), PhaseAParameters(profile=profile))
+    flight = HangingFlight(draw(rng, length, 3.0, 0.0), PhaseAParameters(profile=profile))
     flight.begin()
     flight.ask(length)
     while flight.time < 1500.0:
         flight.tick()
-        if flight.ticks % 10 == 0 and flight.true_swing().major < math.radians(0.3):
+        if flight.ticks % 5 == 0 and flight.true_swing().major < math.radians(0.3):
             return flight.time
         if flight.rover.profile.is_idle and flight.time > 20.0:
             flight.ask(length)
@@ -143,7 +140,7 @@ def watch(seed: int, index: int) -> tuple[float, float]:
     rng = np.random.default_rng([seed, index])
     length, major = float(rng.uniform(2.0, 45.0)), float(rng.uniform(0.3, 3.0))
     minor = float(rng.uniform(-0.8, 0.8)) * major
-    flight = HangingFlight(_draw(rng, length, major, minor))
+    flight = HangingFlight(draw(rng, length, major, minor))
     flight.begin()
     flight.run(40.0 - flight.time)
     amplitudes, yaws = [], []
@@ -162,7 +159,7 @@ def watch(seed: int, index: int) -> tuple[float, float]:
 def ascend(seed: int, index: int) -> float:
     """Swing [rad] after an ascent from 45 m to 2 m that began with a cone of 0.3 by 0.3 deg."""
     rng = np.random.default_rng([seed, index])
-    flight = HangingFlight(_draw(rng, 45.0, 0.3, 0.3))
+    flight = HangingFlight(draw(rng, 45.0, 0.3, 0.3))
     flight.begin()
     flight.ask(2.0, observes=False)
     while flight.time < 3000.0:
@@ -175,36 +172,13 @@ def ascend(seed: int, index: int) -> float:
 # --- batches ------------------------------------------------------------------------------------
 
 
-def _spread(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> list[T]:
-    """Runs of a batch on all cores, in their order."""
-    context = multiprocessing.get_context("spawn")
-    results: list[T] = []
-    with ProcessPoolExecutor(min(_WORKERS, runs), mp_context=context) as pool:
-        jobs = [pool.submit(task, batch.seed, index, *arguments) for index in range(runs)]
-        for count, job in enumerate(jobs):
-            results.append(job.result())
-            batch.progress(count + 1, runs)
-    return results
-
-
-_FLOWN: dict[tuple[object, ...], Sequence[object]] = {}
-
-
-def _flown(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> Sequence[T]:
-    """The same, once for all rows that look at it."""
-    key = (batch.seed, runs, task.__name__, *arguments)
-    if key not in _FLOWN:
-        _FLOWN[key] = _spread(batch, runs, task, *arguments)
-    return _FLOWN[key]  # type: ignore[return-value]
-
-
 def _descents(batch: Batch) -> Sequence[Descent]:
-    return _flown(batch, batch.runs, descend)
+    return fly_batch(batch, batch.runs, descend)
 
 
 def estimate_error(batch: Batch) -> Measured:
     """Worst RMS error of the swing's two amplitudes."""
-    errors = np.degrees(_flown(batch, batch.runs, watch))
+    errors = np.degrees(fly_batch(batch, batch.runs, watch))
     return Measured(
         float(errors[:, 0].max()),
         f"{len(errors)} runs, median {np.median(errors[:, 0]):.3f} deg; yaw rate worst "
@@ -248,7 +222,7 @@ def modes_as_good(batch: Batch) -> Measured:
     settled: dict[str, int] = {}
     lines: dict[str, float | str] = {}
     for mode in MODES:
-        flown = _descents(batch) if mode == ALL else _flown(batch, batch.runs, descend, mode)
+        flown = _descents(batch) if mode == ALL else fly_batch(batch, batch.runs, descend, mode)
         smears = [picture.smear for each in flown for picture in each.pictures]
         good = sum(smear <= SMEAR_LIMIT for smear in smears)
         times = [LONGEST if math.isnan(each.duration) else each.duration for each in flown]
@@ -272,7 +246,7 @@ def swing_time_shallow(batch: Batch) -> Measured:
 
 
 def _damping_time(batch: Batch, length: float) -> Measured:
-    times = _flown(batch, batch.runs, damp, length)
+    times = fly_batch(batch, batch.runs, damp, length)
     return Measured(float(np.max(times)), f"{len(times)} runs, median {np.nanmedian(times):.0f} s")
 
 
@@ -294,7 +268,7 @@ def unsaid_budgets(batch: Batch) -> Measured:
 
 def swing_after_ascent(batch: Batch) -> Measured:
     """Worst swing at the end of an ascent."""
-    swings = np.degrees(_flown(batch, batch.runs, ascend))
+    swings = np.degrees(fly_batch(batch, batch.runs, ascend))
     return Measured(float(np.max(swings)), f"median {np.median(swings):.2f} deg")
 
 

@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 from msg_schemas.table import TOPICS
-from rover_bags.scan import BagScan
-from rover_bags.store import BagError
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError
 from rover_verify.stage.processes import PATIENCE
 
 STREAMS = frozenset(

@@ -237,6 +237,32 @@ def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
     assert orders(simulation)[-1].jump == JumpMotorCommand(at, 0.1, 400.0, trips=False)
 
 
+@pytest.mark.parametrize(
+    ("topic", "sample"),
+    [
+        (topics.WINCH_COMMAND, drum(PAYING_OUT)),
+        (topics.WHEEL_COMMAND, wheels(2.0)),
+        (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.5)),
+        (topics.FLYWHEEL_COMMAND, flywheel(0.1)),
+    ],
+)
+def test_a_drive_that_is_let_go_is_off_at_once(
+    actuators: Actuators, topic: str, sample: JointSample
+):
+    actuators.take(topic, sample, HANGING, 0)
+    assert actuators.command != Command()
+    actuators.let_go(topic, HANGING)
+    assert actuators.command == Command()
+
+
+def test_a_nut_that_is_let_go_is_held_where_it_is_as_after_silence(actuators: Actuators):
+    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.2), HANGING, 0)
+    actuators.let_go(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
+    held = actuators.command.jump
+    assert isinstance(held, JumpMotorCommand)
+    assert (held.compression, held.trips) == (0.1, False)
+
+
 def test_a_nut_that_was_told_to_stay_stays_without_renewal(simulation: Simulation[FakeState]):
     simulation.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.02))
     assert not run_to(simulation, 5.0)

@@ -1,9 +1,11 @@
 """Whoever compiles first, all processes run the same code."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -48,11 +50,37 @@ def test_it_is_done_once(monkeypatch: pytest.MonkeyPatch):
     def start(*_arguments: object, **_options: object) -> None:
         raise AssertionError("started again")
 
-    monkeypatch.setattr(subprocess, "run", start)
+    monkeypatch.setattr(subprocess, "Popen", start)
     assert compile_ahead(scenario)
 
 
-def test_where_nothing_can_be_kept_it_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+@pytest.fixture
+def unmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As if nothing had been compiled yet, on a disk where nothing can be kept."""
     monkeypatch.setattr(ahead_of_time, "_marker", lambda _model: tmp_path / "not there" / "marker")
-    monkeypatch.setattr(subprocess, "run", lambda *_a, **_k: None)
+
+
+@pytest.mark.usefixtures("unmarked")
+def test_where_nothing_can_be_kept_it_says_so():
     assert not compile_ahead(load_scenario("paper_table1_high"))
+
+
+@pytest.mark.usefixtures("unmarked")
+def test_who_gives_up_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Watched(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Watched)
+    asked: list[bool] = []
+
+    def given_up() -> bool:
+        asked.append(len(started) == 2)
+        return len(asked) == 3
+
+    assert not compile_ahead(load_scenario("paper_table1_high"), given_up)
+    assert asked == [True] * 3
+    assert [process.returncode for process in started] == [-signal.SIGKILL] * 2

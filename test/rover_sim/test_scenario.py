@@ -258,6 +258,12 @@ class TestRefusals:
         )
         assert refusal({"rover.attachment": [0.1, math.nan]}).path == "rover.attachment[1]"
 
+    @pytest.mark.parametrize("path", ["tether.\n", "a\rb", "name.\u2028.x"])
+    def test_a_key_that_breaks_the_line_is_quoted(self, path: str):
+        with pytest.raises(ScenarioError) as refused:
+            load_planar(HIGH, {path: 1.0})
+        assert str(refused.value).isprintable()
+
     def test_an_unknown_key_with_the_one_that_was_meant(self):
         error = refusal({"start.slak": 1.0})
         assert error.path == "start.slak"

@@ -88,6 +88,16 @@ def test_a_winch_that_turns_at_the_start_pays_out_at_that_rate(rate: float):
     assert energies.drift == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("rate", [0.3, -0.3])
+def test_tether_that_is_paid_out_is_as_taut_as_one_at_rest(rate: float):
+    soft = {"tether.axial_damping_time": 0.02}
+    at_rest = make_plant(PENDULUM, soft)
+    plant = make_plant(PENDULUM, soft, {"start.payout_rate": rate})
+    wanted = at_rest.tension(at_rest.initial_state())
+    # Strain-rate damping of what does not stretch is none: 100 N would be told else.
+    np.testing.assert_allclose(plant.tension(plant.initial_state()), wanted, rtol=0.02)
+
+
 def test_without_a_winch_nothing_can_turn_at_the_start():
     overrides = {"winch": None, "tether.max_length": None, "start.payout_rate": 0.1}
     with pytest.raises(ScenarioError, match="without a winch"):

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from msg_schemas.configuration import Configuration
 from rover_sim import (
     Scenario,
     ScenarioError,
@@ -19,7 +20,6 @@ from rover_sim import (
     load_spatial,
     scenario_from_mapping,
 )
-from rover_sim.configuration import Configuration
 from rover_sim.ground import Floor, Hole, Place
 from rover_sim.machine import Rover, Winch, jump_height, rest_slide
 from rover_sim.mirrored import Mirrored

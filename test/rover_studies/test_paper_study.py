@@ -9,6 +9,7 @@ import pytest
 
 from rover_studies.paper_claims import verdicts
 from rover_studies.paper_curves import SCATTER, Curve, Key, attribution, convergence
+from rover_studies.paper_page import page
 from rover_studies.paper_plan import (
     CASES,
     GEOMETRIES,
@@ -161,6 +162,17 @@ def test_convergence_is_against_the_finest_mesh():
     curves = {Key(HEAVY, "-H", RELAXED, n): curve(0.33 + 0.1 / n**2) for n in (5, 10, 20)}
     off = [one.height[1] for one in convergence(curves)]
     assert off == pytest.approx([0.1 / 25 - 0.1 / 400, 0.1 / 100 - 0.1 / 400, 0.0])
+
+
+@pytest.mark.parametrize("meshes", [(5,), (5, 20)])
+def test_a_study_of_one_mesh_has_a_page_without_convergence(meshes: tuple[int, ...]):
+    curves = {
+        key: one
+        for key, one in world_of().items()
+        if key.elements in meshes and (key.case, key.geometry) == (HEAVY, "-H")
+    }
+    text = page(curves, attribution(curves), verdicts(curves), convergence(curves), "made up")
+    assert ("Difference from n = 20" in text) is (len(meshes) > 1)
 
 
 def test_bad_options_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path):

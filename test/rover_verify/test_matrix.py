@@ -112,6 +112,15 @@ def test_open_rows_are_measured_on_few_runs(with_check: UseCheck, tmp_path: Path
     assert [result.measured for result in results] == [2.0, 20.0]
 
 
+def test_open_rows_that_are_named_have_all_their_runs(with_check: UseCheck, tmp_path: Path):
+    with_check(lambda batch: Measured(float(batch.runs)))
+    row = row_of("some.check", "open")
+    few = verify([row], tmp_path, 20, 1, quiet=True)
+    # Not the few that are kept.
+    all_ = verify([row], tmp_path, 20, 1, quiet=True, named=[row.id])
+    assert [each.measured for each in few + all_] == [2.0, 20.0]
+
+
 def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
     few = [g.random() for g in Batch(3, 7, tmp_path).generators()]
     many = [g.random() for g in Batch(5, 7, tmp_path).generators()]
@@ -144,6 +153,28 @@ def test_a_half_written_result_counts_as_none(tmp_path: Path):
     store = Store(tmp_path, 3, 1, "source")
     (tmp_path / "TEST-ROW-01.json").write_text('{"key": {"runs"')
     assert store.get(row_of("some.check")) is None
+
+
+def test_what_a_check_keeps_outlives_a_kill_and_not_a_fresh_start(
+    with_check: UseCheck, tmp_path: Path
+):
+    there: list[bool] = []
+
+    def stops_the_first_time(batch: Batch) -> Measured:
+        assert batch.kept is not None
+        there.append((batch.kept / "run").exists())
+        batch.kept.mkdir(parents=True, exist_ok=True)
+        (batch.kept / "run").touch()
+        if len(there) == 1:
+            raise KeyboardInterrupt
+        return Measured(0.5)
+
+    with_check(stops_the_first_time)
+    with pytest.raises(KeyboardInterrupt):
+        verify([row_of("some.check")], tmp_path, 3, 1, quiet=True)
+    verify([row_of("some.check")], tmp_path, 4, 2, quiet=True)
+    verify([row_of("some.check")], tmp_path, 4, 2, quiet=True, fresh=True)
+    assert there == [False, True, False]
 
 
 def test_a_stopped_run_goes_on_where_it_was(with_check: UseCheck, tmp_path: Path):

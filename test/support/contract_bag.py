@@ -5,13 +5,10 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -25,44 +22,14 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import ENERGY_NAMES, FLOOR_SWITCH, TOPICS
-from rover_bags.store import BagWriter, standard_type
+from rover_bags.files.cdr import STORE, cdr, serialised
+from rover_bags.files.store import BagWriter, standard_type
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
+__all__ = ["STORE", "MadeUp", "Parabola", "cdr", "ns", "odometry", "serialised", "tether"]
+
 EPOCH_NS = 1_790_000_000_000_000_000
 LATENCY_NS = 300_000
 GRAVITY = 9.81
-
-
-def cdr(name: str, sample: Sample) -> bytes:
-    """A sample of a contract topic as it stands in a bag."""
-    return serialised(TOPICS[name].message, encode(name, sample))
-
-
-def serialised(kind: str, message: Any) -> bytes:
-    """A ROS message in CDR, without the padding that rclpy may add."""
-    return bytes(STORE.serialize_cdr(_converted(message, kind), kind))
-
-
-def _converted(message: Any, kind: str) -> Any:
-    values = {}
-    for field, field_type in message.get_fields_and_field_types().items():
-        values[field] = _value(getattr(message, field), field_type)
-    return STORE.types[kind](**values)
-
-
-def _value(value: Any, field_type: str) -> Any:
-    base = field_type.removeprefix("sequence<").split("[")[0].removesuffix(">").split(",")[0]
-    if "/" in base:
-        package, name = base.split("/")
-        kind = f"{package}/msg/{name}"
-        if base != field_type:
-            return [_converted(item, kind) for item in value]
-        return _converted(value, kind)
-    if base == "octet":
-        return value[0]
-    if base in {field_type, "string"}:
-        return value
-    return np.asarray(value)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from msg_schemas.samples import (
+    NO_ORIENTATION,
     TETHER_COLUMNS,
     ClockSample,
     DrawingSample,
@@ -15,11 +16,14 @@ from msg_schemas.samples import (
     JointValue,
     Level,
     OdometrySample,
+    PathSample,
+    PoseSample,
     Shape,
     Status,
     StatusSample,
     TetherSample,
     TextSample,
+    TwistSample,
     WrenchSample,
 )
 from msg_schemas.table import Field, Topic
@@ -69,12 +73,19 @@ def joint_samples(topic: Topic, names: tuple[str, ...]) -> st.SearchStrategy[Any
     return st.builds(JointSample, stamps(), st.fixed_dictionaries(joints))
 
 
+def poses(topic: Topic) -> st.SearchStrategy[Any]:
+    """Good poses, with and without an orientation."""
+    turned = st.one_of(unit_quaternion(), st.just(NO_ORIENTATION))
+    return st.builds(PoseSample, stamps(), vector(topic, "position"), turned)
+
+
 def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
     """Good samples of any topic."""
     kind = topic.sample
     if kind is JointSample:
         return st.one_of(*(joint_samples(topic, names) for names in joint_names(topic)))
     if kind is OdometrySample:
+        variances = st.lists(st.floats(0.1, 1e3), min_size=36, max_size=36).map(tuple)
         return st.builds(
             OdometrySample,
             stamps(),
@@ -82,7 +93,14 @@ def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
             unit_quaternion(),
             vector(topic, "linear"),
             vector(topic, "angular"),
+            st.one_of(st.just(()), variances),
         )
+    if kind is PoseSample:
+        return poses(topic)
+    if kind is PathSample:
+        return st.builds(PathSample, stamps(), st.lists(poses(topic), max_size=3).map(tuple))
+    if kind is TwistSample:
+        return st.builds(TwistSample, stamps(), vector(topic, "linear"), vector(topic, "angular"))
     if kind is ImuSample:
         return st.builds(
             ImuSample,
@@ -106,7 +124,9 @@ def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
         if topic.is_json:
             contents = st.dictionaries(st.text(max_size=5), st.integers(), max_size=3)
             return contents.map(lambda content: TextSample(json.dumps(content)))
-        return st.sampled_from(topic.words).map(TextSample)
+        if topic.words:
+            return st.sampled_from(topic.words).map(TextSample)
+        return st.text(st.characters(codec="utf-8", exclude_characters="\0")).map(TextSample)
     if kind is ClockSample:
         return st.builds(ClockSample, stamps())
     if kind is StatusSample:

@@ -34,7 +34,7 @@ class HangingModel:
     def step(self, momentum_rate: tuple[float, float]) -> tuple[Vector, Vector]:
         """10 ms under rates of the rotors' momenta about base_link x and y; gyro and force."""
         p = self.hanging
-        turned, felt = 0.0j, 0.0j
+        turned, felt, swept = 0.0j, 0.0j, 0.0
         for _ in range(STEPS):
             heading = cmath.exp(1j * self.yaw)
             tilt = (self.phi - self.u) / heading
@@ -46,14 +46,19 @@ class HangingModel:
             pull = p.pull(self.length) * self.u + 2.0 * self.payout_rate * self.v
             self.v += H * -(pull + p.lever * turning) / self.length
             self.u += H * self.v
+            # An ellipse precesses.
+            precessed = cmath.exp(0.375j * H * (self.u.conjugate() * self.v).imag)
+            self.u, self.v = self.u * precessed, self.v * precessed
             self.phi_rate += H * turning
             self.phi += H * self.phi_rate
             self.length += H * self.payout_rate
             self.yaw += H * self.yaw_rate
             turned += self.phi_rate / heading / STEPS
+            swept += (self.phi.conjugate() * self.phi_rate).imag / STEPS
             felt += (p.rover_gravity * tilt + p.imu_below * turning / heading) / STEPS
         noise = self.generator.standard_normal(5).tolist()
-        rates = (turned.imag, -turned.real, self.yaw_rate)
+        # About its own axis the rover turns by less than its heading does: the solid angle.
+        rates = (turned.imag, -turned.real, self.yaw_rate - 0.5 * swept)
         x, y, z = (
             rate + bias + self.noise * each
             for rate, bias, each in zip(rates, self.bias, noise[:3], strict=True)

@@ -103,10 +103,14 @@ FORWARD = 0.3
 def write_mission(
     path: Path, *, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf
 ) -> Path:
-    """Write the mission's bag.
+    """Write the mission's bag into a folder; the rest as of `mission`."""
+    return mission(legs=legs, brake_at=brake_at).write(path)
+
+
+def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> MadeUp:
+    """Make up the mission's messages.
 
     Args:
-        path: the bag's folder.
         legs: what is done.
         brake_at: when the winch is found in fault, its brake closed [s].
     """
@@ -158,7 +162,7 @@ def write_mission(
             x += vx / RATE
             z += vz / RATE - (0.5 * GRAVITY / RATE**2 if leg.what == "flight" else 0.0)
             count += 1
-    return made.write(path)
+    return made
 
 
 def _put(

@@ -5,7 +5,8 @@ import threading
 from dataclasses import dataclass
 
 from msg_schemas import topics
-from msg_schemas.node import ContractNode, run
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
@@ -33,6 +34,7 @@ class ShellNode(ContractNode):
         trouble = self.parameters_of(ShellNodeParameters).trouble
         self._state = self.publisher(topics.JUMP_MOTOR_STATE)
         self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
+        self.subscribe(topics.WINCH_MODE, lambda sample: self.event("mode", sample.text))
         self.serve(topics.JUMP_ABORT, self._on_abort)
         self.serve(topics.SIM_PAUSE, self._on_pause)
         if trouble == "value":
@@ -41,7 +43,9 @@ class ShellNode(ContractNode):
             raise RuntimeError("the setup has a bug")
         if trouble == "slow":
             print("setting up", flush=True)
-            threading.Event().wait(300.0)
+            while True:
+                self.heed_stop()
+                threading.Event().wait(0.02)
 
     def start(self) -> None:
         self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)

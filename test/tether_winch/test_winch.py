@@ -59,6 +59,16 @@ def test_a_length_is_reached_without_overshoot_and_braked():
     assert made.ticks[-1].torque == 0.0
 
 
+def test_stepped_twice_at_one_time_it_says_the_same_again():
+    made = session()
+    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.run(3.0)
+    told = made.winch.step(made.now_ns)
+    assert told is not None
+    assert told.rate > 0.1
+    assert made.winch.step(made.now_ns) == told
+
+
 def test_a_length_that_is_not_renewed_on_the_way_ends_in_a_hold():
     made = session()
     for _ in range(8):

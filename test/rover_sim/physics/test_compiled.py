@@ -36,7 +36,7 @@ class Package:
         self._folder.mkdir(parents=True)
         (self._folder.parent / "__init__.py").touch()
         (self._folder / "__init__.py").touch()
-        for name in ("compiled.py", "linked.py"):
+        for name in ("compiled.py", "compilers.py"):
             (self._folder / name).write_bytes((FOLDER / name).read_bytes())
         for name in ("caller", "other"):
             (self._folder / f"{name}.py").write_text(self.CALLER)

@@ -285,7 +285,8 @@ def test_thrown_on_rubble_it_never_gains_energy(
         assert energy < last + 1e-9 * start + rounding
         assert energy + tether.dissipated == pytest.approx(start, abs=1e-7 * start + rounding)
         last = energy
-    assert tether.log[grounded_march.LEAST_HEAT] > -1e-9 * start - rounding
+    # Of single steps, each solved to a tolerance: without damping and friction they make no heat.
+    assert tether.log[grounded_march.LEAST_HEAT] > -1e-6 * start - rounding
 
 
 @pytest.mark.parametrize(

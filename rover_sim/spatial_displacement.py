@@ -1,0 +1,72 @@
+"""Starts near a scenario's own: how a hanging machine may really have hung when a run began."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from rover_sim.physics import spatial_book
+from rover_sim.scenario_parts import ScenarioError
+from rover_sim.spatial_plant import SpatialPlant
+from rover_sim.spatial_start import product, quaternion_of
+from rover_sim.spatial_state import SpatialState, rotation_matrix
+
+Pair: TypeAlias = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How a hanging start differs from the scenario's.
+
+    Attributes:
+        swing: rotation vector of all about the fairlead, about x and y of map [rad].
+        swing_rate: of that rotation [rad/s].
+        tilt: rotation vector of the rover on top, about x and y of base_link [rad].
+        body_rate: angular velocity of the rover on top, in base_link [rad/s].
+        twist: of the tether on top [rad].
+    """
+
+    swing: Pair = (0.0, 0.0)
+    swing_rate: Pair = (0.0, 0.0)
+    tilt: Pair = (0.0, 0.0)
+    body_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    twist: float = 0.0
+
+
+def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
+    """The scenario's start, displaced: stretched and with its slider as at rest.
+
+    Raises:
+        ScenarioError: the start is none that hangs with the winch at rest.
+    """
+    start = plant.scenario.start
+    if start.kind != "hanging":
+        raise ScenarioError("start.kind", start.kind, "should be hanging to be displaced")
+    if start.payout_rate != 0.0:
+        raise ScenarioError("start.payout_rate", start.payout_rate, "should be 0 to be displaced")
+    state = plant.initial_state()
+    turn = quaternion_of((*by.swing, 0.0))
+    matrix = rotation_matrix(turn)
+    rate = np.array([*by.swing_rate, 0.0])
+    nodes = plant.to_full_nodes(state) @ matrix.T
+    rates = state.node_rates @ matrix.T
+    if len(rates) < len(nodes):
+        mouth = np.array([[np.zeros(3), matrix @ state.mouth[1]]])
+        rates = np.concatenate([mouth, rates])
+    rates = rates + np.cross(rate, nodes)
+    x, y, z, w = state.orientation
+    tilt = quaternion_of((*by.tilt, 0.0))
+    turned = product(product(turn, np.array([w, x, y, z])), tilt)
+    spin = rotation_matrix(tilt).T @ state.omega + rotation_matrix(turned).T @ rate
+    after = plant.state_at(
+        nodes,
+        rates,
+        orientation=(*turned[1:], turned[0]),
+        angular_velocity=spin + np.array(by.body_rate),
+        slide=state.s,
+    )
+    book = after.book.copy()
+    book[spatial_book.SLIP] -= state.twist + by.twist
+    return replace(after, book=book)

@@ -1,0 +1,45 @@
+"""Trials of the identification: those that are over are kept, others are made."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from rover_bags.identify import Estimate
+from rover_verify.checks import bags_identify
+from rover_verify.checks.bags_identify import SOUGHT, Trial
+
+
+def estimate(name: str, *, shown: bool) -> Estimate:
+    high = 1.2 if shown else math.inf
+    low = 0.9 if shown else 0.0
+    return Estimate(
+        name, "N", 1.0, 1.05, low, high, (low, high), 0.1 if shown else math.inf, shown, "words"
+    )
+
+
+def test_a_trial_that_is_kept_is_not_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    made: list[tuple[int, int]] = []
+    found = {name: estimate(name, shown=name != "EI") for name in SOUGHT}
+    truth = {name: 1.1 if name != "inertia_z" else 2.0 for name in SOUGHT}
+
+    def fly(folder: Path, seed: int, index: int) -> Trial:
+        made.append((seed, index))
+        (folder / f"trial_{index}").mkdir(parents=True)
+        return Trial(found, truth, True, 150)
+
+    monkeypatch.setattr(bags_identify, "trial", fly)
+    kept = tmp_path / "kept"
+    first = bags_identify._kept_trial(tmp_path, kept, 3, 1)
+    again = bags_identify._kept_trial(tmp_path, kept, 3, 1)
+    assert made == [(3, 1)]
+    assert again.misses == first.misses == ["EI is not shown", "inertia_z"]
+    assert again.found["EA"].covers(1.15)
+    assert again.holds_alone("EA")
+    assert not again.holds_alone("EI")
+    bags_identify._kept_trial(tmp_path, kept, 4, 1)
+    assert made == [(3, 1), (4, 1)]
+    # The bags are gone; nothing half-written is left.
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "identify_3_1.json", "identify_4_1.json", "kept",
+    ]  # fmt: skip

@@ -1,0 +1,129 @@
+"""Frames out of the robot description, and where pictures of the wall were taken."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.codecs import decode, encode
+from msg_schemas.samples import JointSample, JointValue, OdometrySample
+from msg_schemas.table import (
+    BODY1_FRAME,
+    BODY2_FRAME,
+    CAMERA_RATE,
+    DEPTH,
+    HEADING,
+    PICTURE,
+    SMEAR,
+    WALL_DISTANCE,
+    WHEEL_LEFT,
+    WINCH_DRUM,
+    WORLD_FRAME,
+)
+from rover_sim.robot_description import robot_description
+from rover_sim.scenario import SpatialScenario, load_overridden
+from rover_view import view_node
+from rover_view.machine import DescriptionError, Machine, about_y, about_z, turn
+from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
+
+SCENARIO = load_overridden("marius_hills", "")
+assert isinstance(SCENARIO, SpatialScenario)
+DESCRIPTION = robot_description(SCENARIO)
+MACHINE = Machine.read(DESCRIPTION)
+
+
+def picture(depth: float, heading: float, **more: float) -> JointSample:
+    joints = {
+        PICTURE: JointValue(1.0),
+        DEPTH: JointValue(depth),
+        HEADING: JointValue(heading),
+        CAMERA_RATE: JointValue(),
+        **{name: JointValue(value) for name, value in more.items()},
+    }
+    return JointSample(7, joints)
+
+
+def test_the_fixed_frames_are_those_that_no_joint_moves():
+    assert {placed.child for placed in MACHINE.fixed} == {
+        "camera", "camera_optical", "imu", "tether_attachment",
+    }  # fmt: skip
+    assert MACHINE.drum_radius == pytest.approx(0.05)
+
+
+def test_body2_is_placed_along_the_slider_of_a_tilted_rover():
+    tilted = about_y(0.3)
+    offset = turn(tilted, (0.0, 0.0, 0.15))
+    body1 = OdometrySample(0, (1.0, 2.0, -9.0), tilted, (0, 0, 0), (0, 0, 0))
+    there = (1.0 + offset[0], 2.0 + offset[1], -9.0 + offset[2])
+    body2 = OdometrySample(0, there, tilted, (0, 0, 0), (0, 0, 0))
+    first, second = MACHINE.bodies(body1, body2)
+    assert (first.parent, first.child, first.position) == (WORLD_FRAME, BODY1_FRAME, body1.position)
+    assert (second.parent, second.child) == (BODY1_FRAME, BODY2_FRAME)
+    assert second.position == pytest.approx((0.0, 0.0, 0.15))
+
+
+def test_wheels_and_drum_turn_at_their_places():
+    left, _ = MACHINE.wheels(0.5, 0.0)
+    assert left.child == WHEEL_LEFT
+    assert left.position == pytest.approx((0.08, 0.22, 0.0))
+    # Rolling forward, the wheel's top goes forward.
+    assert turn(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
+    (drum,) = MACHINE.drum(0.05 * 0.5)
+    assert drum.child == WINCH_DRUM
+    # Paying out, the side where the tether leaves goes down.
+    assert turn(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("no xml", "no URDF"),
+        ("<robot><joint name='a'/></robot>", "joins no two links"),
+        ("<robot/>", "has no link base_link"),
+        (DESCRIPTION.replace("0.08 0.22 0", "0.08 x 0"), "no URDF"),
+    ],
+)
+def test_what_is_no_description_of_ours_is_refused(text: str, complaint: str):
+    with pytest.raises(DescriptionError, match=complaint):
+        Machine.read(text)
+
+
+def test_a_picture_lies_where_the_camera_looked():
+    wall = ObservedWall()
+    assert wall.add(picture(12.0, 0.0, wall_distance=2.84), MACHINE)
+    (shape,) = wall.drawing(7).shapes
+    # The camera stands 0.16 m aft and 0.05 m up and looks aft; the rover hangs by 0.28 m up.
+    assert shape.position == pytest.approx((-3.0, 0.0, -12.0 - 0.28 + 0.05))
+    assert wall.add(picture(12.0, 0.5 * math.pi, wall_distance=2.84), MACHINE)
+    assert wall.drawing(7).shapes[1].position == pytest.approx((0.0, -3.0, -12.23))
+    assert turn(about_z(0.5 * math.pi), (-1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
+    encoded = encode(topics.OBSERVED_WALL, wall.drawing(7))
+    assert len(decode(topics.OBSERVED_WALL, encoded).shapes) == 2
+
+
+def test_frames_are_told_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(view_node, "TFMessage", SimpleNamespace)
+    told = view_node.frames_message(MACHINE.wheels(0.5, 0.0), 3_000_000_007)
+    first = told.transforms[0]
+    assert (first.header.frame_id, first.child_frame_id) == (BODY1_FRAME, WHEEL_LEFT)
+    assert (first.header.stamp.sec, first.header.stamp.nanosec) == (3, 7)
+    assert first.transform.translation.y == pytest.approx(0.22)
+    assert first.transform.rotation.y == pytest.approx(math.sin(0.25))
+
+
+def test_its_colour_tells_how_steady_it_was():
+    wall = ObservedWall()
+    for more in ({SMEAR: 0.1}, {SMEAR: 9.0}, {}):
+        wall.add(picture(12.0, 0.0, **{WALL_DISTANCE: 3.0}, **more), MACHINE)
+    colours = [shape.colour for shape in wall.drawing(0).shapes]
+    assert colours == [STEADY, pytest.approx(SMEARED), UNKNOWN]
+
+
+@pytest.mark.parametrize("more", [{}, {WALL_DISTANCE: 1000.0}])
+def test_without_a_wall_in_sight_nothing_is_drawn(more: dict[str, float]):
+    wall = ObservedWall()
+    assert not wall.add(picture(12.0, 0.0, **more), MACHINE)
+    assert not wall.drawing(0).shapes

@@ -1,0 +1,168 @@
+"""A rover that rolls as its ratchets let it, with slip of its own on each side, and its sensors.
+
+Kinematic, apart from the controllers' own model: the wheels' contact points move, and the pose
+follows from them. A mother machine holds the tether at a tension.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from msg_schemas.machine import (
+    FLOOR_SWITCH,
+    JUMP_MOTOR,
+    PAYOUT,
+    REFERENCE,
+    STRETCHED,
+    TENSION,
+    TETHER_OUT,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_AT_TENSION,
+    WINCH_MOTOR,
+)
+from msg_schemas.samples import ImuSample, JointSample, JointValue
+from rover_control.drive import Drive
+
+RADIUS, TRACK, AHEAD = 0.15, 0.44, 0.08  # [m]
+GRAVITY = 1.62  # [m/s^2]
+DENSITY = 0.005  # of the tether [kg/m]
+SERVO = 40.0  # bandwidth of the wheel's rate [rad/s]
+
+
+@dataclass
+class RollingRover:
+    """A rover on a plane below a fairlead.
+
+    Attributes:
+        slip: of the left and the right wheel straight ahead.
+        turning_slip: of the left wheel in a turn.
+        drop: height of the fairlead over the attachment [m].
+        gyro_bias: [rad/s].
+        seed: of the sensors' noise.
+        stuck: the wheels turn, the rover does not move.
+        blocked: the wheels do not turn.
+        obeys: the winch takes requests.
+    """
+
+    slip: tuple[float, float] = (0.256, 0.256)
+    turning_slip: float = 0.33
+    drop: float = 20.0
+    gyro_bias: float = 1.7e-3
+    seed: int = 0
+    stuck: bool = False
+    blocked: bool = False
+    obeys: bool = True
+    on_floor: bool = True
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    now_ns: int = 1_000_000_000
+    mode: str = "hold"
+    current: float = 0.6  # of the driven wheels [A]
+    rates: tuple[float, float] = (0.0, 0.0)
+    angles: tuple[float, float] = (0.0, 0.0)
+    way: float = 0.0
+    requests: list[tuple[str, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._noise = np.random.default_rng(self.seed)
+        self._length = self._distance()
+        self._speed = 0.0
+
+    def _distance(self) -> float:
+        return math.hypot(self.x, self.y, self.drop)
+
+    @property
+    def now(self) -> float:
+        """[s]."""
+        return self.now_ns * 1e-9
+
+    def step(self, drive: Drive, h: float = 0.02) -> None:
+        """Let the controller act, move, and let it hear what the sensors say."""
+        drives = drive.step(self.now_ns)
+        if drives.winch is not None and self.obeys:
+            self.requests.append((drives.winch.joint, drives.winch.effort))
+            self.mode = "tension" if drives.winch.joint == WINCH_AT_TENSION else "hold"
+        self._roll(drives.wheel_rate, h)
+        self.now_ns += round(h * 1e9)
+        self.tell(drive, h)
+
+    def _roll(self, rate: float | None, h: float) -> None:
+        wanted = 0.0 if rate is None or self.blocked else rate
+        u, w = self.rates
+        u += min(SERVO * h, 1.0) * (wanted - u)
+        w = max(u, 0.0)
+        self.rates = (u, w)
+        self.angles = (self.angles[0] + u * h, self.angles[1] + w * h)
+        left = RADIUS * u * (1.0 - (self.slip[0] if u > 0.0 else self.turning_slip))
+        right = RADIUS * w * (1.0 - self.slip[1])
+        if self.stuck:
+            left = right = 0.0
+        self.yaw_rate = (right - left) / TRACK
+        middle = self.heading + 0.5 * self.yaw_rate * h
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        px = self.x + c * AHEAD + s * 0.5 * TRACK + right * h * math.cos(middle)
+        py = self.y + s * AHEAD - c * 0.5 * TRACK + right * h * math.sin(middle)
+        self.heading += self.yaw_rate * h
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        self.x = px - c * AHEAD - s * 0.5 * TRACK
+        self.y = py - s * AHEAD + c * 0.5 * TRACK
+        speed = 0.5 * (left + right)
+        self._acceleration, self._speed = (speed - self._speed) / h, speed
+        self.way += abs(speed) * h
+
+    def tell(self, drive: Drive, h: float = 0.02) -> None:
+        """What all sensors say now."""
+        noise = self._noise.standard_normal(6)
+        stamp, root = self.now_ns, math.sqrt(h)
+        yaw = getattr(self, "yaw_rate", 0.0)
+        gyro = (
+            8.7e-5 / root * noise[0],
+            8.7e-5 / root * noise[1],
+            yaw + self.gyro_bias + 8.7e-5 / root * noise[2],
+        )
+        forward = getattr(self, "_acceleration", 0.0) + 1e-3 / root * noise[3]
+        drive.hear_contact(
+            JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
+        )
+        drive.hear_imu(ImuSample(stamp, gyro, (forward, 0.0, GRAVITY)), stamp)
+        wheels = {
+            name: JointValue(angle, rate)
+            for name, angle, rate in zip(
+                (WHEEL_LEFT, WHEEL_RIGHT), self.angles, self.rates, strict=True
+            )
+        }
+        drive.hear_wheels(JointSample(stamp, wheels), stamp)
+        current = math.copysign(self.current, self.rates[0]) if any(self.rates) else 0.0
+        currents = {
+            JUMP_MOTOR: JointValue(),
+            WHEEL_MOTOR: JointValue(effort=current + 0.01 * float(noise[4])),
+            WINCH_MOTOR: JointValue(),
+        }
+        drive.hear_currents(JointSample(stamp, currents), stamp)
+        if self.mode == "tension":
+            self._length = self._distance()
+        weight = DENSITY * GRAVITY * self._length
+        held = (drive.tether.parameters.tension_margin if self.mode == "tension" else 0.0) + weight
+        estimate = {
+            PAYOUT: JointValue(self._length, 0.0),
+            STRETCHED: JointValue(self._length, 0.0),
+            TENSION: JointValue(1.0, 0.0, held + 0.02 * float(noise[5])),
+            TETHER_OUT: JointValue(weight / GRAVITY, 0.0, weight),
+            REFERENCE: JointValue(),
+        }
+        drive.hear_winch_mode(self.mode)
+        drive.hear_winch_estimate(JointSample(stamp, estimate), stamp)
+
+    def run(self, drive: Drive, limit: float) -> None:
+        """Go on until nothing is driven and all stands, or so long [s]."""
+        ends = self.now + limit
+        while self.now < ends:
+            self.step(drive)
+            if not drive.is_busy and max(map(abs, self.rates)) < 1e-3 and self.mode == "hold":
+                return

@@ -1,0 +1,68 @@
+"""Processes of launch files, started as those say, in a namespace, with the null plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import architecture
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.table import JUMP_STROKE, PLAIN_STOP, WINCH_DRUM, WINCH_TO_LENGTH
+from rover_launch.plan import arguments_of, plan
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+ROOT = Path(__file__).parents[1]
+NAMESPACE = "rover7"
+OWN_CLOCK = {topics.CLOCK: topics.CLOCK.strip("/")}
+# Slow, so that on a busy machine no sensor and no command is lost for that.
+NULL = {"plant": "null", "namespace": NAMESPACE, "real_time_factor": "0.4"}
+
+
+def start(stage: Stage, *controllers: str, **given: str) -> Observer:
+    """Start what a launch file with these controllers starts; returns who hears it when ready."""
+    arguments = arguments_of(controllers, str(ROOT / "config"), {})
+    values = {each.name: each.default for each in arguments} | NULL | given
+    modules = architecture.executables(ROOT)
+    observer = stage.observer(NAMESPACE, OWN_CLOCK)
+    for each in plan(controllers, values).started:
+        files = [part for file in each.files for part in ("--params-file", file)]
+        stage.processes.start(
+            modules[each.executable].partition(":")[0],
+            each.parameters,
+            *each.arguments,
+            "--ros-args",
+            *files,
+            "--",
+            namespace=NAMESPACE,
+            remap=OWN_CLOCK,
+        )
+    for name in controllers:
+        observer.wait_until_ready(name)
+    return observer
+
+
+def test_a_jump_of_the_null_plant_goes_through_its_phases(stage: Stage):
+    observer = start(stage, "jump_node", overrides='{"tether.length": 51.0}')
+    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    since = len(observer.listen(topics.JUMP_PHASE))
+    observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, 0.1, 0.1, stamp_ns=0)
+    observer.wait_for_event("apex")
+    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    phases = [sample.text for sample in observer.listen(topics.JUMP_PHASE).samples[since:]]
+    assert phases == ["compressing", "flight", "landed", "standby"]
+
+
+def test_winch_and_descent_control_the_null_plant_s_rover(stage: Stage):
+    observer = start(stage, "winch_node", "descent_node", real_time_factor="0.1")
+    drum = observer.listen(topics.WINCH_STATE)
+    assert observer.call(topics.WINCH_REARM).success
+    observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)
+    drum.wait(lambda sample: sample.joints[WINCH_DRUM].position > 10.02)
+    observer.send_joint(topics.DESCENT_REQUEST, PLAIN_STOP, 10.5, 0.0, stamp_ns=0)
+    observer.wait_for_event("stop_accepted")
