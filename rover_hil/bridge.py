@@ -215,11 +215,7 @@ class Bridge:
         Raises:
             Refusal: a drive is not heard; none is armed then.
         """
-        silent = [
-            name
-            for name, channel in self.channels.items()
-            if channel.state == UNKNOWN or not self.stations[name].is_heard(now_ns)
-        ]
+        silent = [name for name in self.silent(now_ns) if name in self.channels]
         if silent:
             raise Refusal(
                 topics.DRIVES_ARM,
@@ -319,8 +315,13 @@ class Bridge:
         return taken
 
     def silent(self, now_ns: int) -> tuple[str, ...]:
-        """Devices that are not heard."""
-        return tuple(name for name, each in self.stations.items() if not each.is_heard(now_ns))
+        """Devices that are not heard, or drives that have not told their state yet."""
+        return tuple(
+            name
+            for name, station in self.stations.items()
+            if not station.is_heard(now_ns)
+            or (station.device.is_drive and self.channels[name].state == UNKNOWN)
+        )
 
     def _tell(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:
         self._transitions.append(Transition(name, reason, level, values))

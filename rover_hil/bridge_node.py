@@ -128,7 +128,7 @@ class BridgeNode(ContractNode):
         self._beat_ns = 0
         self._cycle = 0
         self._lockstep = Lockstep(self.parameters_of(BridgeParameters).lockstep_patience)
-        self._over = 0  # counter of the last SYNC upon which all has come
+        self._over: int | None = None  # counter of the last SYNC upon which all has come
         jobs: tuple[Callable[[], None], ...] = (self._run_link, self._commission)
         self._threads = [
             threading.Thread(target=self._guarded, args=(job,), name=job.__name__) for job in jobs
@@ -264,7 +264,7 @@ class BridgeNode(ContractNode):
         self._bridge.heard(can_id, bytes(data), self._now_ns())
 
     def _on_cycle_over(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
-        self._over = data[0] if len(data) == 1 else 0
+        self._over = data[0] if len(data) == 1 else None
 
     def _on_heartbeat(self, device: Device, state: int) -> None:
         station = self._bridge.stations[device.name]

@@ -30,6 +30,7 @@ from rover_verify.hil_bench import HilBench
 
 WEIGHT = 16.2
 RATE = 0.3
+PRE_OPERATIONAL = 127
 STOP = 0.6  # watchdog, brake and 20 kg that it stops together [s]
 
 
@@ -128,6 +129,17 @@ def test_it_is_not_armed_while_a_drive_is_silent_or_another_one_than_it_should_b
     with pytest.raises(Refusal, match="winch: 1018h:03 Revision"):
         bench.bridge.arm(bench.simulation.stamp_ns)
     assert not any(channel.armed for channel in bench.bridge.channels.values())
+
+
+def test_a_drive_that_beats_but_has_not_told_its_state_still_counts_as_not_heard(
+    bench: HilBench,
+):
+    now_ns = bench.simulation.stamp_ns
+    for station in bench.bridge.stations.values():
+        bench.bridge.heartbeat(station.device, PRE_OPERATIONAL, now_ns)
+    assert bench.bridge.silent(now_ns) == ("jump", "wheel", "winch")
+    bench.cycles(0.1)
+    assert bench.bridge.silent(bench.simulation.stamp_ns) == ()
 
 
 def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: HilBench):
