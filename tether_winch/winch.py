@@ -456,7 +456,11 @@ class Winch:
         )
 
     def _pays_out(self) -> bool:
-        return self.servo.reference.rate > 0.0 or self._goal.rate > 0.0
+        goal = self._goal
+        # Of a length's goal the rate is a largest one, whichever way it leads.
+        is_length = goal.kind is GoalKind.LENGTH
+        wants = goal.length > self.payout.length if is_length else goal.rate > 0.0
+        return self.servo.reference.rate > 0.0 or wants
 
     def _drive(self, now_ns: int, h: float) -> DriveCommand:
         tension, _ = self.tension_now(now_ns)

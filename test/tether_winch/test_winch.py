@@ -200,6 +200,14 @@ def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
     assert made.winch.mode is Mode.SLACK
 
 
+def test_a_rover_that_stands_is_lifted_by_a_length_at_a_rate():
+    made = standing()
+    made.ask(WINCH_TO_LENGTH, 9.5, 0.1)
+    made.run_until_rest(40.0)
+    assert made.ticks[-1].length == pytest.approx(9.5, abs=0.003)
+    assert not made.winch.load.is_supported
+
+
 def test_nothing_is_reeled_in_while_the_rover_jumps():
     made = standing()
     made.ask(WINCH_SLACK, 0.0)
