@@ -28,7 +28,7 @@ from rover_hil.impairment import read_impairments
 from rover_hil.link import SYNC_ID, Link
 from rover_hil.transport import open_bus
 from rover_hil.wiring import TOLD
-from rover_sim import Teller, TruthRates, load_overridden, ready_simulation, totals
+from rover_sim import Teller, Tick, TruthRates, load_overridden, ready_simulation, totals
 
 # Threads of this process take turns this often [s]: what comes by the link is answered at once.
 SWITCH_INTERVAL = 0.0005
@@ -218,6 +218,7 @@ class EmulatorNode(ContractNode):
         if link is None:
             raise AssertionError("no link")
         lockstep = self.parameters_of(EmulatorParameters).lockstep
+        self._untold: tuple[Tick[Any], int] | None = None
         while not self._ending.is_set():
             wait = _LISTENING if self._follows_sync() else self._pace.wait(time.monotonic())
             frame = link.receive(min(wait, _LISTENING, machine.wait()))
@@ -225,11 +226,15 @@ class EmulatorNode(ContractNode):
                 machine.hear([frame] if lockstep else link.waiting(frame))
                 if lockstep and frame.arbitration_id == SYNC_ID:
                     link.send(CYCLE_OVER_ID, bytes(frame.data[:1]))
+                if frame.arbitration_id == SYNC_ID:
+                    self._tell()
             machine.let_go_frames()
             self._serve_reset()
             if not self._follows_sync():
                 for _ in range(self._pace.due(time.monotonic())):
+                    self._tell()
                     self._tick()
+        self._tell()
 
     def _follows_sync(self) -> bool:
         """Whether time goes on with SYNC: in lockstep, unless the bus master fell silent."""
@@ -250,8 +255,9 @@ class EmulatorNode(ContractNode):
     def _tick(self) -> None:
         machine = self._emulated
         before_ns = machine.simulation.stamp_ns
-        tick = machine.tick()
-        self._teller.ticked(tick, before_ns)
+        self._untold = machine.tick(), before_ns
+        if self.parameters_of(EmulatorParameters).lockstep:
+            self._tell()
         for change in machine.take_transitions():
             self.event(change.name, change.reason, change.level, change.values)
         for what in machine.take_kills():
@@ -259,6 +265,16 @@ class EmulatorNode(ContractNode):
                 self.wait_until_taken()
                 os.kill(os.getpid(), signal.SIGKILL)
             self._kill_bridge()
+
+    def _tell(self) -> None:
+        """Tell of the last tick.
+
+        In real time not before the SYNC that follows has been answered: drives answer at once, and
+        telling takes as long as the tick.
+        """
+        untold, self._untold = self._untold, None
+        if untold is not None:
+            self._teller.ticked(*untold)
 
     def _kill_bridge(self) -> None:
         """Kill the bridge that tells its process, as long as it still is one on this machine."""
@@ -295,6 +311,7 @@ class EmulatorNode(ContractNode):
         clock, answer = asked
         machine, simulation = self._emulated, self._emulated.simulation
         before = simulation.stamp_ns * 1e-9
+        self._tell()
         with machine.lock:
             if clock:
                 simulation.reset()
