@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -48,7 +49,6 @@ FAILED, INCOMPLETE = 4, 5
 """Exit codes of a rehearsal beyond those of every node: a rule failed; not all could be run."""
 
 _DEEP = 1000  # messages that may wait
-_MOST_AT_ONCE = 100
 _BEAT = 0.02  # of the timer by which the rehearsal knows that it is held up [s]
 _BEATS = 60_000  # that are remembered
 _STARTING = 60.0  # longest for recorder and clock to come up [s]
@@ -189,21 +189,16 @@ class RehearsalNode(ContractNode):
 
     def _subscription(self, name: str) -> Any:
         row = topic_row(name)
-        kind = message_class(row.message)
-
-        def receive(message: Any) -> None:
-            self._hear(name, message)
-            for _ in range(_MOST_AT_ONCE):
-                with subscription.handle:
-                    taken = subscription.handle.take_message(kind, False)
-                if taken is None:
-                    return
-                self._hear(name, taken[0])
-
-        subscription = self.create_subscription(kind, name, receive, qos.profile(row.intent, _DEEP))
-        return subscription
+        return self.create_subscription(
+            message_class(row.message),
+            name,
+            partial(self._hear, name),
+            qos.profile(row.intent, _DEEP),
+        )
 
     def _hear(self, name: str, message: Any) -> None:
+        if name not in self._heard:
+            return  # it was on its way when the topic was closed
         now_ns, steady_ns = self.now_ns(), time.monotonic_ns()
         try:
             sample = decode(name, message)
