@@ -129,8 +129,14 @@ ACCESS: dict[str, Access] = {
         ),
     ),
     "jump_node": Access(
-        publishes=(topics.JUMP_MOTOR_COMMAND, topics.JUMP_PHASE),
-        subscribes=(topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU, topics.JUMP_REQUEST),
+        publishes=(topics.JUMP_MOTOR_COMMAND, topics.JUMP_PHASE, topics.JUMP_FLOWN),
+        subscribes=(
+            topics.CONTACT,
+            topics.JUMP_MOTOR_STATE,
+            topics.IMU,
+            topics.ROVER_LOAD_CELL,
+            topics.JUMP_REQUEST,
+        ),
         serves=(topics.JUMP_ABORT,),
     ),
     "drive_node": Access(

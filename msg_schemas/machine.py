@@ -54,6 +54,7 @@ SMEAR = "smear"
 
 # What an operator asks for.
 JUMP_STROKE = "jump_stroke"
+JUMP_HEIGHT = "jump_height"
 OBSERVATION_STOP = "observation_stop"
 PLAIN_STOP = "plain_stop"
 HEADING_TURN = "heading_turn"
@@ -63,6 +64,14 @@ WINCH_AT_RATE = "winch_rate"
 WINCH_AT_TENSION = "winch_tension"
 WINCH_SLACK = "winch_slack"
 
+# What a jump came to.
+JUMP_WANTED = "jump_wanted"
+JUMP_RANGE = "jump_range"
+JUMP_TURN = "jump_turn"
+JUMP_TILT = "jump_tilt"
+JUMP_TIME = "jump_time"
+SPRING_GAIN = "spring_gain"
+SPRING_ZERO = "spring_zero"
 # What the winch makes of its sensors.
 PAYOUT = "payout"
 STRETCHED = "stretched"
@@ -115,6 +124,7 @@ ENERGY_NAMES = (
 MAX_STROKE = 0.40  # [m]
 MAX_FREE_TRAVEL = 0.10  # of the nut above the latch [m]
 MAX_NUT_SPEED = 0.5  # [m/s]
+MAX_JUMP_HEIGHT = 10.0  # [m]
 MAX_NUT_FORCE = 1000.0  # [N]
 MAX_FLYWHEEL_TORQUE = 1.0  # [N m]
 MAX_WHEEL_RATE = 20.0  # [rad/s]

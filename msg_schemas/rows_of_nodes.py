@@ -5,13 +5,10 @@ from __future__ import annotations
 from msg_schemas import samples, topics
 from msg_schemas.machine import (
     ALARM_NAMES,
-    JUMP_STROKE,
     MAX_LENGTH,
-    MAX_NUT_SPEED,
     MAX_PAYOUT_RATE,
     MAX_RATE_TRIM,
     MAX_SLACK,
-    MAX_STROKE,
     MAX_TENSION,
     PAYOUT,
     REFERENCE,
@@ -42,37 +39,6 @@ _ALL_BUT_SPEED_0 = (0.0, None, 0.0)
 _ALL_BUT_FORCE_0 = (0.0, 0.0, None)
 _LARGEST_RATE: Entry = ("m/s", "largest rate; 0 = the node's own", 0.0, MAX_PAYOUT_RATE)
 _LARGEST_TENSION: Entry = ("N", "largest tension to use; 0 = the node's own", 0.0, MAX_TENSION)
-
-_JUMP = (
-    Topic(
-        topics.JUMP_REQUEST,
-        "an operator asks for a jump",
-        "sensor_msgs/msg/JointState",
-        samples.JointSample,
-        Intent.COMMAND,
-        "operator",
-        None,
-        fields=joint_fields(
-            JUMP_STROKE,
-            ("m", "compression of the spring at take-off", 0.005, MAX_STROKE),
-            ("m/s", "nut speed while compressing; 0 = the node's own", 0.0, MAX_NUT_SPEED),
-            UNUSED,
-            _LATER_0,
-        ),
-        joints=(JUMP_STROKE,),
-        stale=_STALE_REQUEST,
-    ),
-    Topic(
-        topics.JUMP_PHASE,
-        "what the jump sequencer is doing",
-        "std_msgs/msg/String",
-        samples.TextSample,
-        Intent.LATCHED,
-        "jump_node",
-        None,
-        words=("standby", "compressing", "letting_down", "flight", "landed", "fault"),
-    ),
-)
 
 _WINCH = (
     Topic(
@@ -270,15 +236,9 @@ _EVERY_NODE = (
     ),
 )
 
-NODE_TOPICS = (*_JUMP, *_WINCH, *_EVERY_NODE)
+NODE_TOPICS = (*_WINCH, *_EVERY_NODE)
 
 NODE_SERVICES = (
-    Service(
-        topics.JUMP_ABORT,
-        "ends a compression and lets the spring down softly",
-        "std_srvs/srv/Trigger",
-        "jump_node",
-    ),
     Service(
         topics.WINCH_HOLD,
         "comes to rest smoothly, closes the brake and holds the length",

@@ -118,6 +118,7 @@ from msg_schemas.row_kinds import (
 )
 from msg_schemas.rows_of_descent import DESCENT_SERVICES, DESCENT_TOPICS
 from msg_schemas.rows_of_drive import DRIVE_SERVICES, DRIVE_TOPICS
+from msg_schemas.rows_of_jump import JUMP_SERVICES, JUMP_TOPICS
 from msg_schemas.rows_of_link import LINK_SERVICES, LINK_TOPICS
 from msg_schemas.rows_of_nodes import NODE_SERVICES, NODE_TOPICS
 from msg_schemas.rows_of_plant import PLANT_SERVICES, PLANT_TOPICS
@@ -224,12 +225,19 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.6.0"
+CONTRACT_VERSION = "2.7.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {
         row.name: row
-        for row in (*PLANT_TOPICS, *LINK_TOPICS, *DESCENT_TOPICS, *DRIVE_TOPICS, *NODE_TOPICS)
+        for row in (
+            *PLANT_TOPICS,
+            *LINK_TOPICS,
+            *DESCENT_TOPICS,
+            *DRIVE_TOPICS,
+            *JUMP_TOPICS,
+            *NODE_TOPICS,
+        )
     }
 )
 SERVICES: Mapping[str, Service] = MappingProxyType(
@@ -240,6 +248,7 @@ SERVICES: Mapping[str, Service] = MappingProxyType(
             *LINK_SERVICES,
             *DESCENT_SERVICES,
             *DRIVE_SERVICES,
+            *JUMP_SERVICES,
             *NODE_SERVICES,
         )
     }

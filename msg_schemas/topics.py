@@ -30,6 +30,7 @@ WINCH_COMMAND = "winch/command"
 
 JUMP_REQUEST = "jump/request"
 JUMP_PHASE = "jump/phase"
+JUMP_FLOWN = "jump/flown"
 WINCH_REQUEST = "winch/request"
 WINCH_TRIM = "winch/trim"
 WINCH_ESTIMATE = "winch/estimate"

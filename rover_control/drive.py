@@ -42,7 +42,9 @@ from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, Ratc
 _NANO = 1e9
 _LONGEST_STEP = 0.2  # of the controller [s]
 _ROLLS = 1.5e-3  # turn of a wheel that is no noise of its encoder [rad]
-_JUMPING = frozenset({"compressing", "letting_down", "flight", "landed"})
+_JUMPING = frozenset(
+    {"compressing", "settling", "releasing", "flight", "landed", "hooking", "letting_down"}
+)
 _STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.silence  # [s]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.node import ContractNode
@@ -16,9 +18,17 @@ from msg_schemas.samples import (
     Level,
     Status,
     TextSample,
+    WrenchSample,
 )
-from msg_schemas.table import JUMP_SCREW, JUMP_STROKE
-from rover_control.jump_sequence import JumpParameters, JumpPhase, JumpSequence, Sensors
+from msg_schemas.table import JUMP_LATCH, JUMP_SCREW
+from rover_control.jump import Jump, JumpSettings
+from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_report import flown_sample
+
+# The controller's parameters are parts of its own, by their name there.
+_PARTS: Mapping[str, type[Any]] = {
+    part.name: type(getattr(JumpSettings(), part.name)) for part in fields(JumpSettings)
+}
 
 
 @dataclass(frozen=True)
@@ -35,84 +45,99 @@ class JumpNode(ContractNode):
     """Jumps on request: compresses the spring, follows take-off, flight and landing."""
 
     NAME = "jump_node"
-    PARAMETERS = (JumpNodeParameters, JumpParameters)
+    PARAMETERS = (JumpNodeParameters, *_PARTS.values())
 
     def setup(self) -> None:
         """Open topics and services."""
-        self._sensors = Sensors()
-        self._sequence = JumpSequence(self.parameters_of(JumpParameters))
+        self._begin()
         self._command_outlet = self.publisher(topics.JUMP_MOTOR_COMMAND)
         self._phase_outlet = self.publisher(topics.JUMP_PHASE)
+        self._flown_outlet = self.publisher(topics.JUMP_FLOWN)
         self.subscribe(topics.CONTACT, self._on_contact)
         self.subscribe(topics.JUMP_MOTOR_STATE, self._on_jump_motor)
         self.subscribe(topics.IMU, self._on_imu)
+        self.subscribe(topics.ROVER_LOAD_CELL, self._on_load_cell)
         self.subscribe(topics.JUMP_REQUEST, self._on_request)
         self.serve(topics.JUMP_ABORT, self._on_abort)
 
     def start(self) -> None:
         """Stand by."""
-        self._sensors = Sensors()
-        self._sequence = JumpSequence(self.parameters_of(JumpParameters))
-        self._phase_outlet.send(TextSample(self._sequence.phase))
+        self._begin()
+        self._phase_outlet.send(TextSample(self._jump.phase))
         self.every(1.0 / self.parameters_of(JumpNodeParameters).command_rate, self._step)
 
     def parameters_changed(self) -> None:
-        """Take new limits; a jump that runs keeps to them at once."""
+        """Take new limits; a jump that runs keeps to them at once, what was learnt stays."""
         if self.active:
-            self._sequence.parameters = self.parameters_of(JumpParameters)
+            self._jump.sequence.parameters = self.parameters_of(JumpParameters)
 
     def clock_jumped(self) -> None:
         """Start over: what was timed means nothing any more."""
         if self.active:
-            self._sensors = Sensors()
-            self._sequence.clock_jumped(self.now_ns())
-            self._tell_transitions()
+            self._jump.start_over(self.now_ns())
+            self._tell()
 
     def waiting_for(self) -> tuple[str, ...]:
         """The sensors that are silent: a jump is refused until they are heard."""
-        return self._sequence.waiting_for(self._sensors, self.now_ns())
+        return self._jump.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
         """The phase; a fault is an error."""
         if not self.active:
             return ()
-        phase = self._sequence.phase
+        phase = self._jump.phase
         level = Level.ERROR if phase is JumpPhase.FAULT else Level.OK
         return (Status(f"{self.NAME}: sequence", phase.value, level, self.NAME),)
 
+    def _begin(self) -> None:
+        values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
+        self._jump = Jump(JumpSettings(**values))
+
+    # --- what is heard ---------------------------------------------------------------------------
+
     def _on_contact(self, sample: JointSample) -> None:
-        self._sensors = self._sensors.with_contact(sample, self.now_ns())
+        self._jump.hear_contact(sample, self.now_ns())
 
     def _on_jump_motor(self, sample: JointSample) -> None:
-        self._sensors = self._sensors.with_jump_motor(sample, self.now_ns())
+        self._jump.hear_jump_motor(sample, self.now_ns())
 
     def _on_imu(self, sample: ImuSample) -> None:
-        self._sensors = self._sensors.with_imu(sample, self.now_ns())
+        self._jump.hear_imu(sample, self.now_ns())
+
+    def _on_load_cell(self, sample: WrenchSample) -> None:
+        self._jump.hear_load_cell(sample, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
-        stroke, speed, _ = sample.joints[JUMP_STROKE]
-        self._sequence.request(stroke, speed, self._sensors, self.now_ns())
+        self._jump.request(sample, self.now_ns())
         self._step()
 
     def _on_abort(self) -> tuple[bool, str]:
-        done = self._sequence.abort(self._sensors, self.now_ns())
+        done = self._jump.abort(self.now_ns())
         self._step()
         return True, done
 
+    # --- what is told ----------------------------------------------------------------------------
+
     def _step(self) -> None:
         now_ns = self.now_ns()
-        command = self._sequence.step(self._sensors, now_ns)
+        command = self._jump.step(now_ns)
         if command is not None:
-            self._command_outlet.send(JointSample(now_ns, {JUMP_SCREW: JointValue(*command)}))
-        self._tell_transitions()
+            joints = {
+                JUMP_SCREW: JointValue(command.compression, command.rate, command.force),
+                JUMP_LATCH: JointValue(float(command.trips)),
+            }
+            self._command_outlet.send(JointSample(now_ns, joints))
+        self._tell()
 
-    def _tell_transitions(self) -> None:
-        for change in self._sequence.take_transitions():
+    def _tell(self) -> None:
+        for change in self._jump.take_transitions():
             self._phase_outlet.send(TextSample(change.phase.value))
             name = f"jump_{change.phase.value}"
             self.event(name, change.reason, change.level, change.values)
             if change.level is not Level.OK:
                 self.report(Status(f"{self.NAME}: {name}", change.reason, change.level, self.NAME))
+        for record in self._jump.take_records():
+            self._flown_outlet.send(flown_sample(record))
 
 
 def main() -> int:

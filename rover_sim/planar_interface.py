@@ -105,7 +105,7 @@ class PlanarInterface:
     def equipment(self) -> Equipment:
         """A jump motor where there is a rover; the drum only holds."""
         rover = self._scenario.rover
-        nut = None if rover is None else Nut(rover.spring_rate, needs_ground=True)
+        nut = None if rover is None else Nut(rover.spring_rate, holds=True, needs_ground=True)
         return Equipment(self._scenario.name, nut=nut, held_length=self._scenario.tether.length)
 
     def drives(self, state: PlanarState) -> DriveStates:

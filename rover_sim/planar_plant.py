@@ -276,7 +276,7 @@ class PlanarPlant:
             self._model,
             *motion,
             phase,
-            (0.0, 0.0),
+            (0.0, 0.0, False),
             self._model.step,
             False,
             events,
@@ -366,29 +366,31 @@ def _straight(scenario: Scenario) -> Array:
     return nodes
 
 
-def _drive_of(command: Command, spring_rate: float) -> tuple[float, float]:
-    """Setpoint [m] and rate [m/s] of the jump drive, (0, 0) if off; refuses bad numbers."""
+def _drive_of(command: Command, spring_rate: float) -> tuple[float, float, bool]:
+    """Setpoint [m], rate [m/s] and whether the latch trips there; a rate of 0: the drive is off.
+
+    Raises:
+        ValueError: a number is bad, or the command is for a motor that is not there.
+    """
     for name in ("winch", "wheel"):
         if getattr(command, name) is not None:
             raise ValueError(f"{name}: the planar plant has no such motor; must be None")
     jump = command.jump
     if jump is None:
-        return 0.0, 0.0
+        return 0.0, 0.0, False
     if not isinstance(jump, JumpMotorCommand):
         raise ValueError("jump: the planar plant has no flywheel; must be a JumpMotorCommand")
     if not (math.isfinite(jump.compression) and jump.compression >= 0.0):
         raise ValueError(f"compression = {jump.compression}: must be finite and not below 0 m")
     if not (math.isfinite(jump.rate) and jump.rate > 0.0):
         raise ValueError(f"rate = {jump.rate}: must be finite and above 0 m/s")
-    if jump.compression > 0.0 and not jump.trips:
-        raise ValueError("trips = False: the latch of the planar plant always trips; must be True")
     holding = spring_rate * jump.compression
     if not jump.largest_force >= holding:
         raise ValueError(
             f"largest_force = {jump.largest_force}: must be at least the {holding:.4g} N that"
             f" holding the spring at {jump.compression:.4g} m takes"
         )
-    return float(jump.compression), float(jump.rate)
+    return float(jump.compression), float(jump.rate), bool(jump.trips)
 
 
 def _motion_of(state: PlanarState) -> _Motion:

@@ -65,7 +65,7 @@ from tether_winch.thermal import MotorHeat
 _NANO = 1e9
 _OPEN = 0.5  # a brake's position from here on means released
 _MOVING = 0.02  # from this rate on the drum moves [m/s]
-_JUMPING = frozenset({"compressing", "flight", "landed"})
+_JUMPING = frozenset({"compressing", "settling", "releasing", "flight", "landed"})
 _STALL = 0.05  # a step that comes later than this after the last one comes late [s]
 _BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]

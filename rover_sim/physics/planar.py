@@ -419,7 +419,7 @@ def advance(
     body: Array,
     book: Array,
     phase: int,
-    drive: tuple[float, float],
+    drive: tuple[float, float, bool],
     dt: float,
     stop_at_touchdown: bool,
     events: Array,
@@ -434,7 +434,8 @@ def advance(
         body: the rover's state (BODY_SIZE,).
         book: what else is remembered (BOOK_SIZE,).
         phase: HELD, FLIGHT, LANDED or FREE; nothing moves in the other two.
-        drive: compression to go to [m] and its rate [m/s] of the jump drive; a rate of 0: off.
+        drive: compression to go to [m], its rate [m/s] and whether the latch trips there, of the
+            jump drive; a rate of 0: off.
         dt: [s].
         stop_at_touchdown: return at the touchdown instead of at dt.
         events: (m, EVENT_SIZE), filled in order; apexes lower than an earlier one are left out.
@@ -462,12 +463,12 @@ def advance(
         if dt - elapsed < step * (1.0 + 1e-6):
             step = dt - elapsed
 
-        # The jump drive: to its setpoint at its rate; reaching it trips the latch.
+        # The jump drive: to its setpoint at its rate; the latch trips there, or holds.
         trips = False
         if phase in (HELD, LANDED) and drive[1] > 0.0:
             distance = drive[0] - book[COMPRESSION]
             instant = abs(distance) / drive[1]
-            if drive[0] > 0.0 and instant <= step:
+            if drive[2] and drive[0] > 0.0 and instant <= step:
                 trips = True
                 step = instant
                 book[COMPRESSION] = drive[0]

@@ -23,7 +23,7 @@ from msg_schemas.samples import (
     Sample,
     Status,
 )
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
+from msg_schemas.table import FLOOR_SWITCH, JUMP_LATCH, JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_planar
 
 if TYPE_CHECKING:
@@ -78,7 +78,9 @@ def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(stage
     observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
     alone = jump(build_plant(load_planar("paper_table1_high")))
     assert float(touchdown.values["height"]) == pytest.approx(alone.height, abs=1e-5)
-    assert phases(observer, since) == ["compressing", "flight", "landed", "standby"]
+    assert phases(observer, since) == [
+        "compressing", "settling", "releasing", "flight", "landed", "standby",
+    ]  # fmt: skip
     landed = observer.wait_for_event("jump_landed")
     assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.03)
 
@@ -91,6 +93,9 @@ def test_commands_are_streamed_while_compressing_and_only_then(stage: Stage):
     observer.wait_for_event("jump_standby")
     samples = commands.samples
     assert {s.joints[JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
+    latch = [s.joints[JUMP_LATCH].position for s in samples]
+    assert latch == sorted(latch)  # held first, then tripped
+    assert {*latch} == {0.0, 1.0}
     begin, end = (stamp_of(observer, f"jump_{phase}") for phase in ("compressing", "flight"))
     assert end - begin > 0.9 * NANO
     stamps = [sample.stamp_ns for sample in samples]

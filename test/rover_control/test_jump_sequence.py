@@ -13,26 +13,23 @@ from hypothesis import strategies as st
 from msg_schemas import topics
 from msg_schemas.parameters import from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, JointValue, Level
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, WrenchSample
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS
-from rover_control.jump_sequence import (
-    JumpParameters,
-    JumpPhase,
-    JumpSequence,
-    NutCommand,
-    Sensors,
-    Transition,
-)
+from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_sensors import Sensors
+from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 
 NANO = 1_000_000_000
-PARAMETERS = from_mapping(JumpParameters, {})
+PARAMETERS = from_mapping(JumpParameters, {"largest_stroke": 0.3, "compress_margin": 1.5})
+SPRING = 824.0
 GRAVITY = 9.81
 
 
 class Rover:
     """A rover that stands, compresses, flies for half a second and lands.
 
-    Sensors speak at 100 Hz, the sequence is stepped at 20 Hz.
+    Sensors speak at 100 Hz, the sequence is stepped at 20 Hz. After a release the nut of a rover
+    that `springs_back` stands on the latch again; else it must be driven up past it.
     """
 
     def __init__(self, parameters: JumpParameters = PARAMETERS) -> None:
@@ -42,6 +39,9 @@ class Rover:
         self.compression = 0.0
         self.contact = 1.0
         self.force = GRAVITY
+        self.tilt = self.rate = self.pull = 0.0
+        self.hooked = True
+        self.springs_back = self.lifts = True
         self.flight_left = 0.0
         self.flight_time = 0.5
         self.command: NutCommand | None = None
@@ -75,15 +75,24 @@ class Rover:
             self.compression += math.copysign(self.command.rate * dt, way)
             return
         self.compression = self.command.compression
-        if self.compression > 0.0 and self.latch_works:
-            self.compression, self.contact, self.force = 0.0, 0.0, 0.2
-            self.flight_left = self.flight_time
+        self.hooked = self.hooked or self.compression <= 0.0
+        if self.compression > 0.0 and self.command.trips and self.latch_works:
+            if self.springs_back:
+                self.compression = 0.0
+            self.hooked = self.springs_back
             self.command = None
+            if self.lifts:
+                self.contact, self.force = 0.0, 0.2
+                self.flight_left = self.flight_time
 
     def _sense(self) -> None:
         contact = JointSample(self.now_ns, {FLOOR_SWITCH: JointValue(self.contact)})
-        nut = JointSample(self.now_ns, {JUMP_SCREW: JointValue(self.compression)})
-        imu = ImuSample(self.now_ns, (0.0, 0.0, 0.0), (0.0, 0.0, self.force))
+        held = SPRING * max(self.compression, 0.0) if self.hooked else 0.0
+        nut = JointSample(self.now_ns, {JUMP_SCREW: JointValue(self.compression, 0.0, held)})
+        up = (self.force * math.sin(self.tilt), 0.0, self.force * math.cos(self.tilt))
+        imu = ImuSample(self.now_ns, (0.0, 0.0, self.rate), up)
+        cell = WrenchSample(self.now_ns, (0.0, 0.0, self.pull))
+        self.sensors = self.sensors.with_load_cell(cell, self.now_ns)
         for topic, sample in (
             (topics.CONTACT, contact),
             (topics.JUMP_MOTOR_STATE, nut),
@@ -121,28 +130,125 @@ def rover() -> Rover:
 
 
 COMPRESSING, LETTING_DOWN = JumpPhase.COMPRESSING, JumpPhase.LETTING_DOWN
+SETTLING, RELEASING, HOOKING = JumpPhase.SETTLING, JumpPhase.RELEASING, JumpPhase.HOOKING
 FLIGHT, LANDED, STANDBY, FAULT = (
     JumpPhase.FLIGHT, JumpPhase.LANDED, JumpPhase.STANDBY, JumpPhase.FAULT,
 )  # fmt: skip
+JUMPS = [COMPRESSING, SETTLING, RELEASING, FLIGHT]
 
 
 def test_a_jump_goes_through_its_phases_and_back_to_standby(rover: Rover):
     rover.request(0.2, 0.1)
     rover.run(1.0)
-    assert rover.command == (0.2, 0.1, PARAMETERS.nut_force)
+    assert rover.command == (0.2, 0.1, PARAMETERS.nut_force, False)
     rover.run(3.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
+    assert rover.phases == [*JUMPS, LANDED, STANDBY]
     assert all(change.level is Level.OK for change in rover.transitions)
     assert rover.command is None
-    landed = rover.transitions[2]
+    landed = rover.transitions[4]
     assert landed.values["flight_time"] == pytest.approx(0.5, abs=0.015)
+
+
+def test_a_nut_below_the_latch_is_driven_up_past_it_after_the_landing(rover: Rover):
+    rover.springs_back = False
+    for jumps in (1, 2):
+        rover.request()
+        rover.run(12.0)
+        assert rover.phases == [*JUMPS, LANDED, HOOKING, STANDBY] * jumps
+        assert rover.hooked
+        assert rover.compression == PARAMETERS.hooked_at
+
+
+def test_a_nut_that_does_not_come_up_is_a_fault(rover: Rover):
+    rover.springs_back = False
+    rover.request()
+    rover.run(3.5)
+    rover.stuck = True
+    rover.run(15.0)
+    assert rover.phases == [*JUMPS, LANDED, HOOKING, FAULT]
+    assert "latch not hooked" in rover.transitions[-1].reason
+
+
+def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(rover: Rover):
+    rover.hooked = False
+    rover.request()
+    rover.run(4.0)
+    assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
+    assert "has not hooked" in rover.transitions[1].reason
+    assert rover.transitions[1].values["compression"] == pytest.approx(
+        PARAMETERS.hook_check, abs=0.006
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "value", "reason"),
+    [
+        ("tilt", 0.5, "tilts by 0.5 rad, at most 0.35"),
+        ("pull", 3.0, "pulls with 3 N, at most 2 N to jump: it needs slack"),
+    ],
+)
+def test_a_rover_that_stands_badly_is_not_released(
+    rover: Rover, wrong: str, value: float, reason: str
+):
+    setattr(rover, wrong, value)
+    rover.request()
+    rover.run(15.0)
+    assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
+    assert reason in rover.transitions[2].reason
+    assert rover.compression == 0.0
+
+
+def test_a_rover_that_does_not_come_to_rest_is_not_released(rover: Rover):
+    rover.rate = 0.2
+    rover.request()
+    rover.run(15.0)
+    assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
+    assert "not quiet within 5 s" in rover.transitions[2].reason
+
+
+def test_it_waits_until_the_rover_is_quiet(rover: Rover):
+    rover.rate = 0.2
+    rover.request()
+    rover.run(4.0)
+    assert rover.phases == [COMPRESSING, SETTLING]
+    rover.rate = 0.0
+    rover.run(0.5)
+    assert rover.phases == JUMPS
+
+
+def test_an_abort_while_the_spring_is_held_lets_it_down(rover: Rover):
+    rover.rate = 0.2
+    rover.request()
+    rover.run(3.0)
+    assert rover.sequence.phase is SETTLING
+    rover.abort()
+    rover.run(6.0)
+    assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
+
+
+def test_a_release_that_does_not_lift_the_rover_is_told_and_hooked_again(rover: Rover):
+    rover.springs_back = rover.lifts = False
+    rover.request(0.1, 0.1)
+    rover.run(10.0)
+    assert rover.phases == [*JUMPS, LANDED, HOOKING, STANDBY]
+    assert "has not left the ground" in rover.transitions[4].reason
+    assert rover.transitions[4].level is Level.WARN
+
+
+def test_a_toppled_rover_is_a_fault(rover: Rover):
+    rover.request()
+    rover.run(2.9)
+    rover.tilt = 1.5
+    rover.run(3.0)
+    assert rover.phases == [*JUMPS, LANDED, FAULT]
+    assert "toppled" in rover.transitions[-1].reason
 
 
 def test_a_second_jump_follows_the_first(rover: Rover):
     for _ in range(2):
         rover.request()
         rover.run(4.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY] * 2
+    assert rover.phases == [*JUMPS, LANDED, STANDBY] * 2
 
 
 def test_nothing_is_driven_in_standby_and_flight(rover: Rover):
@@ -165,7 +271,7 @@ def test_every_stroke_speed_and_flight_is_followed(stroke: float, speed: float, 
     rover.flight_time = flight_time
     rover.request(stroke, speed)
     rover.run(stroke / speed + flight_time + 3.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
+    assert rover.phases == [*JUMPS, LANDED, STANDBY]
 
 
 def refusal(rover: Rover, stroke: float = 0.2) -> Refusal:
@@ -235,8 +341,8 @@ def test_what_is_heard_late_holds_for_the_time_of_its_stamp(rover: Rover):
     rover.run(0.3)
     rover.request()
     rover.run(6.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
-    assert rover.transitions[2].values["flight_time"] == pytest.approx(0.5, abs=0.015)
+    assert rover.phases == [*JUMPS, LANDED, STANDBY]
+    assert rover.transitions[4].values["flight_time"] == pytest.approx(0.5, abs=0.015)
 
 
 @pytest.mark.parametrize("late", [topics.CONTACT, topics.JUMP_MOTOR_STATE])
@@ -245,7 +351,7 @@ def test_one_sensor_heard_later_than_the_other_confuses_nothing(rover: Rover, la
     rover.run(0.3)
     rover.request()
     rover.run(6.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, STANDBY]
+    assert rover.phases == [*JUMPS, LANDED, STANDBY]
 
 
 def test_a_sensor_that_follows_another_clock_is_no_sensor(rover: Rover):
@@ -259,7 +365,7 @@ def test_an_abort_lets_the_spring_down_softly(rover: Rover):
     rover.run(1.0)
     rover.abort()
     rover.run(0.1)
-    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force, False)
     assert rover.abort() == "already letting the spring down"
     rover.run(3.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
@@ -287,7 +393,7 @@ def test_an_abort_while_compressing_lets_down_even_if_the_nut_is_not_known(rover
     rover.silent = {topics.JUMP_MOTOR_STATE}
     rover.abort()
     rover.run(0.1)
-    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force, False)
     rover.run(20.0)
     assert rover.phases[-1] is FAULT
 
@@ -309,7 +415,7 @@ def test_a_nut_that_is_stuck_is_given_up_and_becomes_a_fault_that_abort_leads_ou
     rover.stuck = True
     rover.run(4.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN]
-    assert "no take-off within 3.5 s" in rover.transitions[-1].reason
+    assert "not compressed within 3.5 s" in rover.transitions[-1].reason
     rover.run(10.0)
     assert rover.phases[-1] is FAULT
     assert rover.command is None
@@ -325,7 +431,8 @@ def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
     rover.latch_works = False
     rover.request()
     rover.run(15.0)
-    assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
+    assert rover.phases == [COMPRESSING, SETTLING, RELEASING, LETTING_DOWN, STANDBY]
+    assert "still feels the spring" in rover.transitions[3].reason
     assert rover.compression == 0.0
 
 
@@ -364,20 +471,20 @@ def test_a_flight_without_end_is_a_fault(rover: Rover):
     rover.flight_time = 1000.0
     rover.request()
     rover.run(PARAMETERS.flight_limit + 3.0)
-    assert rover.phases == [COMPRESSING, FLIGHT, FAULT]
+    assert rover.phases == [*JUMPS, FAULT]
     assert "no landing within 20 s" in rover.transitions[-1].reason
 
 
 def test_a_landing_that_never_comes_to_rest_is_a_fault(rover: Rover):
     rover.request()
-    rover.run(2.55)
+    rover.run(3.0)
     for _ in range(60):
         rover.force = 5.0
         rover.run(0.05)
         rover.force = GRAVITY
         rover.run(0.05)
-    assert rover.phases == [COMPRESSING, FLIGHT, LANDED, FAULT]
-    assert "not at rest within 5 s" in rover.transitions[-1].reason
+    assert rover.phases == [*JUMPS, LANDED, FAULT]
+    assert "not at rest after landing within 5 s" in rover.transitions[-1].reason
 
 
 def test_the_clock_going_back_starts_over(rover: Rover):

@@ -130,6 +130,17 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
     assert state.time == pytest.approx(4.55)
 
 
+def test_the_latch_holds_at_the_setpoint_until_it_is_told_to_trip() -> None:
+    plant = plant_of("paper_table1_high")
+    held = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2, trips=False))
+    state, result = plant.step(plant.initial_state(), held, 1.0)
+    assert (state.compression, state.phase, result.events) == (0.1, Phase.HELD, ())
+    trips = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2))
+    state, result = plant.step(state, trips, 0.01)
+    assert [event.name for event in result.events] == ["take_off"]
+    assert result.events[0].time == pytest.approx(1.0, abs=1e-9)
+
+
 def test_a_commanded_jump_is_the_same_as_a_direct_one() -> None:
     plant = plant_of("paper_table1_high", start__geometry="+K", start__slack=2.0)
     direct = jump(plant)

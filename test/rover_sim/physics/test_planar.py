@@ -258,7 +258,7 @@ def test_momenta_are_conserved_in_free_flight() -> None:
         body,
         book,
         planar.FLIGHT,
-        (0.0, 0.0),
+        (0.0, 0.0, False),
         0.5,
         False,
         np.zeros((8, planar.EVENT_SIZE)),

@@ -1,0 +1,172 @@
+"""How high a stroke of the spring throws the rover, learnt from the jumps flown. Pure.
+
+A spring compressed by x throws Body 2 up, which takes Body 1 along (momentum is kept): with the
+rate k, the masses m1 and m2, M = m1 + m2 and gravity g the rover rises by
+
+    H(x) = c m2 (k x^2 - 2 m2 g x) / (2 g M^2) cos^2(tilt)
+
+where c takes in what the end stop and Body 2's travel add and the losses take. Two things about it
+are not known well: a, by which log H is off (spring rate, losses), and b, by which the stroke is
+off (zero of the nut). Each jump tells log H(x + b) + a with an error; a and b follow as the
+two-state Kalman filter has them. The stroke's own scatter counts as a part of that error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas.parameters import parameter
+
+_OUTLIER = 4.0  # a jump further off than so many standard deviations teaches nothing
+
+
+@dataclass(frozen=True)
+class SpringParameters:
+    """What the jump mechanism is like, and how well that is known."""
+
+    spring_rate: float = parameter(824.0, "N/m", "of the jump spring", 1.0, 1e5)
+    rover_mass: float = parameter(10.0, "kg", "of both bodies", 0.1, 1e3)
+    jumping_mass: float = parameter(4.0, "kg", "of Body 2", 0.01, 1e3)
+    jump_gravity: float = parameter(1.62, "m/s^2", "where the rover jumps", 0.01, 30.0)
+    height_gain: float = parameter(
+        1.03, "-", "height over that of the masses and the spring alone", 0.1, 2.0
+    )
+    gain_spread: float = parameter(
+        0.035, "-", "standard deviation of what is not known of it before the first jump", 0.0, 0.5
+    )
+    zero_spread: float = parameter(
+        1.0e-3, "m", "standard deviation of the nut's zero before the first jump", 0.0, 0.02
+    )
+    stroke_spread: float = parameter(
+        1.2e-3, "m", "standard deviation of the stroke from jump to jump", 0.0, 0.02
+    )
+    height_error: float = parameter(
+        4.0e-3, "m", "standard deviation of a flown height as measured", 1e-4, 0.1
+    )
+    height_scatter: float = parameter(
+        0.01, "-", "standard deviation of a height for other reasons", 1e-4, 0.5
+    )
+
+
+class Height(NamedTuple):
+    """A height that is expected."""
+
+    mean: float  # [m]
+    spread: float  # standard deviation of its logarithm
+
+    def quantile(self, deviations: float) -> float:
+        """The height so many standard deviations above the mean [m]."""
+        return self.mean * math.exp(deviations * self.spread)
+
+
+class SpringEstimate:
+    """What is known of the spring.
+
+    Args:
+        parameters: of the mechanism.
+
+    Attributes:
+        jumps: from how many it has learnt.
+    """
+
+    def __init__(self, parameters: SpringParameters) -> None:
+        self.parameters = parameters
+        self.jumps = 0
+        self._mean: NDArray[np.float64] = np.zeros(2)  # a, b [m]
+        self._cov = np.diag([parameters.gain_spread**2, parameters.zero_spread**2])
+
+    @property
+    def gain(self) -> float:
+        """By how much heights are larger than the parameters say."""
+        return math.exp(float(self._mean[0]))
+
+    @property
+    def zero(self) -> float:
+        """By how much strokes are longer than the nut says [m]."""
+        return float(self._mean[1])
+
+    @property
+    def shortest_stroke(self) -> float:
+        """Below it the spring lifts nothing [m]."""
+        p = self.parameters
+        return max(2.0 * p.jumping_mass * p.jump_gravity / p.spring_rate - self.zero, 0.0)
+
+    def expected(self, stroke: float, tilt: float = 0.0) -> Height:
+        """The height of a jump.
+
+        Args:
+            stroke: of the nut [m], above `shortest_stroke`.
+            tilt: of base_link z [rad].
+
+        Raises:
+            ValueError: the stroke lifts nothing.
+        """
+        mean, row = self._model(stroke, tilt)
+        p = self.parameters
+        spread = float(row @ self._cov @ row) + (row[1] * p.stroke_spread) ** 2
+        return Height(mean, math.sqrt(spread + p.height_scatter**2))
+
+    def stroke_for(self, height: float, tilt: float = 0.0) -> float:
+        """The stroke that reaches a height [m] in the mean [m]; tilt in rad.
+
+        Raises:
+            ValueError: the height is not above 0.
+        """
+        if not (math.isfinite(height) and height > 0.0):
+            raise ValueError(f"height = {height!r} m: must be finite and above 0 m")
+        p = self.parameters
+        weight = p.jumping_mass * p.jump_gravity
+        share = p.height_gain * self.gain * math.cos(tilt) ** 2
+        work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.jumping_mass * share)
+        return (weight + math.sqrt(weight**2 + p.spring_rate * work)) / p.spring_rate - self.zero
+
+    def learn(self, stroke: float, height: float, tilt: float = 0.0) -> bool:
+        """Learn from a jump that was flown; False if it is too far off to teach anything.
+
+        Args:
+            stroke: of the nut at the release [m].
+            height: flown, as measured [m].
+            tilt: of base_link z before the jump [rad].
+        """
+        if not (math.isfinite(height) and height > 0.0) or stroke <= self.shortest_stroke:
+            return False
+        mean, row = self._model(stroke, tilt)
+        p = self.parameters
+        error = (p.height_error / mean) ** 2 + p.height_scatter**2
+        error += (row[1] * p.stroke_spread) ** 2
+        surprise = math.log(height / mean)
+        spread = float(row @ self._cov @ row) + error
+        if surprise**2 > _OUTLIER**2 * spread:
+            return False
+        gain = self._cov @ row / spread
+        self._mean = self._mean + gain * surprise
+        kept = np.eye(2) - np.outer(gain, row)
+        self._cov = kept @ self._cov @ kept.T + error * np.outer(gain, gain)
+        self.jumps += 1
+        return True
+
+    def draw(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Factors of the height and errors of the stroke [m] as they may truly be, (count, 2)."""
+        p = self.parameters
+        drawn = generator.multivariate_normal(self._mean, self._cov, count)
+        drawn[:, 0] = np.exp(drawn[:, 0] + p.height_scatter * generator.standard_normal(count))
+        drawn[:, 1] += p.stroke_spread * generator.standard_normal(count)
+        return np.asarray(drawn)
+
+    def _model(self, stroke: float, tilt: float) -> tuple[float, NDArray[np.float64]]:
+        """Mean height [m], and the derivatives of its logarithm by a and b."""
+        p = self.parameters
+        x, weight = stroke + self.zero, p.jumping_mass * p.jump_gravity
+        work = p.spring_rate * x**2 - 2.0 * weight * x
+        if not work > 0.0:
+            raise ValueError(
+                f"stroke = {stroke!r} m: must be above {self.shortest_stroke:.4g} m to lift Body 2"
+            )
+        share = p.height_gain * self.gain * math.cos(tilt) ** 2
+        mean = share * p.jumping_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
+        return mean, np.array([1.0, (2.0 * p.spring_rate * x - 2.0 * weight) / work])

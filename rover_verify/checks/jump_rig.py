@@ -1,0 +1,210 @@
+"""The jumping rover under its own controller: spatial plant, real sensors, the jump; without ROS.
+
+Plant and sensors are stepped at 100 Hz, the controller at 20 Hz, as its node is. The machine may
+differ from what the controller takes it for: its spring, the stroke at which the latch trips, the
+floor that it stands on. What is true is kept for the checks alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.machine import JUMP_HEIGHT
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import ImuSample, JointSample, JointValue, WrenchSample
+from rover_control.jump import Jump, JumpRecord, JumpSettings
+from rover_control.jump_parameters import JumpPhase
+from rover_control.jump_sequence import NutCommand, Transition
+from rover_sim import Command, Event, JumpMotorCommand, Outcome, SpatialPlant, load_scenario
+from rover_sim.spatial_interface import SpatialInterface
+
+TICK_NS = 10_000_000
+TICK = TICK_NS * 1e-9
+_EVERY = 5  # ticks between two steps of the controller
+_HEARD = (topics.IMU, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.ROVER_LOAD_CELL)
+_FLOOR = 6.0  # below the fairlead [m]
+_ATTACHMENT = 0.43  # of the tether above the floor [m]
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Where and on what the rover stands."""
+
+    away: float = 2.0  # from the plumb line, along x [m]
+    heading: float = 0.0  # [rad]
+    slope: float = 0.0  # of the floor [rad]
+    downhill: float = 0.0  # where it falls to, from x towards y [rad]
+    slack: float = 0.8  # of the tether beyond the chord [m]
+    spring: float = 1.0  # true spring rate over that of the data sheet
+
+    def overrides(self) -> dict[str, object]:
+        """Of the scenario, by dotted path."""
+        drop = self.away * math.tan(self.slope) * math.cos(self.downhill)
+        chord = math.hypot(self.away, _FLOOR + drop - _ATTACHMENT)
+        return {
+            "place.relief": None,
+            "place.boulders": None,
+            "place.floor": {
+                "height": -_FLOOR,
+                "slope": round(math.degrees(self.slope), 6),
+                "downhill": round(math.degrees(self.downhill), 6),
+            },
+            "rover.slider.spring_rate": round(824.0 * self.spring, 3),
+            "start.position": [self.away, 0.0],
+            "start.heading": round(math.degrees(self.heading), 6),
+            "start.settling": 300.0,
+            "tether.length": round(chord + self.slack, 3),
+            "tether.element_length": 1.0,
+            "integration.h": 2.0e-3,
+        }
+
+
+@cache
+def _plant(overrides: str) -> SpatialPlant:
+    return SpatialPlant(load_scenario("floor_rubble", json.loads(overrides)))
+
+
+@dataclass
+class JumpingRover:
+    """A rover that jumps.
+
+    Args:
+        stand: where it stands, and its true spring.
+        settings: of the controller.
+        seed: of the sensors' errors.
+        jump: the controller, if it is to go on with what it has learnt elsewhere.
+
+    Attributes:
+        stroke_error: by how much the nut stands further down than its encoder says [m].
+        heights: true largest rise of Body 1 of each jump [m].
+    """
+
+    stand: Stand = field(default_factory=Stand)
+    settings: JumpSettings = field(default_factory=JumpSettings)
+    seed: int = 0
+    jump: Jump | None = None
+    stroke_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.plant = _plant(json.dumps(self.stand.overrides(), sort_keys=True))
+        self.state = self.plant.initial_state()
+        self.interface = SpatialInterface(self.plant, self.seed)
+        self.interface.restart(self.state, 0)
+        self.control = Jump(self.settings) if self.jump is None else self.jump
+        if self.jump is not None:
+            self.control.start_over(0)
+        self.ticks = 0
+        self.events: list[Event] = []
+        self.changes: list[tuple[float, Transition]] = []
+        self.records: list[JumpRecord] = []
+        self.refusals: list[str] = []
+        self.heights: list[float] = []
+        self.peak_tension = 0.0  # since the last release [N]
+        self._command: NutCommand | None = None
+        self._standing = float(self.state.G1[2])
+        self._top = -math.inf
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return self.ticks * TICK
+
+    @property
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self.ticks * TICK_NS
+
+    def tick(self) -> None:
+        """One tick: plant, sensors, controller.
+
+        Raises:
+            RuntimeError: the plant cannot go on.
+        """
+        self.state, result = self.plant.step(self.state, self._plant_command(), TICK)
+        if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
+            raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
+        self.ticks += 1
+        self.events += result.events
+        if any(event.name == "latch_released" for event in result.events):
+            self._command = None  # as the drive does once its latch has tripped
+        self.peak_tension = max(self.peak_tension, result.peak_tension)
+        self._top = max(self._top, float(self.state.G1[2]))
+        self.interface.measure(self.state, self.now_ns, result)
+        self._hear()
+        if self.ticks % _EVERY == 0:
+            self._command = self.control.step(self.now_ns)
+            self._take()
+
+    def run(self, duration: float) -> None:
+        """Go on for so long [s]."""
+        for _ in range(round(duration / TICK)):
+            self.tick()
+
+    def ask(self, joint: str, value: float) -> None:
+        """Send a request; a refusal is kept."""
+        try:
+            self.control.request(JointSample(self.now_ns, {joint: JointValue(value)}), self.now_ns)
+        except Refusal as refusal:
+            self.refusals.append(str(refusal))
+        self._take()
+
+    def leap(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> bool:
+        """Ask for a jump and wait until it has ended; whether a jump was flown."""
+        if self.ticks == 0:
+            self.run(0.5)
+        flown = len(self.heights)
+        self.ask(joint, value)
+        ends = self.time + limit
+        while self.control.phase not in (JumpPhase.STANDBY, JumpPhase.FAULT) and self.time < ends:
+            self.tick()
+        return len(self.heights) > flown
+
+    def _plant_command(self) -> Command:
+        order = self._command
+        if order is None:
+            return Command()
+        compression = order.compression + self.stroke_error
+        return Command(JumpMotorCommand(compression, order.rate, order.force, order.trips))
+
+    def _hear(self) -> None:
+        samples, now = dict(self.interface.samples(_HEARD)), self.now_ns
+        imu, contact = samples[topics.IMU], samples[topics.CONTACT]
+        motor, cell = samples[topics.JUMP_MOTOR_STATE], samples[topics.ROVER_LOAD_CELL]
+        assert isinstance(imu, ImuSample)
+        assert isinstance(contact, JointSample)
+        assert isinstance(motor, JointSample)
+        assert isinstance(cell, WrenchSample)
+        control = self.control
+        control.hear_imu(imu, now)
+        control.hear_contact(contact, now)
+        ((name, nut),) = motor.joints.items()
+        told = nut._replace(position=nut.position - self.stroke_error)
+        control.hear_jump_motor(JointSample(motor.stamp_ns, {name: told}), now)
+        control.hear_load_cell(cell, now)
+
+    def _take(self) -> None:
+        for change in self.control.take_transitions():
+            self.changes.append((self.time, change))
+            if change.phase is JumpPhase.RELEASING:
+                self._standing = self._top = float(self.state.G1[2])
+                self.peak_tension = 0.0
+            elif change.phase is JumpPhase.LANDED:
+                self.heights.append(self._top - self._standing)
+        self.records += self.control.take_records()
+
+
+def draw_stand(generator: np.random.Generator, tilt: float = math.radians(5.0)) -> Stand:
+    """A place on a floor that tilts by up to `tilt` [rad], with a spring off by up to 5 %."""
+    return Stand(
+        away=round(float(generator.uniform(0.5, 3.0)), 3),
+        heading=round(float(generator.uniform(-math.pi, math.pi)), 3),
+        slope=round(float(generator.uniform(0.0, tilt)), 5),
+        downhill=round(float(generator.uniform(-math.pi, math.pi)), 3),
+        spring=round(float(generator.uniform(0.95, 1.05)), 5),
+    )

@@ -1,0 +1,85 @@
+"""The jump as a whole, on the spatial plant with its real sensors; without ROS."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import JUMP_HEIGHT, JUMP_STROKE, SPRING_GAIN
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS
+from rover_control.jump import NINETY, Jump, JumpSettings
+from rover_control.jump_report import flown_sample
+from rover_verify.checks.jump_rig import JumpingRover, Stand
+
+pytestmark = pytest.mark.usefixtures("compiled")
+
+
+@pytest.fixture(scope="module")
+def jumped() -> JumpingRover:
+    """A rover with a spring 5 % too stiff that was to jump 0.2 m high, three times."""
+    rover = JumpingRover(Stand(slope=0.05, downhill=1.0, spring=1.05), seed=3)
+    for _ in range(3):
+        assert rover.leap(0.2)
+    return rover
+
+
+def test_every_jump_goes_from_standby_back_to_standby(jumped: JumpingRover):
+    phases = [change.phase.value for _, change in jumped.changes]
+    assert phases == 3 * [
+        "compressing", "settling", "releasing", "flight", "landed", "hooking", "standby",
+    ]  # fmt: skip
+    assert not jumped.refusals
+
+
+def test_what_was_flown_is_measured_to_millimetres(jumped: JumpingRover):
+    told = [record.flown.height for record in jumped.records]
+    assert told == pytest.approx(jumped.heights, abs=4e-3)
+
+
+def test_a_spring_too_stiff_is_learnt(jumped: JumpingRover):
+    errors = [abs(height / 0.2 - 1.0) for height in jumped.heights]
+    assert errors[0] > 0.04
+    assert errors[2] < 0.5 * errors[0]
+    assert jumped.control.spring.gain > 1.02
+    assert all(record.learnt for record in jumped.records)
+    strokes = [record.stroke for record in jumped.records]
+    assert strokes[2] < strokes[0]
+
+
+def test_a_record_is_a_sample_of_the_contract(jumped: JumpingRover):
+    record = jumped.records[0]
+    sample = flown_sample(record)
+    assert set(sample.joints) == {*TOPICS[topics.JUMP_FLOWN].joints}
+    flown, low, high = sample.joints[JUMP_HEIGHT]
+    assert flown == record.flown.height
+    assert record.expected is not None
+    assert math.log(high / low) == pytest.approx(2.0 * NINETY * record.expected.spread)
+    assert sample.joints[SPRING_GAIN].position == record.gain
+
+
+def test_a_height_beyond_the_longest_stroke_is_refused_with_what_is_possible(
+    jumped: JumpingRover,
+):
+    now = jumped.now_ns
+    with pytest.raises(Refusal, match=r"at most 0\.2 m the rover rises by 0\.\d+ m") as caught:
+        jumped.control.request(JointSample(now, {JUMP_HEIGHT: JointValue(1.0)}), now)
+    assert caught.value.code is RefusalCode.OUT_OF_LIMITS
+    assert jumped.control.phase.value == "standby"
+
+
+def test_what_was_learnt_is_forgotten_on_request(jumped: JumpingRover):
+    kept = jumped.control.spring
+    jumped.control.forget()
+    assert jumped.control.spring.gain == 1.0
+    jumped.control.spring = kept
+
+
+def test_a_request_is_refused_before_anything_was_heard():
+    for joint in (JUMP_STROKE, JUMP_HEIGHT):
+        with pytest.raises(Refusal, match="never heard") as caught:
+            Jump(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)
+        assert caught.value.code is RefusalCode.STALE

@@ -1,0 +1,102 @@
+"""The spring's estimate: its model, and what it learns from jumps that it cannot see into."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rover_control.jump_spring import SpringEstimate, SpringParameters
+
+PARAMETERS = SpringParameters()
+
+
+def true_height(stroke: float, gain: float, zero: float, tilt: float = 0.0) -> float:
+    """Energy and momentum written out: Body 2 is thrown and takes Body 1 along."""
+    m1, m2, g = 6.0, 4.0, 1.62
+    x = stroke + zero
+    thrown = math.sqrt(2.0 * (0.5 * 824.0 * x**2 - m2 * g * x) / m2)
+    speed = m2 * thrown / (m1 + m2) * math.cos(tilt)
+    return PARAMETERS.height_gain * gain * speed**2 / (2.0 * g)
+
+
+def test_the_model_is_that_of_energy_and_momentum():
+    spring = SpringEstimate(PARAMETERS)
+    for stroke, tilt in ((0.05, 0.0), (0.2, 0.0), (0.15, 0.3)):
+        expected = true_height(stroke, 1.0, 0.0, tilt)
+        assert spring.expected(stroke, tilt).mean == pytest.approx(expected, rel=1e-12)
+
+
+@given(height=st.floats(1e-3, 2.0), tilt=st.floats(0.0, 1.0))
+@settings(max_examples=50, deadline=None)
+def test_the_stroke_for_a_height_reaches_it(height: float, tilt: float):
+    spring = SpringEstimate(PARAMETERS)
+    spring.learn(0.1, 0.095)
+    stroke = spring.stroke_for(height, tilt)
+    assert spring.expected(stroke, tilt).mean == pytest.approx(height, rel=1e-9)
+
+
+@given(gain=st.floats(0.93, 1.07), zero=st.floats(-2e-3, 2e-3), seed=st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_it_learns_a_spring_that_is_off(gain: float, zero: float, seed: int):
+    generator = np.random.default_rng(seed)
+    spring = SpringEstimate(PARAMETERS)
+    for _ in range(15):
+        wanted = float(generator.uniform(0.08, 0.35))
+        stroke = spring.stroke_for(wanted)
+        flown = true_height(stroke + 5e-4 * generator.standard_normal(), gain, zero)
+        assert spring.learn(stroke, flown)
+    for wanted in (0.1, 0.2, 0.35):
+        flown = true_height(spring.stroke_for(wanted), gain, zero)
+        assert flown == pytest.approx(wanted, rel=0.03)
+    assert spring.jumps == 15
+
+
+def test_what_it_expects_becomes_surer_and_stays_honest():
+    generator = np.random.default_rng(5)
+    inside, count = 0, 0
+    for _ in range(200):
+        spring = SpringEstimate(PARAMETERS)
+        gain = math.exp(PARAMETERS.gain_spread * generator.standard_normal())
+        zero = PARAMETERS.zero_spread * generator.standard_normal()
+        before = spring.expected(0.15).spread
+        for _ in range(5):
+            stroke = float(generator.uniform(0.1, 0.2))
+            scatter = PARAMETERS.stroke_spread * generator.standard_normal()
+            flown = true_height(stroke + scatter, gain, zero)
+            flown *= math.exp(PARAMETERS.height_scatter * generator.standard_normal())
+            height = spring.expected(stroke)
+            inside += height.quantile(-1.645) <= flown <= height.quantile(1.645)
+            count += 1
+            spring.learn(stroke, flown + PARAMETERS.height_error * generator.standard_normal())
+        assert spring.expected(0.15).spread < before
+    assert 0.87 <= inside / count <= 0.93
+
+
+def test_a_jump_that_was_hindered_teaches_nothing():
+    spring = SpringEstimate(PARAMETERS)
+    assert not spring.learn(0.2, 0.1)
+    assert not spring.learn(0.2, math.nan)
+    assert not spring.learn(0.01, 0.1)
+    assert (spring.gain, spring.zero, spring.jumps) == (1.0, 0.0, 0)
+
+
+def test_draws_are_as_scattered_as_what_is_expected():
+    spring = SpringEstimate(PARAMETERS)
+    drawn = spring.draw(np.random.default_rng(1), 4000)
+    heights = [true_height(0.15, float(gain), float(zero)) for gain, zero in drawn]
+    expected = spring.expected(0.15)
+    assert np.std(np.log(heights)) == pytest.approx(expected.spread, rel=0.05)
+    assert np.median(heights) == pytest.approx(expected.mean, rel=0.01)
+
+
+def test_what_lifts_nothing_and_what_is_no_height_is_refused():
+    spring = SpringEstimate(PARAMETERS)
+    with pytest.raises(ValueError, match=r"above 0\.01573 m to lift"):
+        spring.expected(0.99 * spring.shortest_stroke)
+    for bad in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="height"):
+            spring.stroke_for(bad)
