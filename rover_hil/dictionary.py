@@ -1,15 +1,17 @@
 """The devices' object dictionaries as the `canopen` library has them, and their EDS files.
 
 ``python -m rover_hil.dictionary`` writes ``rover_hil/eds/<device>.eds`` and the table of objects in
-``docs/hil.md``.
+``docs/hil.md``; with ``--compare`` it holds another EDS file to a device.
 """
 
 from __future__ import annotations
 
+import argparse
+import configparser
 import io
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes, e
 
 from rover_hil.devices import (
     BRIDGE_NODE,
+    BY_NAME,
     DEVICES,
     HEARTBEAT,
     HEARTBEAT_LIMIT,
@@ -253,14 +256,41 @@ def with_table(document: str) -> str:
     return pattern.sub(lambda _: f"{begin}\n\n{table()}\n\n{end}", document)
 
 
-def main() -> int:
+def write_all() -> None:
     """Write the EDS files and the table of the document."""
     EDS_FOLDER.mkdir(exist_ok=True)
     for device in DEVICES:
         (EDS_FOLDER / f"{device.name}.eds").write_text(export(device), encoding="utf-8")
     if DOCUMENT.exists():
         DOCUMENT.write_text(with_table(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
-    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns 1 where another dictionary differs, 2 where it cannot be read."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rover_hil.dictionary",
+        description="Writes the EDS files and the document's table, or compares another EDS file.",
+    )
+    parser.add_argument(
+        "--compare", nargs=2, metavar=("DEVICE", "EDS"),
+        help=f"one of {', '.join(BY_NAME)}, and the file that is to be as its own",
+    )  # fmt: skip
+    compared = parser.parse_args(arguments).compare
+    if compared is None:
+        write_all()
+        return 0
+    name, path = compared
+    if name not in BY_NAME:
+        print(f"{name!r} is no device: should be of {', '.join(BY_NAME)}", file=sys.stderr)
+        return 2
+    try:
+        other = canopen.import_od(path)
+    except (OSError, ValueError, configparser.Error) as error:
+        print(f"{path} cannot be read: {error}", file=sys.stderr)
+        return 2
+    found = differences(BY_NAME[name], other)
+    print("".join(f"{line}\n" for line in found), end="")
+    return 1 if found else 0
 
 
 if __name__ == "__main__":

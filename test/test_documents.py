@@ -9,7 +9,7 @@ import pytest
 from rover_verify.requirements import load_requirements
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 REQUIREMENT = re.compile(r"`([A-Z]+(?:-[A-Z]+)*-(?:\d\d|\*))`")
 FILE = re.compile(r"`((?:\w+/)+\w+\.(?:py|yaml|md))`")

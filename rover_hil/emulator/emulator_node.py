@@ -17,12 +17,12 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
-from msg_schemas.parameters import parameter
+from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from rover_hil.devices import CYCLE_OVER_ID, SYNC_PERIOD, SYNC_RATE
 from rover_hil.emulator.killing import kill_process
-from rover_hil.emulator.machine import EmulatedMachine
+from rover_hil.emulator.machine import EmulatedMachine, played_beside
 from rover_hil.emulator.pace import SyncPace
 from rover_hil.impairment import read_impairments
 from rover_hil.link import SYNC_ID, Link
@@ -75,6 +75,12 @@ class EmulatorParameters:
         600.0,
         read_only=True,
     )
+    real_devices: str = parameter(
+        "",
+        "-",
+        "names of devices that are on the link themselves and not played, with commas between",
+        read_only=True,
+    )
     command_delay: float = parameter(
         0.0, "s", "from a command's execution by a drive to its effect", 0.0, 0.5, read_only=True
     )
@@ -93,8 +99,21 @@ class EmulatorParameters:
     )
 
     def __post_init__(self) -> None:
-        """Refuse impairments that are none."""
-        read_impairments(self.impairments)
+        """Refuse impairments and devices that are none."""
+        played_beside(self.real)
+        for impairment in read_impairments(self.impairments):
+            there = [each.name for each in impairment.devices if each.name in self.real]
+            if there:
+                raise ParameterError(
+                    f"impairments: {impairment} is on {there[0]}, which is one of the "
+                    "real_devices: should be on what is played"
+                )
+
+    @property
+    def real(self) -> tuple[str, ...]:
+        """Names of the devices that are not played."""
+        names = (name.strip() for name in self.real_devices.split(","))
+        return tuple(name for name in names if name)
 
 
 class EmulatorNode(ContractNode):
@@ -120,7 +139,12 @@ class EmulatorNode(ContractNode):
         link = Link(open_bus(wanted.link))
         try:
             machine = EmulatedMachine(
-                link, simulation, self._mother_clock, self._rover_clock, wanted.command_delay
+                link,
+                simulation,
+                self._mother_clock,
+                self._rover_clock,
+                wanted.command_delay,
+                wanted.real,
             )
         except ValueError:
             link.close()

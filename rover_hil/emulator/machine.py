@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import can
 
+from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Level, Sample
 from msg_schemas.transition import Transition
@@ -35,6 +36,19 @@ from rover_sim import Simulation, SpatialScenario
 _LATCH_RELEASED = "latch_released"
 
 
+def played_beside(real: Collection[str]) -> tuple[Device, ...]:
+    """The devices that are left to be played beside those that are there.
+
+    Raises:
+        ParameterError: there is no device of a name.
+    """
+    names = [device.name for device in DEVICES]
+    for name in real:
+        if name not in names:
+            raise ParameterError(f"{name!r} is no device: should be of {', '.join(names)}")
+    return tuple(device for device in DEVICES if device.name not in real)
+
+
 class EmulatedMachine:
     """The devices and the plant behind them.
 
@@ -44,6 +58,7 @@ class EmulatedMachine:
         clock: steady time [ns], by which mother's devices go.
         rover_clock: the rover's.
         command_delay: from a set's execution to its effect [s].
+        real: names of devices that are on the link themselves, and are not played.
 
     Attributes:
         on_sync: called when a SYNC has come by the bus, before the devices hear it.
@@ -51,7 +66,7 @@ class EmulatedMachine:
         lock: held while frames are handed on; a tick takes it where devices are touched.
 
     Raises:
-        ValueError: the plant has no rover or no winch.
+        ValueError: the plant has no rover or no winch, or there is no device of that name.
     """
 
     def __init__(
@@ -61,7 +76,9 @@ class EmulatedMachine:
         clock: Callable[[], int],
         rover_clock: Callable[[], int],
         command_delay: float = 0.0,
+        real: Collection[str] = (),
     ) -> None:
+        played = played_beside(real)
         missing = [topic for topic in TOLD if topic not in simulation.interface.topics]
         scenario = simulation.plant.scenario
         held = simulation.interface.equipment.held_length is not None
@@ -92,19 +109,19 @@ class EmulatedMachine:
         # They hear in this order: the winch first, whose loop is the tightest.
         self.lines = {
             device.name: Line(device, link.send, clock)
-            for device in sorted(DEVICES, key=lambda device: device is not WINCH)
+            for device in sorted(played, key=lambda device: device is not WINCH)
         }
         self.drives = {
             device.name: EmulatedDrive(device, self.lines[device.name], clock_of(device), plant_ns)
-            for device in DRIVES
+            for device in played
+            if device.is_drive
         }
-        self.devices: dict[str, EmulatedDevice] = {WINCH.name: self.drives[WINCH.name]}
-        self.devices |= self.drives
-        self.devices |= {
+        others = {
             device.name: EmulatedDevice(device, self.lines[device.name], clock_of(device))
-            for device in DEVICES
+            for device in played
             if not device.is_drive
         }
+        self.devices: Mapping[str, EmulatedDevice] = {**self.drives, **others}
         self._impairer = Impairer(self.lines, self.devices)
         self._clock = clock
         self.synchronised = 0
@@ -125,7 +142,8 @@ class EmulatedMachine:
         # The contract has no topic for it.
         values[WHEEL.name]["torque"] = self._wheel_torque * values[WHEEL.name]["current"]
         with self.lock:
-            if any(happening.name == _LATCH_RELEASED for happening in tick.happenings):
+            tripped = any(happening.name == _LATCH_RELEASED for happening in tick.happenings)
+            if tripped and JUMP.name in self.drives:
                 self.drives[JUMP.name].finish()
             for name, device in self.devices.items():
                 device.show(values[name])

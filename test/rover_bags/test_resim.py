@@ -1,8 +1,6 @@
 """Recorded runs simulated once more: to the last bit, and where they differ, where."""
 
 import json
-import math
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,100 +8,28 @@ from typing import Any
 import numpy as np
 import pytest
 from contract_bag import MadeUp
+from lockstep_run import (
+    NUT,
+    PLANAR,
+    SPATIAL,
+    TICK,
+    Recorder,
+    all_drives,
+    nut_until_trip,
+)
 
 from msg_schemas import topics
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
-    JointValue,
     OdometrySample,
     Sample,
     TextSample,
 )
-from msg_schemas.table import (
-    FLYWHEEL,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
 from rover_bags.resim import ResimError, main, resimulate
-from rover_sim import Simulation, build_interface, build_plant, compile_ahead, load_scenario
+from rover_sim import load_scenario
 
-TICK = 0.01
 TICK_NS = 10_000_000
-PLANAR, SPATIAL = "paper_table1_high", "free_hang"
-NUT = {JUMP_SCREW: JointValue(0.1, 0.4, 400.0)}
-
-Orders = Callable[[int], Iterable[tuple[str, Mapping[str, JointValue]]]]
-Change = Callable[[str, int, Sample], Sample]
-
-
-def nut_until_trip(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
-    if 5 <= tick < 40 and tick % 4 == 0:
-        yield topics.JUMP_MOTOR_COMMAND, NUT
-
-
-def all_drives(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
-    rate = 0.2 * math.sin(0.3 * tick)
-    winch = JointValue(20.0, rate, 16.2)
-    yield (
-        topics.WINCH_COMMAND,
-        {WINCH_DRUM: winch, WINCH_BRAKE: JointValue(1.0), WINCH_LIMIT: JointValue(effort=60.0)},
-    )
-    yield topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(effort=0.1 + 0.01 * tick)}
-    if tick % 3 == 0:
-        yield topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(effort=0.05)}
-
-
-def same(_name: str, _stamp: int, sample: Sample) -> Sample:
-    return sample
-
-
-class Recorder:
-    """Runs a simulation tick by tick and records it, as nodes in lockstep would."""
-
-    def __init__(self, scenario: str, seed: int = 7, **overrides: object) -> None:
-        given = {name.replace("__", "."): value for name, value in overrides.items()}
-        self.scenario = load_scenario(scenario, given)
-        compile_ahead(self.scenario)
-        plant = build_plant(self.scenario)
-        self.simulation = Simulation(build_interface(plant, seed), TICK)
-        self.made = MadeUp()
-        self.wall = 0.0
-        content = {
-            "node": "/sim_node",
-            "parameters": {"tick": TICK},
-            "scenario": self.scenario.to_mapping(),
-            "seed": seed,
-        }
-        self.made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
-
-    def run(self, ticks: int, orders: Orders, *, late: int = 0, change: Change = same) -> None:
-        """Record some ticks; commands come `late` ticks after they were sent."""
-        coming: list[tuple[int, str, JointSample]] = []
-        for tick in range(ticks):
-            now = self.simulation.stamp_ns
-            # At time 0 a command would count as unstamped.
-            for name, joints in orders(tick) if now else ():
-                sample = JointSample(now, dict(joints))
-                self.made.add(self.wall + 0.002, name, sample)
-                coming.append((tick + late, name, sample))
-            for due, name, sample in list(coming):
-                if due <= tick:
-                    self.simulation.take(name, sample)
-                    coming.remove((due, name, sample))
-            self.simulation.tick()
-            self.wall += TICK
-            self.tell(change)
-
-    def tell(self, change: Change = same) -> None:
-        stamp = self.simulation.stamp_ns
-        self.made.add(self.wall, topics.CLOCK, ClockSample(stamp))
-        told = set(self.simulation.interface.topics) - {topics.CLOCK, topics.MARKERS}
-        for name, sample in self.simulation.interface.samples(told):
-            self.made.add(self.wall, name, change(name, stamp, sample))
 
 
 @pytest.fixture(scope="module")

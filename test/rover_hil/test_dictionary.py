@@ -17,6 +17,7 @@ from rover_hil.dictionary import (
     EDS_FOLDER,
     differences,
     export,
+    main,
     object_dictionary,
     with_table,
 )
@@ -129,3 +130,30 @@ def test_a_sensor_beyond_its_range_stays_at_its_end():
 def test_a_pdo_that_fits_no_frame_is_refused():
     with pytest.raises(ValueError, match="TPDO1 has 12 bytes"):
         Pdo(1, True, tuple(Entry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))
+
+
+def test_a_vendor_s_file_is_held_to_a_device_by_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    own = EDS_FOLDER / "winch.eds"
+    assert main(["--compare", "winch", str(own)]) == 0
+    assert capsys.readouterr().out == ""
+    other = tmp_path / "vendor.eds"
+    text = own.read_text(encoding="utf-8")
+    other.write_text(text.replace("[60FF]", "[60FE]").replace("0x60FF", "0x60FE"), encoding="utf-8")
+    assert main(["--compare", "winch", str(other)]) == 1
+    assert "60FFh:00 Target velocity is missing" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [
+        (("camera", "some.eds"), "'camera' is no device: should be of jump, wheel"),
+        (("winch", "there_is_none.eds"), "there_is_none.eds cannot be read"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    given: tuple[str, str], complaint: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["--compare", *given]) == 2
+    assert complaint in capsys.readouterr().err

@@ -367,7 +367,7 @@ def _functions_and_names(path: Path) -> Iterator[str]:
             yield from (target.id for target in node.targets if isinstance(target, ast.Name))
 
 
-def _setup_arguments(root: Path) -> dict[str, object]:
+def setup_arguments(root: Path) -> dict[str, object]:
     for node in ast.walk(parse(root / "setup.py")):
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup":
             values: dict[str, object] = {}
@@ -383,25 +383,25 @@ def _setup_arguments(root: Path) -> dict[str, object]:
 def versions(root: Path) -> dict[str, str]:
     """Return the package's version as each file states it."""
     return {
-        "setup.py": str(_setup_arguments(root)["version"]),
+        "setup.py": str(setup_arguments(root)["version"]),
         "package.xml": ET.parse(root / "package.xml").getroot().findtext("version", ""),
     }
 
 
-def _distribution(requirement: str) -> str:
+def distribution_of(requirement: str) -> str:
     end = next((i for i, char in enumerate(requirement) if char in "[<>=~! "), len(requirement))
     return requirement[:end].lower()
 
 
 def undeclared_requirements(root: Path, standard_library: frozenset[str]) -> list[str]:
     """Imports of others' packages that setup.py or package.xml does not ask for."""
-    arguments = _setup_arguments(root)
+    arguments = setup_arguments(root)
     wheels = arguments["install_requires"]
     extras = arguments["extras_require"]
     assert isinstance(wheels, list)
     assert isinstance(extras, dict)
     optional = [*extras.get("bench", []), *extras.get("cluster", [])]
-    declared = {_distribution(each) for each in [*wheels, *optional]}
+    declared = {distribution_of(each) for each in [*wheels, *optional]}
     manifest = ET.parse(root / "package.xml").getroot()
     keys = {element.text for element in manifest if element.tag.endswith("depend")}
     found = []

@@ -1,0 +1,255 @@
+"""Every command that the documents show is carried out, as far as it can be in a test.
+
+`WAYS` says of each program how. What is in no way known fails; so does a code block that says of no
+language what it is, and one that shows a file's lines which the file does not have.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+import runpy
+import subprocess
+import sys
+from argparse import ArgumentParser
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import architecture
+import documented
+import pytest
+import ros2_commands
+from documented import DOCUMENTS, ROOT, SHELL, Block, Command
+from ros2_commands import check_parameters, node_class, split_ros_arguments
+
+from operator_console.command_line import checked_arguments, make_parser
+from operator_console.commands import COMMANDS
+from rover_hil.rehearsal.procedure import load_procedure
+from rover_launch.plan import PACKAGE
+from rover_verify.requirements import load_requirements
+
+Way = Callable[[Sequence[str]], None]
+
+EXECUTABLES = architecture.executables(ROOT)
+# Languages of blocks that no shell is given: text is what a command printed, mermaid is drawn.
+SHOWN = {"text", "python", "yaml", "mermaid"}
+
+# Of `python -m`, what takes arguments of its own.
+PARSED_MODULES = {
+    "msg_schemas.access_policy",
+    "msg_schemas.document",
+    "rover_hil.dictionary",
+    "rover_verify.requirements",
+    "rover_verify.scripted_bag",
+}
+
+# ------------------------------------------------------------------------------ ways of doing it
+
+
+class _ParsedError(Exception):
+    """The arguments were taken: what would come now is not for a test."""
+
+
+def parsed(words: Sequence[str]) -> None:
+    """By the executable itself, as far as its own parser goes: it takes long, or never ends."""
+    module, _, function = EXECUTABLES[words[0]].partition(":")
+    _parse_in(vars(importlib.import_module(module))[function], words)
+
+
+def _parse_in(main: Callable[[], object], words: Sequence[str]) -> None:
+    own = ArgumentParser.parse_args
+
+    def parse(parser: ArgumentParser, arguments: Any = None, namespace: Any = None) -> NoReturn:
+        own(parser, arguments, namespace)
+        raise _ParsedError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ArgumentParser, "parse_args", parse)
+        patch.setattr(sys, "argv", list(words))
+        with pytest.raises(_ParsedError):
+            main()
+
+
+def measured(words: Sequence[str]) -> None:
+    """`verify`, which takes long: parsed, and what it is to measure is listed."""
+    parsed(words)
+    if "--only" in words:
+        wanted = words[list(words).index("--only") + 1]
+        known = [requirement.id for requirement in load_requirements()]
+        assert wanted in {"ID"} or any(each.startswith(wanted) for each in known), wanted
+
+
+def started(words: Sequence[str]) -> None:
+    """A node, which never ends: its parameters are held to those it has, with their rules."""
+    arguments, parameters = split_ros_arguments(words)
+    node = node_class(words[0])
+    assert node is not None, f"{words[0]} is no node"
+    assert arguments == [words[0]], f"{words[0]} takes parameters alone"
+    check_parameters(node, parameters)
+
+
+def rehearsed(words: Sequence[str]) -> None:
+    """A rehearsal, which wants a machine: its arguments are parsed and its procedure is read."""
+    parsed(words)
+    own = {"my_procedure.yaml": "docs/tutorials/own_procedure.yaml"}
+    load_procedure(own.get(words[1], words[1]))
+
+
+def operated(words: Sequence[str]) -> None:
+    """`rover`, which wants a machine: parsed and held to the contract; a session gives orders."""
+    if "--help" in words:
+        with pytest.raises(SystemExit) as ended:
+            make_parser().parse_args(list(words[1:]))
+        assert not ended.value.code
+        return
+    options = make_parser().parse_args(list(words[1:]))
+    if options.command in COMMANDS:
+        checked_arguments(COMMANDS[options.command], options)
+
+
+def by_ros2(words: Sequence[str]) -> None:
+    """What a sourced ROS 2 does: held to our files, topics, types and parameters."""
+    command = ros2_commands.read(words)
+    command.check()
+    if isinstance(command, ros2_commands.Run):
+        WAYS[command.words[0]](command.words)
+
+
+def by_python(words: Sequence[str]) -> None:
+    """`python3`: a line is run; a node of the tutorials as `started`, others are looked for."""
+    if words[1] == "-c":
+        subprocess.run([sys.executable, *words[1:3]], check=True, capture_output=True)
+    elif words[1] == "-m":
+        assert importlib.util.find_spec(words[2]) is not None, words[2]
+        if words[2] in PARSED_MODULES:
+            _parse_in(vars(importlib.import_module(words[2]))["main"], words[2:])
+    elif words[1].endswith("lander.py"):
+        _, parameters = split_ros_arguments(words)
+        check_parameters(runpy.run_path(str(ROOT / words[1]))["LanderNode"], parameters)
+    else:
+        assert (ROOT / words[1]).is_file(), words[1]
+
+
+def made(words: Sequence[str]) -> None:
+    """`make`: it is asked what it would do."""
+    done = subprocess.run(
+        ["make", "--dry-run", *words[1:]], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def installed(words: Sequence[str]) -> None:
+    """`pip install`, which wants the network: all that is named, is what we require."""
+    arguments = architecture.setup_arguments(ROOT)["install_requires"]
+    assert isinstance(arguments, list)
+    required = {architecture.distribution_of(each) for each in arguments}
+    named = {word for word in words[2:] if not word.startswith("-")}
+    assert words[1] == "install"
+    assert named <= required | {"colcon-common-extensions"}
+
+
+def in_the_ci(words: Sequence[str]) -> None:
+    """The workspace of a sourced ROS 2: the CI builds it by the same commands."""
+    script = (ROOT / ".ci" / "colcon").read_text(encoding="utf-8")
+    does = {
+        "mkdir": 'mkdir -p "$workspace/src',
+        "cp": f'"$workspace/src/{PACKAGE}"',
+        "colcon": 'bin/colcon" build',
+        "source": ". install/setup.bash",
+    }
+    assert does[words[0]] in script, words
+
+
+def of_the_shell(words: Sequence[str]) -> None:
+    """The shell's own, which changes nothing but the shell."""
+    assert words[0] in {"cd", "export", "umask"}
+
+
+WAYS: Mapping[str, Way] = {
+    # what starts and never ends by itself
+    **{name: started for name in EXECUTABLES if node_class(name) is not None},
+    "bag_record": parsed,
+    # what takes minutes
+    **dict.fromkeys(("bag_identify", "bench", "demo", "paper_study", "sweep"), parsed),
+    "verify": measured,
+    "winch_report": parsed,
+    # what is run on a bag in test_documented_runs.py, word for word
+    **dict.fromkeys(("bag_recover", "bag_report", "bag_resim"), parsed),
+    # what wants a machine
+    "hil_rehearsal": rehearsed,
+    "rover": operated,
+    # what is not ours
+    "ros2": by_ros2,
+    "python": by_python,
+    "python3": by_python,
+    "make": made,
+    "pip": installed,
+    **dict.fromkeys(("colcon", "cp", "mkdir", "source"), in_the_ci),
+    **dict.fromkeys(("cd", "export", "umask"), of_the_shell),
+}
+
+# ----------------------------------------------------------------------------------------- tests
+
+
+@pytest.mark.parametrize("command", documented.commands(), ids=str)
+def test_a_command_of_the_documents_can_be_done(command: Command, monkeypatch: pytest.MonkeyPatch):
+    way = WAYS.get(command.program)
+    assert way is not None, f"{command}: say in WAYS how a test does that"
+    words = list(command.words)
+    if ">" in words:
+        words = words[: words.index(">")]
+    monkeypatch.chdir(ROOT)
+    way(words)
+
+
+@pytest.mark.parametrize("typed", documented.typed_in_text(tuple(WAYS)), ids=str)
+def test_a_command_within_the_text_can_be_done(typed: Command):
+    WAYS[typed.program](typed.words)
+
+
+def test_there_is_a_way_for_every_executable_that_is_listed():
+    assert EXECUTABLES.keys() <= WAYS.keys()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_code_block_says_what_it_is(document: Path):
+    unknown = [
+        f"{block.place}: {block.language or 'no language'}"
+        for block in documented.blocks(document)
+        if block.language not in SHOWN | {SHELL}
+    ]
+    assert not unknown + documented.indented(document)
+
+
+def _of_files() -> list[Block]:
+    return [
+        block
+        for document in DOCUMENTS
+        for block in documented.blocks(document)
+        if block.language in {"python", "yaml"}
+    ]
+
+
+@pytest.mark.parametrize("block", _of_files(), ids=lambda block: block.place)
+def test_code_that_is_shown_stands_in_a_file_that_runs(block: Block):
+    text = (ROOT / block.file).read_text(encoding="utf-8")
+    assert block.text.strip() in text, f"{block.place} is not in {block.file}"
+
+
+def test_the_table_of_executables_is_the_list_in_setup_py():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?) \|", text, re.MULTILINE)
+    listed = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+    assert EXECUTABLES.keys() <= listed
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda p: p.name)
+def test_the_examples_of_a_launch_file_can_be_done(path: Path):
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    examples = "".join(re.findall(r"^ros2 (?:.*\\\n)*.*\n?", text, re.MULTILINE))
+    for command in documented.commands_of(Block(path.name, 0, SHELL, examples)):
+        by_ros2(command.words)
+    assert examples
