@@ -7,6 +7,7 @@ language what it is, and one that shows a file's lines which the file does not h
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import importlib.util
 import re
@@ -73,13 +74,18 @@ def _parse_in(main: Callable[[], object], words: Sequence[str]) -> None:
             main()
 
 
+@functools.cache
+def requirements() -> tuple[str, ...]:
+    """What is listed, by its identifier."""
+    return tuple(requirement.id for requirement in load_requirements())
+
+
 def measured(words: Sequence[str]) -> None:
     """`verify`, which takes long: parsed, and what it is to measure is listed."""
     parsed(words)
     if "--only" in words:
         wanted = words[list(words).index("--only") + 1]
-        known = [requirement.id for requirement in load_requirements()]
-        assert wanted in {"ID"} or any(each.startswith(wanted) for each in known), wanted
+        assert wanted in {"ID"} or any(each.startswith(wanted) for each in requirements()), wanted
 
 
 def started(words: Sequence[str]) -> None:

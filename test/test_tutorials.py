@@ -88,7 +88,7 @@ def test_the_own_load_cell_is_what_the_bridge_asks_for(ends: list[canopen.Networ
 
     bridges.subscribe(pdo.can_id(LOAD_CELL.node_id), hear)
     node.nmt.wait_for_heartbeat(PATIENCE)
-    bridges.send_message(0, [1, LOAD_CELL.node_id])  # NMT: operational
+    bridges.send_message(0, bytes([1, LOAD_CELL.node_id]))  # NMT: operational
     for counter in range(1, 200):
         bridges.sync.transmit(counter)
         if answered.wait(PATIENCE / 200):
