@@ -9,6 +9,7 @@ brake closed, and goes on with the next command.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 
@@ -50,7 +51,7 @@ class Bridge:
         command_time: from a command's arrival here to its execution, by estimated clocks [s].
         answer_time: from SYNC to the last device's answer [s].
         cycles: begun since the start.
-        late: cycles that began more than half a period late.
+        late: cycles that were due and began more than half a period late, or not at all.
         incomplete: cycles that a device did not answer fully.
         overdue: round trips longer than a period.
     """
@@ -166,7 +167,8 @@ class Bridge:
         """
         if self._cycle_ns is not None:
             self.cycles += 1
-            self.late += now_ns - self._cycle_ns > 1.5 * SYNC_PERIOD * 1e9
+            periods = (now_ns - self._cycle_ns) * 1e-9 / SYNC_PERIOD
+            self.late += max(0, math.floor(periods - 0.5))
             # What never was there, or is known to be lost, is not missed again in each cycle.
             lost = [station.end_cycle(now_ns) for station in self.stations.values()]
             self.incomplete += any(lost)

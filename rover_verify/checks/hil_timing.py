@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import random
+import signal
+import time
 from functools import cache
 from pathlib import Path
 
 from msg_schemas import topics
 from msg_schemas.samples import Status
+from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured
 from rover_verify.stage import open_stage
 
@@ -15,6 +18,10 @@ _CLOCK_OFFSET = 12.5  # of the rover's clock, set wrong on purpose [s]
 _LOOPS = 2000  # of which the percentiles are made
 _WARM_UP = 500
 _ATTEMPTS = 100
+_STOPS = 12
+_STOPPED = (0.02, 0.3)  # a bridge, for so long [s]
+_RUNNING = (0.1, 0.5)  # and between [s]
+_READING = 3  # cycles by which a count and the time at which it is heard may be apart
 
 
 @cache
@@ -66,3 +73,46 @@ def clock_offset(batch: Batch) -> Measured:
     error = abs(found - _CLOCK_OFFSET)
     details: dict[str, float | str] = {"error [s]": error, "uncertainty [s]": uncertainty}
     return Measured(error / uncertainty, "rover against mother", details)
+
+
+def uncounted_deadlines(batch: Batch) -> Measured:
+    """SYNCs that were due of a bridge that is stopped now and then, neither sent nor counted."""
+    generator = random.Random(batch.seed)
+    link = f"udp_multicast:239.74.163.2:{generator.randrange(44000, 48000)}"
+    with open_stage(batch.folder) as stage:
+        stage.processes.start("rover_hil.emulator.emulator_node", {"link": link})
+        bridge = stage.processes.start(
+            "rover_hil.bridge_node", {"link": link, "use_sim_time": True}
+        )
+        observer = stage.observer()
+        reports = observer.listen(topics.LINK_STATUS)
+        for name in (topics.DIAGNOSTICS, topics.CLOCK):
+            observer.listen(name)
+        observer.wait_until_ready("hil_bridge")
+
+        def counts() -> tuple[float, int, int]:
+            """When a report came [s], and its cycles and late ones."""
+            found = reports.wait(lambda _: True, len(reports))
+            at = time.monotonic()
+            (told,) = [s for s in found.statuses if s.name == "hil_bridge: link"]
+            return at, int(told.values["cycles"]), int(told.values["late_cycles"])
+
+        began, first, first_late = counts()
+        stopped = 0.0
+        for _ in range(_STOPS):
+            bridge.send(signal.SIGSTOP)
+            pause = generator.uniform(*_STOPPED)
+            time.sleep(pause)
+            bridge.send(signal.SIGCONT)
+            stopped += pause
+            time.sleep(generator.uniform(*_RUNNING))
+        ended, last, last_late = counts()
+    due = (ended - began) / SYNC_PERIOD
+    missed = due - (last - first)
+    uncounted = missed - (last_late - first_late)
+    return Measured(
+        max(0.0, round(uncounted) - _READING),
+        f"stopped {_STOPS} times for {stopped:.1f} s in all: of {due:.0f} cycles {missed:.0f} were "
+        f"not begun, {last_late - first_late} are counted as not begun, or late; up to {_READING} "
+        "may be the reading's",
+    )

@@ -6,6 +6,7 @@ Simulated time waits for each of them, so that a machine that starves one is slo
 from __future__ import annotations
 
 import random
+import signal
 import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
+from rover_hil.devices import COMMANDS_LOST, HEARTBEAT_LOST
 
 if TYPE_CHECKING:
     from rover_verify.stage import Observer, Process, Stage
@@ -252,6 +254,19 @@ def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
     rig.pay_out()
 
 
+def test_a_frozen_encoder_is_told_as_it_stands_and_the_drive_goes_on(rig: Rig):
+    rig.pay_out()
+    begun_ns = rig.begin("{what: frozen_encoder, on: winch}")
+    first, later = (rig.state(begun_ns + after) for after in (50_000_000, 450_000_000))
+    rig.impair("")
+    # Its own stamp, and so the first state after the thaw, is later than the answer to the order.
+    thawed = rig.state(rig.time_ns + 50_000_000)
+    assert is_open(later)
+    assert length(later) == length(first)
+    assert later.joints[WINCH_DRUM].velocity == 0.0
+    assert length(thawed) - length(first) > 0.8 * RATE * 0.4
+
+
 def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
     rig.pay_out()
     rig.commands = {topics.WINCH_COMMAND: winch(0.0), topics.WHEEL_COMMAND: ROLL}
@@ -316,3 +331,39 @@ def test_a_wrong_impairment_is_refused_with_what_would_be_right(rig: Rig):
     answer = rig.observer.set_parameter("drive_emulator", "impairments", "{what: lost}")
     assert not answer.successful
     assert "should be one of delay, jitter, loss" in answer.reason
+
+
+def test_a_killed_bridge_brakes_and_its_successor_moves_nothing_until_it_is_armed(rig: Rig):
+    rig.pay_out()
+    since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
+    rig.impair("{what: bridge_kill}")
+    assert rig.bridge.wait() == -signal.SIGKILL
+
+    def tells_a_watchdog(sample: StatusSample) -> bool:
+        codes = [s.values.get("error_code") for s in sample.statuses if s.name == "winch_drive"]
+        return bool({str(COMMANDS_LOST), str(HEARTBEAT_LOST)} & set(codes))
+
+    rig.events.wait(tells_a_watchdog, since)
+    rig.impair("")
+    back = len(rig.states)
+    rig.bridge = rig.start_bridge()
+    rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "not_armed", refused)
+    assert not any(map(is_open, rig.states.samples[back:]))
+    rig.observer.wait_until_ready("hil_bridge", refused)
+    rig.pay_out()
+
+
+def test_a_killed_emulator_is_missed_and_its_successor_stays_braked_until_it_is_armed(rig: Rig):
+    rig.pay_out()
+    since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
+    # Not before the order is answered.
+    rig.impair("{what: emulator_kill, at: 0.5}")
+    assert rig.emulator.wait() == -signal.SIGKILL
+    rig.event("winch_silent", since)
+    rig.event("winch_disarmed", since)
+    back = len(rig.states)
+    rig.emulator = rig.start_emulator()
+    rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "not_armed", refused)
+    assert not any(map(is_open, rig.states.samples[back:]))
+    rig.observer.wait_until_ready("drive_emulator", refused)
+    rig.pay_out()

@@ -1,0 +1,98 @@
+"""Emulator and bridge as processes, with the real winch_node, over DDS and a real transport."""
+
+from __future__ import annotations
+
+import os
+import pty
+import threading
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
+from msg_schemas.samples import JointSample, JointValue
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Process, Stage
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge_node"
+WINCH = "tether_winch.winch_node"
+LENGTH = 20.5
+
+
+@contextmanager
+def serial_line() -> Iterator[tuple[str, str]]:
+    """Two ends of a serial line made of pseudo-terminals."""
+    ends = [pty.openpty() for _ in range(2)]
+    for end in ends:
+        for descriptor in end:
+            tty.setraw(descriptor)
+    (first, first_slave), (second, second_slave) = ends
+
+    def carry(here: int, there: int) -> None:
+        while True:
+            try:
+                os.write(there, os.read(here, 4096))
+            except OSError:  # closed
+                return
+
+    carriers = [
+        threading.Thread(target=carry, args=pair, daemon=True)
+        for pair in ((first, second), (second, first))
+    ]
+    for carrier in carriers:
+        carrier.start()
+    try:
+        yield f"serial:{os.ttyname(first_slave)}", f"serial:{os.ttyname(second_slave)}"
+    finally:
+        for descriptor in (first_slave, second_slave, first, second):
+            os.close(descriptor)
+
+
+def start(stage: Stage, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
+    """Start emulator and bridge; returns the bridge, and an observer when both are ready.
+
+    In lockstep, also with the winch's commander, a busy machine is slow and not wrong.
+    """
+    lockstep: dict[str, object] = {"lockstep": True, "lockstep_patience": 10.0}
+    stage.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
+    commander = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
+    parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | commander
+    bridge = stage.processes.start(BRIDGE, parameters)
+    observer = stage.observer()
+    for name in (topics.CLOCK, topics.DIAGNOSTICS, topics.WINCH_STATE, topics.WINCH_MODE,
+                 topics.LINK_STATUS):  # fmt: skip
+        observer.listen(name)
+    for node in ("drive_emulator", "hil_bridge"):
+        observer.wait_until_ready(node)
+    return bridge, observer
+
+
+def drum(sample: JointSample) -> JointValue:
+    return sample.joints[WINCH_DRUM]
+
+
+def test_the_winch_moves_the_tether_through_a_serial_link(stage: Stage, compiled_in_space: None):
+    with serial_line() as (one, other):
+        bridge, observer = start(stage, one, other)
+        stage.processes.start(WINCH, {"use_sim_time": True})
+        observer.wait_until_ready("winch_node")
+        assert observer.call(topics.DRIVES_ARM, True).success
+        assert observer.call(topics.WINCH_REARM).success
+        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        states, since = observer.listen(topics.WINCH_STATE), len(observer.listen(topics.WINCH_MODE))
+        request = {WINCH_TO_LENGTH: JointValue(LENGTH, 0.3, 0.0)}
+        observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), request))
+        observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
+        assert drum(states.last).position == pytest.approx(LENGTH, abs=0.02)
+        told = observer.wait_for_status(
+            topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.message != ""
+        )
+        assert told.values["frames_damaged"] == "0"
+        assert bridge.stop() == 0
