@@ -1,0 +1,282 @@
+"""A descent and a jump flown by the suite's nodes, once with the simulator and once over the link.
+
+The same processes control both: `sim_node` is their machine directly, or `hil_bridge` is, with
+`drive_emulator` behind it. Each run is recorded, and what it came to is read from its bag alone.
+Simulated time waits for the winch in both, so that a busy machine is slow and not wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    CAMERA_RATE,
+    DEPTH,
+    JUMP_HEIGHT,
+    JUMP_STROKE,
+    OBSERVATION_STOP,
+)
+from msg_schemas.samples import StatusSample
+from rover_bags.findings.activities import hanging_swing
+from rover_bags.findings.entries import entries_of
+from rover_bags.findings.metrics import measure
+from rover_bags.read import Bag, read_bag
+from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks.jump_rig import Stand
+from rover_verify.checks.winch_nodes import arm
+from rover_verify.stage import Observer, Stage, open_stage
+from rover_verify.stage.lockstep import Lockstep
+from rover_verify.stage.recording import recorded_topics
+
+_CONFIG = Path(__file__).resolve().parents[2] / "config"
+_PATIENCE = 3600.0  # by the wall clock [s]
+_LONGEST = 600.0  # of a descent or a jump, in simulated time [s]
+_TOP, _STOP = 3.0, 5.0  # [m]
+_HEIGHT = 0.2  # of the jump [m]
+_HEARD = (
+    topics.CLOCK, topics.DIAGNOSTICS, topics.EVENTS, topics.WINCH_MODE, topics.WINCH_COMMAND,
+    topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
+)  # fmt: skip
+_LAST = 10.0  # of a flight [s]
+Figures = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """How far a figure over the link may be from that of the direct run."""
+
+    absolute: float = 0.0
+    relative: float = 0.0
+
+    def holds(self, direct: float, linked: float) -> bool:
+        """Whether it is within."""
+        return abs(linked - direct) <= self.absolute + self.relative * abs(direct)
+
+
+BOUNDS: Mapping[str, Bound] = {
+    "pictures": Bound(),
+    "depth of the pictures [m]": Bound(absolute=2e-3),
+    "largest camera rate [rad/s]": Bound(absolute=6e-4),
+    "time to the end of the stop [s]": Bound(absolute=10.0, relative=0.25),
+    "swing at the end [rad]": Bound(absolute=2e-3),
+    "jump height [m]": Bound(relative=0.03),
+    "jump height by the IMU [m]": Bound(relative=0.05),
+    "flight time [s]": Bound(relative=0.03),
+    "stroke [m]": Bound(absolute=1e-3),
+}
+"""Two runs never are the same: sensors are sampled at 200 Hz over the link and quantised there."""
+
+
+class _Run:
+    """Processes of one run, and the operator."""
+
+    def __init__(self, stage: Stage, folder: Path, controllers: tuple[str, ...]) -> None:
+        self.bag = folder / "bag"
+        self._stage = stage
+        self._recorder = stage.processes.start("rover_bags.record", {"output": str(self.bag)})
+        self.observer: Observer = stage.observer()
+        for name in _HEARD:
+            self.observer.listen(name)
+        for name in controllers:
+            stage.processes.start(_MODULES[name], _parameters(name) | {"use_sim_time": True})
+        self._controllers = controllers
+
+    def wait_until_ready(self, machine: tuple[str, ...]) -> None:
+        for name in (*machine, *self._controllers):
+            self.observer.wait_until_ready(name)
+        self.observer.wait_until(
+            lambda: {"winch/state", "clock"} <= recorded_topics(self.bag),
+            "the recorder does not hear the machine",
+        )
+
+    def end(self) -> Bag:
+        if self._recorder.stop() != 0:
+            raise RuntimeError(f"the recorder failed:\n{self._recorder.output}")
+        return read_bag(self.bag)
+
+
+_MODULES = {
+    "winch_node": "tether_winch.winch_node",
+    "descent_node": "rover_control.descent_node",
+    "jump_node": "rover_control.jump_node",
+}
+
+
+def _parameters(node: str) -> dict[str, object]:
+    """Parameters of a node as they are shipped; the winch's those for a descent."""
+    found: dict[str, object] = {}
+    for name in (node, "winch_descent") if node == "winch_node" else (node,):
+        path = _CONFIG / f"{name}.yaml"
+        if not path.exists():
+            raise NotPossible(f"the parameter files are only in a checkout: {path}")
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        found |= content[f"/**/{node}"]["ros__parameters"]
+    return found
+
+
+class _Direct:
+    """`sim_node`, stepped when the winch has answered."""
+
+    def __init__(self, stage: Stage, scenario: Mapping[str, object], seed: int) -> None:
+        given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
+        stage.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **given})
+        self._lockstep: Lockstep | None = None
+        self.nodes: tuple[str, ...] = ("sim_node",)
+
+    def begin(self, observer: Observer) -> None:
+        del observer
+
+    def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
+        events = observer.listen(topics.EVENTS)
+        if self._lockstep is None:
+            self._lockstep = Lockstep(observer, topics.WINCH_COMMAND)
+        self._lockstep.run_until(lambda: any(map(ends, events.samples[since:])), _LONGEST)
+
+
+class _Linked:
+    """`hil_bridge` and `drive_emulator`, in lockstep."""
+
+    def __init__(self, stage: Stage, scenario: Mapping[str, object], seed: int) -> None:
+        link = f"udp_multicast:239.74.163.2:{random.SystemRandom().randrange(44000, 48000)}"
+        lockstep = {"link": link, "lockstep": True, "lockstep_patience": 30.0}
+        given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
+        stage.processes.start(
+            "rover_hil.emulator.emulator_node",
+            {"scenario": scenario["name"], **given, **lockstep},
+        )
+        waits = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
+        stage.processes.start("rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep})
+        self.nodes: tuple[str, ...] = ("drive_emulator", "hil_bridge")
+
+    def begin(self, observer: Observer) -> None:
+        answer = observer.call(topics.DRIVES_ARM, True)
+        if not answer.success:
+            raise RuntimeError(f"the drives cannot be armed: {answer.message}")
+
+    def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
+        observer.listen(topics.EVENTS).wait(ends, since, _PATIENCE)
+
+
+@contextmanager
+def _machine(
+    kind: type[_Direct | _Linked],
+    folder: Path,
+    scenario: Mapping[str, object],
+    seed: int,
+    controllers: tuple[str, ...],
+) -> Iterator[tuple[_Run, _Direct | _Linked]]:
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_stage(folder) as stage:
+        run = _Run(stage, folder, controllers)
+        machine = kind(stage, scenario, seed)
+        run.wait_until_ready(machine.nodes)
+        machine.begin(run.observer)
+        arm(run.observer)
+        yield run, machine
+
+
+def _happened(*names: str) -> Callable[[StatusSample], bool]:
+    return lambda sample: any(s.name in names for s in sample.statuses)
+
+
+def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
+    """A swinging rover is lowered to one stop and takes its pictures there; returns the bag."""
+    generator = random.Random(seed)
+    scenario = {
+        "name": "free_hang",
+        "overrides": {
+            "tether.length": _TOP,
+            "tether.element_length": 0.9,
+            "winch.min_length": 1.4,
+            "start.swing_angle": generator.uniform(1.0, 2.0),
+            "start.swing_heading": generator.uniform(0.0, 360.0),
+            "sensors.quality": "real",
+        },
+    }
+    with _machine(kind, folder, scenario, seed, ("winch_node", "descent_node")) as (run, machine):
+        since = len(run.observer.listen(topics.EVENTS))
+        run.observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0)
+        machine.wait(run.observer, _happened("stop_ended"), since)
+        return run.end()
+
+
+def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
+    """A standing rover jumps on a slack tether; returns the bag."""
+    overrides = {**Stand(spring=random.Random(seed).uniform(0.97, 1.03)).overrides(),
+                 "sensors.quality": "real"}  # fmt: skip
+    scenario = {"name": "floor_rubble", "overrides": overrides}
+    with _machine(kind, folder, scenario, seed, ("winch_node", "jump_node")) as (run, machine):
+        since = len(run.observer.listen(topics.EVENTS))
+        run.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
+        machine.wait(run.observer, _happened("jump_standby", "jump_fault"), since)
+        return run.end()
+
+
+# --- what a bag tells ----------------------------------------------------------------------------
+
+
+def descent_figures(bag: Bag) -> Figures:
+    """Figures of a descent to one stop."""
+    metrics = measure(bag)
+    told = {entry.name: entry for entry in entries_of(bag.track(topics.EVENTS))}
+    pictures = bag.track(topics.DESCENT_OBSERVATION)
+    if pictures is None:
+        raise RuntimeError(f"no pictures: {told['stop_ended'].message}")
+    swing = hanging_swing(bag, metrics.timeline)
+    assert swing is not None
+    time, angle = swing
+    return {
+        "pictures": len(pictures),
+        "depth of the pictures [m]": float(np.mean(pictures.columns[f"{DEPTH}.position"])),
+        "largest camera rate [rad/s]": float(np.max(pictures.columns[f"{CAMERA_RATE}.velocity"])),
+        "time to the end of the stop [s]": told["stop_ended"].time_s - told["stop_accepted"].time_s,
+        "swing at the end [rad]": float(angle[time > time[-1] - _LAST].max()),
+    }
+
+
+def jump_figures(bag: Bag) -> Figures:
+    """Figures of a jump."""
+    (flown,) = measure(bag).jumps
+    own = bag.track(topics.JUMP_FLOWN)
+    if own is None:
+        raise RuntimeError("the jump's controller tells of no jump")
+    return {
+        "jump height [m]": flown.jump_height_m,
+        "jump height by the IMU [m]": float(own.columns[f"{JUMP_HEIGHT}.position"][-1]),
+        "flight time [s]": flown.flight_time_s,
+        "stroke [m]": float(own.columns[f"{JUMP_STROKE}.position"][-1]),
+    }
+
+
+def through_the_emulator(batch: Batch) -> Measured:
+    """Figures of a descent and a jump through the link that are out of bounds of the direct run."""
+    found: dict[type[_Direct | _Linked], dict[str, float]] = {_Direct: {}, _Linked: {}}
+    lost = 0
+    for kind, figures in found.items():
+        for fly, read in ((descend, descent_figures), (jump, jump_figures)):
+            folder = batch.folder / f"{fly.__name__}{kind.__name__}"
+            bag = fly(kind, folder, batch.seed)
+            figures.update(read(bag))
+            lost += sum(bag.dropped.values()) + sum(bag.missed.values())
+    direct, linked = found[_Direct], found[_Linked]
+    outside = [
+        name for name, bound in BOUNDS.items() if not bound.holds(direct[name], linked[name])
+    ]
+    details: dict[str, float | str] = {
+        name: f"{direct[name]:.5g} directly, {linked[name]:.5g} over the link" for name in BOUNDS
+    }
+    return Measured(
+        len(outside),
+        f"outside: {', '.join(outside) or 'none'}; four bags, {lost} messages lost",
+        details,
+    )
