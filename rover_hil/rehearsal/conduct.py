@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from msg_schemas import topics
-from msg_schemas.samples import JointValue
+from msg_schemas.samples import JointValue, Level
 from rover_hil.rehearsal.actions import (
     Action,
     Amount,
@@ -376,7 +376,25 @@ class Conductor:
                 self._stand.set_parameter(node, name, before)
             except CannotDoError as error:
                 self._stand.tell(f"    {node} {name} was not put back: {error}")
+        if attempt.to_put_back:
+            self._let_recover()
         attempt.to_put_back.clear()
+
+    def _let_recover(self) -> None:
+        """Wait until the link's devices answer again, where somebody tells of them.
+
+        What follows would else meet a machine that still suffers from what was taken away.
+        """
+        history, since_ns = self._stand.history, self._stand.steady_ns()
+
+        def is_well() -> bool:
+            last = history.last(topics.LINK_STATUS)
+            if last is None or last.sample is None:
+                return True
+            links = [each for each in last.sample.statuses if each.name.endswith(": link")]
+            return last.steady_ns > since_ns and all(each.level is Level.OK for each in links)
+
+        self._wait_for(is_well)
 
     def _disarm(self) -> None:
         """Take the power away, if it was given: no rehearsal leaves a machine that may move."""

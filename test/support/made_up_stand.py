@@ -29,6 +29,7 @@ class Machine:
     hiccup_at: float = -1.0  # when the rehearsal itself is held up [s]
     hiccup: float = 0.0  # for how long [s]
     hiccups: int = 1
+    recovery: float = 0.0  # after a parameter was set; till then the link's devices are silent [s]
     offered: set[str] = field(default_factory=lambda: {topics.WINCH_STATE, topics.WINCH_COMMAND})
     parameters: dict[tuple[str, str], object] = field(default_factory=dict)
     answers: dict[str, bool] = field(default_factory=dict)  # of the operator, by key
@@ -76,6 +77,7 @@ class MadeUpStand:
         self._told_ns = 0
         self._reported_ns = 0
         self._hiccups = 0
+        self._set_ns = -_SECOND * 1000
 
     # --- clocks ----------------------------------------------------------------------------------
 
@@ -127,8 +129,11 @@ class MadeUpStand:
         cycles = str(self.time_ns // 5_000_000)
         link = {"cycles": cycles, "sync_rate": "200.0", "command_time_p99": "0.004"}
         drive = {"armed": str(self.armed).lower()}
+        level, message = Level.OK, "all devices answer"
+        if self._suffers:
+            level, message = Level.ERROR, "not heard: winch"
         statuses = (
-            Status("hil_bridge: link", "all devices answer", Level.OK, "hil_bridge", link),
+            Status("hil_bridge: link", message, level, "hil_bridge", link),
             Status("hil_bridge: winch", "operation enabled", Level.OK, "hil_bridge", drive),
         )
         self.hear(topics.LINK_STATUS, StatusSample(self.time_ns, statuses))
@@ -197,6 +202,8 @@ class MadeUpStand:
         self.calls.append((service, data))
         if service != topics.DRIVES_ARM:
             raise CannotDoError(f"nobody serves {service}")
+        if data and self._suffers:
+            return Answer(False, "not heard on the link: winch")
         self.armed = data is True
         if not self.armed:
             self.brake = 0.0
@@ -210,6 +217,11 @@ class MadeUpStand:
     def set_parameter(self, node: str, name: str, value: object) -> None:
         self.machine.parameters[node, name] = value
         self.set.append((node, name, value))
+        self._set_ns = self.time_ns
+
+    @property
+    def _suffers(self) -> bool:
+        return self.time_ns - self._set_ns < self.machine.recovery * _SECOND
 
     def ask(self, key: str, what: str) -> None:
         if not self.machine.answers.get(key, False):

@@ -194,6 +194,16 @@ def test_what_a_step_has_set_is_put_back_unless_it_says_otherwise():
     assert parameters["hil_bridge", "kept"] == 3
 
 
+def test_what_follows_an_impairment_meets_a_machine_that_has_recovered():
+    impair = {"impair": {"these": [{"what": "cut", "on": "winch", "duration": 2.0}]}}
+    suffers = {"rule": "rate", "title": "x", "do": [impair],
+               "expect": [{"event": {"name": "never", "absent": True}}]}  # fmt: skip
+    arms = {"rule": "safe_state", "title": "y", "moves": True, "do": [ARM]}
+    machine = Machine(recovery=1.2, parameters={("drive_emulator", "impairments"): ""})
+    found, _ = conducted(machine, suffers=suffers, arms=arms)
+    assert found["arms"].verdict is Verdict.PASS
+
+
 def test_the_operator_s_eyes_judge():
     step = {"rule": "safe_state", "title": "x",
             "do": [{"look": {"key": "still", "question": "Does the drum stand?"}}]}  # fmt: skip
