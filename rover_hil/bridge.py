@@ -108,6 +108,7 @@ class Bridge:
                 self._tell(f"{device.name}_restarted", "the device has begun anew", Level.WARN)
             station.restarted()
             if device.is_drive:
+                self._disarm(device.name, "the device has begun anew")
                 self.channels[device.name].restarted()
         station.nmt_state = state
         # A device that is operational is heard by its answers: one without them is of no use.

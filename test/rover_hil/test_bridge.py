@@ -251,6 +251,7 @@ def test_a_drive_that_begins_anew_is_disarmed_and_the_others_are_not(bench: HilB
         bench.cycles(0.1, winch())
     assert_it_stops(bench, STOP)
     assert bench.happened("winch_restarted")
+    assert bench.happened("winch_disarmed")
     assert not bench.bridge.channels["winch"].armed
     assert bench.bridge.channels["wheel"].armed
 
