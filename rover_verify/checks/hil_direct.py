@@ -2,7 +2,7 @@
 
 The same processes control both: `sim_node` is their machine directly, or `hil_bridge` is, with
 `drive_emulator` behind it. Each run is recorded, and what it came to is read from its bag alone.
-Simulated time waits for the winch in both, so that a busy machine is slow and not wrong.
+Simulated time waits for the controllers in both, so that a busy machine is slow and not wrong.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from rover_bags.findings.activities import hanging_swing
 from rover_bags.findings.entries import entries_of
 from rover_bags.findings.metrics import measure
 from rover_bags.read import Bag, read_bag
+from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.checks.jump_rig import Stand
 from rover_verify.checks.winch_nodes import arm
@@ -44,9 +45,12 @@ _LONGEST = 600.0  # of a descent or a jump, in simulated time [s]
 _TOP, _STOP = 3.0, 5.0  # [m]
 _HEIGHT = 0.2  # of the jump [m]
 _HEARD = (
-    topics.CLOCK, topics.DIAGNOSTICS, topics.EVENTS, topics.WINCH_MODE, topics.WINCH_COMMAND,
-    topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
+    topics.CLOCK, topics.DIAGNOSTICS, topics.EVENTS, topics.WINCH_MODE, topics.WINCH_STATE,
+    topics.WINCH_COMMAND, topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
 )  # fmt: skip
+_WAITED_FOR = (topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND)
+_ATTEMPTS = 50
+_WITHIN = 5  # cycles of SYNC: the rover's controller acts every fourth
 _LAST = 10.0  # of a flight [s]
 Figures = Mapping[str, float]
 
@@ -139,7 +143,9 @@ class _Direct:
     def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
         events = observer.listen(topics.EVENTS)
         if self._lockstep is None:
-            self._lockstep = Lockstep(observer, topics.WINCH_COMMAND)
+            self._lockstep = Lockstep(
+                observer, topics.WINCH_COMMAND, _WAITED_FOR[1:], _WITHIN * SYNC_PERIOD
+            )
         self._lockstep.run_until(lambda: any(map(ends, events.samples[since:])), _LONGEST)
 
 
@@ -154,7 +160,7 @@ class _Linked:
             "rover_hil.emulator.emulator_node",
             {"scenario": scenario["name"], **given, **lockstep},
         )
-        waits = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
+        waits = {"lockstep_commands": ",".join(_WAITED_FOR), "lockstep_within": _WITHIN}
         stage.processes.start("rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep})
         self.nodes: tuple[str, ...] = ("drive_emulator", "hil_bridge")
 
@@ -181,8 +187,22 @@ def _machine(
         machine = kind(stage, scenario, seed)
         run.wait_until_ready(machine.nodes)
         machine.begin(run.observer)
-        arm(run.observer)
+        _arm(run.observer)
         yield run, machine
+
+
+def _arm(observer: Observer) -> None:
+    """Arm the winch, as soon as a busy machine lets it hear its sensors in time."""
+    states = observer.listen(topics.WINCH_STATE)
+    for attempt in range(_ATTEMPTS):
+        try:
+            arm(observer)
+        except RuntimeError:
+            if attempt == _ATTEMPTS - 1:
+                raise
+            states.wait(lambda _: True, len(states))
+        else:
+            return
 
 
 def _happened(*names: str) -> Callable[[StatusSample], bool]:

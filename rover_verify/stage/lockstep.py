@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from msg_schemas import topics
 from msg_schemas.codecs import message_class
@@ -24,13 +24,20 @@ class Lockstep:
     Args:
         observer: that hears and calls.
         answer: topic by which the node answers each tick.
+        followers: topics of nodes that answer less often, once they have begun.
+        lag: by which stamps of these may be behind [s].
     """
 
     _ANSWER = 5.0  # a tick's answer is waited for so long [s]
 
-    def __init__(self, observer: Observer, answer: str) -> None:
+    def __init__(
+        self, observer: Observer, answer: str, followers: Iterable[str] = (), lag: float = 0.0
+    ) -> None:
         self._observer = observer
         self._answers = observer.listen(answer)
+        self._followers = {name: observer.listen(name) for name in followers}
+        self._gone: dict[str, int] = {}  # messages that had come when one was given up
+        self._lag_ns = round(lag * 1e9)
         self._kind = message_class(SERVICES[topics.SIM_STEP].service)
         self._client = observer.node.create_client(self._kind, topics.SIM_STEP)
         observer.wait_until(self._client.service_is_ready, "the simulator cannot be stepped")
@@ -55,9 +62,19 @@ class Lockstep:
         pause = threading.Event()
         while time.monotonic() < give_up:
             last = self._answers.last
-            if last is not None and last.stamp_ns > before:
+            if last is not None and last.stamp_ns > before and not self._late():
                 return
             pause.wait(_LOOK)
+        self._gone |= {name: len(self._followers[name]) for name in self._late()}
+
+    def _late(self) -> list[str]:
+        """Followers that are waited for; who was given up is no more, until it is heard again."""
+        now_ns = self._observer.time_ns()
+        return [
+            name
+            for name, feed in self._followers.items()
+            if len(feed) > self._gone.get(name, 0) and now_ns - feed.last.stamp_ns > self._lag_ns
+        ]
 
     def release(self) -> None:
         """Let time run by itself again."""
