@@ -43,6 +43,7 @@ PARSED_MODULES = {
     "msg_schemas.access_policy",
     "msg_schemas.document",
     "rover_hil.dictionary",
+    "rover_verify.mission_picture",
     "rover_verify.requirements",
     "rover_verify.scripted_bag",
 }

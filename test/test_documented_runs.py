@@ -41,8 +41,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder.made.write(folder / "run")
     made = MadeUp()
     made.jumps([Parabola()], until=2.5, rate=50.0)
-    for name in ("run1", "run2", "run3", "out/demo/bag", "broken"):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    for name in ("run1", "run2", "run3", "descent_bag", "pit", "broken"):
         made.write(folder / name)
     (file,) = (folder / "broken").glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])

@@ -134,3 +134,20 @@ def typed_in_text(programs: tuple[str, ...]) -> list[Command]:
                     block = Block(str(document), number, SHELL, text)
                     found.setdefault(words, Command(words, place, block))
     return list(found.values())
+
+
+def section(document: str, heading: str) -> list[Command]:
+    """The commands under a heading of a document, up to the next heading."""
+    path = ROOT / document
+    lines = path.read_text(encoding="utf-8").splitlines()
+    headings = [number for number, line in enumerate(lines, start=1) if line.startswith("## ")]
+    (begin,) = [number for number in headings if lines[number - 1] == f"## {heading}"]
+    end = min((number for number in headings if number > begin), default=len(lines))
+    found = [
+        command
+        for block in blocks(path)
+        if block.language == SHELL and begin < block.line < end
+        for command in commands_of(block)
+    ]
+    assert found, f"{document} has no commands under {heading}"
+    return found

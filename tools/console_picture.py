@@ -1,0 +1,88 @@
+"""A picture of the operators' page in the middle of a descent, for the documents.
+
+Starts simulator, winch, descent and page, arms, asks for a stop with pictures, and takes one of the
+page when the rover has imaged the wall there:
+
+    python tools/console_picture.py docs/console.png
+
+Needs playwright and Debian's chromium. On a busy machine simulated time should pass more slowly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+from msg_schemas import topics
+from msg_schemas.machine import OBSERVATION_STOP
+from rover_launch.plan import HANGING
+from rover_verify.stage import Observer, Stage, open_stage
+
+ROOT = Path(__file__).parents[1]
+SIZE = {"width": 1440, "height": 1000}
+PAGE = r"the page is at (\S+)"
+LONGEST = 1500.0  # wall time until the pictures at the stop [s]
+
+
+def start(stage: Stage, factor: float) -> str:
+    """Start all processes; returns the page's address."""
+    begin = stage.processes.start
+    begin("rover_sim.sim_node", {**HANGING, "real_time_factor": factor})
+    room = ROOT / "config" / "winch_descent.yaml"
+    begin("tether_winch.winch_node", {"use_sim_time": True}, params_file=room)
+    begin("rover_control.descent_node", {"use_sim_time": True})
+    page = begin("operator_console.console_node", {"use_sim_time": True, "port": 0})
+    return page.wait_for_output(PAGE).group(1)
+
+
+def descend(observer: Observer, depth: float) -> None:
+    """Arm, ask for a stop with pictures, and wait for the last of them."""
+    for node in ("winch_node", "descent_node"):
+        observer.wait_until_ready(node)
+    assert observer.call(topics.WINCH_REARM).success
+    observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, depth, 0.0, stamp_ns=0)
+    observer.listen(topics.EVENTS).wait(
+        lambda sample: any(each.name == "stop_ended" for each in sample.statuses), timeout=LONGEST
+    )
+
+
+def take(address: str, picture: Path) -> None:
+    """Open the page and write what it shows."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        raise SystemExit("no chromium on this machine: apt-get install chromium")
+    own = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, env=own)
+        page = browser.new_page(viewport=SIZE)
+        page.goto(address)
+        page.wait_for_selector('body[data-link="live"]')
+        page.wait_for_timeout(3000.0)
+        page.screenshot(path=str(picture))
+        browser.close()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly the descent and take the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("picture", type=Path, help="file to write, .png")
+    parser.add_argument("--factor", type=float, default=1.0, help="simulated seconds per second")
+    parser.add_argument("--depth", type=float, default=11.0, help="of the stop [m]")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder, open_stage(Path(folder)) as stage:
+        address = start(stage, options.factor)
+        descend(stage.observer(), options.depth)
+        take(address, options.picture.absolute())
+    print(f"wrote {options.picture}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
