@@ -14,6 +14,9 @@ from msg_schemas import topics
 ALL = ("*",)
 """Everything, as DDS Security's permissions match it."""
 
+TRANSFORMS = ("tf", "tf_static")
+"""Frames of what moves and of what does not, as every viewer hears them."""
+
 
 @dataclass(frozen=True)
 class Access:
@@ -22,12 +25,14 @@ class Access:
     Attributes:
         publishes, subscribes: topics.
         serves, calls: services.
+        tells_besides: topics of ROS itself that it publishes, which no row of the contract has.
     """
 
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
+    tells_besides: tuple[str, ...] = ()
 
 
 OF_ALL_NODES = Access(publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS))
@@ -170,6 +175,7 @@ ACCESS: dict[str, Access] = {
             topics.WHEEL_STATE,
             topics.WINCH_STATE,
         ),
+        tells_besides=TRANSFORMS,
     ),
     "bag_record": Access(subscribes=ALL),
     "hil_rehearsal": Access(publishes=(*_DRIVEN, *_REQUESTS), subscribes=ALL, calls=ALL),

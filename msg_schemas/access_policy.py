@@ -71,6 +71,7 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
     published = {
         *OF_ALL_NODES.publishes,
         *access.publishes,
+        *access.tells_besides,
         "~/transition_event",
         "/parameter_events",
         "/rosout",

@@ -16,10 +16,10 @@ from msg_schemas.fields import FieldError
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
-from operator_console.access import open_access
 from operator_console.bag_shelf import BagShelf
 from operator_console.commands import COMMANDS, Command
 from operator_console.operator_link import OperatorLink
+from operator_console.page_access import open_access
 from operator_console.picture import SEEN, Entry, History, Onlooker, frame
 from operator_console.scene import USUAL_MACHINE
 from operator_console.server import Content, Server, ServerSettings
@@ -97,7 +97,7 @@ class OperatorConsole(ContractNode):
             moves: ThreadPoolExecutor(_AT_ONCE, f"console-commands-{moves}")
             for moves in (True, False)
         }
-        self._server = server = Server(
+        server = Server(
             ServerSettings(
                 given.address, given.port, access, BagShelf(folder),
                 given.certificate_file, given.key_file,
@@ -110,6 +110,7 @@ class OperatorConsole(ContractNode):
         self._link = OperatorLink(self, self.NAME, self._on_sample)
         self._link.listen(*SEEN)
         self._link.prepare()
+        self._server = server
         server.start()
         self.get_logger().info(f"the page is at {server.address}")
 
@@ -126,6 +127,7 @@ class OperatorConsole(ContractNode):
         self._server = None
         for workers in self._workers.values():
             workers.shutdown(wait=False, cancel_futures=True)
+        self._link.close()
 
     # --- what the machine says -------------------------------------------------------------------
 

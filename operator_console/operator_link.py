@@ -69,7 +69,8 @@ class Sent:
 class OperatorLink:
     """Sends orders and waits for what becomes of them; hears what there is to know.
 
-    Another thread spins the node. Any thread may send; several may at once.
+    Another thread spins the node. Any thread may send; several may at once. Who ends before its
+    node does, closes it.
 
     Args:
         node: by whose name and namespace it speaks.
@@ -91,10 +92,23 @@ class OperatorLink:
         self._telemetry = Telemetry()
         self._pose: tuple[OdometrySample, float] | None = None  # and when it was heard [s]
         self._exchanges: WeakSet[Exchange] = WeakSet()
-        self._heard: set[str] = set()
+        self._heard: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self.listen(topics.EVENTS, topics.DIAGNOSTICS)
+
+    def close(self) -> None:
+        """Hear and say nothing more; the node goes on."""
+        with self._making:
+            for subscription in self._heard.values():
+                self._node.destroy_subscription(subscription)
+            for publisher in self._publishers.values():
+                self._node.destroy_publisher(publisher)
+            for client in self._clients.values():
+                self._node.destroy_client(client)
+            self._heard.clear()
+            self._publishers.clear()
+            self._clients.clear()
 
     # --- hearing ---------------------------------------------------------------------------------
 
@@ -103,9 +117,8 @@ class OperatorLink:
         for name in names:
             if name in self._heard:
                 continue
-            self._heard.add(name)
             row = topic_row(name)
-            self._node.create_subscription(
+            self._heard[name] = self._node.create_subscription(
                 message_class(row.message), name, self._hearer(name), qos.profile(row.intent)
             )
 

@@ -21,8 +21,8 @@ from typing import Any, Final
 
 from tornado import httpserver, iostream, netutil, web, websocket
 
-from operator_console.access import Access, Role, TrialCounter, is_own_origin
 from operator_console.bag_shelf import BagShelf, ShelfError
+from operator_console.page_access import Access, Role, TrialCounter, is_own_origin
 
 PAGE: Final = Path(__file__).parent / "page"
 _COOKIE: Final = "console"

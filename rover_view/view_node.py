@@ -11,6 +11,7 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from msg_schemas import topics
+from msg_schemas.access import TRANSFORMS
 from msg_schemas.codecs import to_time
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
@@ -66,9 +67,10 @@ class ViewNode(ContractNode):
             self.get_logger().warning(NO_TF)
             return
         # Relative names, so that rovers in namespaces have trees of their own.
-        self._moving = self.create_publisher(TFMessage, "tf", 100)
+        moving, still = TRANSFORMS
+        self._moving = self.create_publisher(TFMessage, moving, 100)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._still = self.create_publisher(TFMessage, "tf_static", latched)
+        self._still = self.create_publisher(TFMessage, still, latched)
         self.subscribe(topics.TRUTH_BODY1, self._on_body1)
         self.subscribe(topics.TRUTH_BODY2, self._on_body2)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)

@@ -26,9 +26,11 @@ def granted(xml: str, node: str, kind: str, act: str) -> set[str]:
 
 def test_the_table_names_what_is_in_the_contract():
     for access in (*ACCESS.values(), OF_ALL_NODES):
-        published, heard, served, called = (set(names) - set(ALL) for names in astuple(access))
+        *known, besides = (set(names) - set(ALL) for names in astuple(access))
+        published, heard, served, called = known
         assert published | heard <= set(TOPICS)
         assert served | called <= set(SERVICES)
+        assert not besides & set(TOPICS)
 
 
 def test_every_topic_has_a_speaker_and_every_service_a_server():
@@ -51,6 +53,16 @@ def test_every_node_of_the_suite_has_its_row():
     }
     assert named
     assert named <= set(ACCESS)
+
+
+def test_the_policy_lets_the_viewers_node_tell_frames_and_nobody_else():
+    text = policy()
+    assert granted(text, "view_node", "topic", "publish") >= {"tf", "tf_static"}
+    assert all(
+        "tf" not in granted(text, node, "topic", "publish")
+        for node in ACCESS
+        if node != "view_node"
+    )
 
 
 def test_a_node_that_reaches_beyond_its_row_is_refused():

@@ -1,8 +1,11 @@
 """The executable `rover`: its arguments, its exit codes, and what an operator is told."""
 
 import json
+import os
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.table import WINCH_DRUM
-from operator_console.command_line import Exit, checked_arguments, main, make_parser
+from operator_console.command_line import Exit, main, make_parser
 from operator_console.commands import COMMANDS
 from rover_verify.stage import Process, Stage
 
@@ -98,23 +101,29 @@ def test_an_operator_is_told_what_became_of_each_order(stage: Stage):
     assert re.search("at rest; .*winch hold", jog.output)
 
 
-ROOT = Path(__file__).parents[2]
-DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-TYPED = [
-    line.split("#")[0].split()[1:]
-    for document in DOCUMENTS
-    for block in re.findall(r"```bash\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
-    for line in block.splitlines()
-    if line.startswith("rover ")
-]
+COMPLETE = """
+eval "$(register-python-argcomplete rover)"
+COMP_WORDS=({words}); COMP_CWORD={at}; COMP_LINE="{words}"; COMP_POINT=${{#COMP_LINE}}; COMP_TYPE=9
+_python_argcomplete rover
+echo "${{COMPREPLY[@]}}"
+"""
 
 
-@pytest.mark.parametrize("typed", TYPED, ids=" ".join)
-def test_what_the_documents_type_is_taken(typed: list[str]):
-    options = make_parser().parse_args(typed)
-    if options.command in COMMANDS:
-        checked_arguments(COMMANDS[options.command], options)
-
-
-def test_the_documents_type_commands():
-    assert len({typed[0] for typed in TYPED}) >= 10
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("rover de", {"descend"}),
+        ("rover d", {"descend", "disarm", "drive"}),
+        ("rover jump --w", {"--wait"}),
+    ],
+)
+def test_the_shell_completes_commands_and_options(words: str, offered: set[str]):
+    own = Path(sys.executable).parent
+    if not all((own / name).exists() for name in ("rover", "register-python-argcomplete")):
+        pytest.skip("neither is installed beside this Python")
+    given = {**os.environ, "PATH": f"{own}:{os.environ['PATH']}"}
+    script = COMPLETE.format(words=words, at=len(words.split()) - 1)
+    done = subprocess.run(
+        ["bash", "-c", script], env=given, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == offered

@@ -15,8 +15,8 @@ from descent_mother import DescentMother
 from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas import topics
-from operator_console.access import Access
 from operator_console.bag_shelf import BagShelf
+from operator_console.page_access import Access
 from operator_console.server import Content, Server, ServerSettings
 
 if TYPE_CHECKING:

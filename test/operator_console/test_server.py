@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from tornado import httpclient, websocket
 
-from operator_console.access import Access
 from operator_console.bag_shelf import BagShelf
+from operator_console.page_access import Access
 from operator_console.server import PAGE, Content, Server, ServerError, ServerSettings
 
 OPERATOR, VIEWER = "operator-token-0123456789", "viewer-token-0123456789"

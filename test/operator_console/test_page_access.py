@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from operator_console.access import (
+from operator_console.page_access import (
     Access,
     AccessError,
     Role,
