@@ -134,12 +134,21 @@ ACCESS: dict[str, Access] = {
         ),
     ),
     "jump_node": Access(
-        publishes=(topics.JUMP_MOTOR_COMMAND, topics.JUMP_PHASE, topics.JUMP_FLOWN),
+        publishes=(
+            topics.JUMP_MOTOR_COMMAND,
+            topics.WINCH_REQUEST,
+            topics.JUMP_PHASE,
+            topics.JUMP_FORECAST,
+            topics.JUMP_FLOWN,
+        ),
         subscribes=(
             topics.CONTACT,
             topics.JUMP_MOTOR_STATE,
             topics.IMU,
             topics.ROVER_LOAD_CELL,
+            topics.ODOMETRY,
+            topics.WINCH_ESTIMATE,
+            topics.WINCH_MODE,
             topics.JUMP_REQUEST,
         ),
         serves=(topics.JUMP_ABORT,),

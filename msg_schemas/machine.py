@@ -55,6 +55,7 @@ SMEAR = "smear"
 # What an operator asks for.
 JUMP_STROKE = "jump_stroke"
 JUMP_HEIGHT = "jump_height"
+JUMP_CLEARANCE = "jump_clearance"
 OBSERVATION_STOP = "observation_stop"
 PLAIN_STOP = "plain_stop"
 HEADING_TURN = "heading_turn"
@@ -64,12 +65,16 @@ WINCH_AT_RATE = "winch_rate"
 WINCH_AT_TENSION = "winch_tension"
 WINCH_SLACK = "winch_slack"
 
-# What a jump came to.
+# What a jump is foretold to come to, and came to.
 JUMP_WANTED = "jump_wanted"
 JUMP_RANGE = "jump_range"
 JUMP_TURN = "jump_turn"
 JUMP_TILT = "jump_tilt"
 JUMP_TIME = "jump_time"
+JUMP_TENSION = "jump_tension"
+JUMP_SLACK = "jump_slack"
+UPRIGHT = "upright"
+FORECAST_TIME = "forecast_time"
 SPRING_GAIN = "spring_gain"
 SPRING_ZERO = "spring_zero"
 # What the winch makes of its sensors.

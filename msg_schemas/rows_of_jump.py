@@ -6,9 +6,13 @@ from math import pi
 
 from msg_schemas import samples, topics
 from msg_schemas.machine import (
+    FORECAST_TIME,
+    JUMP_CLEARANCE,
     JUMP_HEIGHT,
     JUMP_RANGE,
+    JUMP_SLACK,
     JUMP_STROKE,
+    JUMP_TENSION,
     JUMP_TILT,
     JUMP_TIME,
     JUMP_TURN,
@@ -18,6 +22,7 @@ from msg_schemas.machine import (
     MAX_STROKE,
     SPRING_GAIN,
     SPRING_ZERO,
+    UPRIGHT,
 )
 from msg_schemas.row_kinds import (
     UNUSED,
@@ -33,22 +38,67 @@ _NODE = "jump_node"
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave the speed to the node
 _NUT_SPEED: Entry = ("m/s", "nut speed while compressing; 0 = the node's own", 0.0, MAX_NUT_SPEED)
 
-_FLOWN: tuple[tuple[str, Entry, Entry, Entry], ...] = (
+Row = tuple[str, Entry, Entry, Entry]
+
+
+def _foretold(name: str, unit: str, about: str, low: float, high: float) -> Row:
+    """Median and interval of a forecast."""
+    return (
+        name,
+        (unit, f"{about}: median", low, high),
+        (unit, "lower end of the interval that holds 90 %", low, high),
+        (unit, "its upper end", low, high),
+    )
+
+
+def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
+    """What was measured, and the interval that was foretold."""
+    return (
+        name,
+        (unit, f"{about}, as flown", low, high),
+        (unit, "lower end of the interval of 90 % that was foretold; both 0: none was", low, high),
+        (unit, "its upper end", low, high),
+    )
+
+
+_RISE = (JUMP_HEIGHT, "m", "largest rise of base_link", 0.0, 1e3)
+_WAY = (JUMP_RANGE, "m", "horizontal way from release to rest", 0.0, 1e3)
+_TURN = (JUMP_TURN, "rad", "about the vertical", -pi, pi)
+_PULL = (JUMP_TENSION, "N", "largest tension of the tether at the rover", 0.0, 1e6)
+
+_FORECAST: tuple[Row, ...] = (
+    _foretold(*_RISE),
+    _foretold(*_WAY),
+    _foretold(*_TURN),
+    _foretold(*_PULL),
+    (JUMP_STROKE, ("m", "compression that was picked", 0.0, 1.0), UNUSED, UNUSED),
     (
-        JUMP_HEIGHT,
-        ("m", "largest rise of base_link, as flown", 0.0, 1e3),
-        ("m", "lower end of the interval of 90 % that was foretold", 0.0, 1e3),
-        ("m", "its upper end", 0.0, 1e3),
+        JUMP_SLACK,
+        ("m", "slack of the tether for the jump", -1e3, 1e3),
+        UNUSED,
+        UNUSED,
     ),
+    (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0), UNUSED, UNUSED),
+    (
+        FORECAST_TIME,
+        ("s", "wall time that it took", 0.0, 1e4),
+        UNUSED,
+        ("-", "number of jumps of the model", 0.0, 1e4),
+    ),
+)
+
+_FLOWN: tuple[Row, ...] = (
+    _flown(*_RISE),
+    _flown(*_WAY),
+    _flown(*_TURN),
+    _flown(*_PULL),
     (
         JUMP_WANTED,
-        ("m", "height that was asked for; 0 = a stroke was", 0.0, MAX_JUMP_HEIGHT),
+        ("m", "height or clearance that was asked for; 0 = a stroke was", 0.0, MAX_JUMP_HEIGHT),
         UNUSED,
         UNUSED,
     ),
     (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE), UNUSED, UNUSED),
-    (JUMP_RANGE, ("m", "horizontal way from release to rest, as flown", 0.0, 1e3), UNUSED, UNUSED),
-    (JUMP_TURN, ("rad", "about the vertical, as flown", -pi, pi), UNUSED, UNUSED),
     (JUMP_TILT, ("rad", "of base_link z at rest against before", 0.0, pi), UNUSED, UNUSED),
     (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3), UNUSED, UNUSED),
     (
@@ -68,8 +118,9 @@ _FLOWN: tuple[tuple[str, Entry, Entry, Entry], ...] = (
 JUMP_TOPICS = (
     Topic(
         topics.JUMP_REQUEST,
-        "an operator or the mission asks for a jump, by the spring's stroke or by the height, for "
-        "which the node finds the stroke by what it has learnt of the spring",
+        "an operator or the mission asks for a jump: by the spring's stroke; by the height, for "
+        "which the node finds the stroke by what it has learnt of the spring; or by a clearance, "
+        "for which it foretells the jump first, picks stroke and slack, or says why not",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -90,8 +141,15 @@ JUMP_TOPICS = (
                 UNUSED,
                 _LATER_0,
             ),
+            *joint_fields(
+                JUMP_CLEARANCE,
+                ("m", "rise of base_link that is reached but for a risk", 0.01, MAX_JUMP_HEIGHT),
+                _NUT_SPEED,
+                UNUSED,
+                _LATER_0,
+            ),
         ),
-        joints=(JUMP_STROKE, JUMP_HEIGHT),
+        joints=(JUMP_STROKE, JUMP_HEIGHT, JUMP_CLEARANCE),
         one_joint=True,
         stale=StalePolicy(max_age=2.0, max_lead=0.5),
     ),
@@ -104,9 +162,21 @@ JUMP_TOPICS = (
         _NODE,
         None,
         words=(
-            "standby", "compressing", "settling", "releasing", "flight", "landed", "hooking",
-            "letting_down", "fault",
+            "standby", "foretelling", "giving_slack", "compressing", "settling", "releasing",
+            "flight", "landed", "hooking", "letting_down", "fault",
         ),
+    ),
+    Topic(
+        topics.JUMP_FORECAST,
+        "what a jump is foretold to come to, by many jumps of the model; events tell why one is "
+        "not flown",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.LATCHED,
+        _NODE,
+        None,
+        fields=tuple(row for entry in _FORECAST for row in joint_fields(*entry)),
+        joints=tuple(name for name, *_ in _FORECAST),
     ),
     Topic(
         topics.JUMP_FLOWN,

@@ -225,7 +225,7 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.7.0"
+CONTRACT_VERSION = "2.8.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {

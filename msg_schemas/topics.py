@@ -30,6 +30,7 @@ WINCH_COMMAND = "winch/command"
 
 JUMP_REQUEST = "jump/request"
 JUMP_PHASE = "jump/phase"
+JUMP_FORECAST = "jump/forecast"
 JUMP_FLOWN = "jump/flown"
 WINCH_REQUEST = "winch/request"
 WINCH_TRIM = "winch/trim"

@@ -1,21 +1,30 @@
-"""The rover's jumps: sequence, what each came to, and what the spring is learnt to be. Pure."""
+"""The rover's jumps: sequence, forecast, what each came to, what the spring is learnt to be. Pure.
+
+A jump by stroke or height begins at once. One by clearance is foretold first: `take_question` says
+what is to be foretold, and what answers it tells `hear_forecast`; then the winch is asked for
+slack, where there is too little, and the jump begins.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_STROKE
+from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_STROKE, PAYOUT
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
+from msg_schemas.samples import ImuSample, JointSample, Level, OdometrySample, WrenchSample
 from rover_control.jump_flight import FlightRecorder, Flown
+from rover_control.jump_forecast import Forecast, ForecastParameters, Question, Situation
 from rover_control.jump_parameters import JumpParameters, JumpPhase
-from rover_control.jump_sensors import Sensors
+from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
+
+_HOLD = "hold"  # mode of a winch that holds a length
 
 NINETY = 1.645  # standard deviations either side of the mean that hold 90 %
 
@@ -34,7 +43,9 @@ class JumpRecord(NamedTuple):
     stamp_ns: int  # of the landing
     stroke: float  # of the nut at the release [m]
     wanted: float  # height [m]; nan = a stroke was asked for
-    expected: Height | None  # by the spring's estimate before the release
+    expected: Height | None  # before the release; None: the stroke was to lift nothing
+    forecast: Forecast | None  # that the jump was picked by
+    peak_tension: float  # at the rover, from the release to the rest [N]; nan = not known
     flown: Flown
     gain: float  # of the spring's estimate after it
     zero: float  # [m]
@@ -48,10 +59,23 @@ class JumpSettings:
     sequence: JumpParameters = field(default_factory=JumpParameters)
     spring: SpringParameters = field(default_factory=SpringParameters)
     flight: FlightParameters = field(default_factory=FlightParameters)
+    forecast: ForecastParameters = field(default_factory=ForecastParameters)
+
+
+@dataclass
+class _Pending:
+    """A jump by clearance that has not begun yet."""
+
+    question: Question
+    speed: float  # of the nut [m/s]
+    since_ns: int
+    is_asked: bool = False  # whether the question was taken
+    forecast: Forecast | None = None
+    is_moving: bool = False  # whether the winch has begun to give slack
 
 
 class Jump:
-    """Jumps by stroke or by height.
+    """Jumps by stroke, by height or by clearance.
 
     Args:
         settings: parameters.
@@ -67,6 +91,15 @@ class Jump:
         self._recorder = FlightRecorder(settings.flight.imu_ahead, settings.flight.imu_range)
         self._transitions: list[Transition] = []
         self._records: list[JumpRecord] = []
+        self._settings = settings
+        self._odometry: OdometrySample | None = None
+        self._length = math.nan  # of the tether paid out [m]
+        self._mode = ""  # of the winch
+        self._pending: _Pending | None = None
+        self._slack_request: float | None = None
+        self._asked = 0  # forecasts so far
+        self._forecast: Forecast | None = None  # of the jump under way
+        self._pull = math.nan  # largest since the release [N]
         self._wanted = math.nan
         self._tilt = 0.0  # before the release [rad]
         self._landed: tuple[int, float] | None = None  # when, and after what flight time [s]
@@ -74,7 +107,11 @@ class Jump:
     @property
     def phase(self) -> JumpPhase:
         """What the sequence is doing."""
-        return self.sequence.phase
+        if self._pending is None:
+            return self.sequence.phase
+        if self._pending.forecast is None:
+            return JumpPhase.FORETELLING
+        return JumpPhase.GIVING_SLACK
 
     def start_over(self, now_ns: int) -> None:
         """The clock has jumped, or the node starts again: nothing that was timed holds."""
@@ -82,6 +119,8 @@ class Jump:
         self.sequence.clock_jumped(now_ns)
         self._recorder.begin()
         self._landed = None
+        if self._pending is not None:
+            self._drop("the clock has jumped back", {})
         self._follow(now_ns)
 
     def forget(self) -> None:
@@ -110,6 +149,20 @@ class Jump:
     def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
         """Take a sample of the load cell at the tether's rover end."""
         self.sensors = self.sensors.with_load_cell(sample, now_ns)
+        if self.sensors.pull is not None:
+            self._pull = max(self._pull, self.sensors.pull.value)
+
+    def hear_odometry(self, sample: OdometrySample) -> None:
+        """Take where the rover is."""
+        self._odometry = sample
+
+    def hear_winch_estimate(self, sample: JointSample) -> None:
+        """Take what the winch knows of its tether."""
+        self._length = sample.joints[PAYOUT].position
+
+    def hear_winch_mode(self, mode: str) -> None:
+        """Take what the winch is doing."""
+        self._mode = mode
 
     # --- what is asked for -----------------------------------------------------------------------
 
@@ -120,6 +173,16 @@ class Jump:
             Refusal: it cannot be begun now, or is too high.
         """
         ((joint, (value, speed, _)),) = sample.joints.items()
+        if self._pending is not None:
+            raise Refusal(
+                topics.JUMP_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the jump is in {self.phase}, a jump starts from standby; {topics.JUMP_ABORT} "
+                "ends it",
+            )
+        if joint == JUMP_CLEARANCE:
+            self._ask(value, speed, now_ns)
+            return
         if joint == JUMP_STROKE:
             self.sequence.request(value, speed, self.sensors, now_ns)
             self._wanted = math.nan
@@ -140,6 +203,7 @@ class Jump:
         else:
             raise AssertionError(f"no jump is asked for by {joint}")
         self._tilt = self.sensors.tilt
+        self._forecast = None
         self._follow(now_ns)
 
     def abort(self, now_ns: int) -> str:
@@ -148,12 +212,17 @@ class Jump:
         Raises:
             Refusal: it cannot be done now.
         """
+        if self._pending is not None:
+            self._drop(f"aborted in {self.phase}", {})
+            return "nothing was compressed yet"
         done = self.sequence.abort(self.sensors, now_ns)
         self._follow(now_ns)
         return done
 
     def step(self, now_ns: int) -> NutCommand | None:
         """Advance to now; returns what the jump motor is to do, None = nothing."""
+        if self._pending is not None:
+            self._wait(self._pending, now_ns)
         command = self.sequence.step(self.sensors, now_ns)
         self._follow(now_ns)
         return command
@@ -168,6 +237,99 @@ class Jump:
         taken, self._records = self._records, []
         return taken
 
+    # --- before a jump by clearance --------------------------------------------------------------
+
+    def take_question(self) -> Question | None:
+        """Return what is to be foretold now; None = nothing, or it was taken already."""
+        if self._pending is None or self._pending.is_asked:
+            return None
+        self._pending.is_asked = True
+        return self._pending.question
+
+    def take_slack_request(self) -> float | None:
+        """Return the slack that the winch is to give now [m]; None = it is to do nothing."""
+        taken, self._slack_request = self._slack_request, None
+        return taken
+
+    def hear_forecast(self, question: Question, forecast: Forecast, now_ns: int) -> None:
+        """Take the answer to a question; one to a question that was dropped is not heard."""
+        pending = self._pending
+        if pending is None or pending.question is not question or pending.forecast is not None:
+            return
+        values = {
+            "height": forecast.height.middle,
+            "upright": forecast.upright,
+            "took": forecast.took,
+        }
+        if forecast.refused:
+            self._drop(f"better not: {forecast.refused}", values)
+            return
+        pending.forecast, pending.since_ns = forecast, now_ns
+        if forecast.gives_slack > 0.0:
+            self._slack_request = forecast.slack
+            text = f"the tether needs {forecast.gives_slack:.3g} m more slack"
+            self._transitions.append(Transition(JumpPhase.GIVING_SLACK, text, values=values))
+        else:
+            self._begin(pending, forecast, now_ns)
+
+    def _ask(self, clearance: float, speed: float, now_ns: int) -> None:
+        self.sequence.check_request(self.sensors, now_ns)
+        up = self._recorder.standing()
+        place = self._odometry
+        if place is None or up is None:
+            raise Refusal(
+                topics.JUMP_REQUEST,
+                RefusalCode.STALE,
+                f"{topics.ODOMETRY if place is None else topics.IMU} was not heard, so it is not "
+                "known how the rover stands",
+            )
+        x, y, _ = place.position
+        qx, qy, qz, qw = place.orientation
+        heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+        situation = Situation(x, y, heading, up, self._length)
+        self._asked += 1
+        question = Question(situation, clearance, True, self._asked)
+        self._pending = _Pending(question, speed, now_ns)
+        self._transitions.append(
+            Transition(
+                JumpPhase.FORETELLING,
+                f"a clearance of {clearance:g} m is wanted",
+                values={"clearance": clearance, "tilt": situation.tilt},
+            )
+        )
+
+    def _wait(self, pending: _Pending, now_ns: int) -> None:
+        """Go on with a jump that has not begun, or give it up."""
+        limit = self._settings.forecast.forecast_limit
+        late = seconds(now_ns, pending.since_ns) > limit
+        if pending.forecast is None:
+            if late:
+                self._drop(f"not foretold within {limit:g} s", {})
+            return
+        pending.is_moving = pending.is_moving or self._mode != _HOLD
+        if pending.is_moving and self._mode == _HOLD:
+            self._begin(pending, pending.forecast, now_ns)
+        elif late:
+            text = f"the winch has not given slack within {limit:g} s, it is in '{self._mode}'"
+            self._drop(text, {})
+
+    def _begin(self, pending: _Pending, forecast: Forecast, now_ns: int) -> None:
+        self._pending = None
+        try:
+            self.sequence.request(forecast.stroke, pending.speed, self.sensors, now_ns)
+        except Refusal as refusal:
+            self._transitions.append(
+                Transition(JumpPhase.STANDBY, f"not begun: {refusal.reason}", Level.WARN)
+            )
+            return
+        self._forecast, self._wanted = forecast, pending.question.height
+        self._tilt = pending.question.situation.tilt
+        self._follow(now_ns)
+
+    def _drop(self, reason: str, values: Mapping[str, object]) -> None:
+        self._pending = self._slack_request = None
+        self._transitions.append(Transition(JumpPhase.STANDBY, reason, Level.WARN, values))
+
     # --- following the sequence ------------------------------------------------------------------
 
     def _follow(self, now_ns: int) -> None:
@@ -177,7 +339,9 @@ class Jump:
                 self._recorder.begin()
             elif change.phase is JumpPhase.RELEASING:
                 self._recorder.release(now_ns)
-                self._tilt = self.sensors.tilt
+                self._pull = math.nan if self.sensors.pull is None else 0.0
+                if self._forecast is None:
+                    self._tilt = self.sensors.tilt
             elif change.phase is JumpPhase.LANDED:
                 closed, flight = self.sensors.closed_ns, self.sensors.open_time
                 took_off = change.level is Level.OK and closed is not None
@@ -192,16 +356,21 @@ class Jump:
         if flown is None:
             return
         stroke = self.sequence.highest
+        forecast = self._forecast
+        ratio, spread = (1.0, 0.0) if forecast is None else (forecast.ratio, forecast.spread)
         expected = None
         if stroke > self.spring.shortest_stroke:
-            expected = self.spring.expected(stroke, self._tilt)
-        learnt = self.spring.learn(stroke, flown.height, self._tilt)
+            expected = self.spring.expected(stroke, self._tilt, ratio)
+            expected = expected._replace(spread=math.hypot(expected.spread, spread))
+        learnt = self.spring.learn(stroke, flown.height, self._tilt, ratio)
         self._records.append(
             JumpRecord(
                 landed_ns,
                 stroke,
                 self._wanted,
                 expected,
+                forecast,
+                self._pull,
                 flown,
                 self.spring.gain,
                 self.spring.zero,

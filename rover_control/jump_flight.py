@@ -20,6 +20,7 @@ from msg_schemas.samples import ImuSample
 
 _NANO = 1e9
 _STILL = 0.25  # at least so long before the release, and after the landing [s]
+_FEW = 3  # fewer samples are no mean
 _GAP = 0.06  # a flight with a longer gap between two samples is not measured [s]
 _SATURATED = 0.98  # part of the accelerometer's range from which on a sample counts as beyond it
 _LONGEST = 60.0  # what is older is forgotten [s]
@@ -58,6 +59,15 @@ class FlightRecorder:
         """The latch is told to trip."""
         self._released_ns = now_ns
 
+    def standing(self) -> tuple[float, float, float] | None:
+        """Mean specific force of the last while [m/s^2]; None = not heard for long enough."""
+        last = self._samples[-1][0] if self._samples else 0
+        forces = [row[3:] for stamp, row in self._samples if stamp > last - int(_STILL * _NANO)]
+        if len(forces) < _FEW:
+            return None
+        x, y, z = np.mean(forces, axis=0).tolist()
+        return (x, y, z)
+
     def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a sample."""
         stamp = sample.stamp_ns or now_ns
@@ -78,7 +88,7 @@ class FlightRecorder:
         Returns:
             None if samples are missing.
         """
-        if self._released_ns is None or len(self._samples) < 3:
+        if self._released_ns is None or len(self._samples) < _FEW:
             return None
         times = np.array([stamp for stamp, _ in self._samples], dtype=np.int64)
         values = np.array([row for _, row in self._samples])
@@ -87,7 +97,7 @@ class FlightRecorder:
         last = int(np.searchsorted(times, now_ns, side="right"))
         resting = int(np.searchsorted(times, max(now_ns - int(_STILL * _NANO), landed_ns)))
         t = (times[released:last] - times[released]) / _NANO
-        if released - first < 3 or last - resting < 3 or t.size < 3:
+        if released - first < _FEW or last - resting < _FEW or t.size < _FEW:
             return None
         if float(np.max(np.diff(t))) > _GAP:
             return None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -16,14 +18,23 @@ from msg_schemas.samples import (
     JointSample,
     JointValue,
     Level,
+    OdometrySample,
     Status,
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import JUMP_LATCH, JUMP_SCREW
+from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
+from rover_control.jump_forecast import (
+    Forecast,
+    ForecastParameters,
+    Question,
+    Situation,
+    refused_forecast,
+)
 from rover_control.jump_parameters import JumpParameters, JumpPhase
-from rover_control.jump_report import flown_sample
+from rover_control.jump_report import flown_sample, forecast_sample
+from rover_control.jump_spring import SpringEstimate, SpringParameters
 
 # The controller's parameters are parts of its own, by their name there.
 _PARTS: Mapping[str, type[Any]] = {
@@ -39,6 +50,10 @@ class JumpNodeParameters:
         20.0, "Hz", "how often the sequence is stepped and the jump motor told", 5.0, 200.0,
         read_only=True,
     )  # fmt: skip
+    foretell_ready: bool = parameter(
+        False, "-", "the model is built at the start, so that the first forecast comes as soon as "
+        "later ones", read_only=True,
+    )  # fmt: skip
 
 
 class JumpNode(ContractNode):
@@ -53,10 +68,15 @@ class JumpNode(ContractNode):
         self._command_outlet = self.publisher(topics.JUMP_MOTOR_COMMAND)
         self._phase_outlet = self.publisher(topics.JUMP_PHASE)
         self._flown_outlet = self.publisher(topics.JUMP_FLOWN)
+        self._forecast_outlet = self.publisher(topics.JUMP_FORECAST)
+        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
         self.subscribe(topics.CONTACT, self._on_contact)
         self.subscribe(topics.JUMP_MOTOR_STATE, self._on_jump_motor)
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.ROVER_LOAD_CELL, self._on_load_cell)
+        self.subscribe(topics.ODOMETRY, self._on_odometry)
+        self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
+        self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
         self.subscribe(topics.JUMP_REQUEST, self._on_request)
         self.serve(topics.JUMP_ABORT, self._on_abort)
 
@@ -64,7 +84,14 @@ class JumpNode(ContractNode):
         """Stand by."""
         self._begin()
         self._phase_outlet.send(TextSample(self._jump.phase))
-        self.every(1.0 / self.parameters_of(JumpNodeParameters).command_rate, self._step)
+        own = self.parameters_of(JumpNodeParameters)
+        self.every(1.0 / own.command_rate, self._step)
+        if own.foretell_ready:
+            self._foreteller.submit(self._model.prepare)
+
+    def stop(self) -> None:
+        """Nothing is foretold any more; what is under way ends unheard."""
+        self._foreteller.shutdown(wait=False, cancel_futures=True)
 
     def parameters_changed(self) -> None:
         """Take new limits; a jump that runs keeps to them at once, what was learnt stays."""
@@ -92,6 +119,10 @@ class JumpNode(ContractNode):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._jump = Jump(JumpSettings(**values))
+        self._jump.hear_winch_mode(self._heard_mode)  # what is latched is not said again
+        self._model = _Model(self.parameters_of(ForecastParameters))
+        self._foreteller = ThreadPoolExecutor(1, thread_name_prefix="foretell")
+        self._answer: tuple[Question, Future[Forecast]] | None = None
 
     # --- what is heard ---------------------------------------------------------------------------
 
@@ -107,6 +138,16 @@ class JumpNode(ContractNode):
     def _on_load_cell(self, sample: WrenchSample) -> None:
         self._jump.hear_load_cell(sample, self.now_ns())
 
+    def _on_odometry(self, sample: OdometrySample) -> None:
+        self._jump.hear_odometry(sample)
+
+    def _on_winch_estimate(self, sample: JointSample) -> None:
+        self._jump.hear_winch_estimate(sample)
+
+    def _on_winch_mode(self, sample: TextSample) -> None:
+        self._heard_mode = sample.text
+        self._jump.hear_winch_mode(sample.text)
+
     def _on_request(self, sample: JointSample) -> None:
         self._jump.request(sample, self.now_ns())
         self._step()
@@ -118,8 +159,11 @@ class JumpNode(ContractNode):
 
     # --- what is told ----------------------------------------------------------------------------
 
+    _heard_mode = ""
+
     def _step(self) -> None:
         now_ns = self.now_ns()
+        self._foretell(now_ns)
         command = self._jump.step(now_ns)
         if command is not None:
             joints = {
@@ -128,6 +172,26 @@ class JumpNode(ContractNode):
             }
             self._command_outlet.send(JointSample(now_ns, joints))
         self._tell()
+
+    def _foretell(self, now_ns: int) -> None:
+        """Hand over what is to be foretold, and what was."""
+        question = self._jump.take_question()
+        if question is not None:
+            known = copy.deepcopy(self._jump.spring)
+            self._answer = (
+                question,
+                self._foreteller.submit(self._model.foretell, question, known),
+            )
+        if self._answer is not None and self._answer[1].done():
+            question, future = self._answer
+            self._answer = None
+            error = future.exception()
+            forecast = refused_forecast(f"the model failed: {error}") if error else future.result()
+            self._forecast_outlet.send(forecast_sample(forecast, now_ns))
+            self._jump.hear_forecast(question, forecast, now_ns)
+        slack = self._jump.take_slack_request()
+        if slack is not None:
+            self._winch_outlet.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
 
     def _tell(self) -> None:
         for change in self._jump.take_transitions():
@@ -138,6 +202,28 @@ class JumpNode(ContractNode):
                 self.report(Status(f"{self.NAME}: {name}", change.reason, change.level, self.NAME))
         for record in self._jump.take_records():
             self._flown_outlet.send(flown_sample(record))
+
+
+class _Model:
+    """The predictor, made in the thread that uses it: the simulator takes seconds to load."""
+
+    def __init__(self, parameters: ForecastParameters) -> None:
+        self._parameters = parameters
+        self._predictor: Any = None
+
+    def prepare(self) -> None:
+        """Load the simulator and fly once."""
+        start = Situation(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
+        self.foretell(Question(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
+
+    def foretell(self, question: Question, spring: SpringEstimate) -> Forecast:
+        """As `JumpPredictor.foretell`."""
+        if self._predictor is None:
+            from rover_control.jump_predictor import JumpPredictor  # noqa: PLC0415
+
+            self._predictor = JumpPredictor(self._parameters)
+        forecast: Forecast = self._predictor.foretell(question, spring)
+        return forecast
 
 
 def main() -> int:

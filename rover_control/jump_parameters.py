@@ -14,6 +14,8 @@ class JumpPhase(StrEnum):
     """What the sequence is doing; the words of the contract."""
 
     STANDBY = "standby"
+    FORETELLING = "foretelling"
+    GIVING_SLACK = "giving_slack"
     COMPRESSING = "compressing"
     SETTLING = "settling"
     RELEASING = "releasing"

@@ -7,8 +7,10 @@ rate k, the masses m1 and m2, M = m1 + m2 and gravity g the rover rises by
 
 where c takes in what the end stop and Body 2's travel add and the losses take. Two things about it
 are not known well: a, by which log H is off (spring rate, losses), and b, by which the stroke is
-off (zero of the nut). Each jump tells log H(x + b) + a with an error; a and b follow as the
-two-state Kalman filter has them. The stroke's own scatter counts as a part of that error.
+off (zero of the nut). A ratio by which a place makes jumps higher than the formula has them, as the
+slack of the tether or the attitude may, is known from elsewhere or 1. Each jump tells
+log H(x + b) + a with an error; a and b follow as the two-state Kalman filter has them. The stroke's
+own scatter counts as a part of that error.
 """
 
 from __future__ import annotations
@@ -96,23 +98,24 @@ class SpringEstimate:
         p = self.parameters
         return max(2.0 * p.jumping_mass * p.jump_gravity / p.spring_rate - self.zero, 0.0)
 
-    def expected(self, stroke: float, tilt: float = 0.0) -> Height:
+    def expected(self, stroke: float, tilt: float = 0.0, ratio: float = 1.0) -> Height:
         """The height of a jump.
 
         Args:
             stroke: of the nut [m], above `shortest_stroke`.
             tilt: of base_link z [rad].
+            ratio: of the height to the formula's.
 
         Raises:
             ValueError: the stroke lifts nothing.
         """
-        mean, row = self._model(stroke, tilt)
+        mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
         spread = float(row @ self._cov @ row) + (row[1] * p.stroke_spread) ** 2
         return Height(mean, math.sqrt(spread + p.height_scatter**2))
 
-    def stroke_for(self, height: float, tilt: float = 0.0) -> float:
-        """The stroke that reaches a height [m] in the mean [m]; tilt in rad.
+    def stroke_for(self, height: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
+        """The stroke [m] that reaches a height [m] in the mean; tilt [rad] and ratio as above.
 
         Raises:
             ValueError: the height is not above 0.
@@ -121,21 +124,22 @@ class SpringEstimate:
             raise ValueError(f"height = {height!r} m: must be finite and above 0 m")
         p = self.parameters
         weight = p.jumping_mass * p.jump_gravity
-        share = p.height_gain * self.gain * math.cos(tilt) ** 2
+        share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
         work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.jumping_mass * share)
         return (weight + math.sqrt(weight**2 + p.spring_rate * work)) / p.spring_rate - self.zero
 
-    def learn(self, stroke: float, height: float, tilt: float = 0.0) -> bool:
+    def learn(self, stroke: float, height: float, tilt: float = 0.0, ratio: float = 1.0) -> bool:
         """Learn from a jump that was flown; False if it is too far off to teach anything.
 
         Args:
             stroke: of the nut at the release [m].
             height: flown, as measured [m].
             tilt: of base_link z before the jump [rad].
+            ratio: of the height to the formula's.
         """
         if not (math.isfinite(height) and height > 0.0) or stroke <= self.shortest_stroke:
             return False
-        mean, row = self._model(stroke, tilt)
+        mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
         error = (p.height_error / mean) ** 2 + p.height_scatter**2
         error += (row[1] * p.stroke_spread) ** 2
@@ -158,7 +162,28 @@ class SpringEstimate:
         drawn[:, 1] += p.stroke_spread * generator.standard_normal(count)
         return np.asarray(drawn)
 
-    def _model(self, stroke: float, tilt: float) -> tuple[float, NDArray[np.float64]]:
+    def same_as(self, stroke: float, gain: float, zero: float) -> float:
+        """The stroke [m] by which a spring as of the parameters jumps as one that is off so does.
+
+        Args:
+            stroke: of the nut [m].
+            gain: factor of the height.
+            zero: error of the stroke [m].
+        """
+        p = self.parameters
+        x, weight = stroke + zero, p.jumping_mass * p.jump_gravity
+        work = gain * (p.spring_rate * x**2 - 2.0 * weight * x)
+        return (weight + math.sqrt(weight**2 + p.spring_rate * max(work, 0.0))) / p.spring_rate
+
+    def formula(self, stroke: float, tilt: float = 0.0) -> float:
+        """H [m] of the parameters alone, whatever was learnt.
+
+        Raises:
+            ValueError: the stroke lifts nothing.
+        """
+        return SpringEstimate(self.parameters).expected(stroke, tilt).mean
+
+    def _model(self, stroke: float, tilt: float, ratio: float) -> tuple[float, NDArray[np.float64]]:
         """Mean height [m], and the derivatives of its logarithm by a and b."""
         p = self.parameters
         x, weight = stroke + self.zero, p.jumping_mass * p.jump_gravity
@@ -167,6 +192,6 @@ class SpringEstimate:
             raise ValueError(
                 f"stroke = {stroke!r} m: must be above {self.shortest_stroke:.4g} m to lift Body 2"
             )
-        share = p.height_gain * self.gain * math.cos(tilt) ** 2
+        share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
         mean = share * p.jumping_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
         return mean, np.array([1.0, (2.0 * p.spring_rate * x - 2.0 * weight) / work])

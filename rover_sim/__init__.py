@@ -84,7 +84,7 @@ from rover_sim.scenario import (
     scenario_from_mapping,
 )
 from rover_sim.sim_loop import Simulation, Tick
-from rover_sim.spatial_displacement import Displacement, displaced
+from rover_sim.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
 from rover_sim.telling import Teller, TruthRates, ready_simulation, totals
@@ -126,6 +126,7 @@ __all__ = [
     "build_interface",
     "build_plant",
     "compile_ahead",
+    "compressed",
     "displaced",
     "dump_scenario",
     "jump",

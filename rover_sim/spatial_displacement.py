@@ -1,4 +1,4 @@
-"""Starts near a scenario's own: how a hanging machine may really have hung when a run began."""
+"""Starts near a scenario's own: a hanging machine displaced, a standing one ready to jump."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rover_sim.physics import spatial_book
+from rover_sim.physics import spatial_book, spatial_rover
+from rover_sim.physics.jump_drive import Latch
 from rover_sim.scenario_parts import ScenarioError
 from rover_sim.spatial_plant import SpatialPlant
 from rover_sim.spatial_start import product, quaternion_of
@@ -70,3 +71,42 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
     book = after.book.copy()
     book[spatial_book.SLIP] -= state.twist + by.twist
     return replace(after, book=book)
+
+
+def compressed(
+    plant: SpatialPlant, state: SpatialState, stroke: float, tilt: Pair = (0.0, 0.0)
+) -> SpatialState:
+    """A rover at rest, its spring compressed and held by the latch, turned a little on top.
+
+    The clock and the ledgers stay as they are: the spring's energy is put in by nobody.
+
+    Args:
+        plant: whose state it is.
+        state: the rover at rest.
+        stroke: compression of the spring [m]; beyond the drive's stroke it stands for a spring
+            that is stiffer than the scenario's.
+        tilt: rotation vector of the rover, about x and y of base_link [rad].
+
+    Raises:
+        ScenarioError: the scenario has no rover.
+        ValueError: the stroke is not above 0 or not below the slider's lower stop.
+    """
+    rover = plant.scenario.rover
+    if rover is None:
+        raise ScenarioError("rover", None, "should be there to jump")
+    slider = rover.slider
+    if not 0.0 < stroke < slider.lower_stop:
+        raise ValueError(
+            f"stroke = {stroke!r} m: must be above 0 and below the slider's lower stop at "
+            f"{slider.lower_stop:g} m"
+        )
+    body, nodes = state.body.copy(), state.nodes.copy()
+    quaternion = slice(spatial_rover.ORIENTATION, spatial_rover.ORIENTATION + 4)
+    turned = product(body[quaternion], quaternion_of((*tilt, 0.0)))
+    body[quaternion] = turned
+    body[spatial_rover.SLIDE] = slider.free_length - stroke
+    nodes[-1, 0] = state.G1 + rotation_matrix(turned) @ np.array(rover.attachment)
+    # The nut gives way a little under the spring's force.
+    nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
+    jump = state.machines.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
+    return replace(state, body=body, nodes=nodes, machines=state.machines._replace(jump=jump))

@@ -15,11 +15,19 @@ from functools import cache
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_HEIGHT
+from msg_schemas.machine import JUMP_HEIGHT, PAYOUT
 from msg_schemas.refusal import Refusal
-from msg_schemas.samples import ImuSample, JointSample, JointValue, WrenchSample
+from msg_schemas.samples import (
+    ImuSample,
+    JointSample,
+    JointValue,
+    OdometrySample,
+    WrenchSample,
+)
 from rover_control.jump import Jump, JumpRecord, JumpSettings
+from rover_control.jump_forecast import Forecast, ForecastParameters
 from rover_control.jump_parameters import JumpPhase
+from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_sequence import NutCommand, Transition
 from rover_sim import Command, Event, JumpMotorCommand, Outcome, SpatialPlant, load_scenario
 from rover_sim.spatial_interface import SpatialInterface
@@ -86,7 +94,9 @@ class JumpingRover:
     """
 
     stand: Stand = field(default_factory=Stand)
-    settings: JumpSettings = field(default_factory=JumpSettings)
+    settings: JumpSettings = field(
+        default_factory=lambda: JumpSettings(forecast=ForecastParameters(floor_depth=_FLOOR))
+    )
     seed: int = 0
     jump: Jump | None = None
     stroke_error: float = 0.0
@@ -103,6 +113,8 @@ class JumpingRover:
         self.events: list[Event] = []
         self.changes: list[tuple[float, Transition]] = []
         self.records: list[JumpRecord] = []
+        self.forecasts: list[Forecast] = []
+        self.predictor = JumpPredictor(self.settings.forecast)
         self.refusals: list[str] = []
         self.heights: list[float] = []
         self.peak_tension = 0.0  # since the last release [N]
@@ -138,6 +150,7 @@ class JumpingRover:
         self.interface.measure(self.state, self.now_ns, result)
         self._hear()
         if self.ticks % _EVERY == 0:
+            self._foretell()
             self._command = self.control.step(self.now_ns)
             self._take()
 
@@ -165,6 +178,13 @@ class JumpingRover:
             self.tick()
         return len(self.heights) > flown
 
+    def _foretell(self) -> None:
+        question = self.control.take_question()
+        if question is not None:
+            forecast = self.predictor.foretell(question, self.control.spring)
+            self.forecasts.append(forecast)
+            self.control.hear_forecast(question, forecast, self.now_ns)
+
     def _plant_command(self) -> Command:
         order = self._command
         if order is None:
@@ -187,6 +207,12 @@ class JumpingRover:
         told = nut._replace(position=nut.position - self.stroke_error)
         control.hear_jump_motor(JointSample(motor.stamp_ns, {name: told}), now)
         control.hear_load_cell(cell, now)
+        x, y, z, w = self.state.orientation.tolist()
+        place = (float(self.state.G1[0]), float(self.state.G1[1]), 0.0)
+        still = (0.0, 0.0, 0.0)
+        control.hear_odometry(OdometrySample(now, place, (x, y, z, w), still, still))
+        payout = JointValue(self.state.length)
+        control.hear_winch_estimate(JointSample(now, {PAYOUT: payout}))
 
     def _take(self) -> None:
         for change in self.control.take_transitions():

@@ -1,21 +1,30 @@
-"""How well the rover jumps: as high as wanted, with a spring that it has to learn."""
+"""How well the rover jumps, with a spring that it has to learn, and how well that is foretold."""
 
 from __future__ import annotations
 
 import math
+import time
 from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.machine import JUMP_CLEARANCE
+from rover_control.jump_forecast import Band, ForecastParameters, Question, Situation
+from rover_control.jump_parameters import JumpPhase
+from rover_control.jump_predictor import JumpPredictor
+from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.jump_rig import JumpingRover, draw_stand
 
 _JUMPS = 6  # of each rover
 _RUNS = 20  # rovers
+_OPEN_LOOP = 5  # of those that do not learn, for comparison
 _STROKE_ERROR = 2.0e-3  # [m]
 _HEIGHTS = (0.08, 0.35)  # wanted [m]
 _NEAR = 0.10
+_CLEARANCES = (0.08, 0.30)  # [m]
+_FORECASTS = 10  # that are timed
 
 
 class Leap(NamedTuple):
@@ -55,7 +64,7 @@ def height_reached(batch: Batch) -> Measured:
     """Share of jumps whose height comes within 10 % of the wanted one."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     rovers = fly_batch(batch, runs, leaps_of, True)
-    open_loop = fly_batch(batch, runs, leaps_of, False)
+    open_loop = fly_batch(batch, min(runs, _OPEN_LOOP), leaps_of, False)
     leaps = [leap for rover in rovers for leap in rover]
     first = [rover[0] for rover in rovers]
     errors = np.array([abs(leap.told - leap.flown) for leap in leaps])
@@ -71,6 +80,105 @@ def height_reached(batch: Batch) -> Measured:
         details[f"rover {index}"] = f"flown/wanted {text} m; {rover[-1].reason}"
     note = f"{len(leaps)} jumps of {runs} rovers, {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m"
     return Measured(_share(leaps), note, details)
+
+
+class Foretold(NamedTuple):
+    """A jump by clearance, foretold and flown."""
+
+    clearance: float  # [m]
+    height: Band  # foretold [m]
+    flown: float  # true [m]; nan = it was not flown
+    upright: float  # probability of landing so that was foretold
+    stands: bool  # whether the rover landed upright
+    reason: str  # how it ended
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the flown height lies in the interval that holds 90 %."""
+        return self.height.low <= self.flown <= self.height.high
+
+
+def foretold_of(seed: int, index: int) -> tuple[Foretold, ...]:
+    """The jumps of one rover by clearance, its spring off as for `leaps_of`."""
+    generator = np.random.default_rng([seed, index, 62])
+    rover = JumpingRover(draw_stand(generator), seed=1000 * seed + index)
+    found = []
+    for _ in range(_JUMPS):
+        clearance = float(generator.uniform(*_CLEARANCES))
+        rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
+        done = rover.leap(clearance, JUMP_CLEARANCE)
+        forecast = rover.forecasts[-1]
+        flown = rover.heights[-1] if done else math.nan
+        last = rover.changes[-1][1]
+        stands = last.phase is not JumpPhase.FAULT
+        found.append(
+            Foretold(clearance, forecast.height, flown, forecast.upright, stands, last.reason)
+        )
+        if not stands:
+            break
+    return tuple(found)
+
+
+def _foretold(batch: Batch) -> Measured:
+    runs = batch.runs if batch.runs > 0 else _RUNS
+    rovers = fly_batch(batch, runs, foretold_of)
+    jumps = [jump for rover in rovers for jump in rover]
+    flown = [jump for jump in jumps if not math.isnan(jump.flown)]
+    details: dict[str, float | str] = {
+        "refused": float(len(jumps) - len(flown)),
+        "clearances reached": float(np.mean([jump.flown >= jump.clearance for jump in flown])),
+        "landed upright": float(np.mean([jump.stands for jump in flown])),
+        "so foretold": float(np.mean([jump.upright for jump in flown])),
+        "half of the interval over its middle, mean": float(
+            np.mean([0.5 * (j.height.high - j.height.low) / j.height.middle for j in flown])
+        ),
+    }
+    for index, rover in enumerate(rovers):
+        text = ", ".join(
+            f"{jump.flown:.3f} in {jump.height.low:.3f}..{jump.height.high:.3f}" for jump in rover
+        )
+        details[f"rover {index}"] = f"{text} m; {rover[-1].reason}"
+    note = f"{len(flown)} jumps of {runs} rovers, {len(jumps) - len(flown)} refused"
+    return Measured(float(np.mean([jump.is_held for jump in flown])), note, details)
+
+
+def interval_holds(batch: Batch) -> Measured:
+    """Share of flown heights in the foretold interval of 90 %, to be high enough."""
+    return _foretold(batch)
+
+
+def interval_is_narrow(batch: Batch) -> Measured:
+    """The same share, to be low enough: an interval that is too wide holds everything."""
+    return _foretold(batch)
+
+
+def forecast_time(batch: Batch) -> Measured:
+    """Longest wall time [s] of forecasts in places not seen before, the model loaded."""
+    predictor = JumpPredictor(ForecastParameters(floor_depth=6.0))
+    spring = SpringEstimate(SpringParameters())
+    took, used, rollouts = [], [], math.inf
+    for index, generator in enumerate(batch.generators(_FORECASTS + 1)):
+        lean = generator.uniform(-0.08, 0.08, 2)
+        situation = Situation(
+            x=float(generator.uniform(0.5, 3.0)),
+            y=float(generator.uniform(-1.0, 1.0)),
+            heading=float(generator.uniform(-math.pi, math.pi)),
+            up=(float(lean[0]), float(lean[1]), 1.0),
+            length=math.nan,
+        )
+        height = float(generator.uniform(*_CLEARANCES))
+        begun, processor = time.monotonic(), time.process_time()
+        forecast = predictor.foretell(Question(situation, height, True, index), spring)
+        if index > 0:  # the first one loads what was compiled
+            took.append(time.monotonic() - begun)
+            used.append(time.process_time() - processor)
+            rollouts = min(rollouts, forecast.rollouts)
+    details: dict[str, float | str] = {
+        "wall time, median [s]": float(np.median(took)),
+        "processor time, largest [s]": max(used),
+        "rollouts, fewest": rollouts,
+    }
+    return Measured(max(took), f"{_FORECASTS} forecasts, 2 threads", details)
 
 
 def _share(leaps: list[Leap]) -> float:

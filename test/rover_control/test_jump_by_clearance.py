@@ -1,0 +1,180 @@
+"""Jumps by clearance: what is asked, what answers lead to, every way out. Without a plant."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import FLOOR_SWITCH, JUMP_CLEARANCE, JUMP_SCREW, JUMP_STROKE, PAYOUT
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, OdometrySample
+from rover_control.jump import Jump, JumpSettings
+from rover_control.jump_forecast import Band, Forecast, Question, refused_forecast
+
+NANO = 1_000_000_000
+GOOD = Forecast(
+    stroke=0.12,
+    slack=0.8,
+    gives_slack=0.0,
+    height=Band(0.13, 0.12, 0.14),
+    range=Band(0.1, 0.0, 0.2),
+    turn=Band(0.0, -0.1, 0.1),
+    peak_tension=Band(1.0, 0.5, 2.0),
+    upright=1.0,
+    ratio=1.02,
+    spread=0.01,
+    rollouts=32,
+    took=1.0,
+    refused="",
+)
+
+
+class Standing:
+    """A rover that stands, and its controller."""
+
+    def __init__(self, *, knows_place: bool = True) -> None:
+        self.jump = Jump(JumpSettings())
+        self.now_ns = NANO
+        self.told: list[tuple[str, str, Level]] = []
+        if knows_place:
+            c, s = math.cos(0.35), math.sin(0.35)
+            still = (0.0, 0.0, 0.0)
+            self.jump.hear_odometry(
+                OdometrySample(1, (2.0, 1.0, 0.0), (0.0, 0.0, s, c), still, still)
+            )
+        self.run(0.5)
+
+    def run(self, time: float) -> None:
+        for _ in range(round(time * 100)):
+            self.now_ns += NANO // 100
+            now = self.now_ns
+            contact = JointSample(now, {FLOOR_SWITCH: JointValue(1.0)})
+            self.jump.hear_contact(contact, now)
+            self.jump.hear_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
+            self.jump.hear_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
+            self.jump.step(now)
+        self.told += [(c.phase.value, c.reason, c.level) for c in self.jump.take_transitions()]
+
+    def ask(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
+        sample = JointSample(self.now_ns, {joint: JointValue(clearance)})
+        self.jump.request(sample, self.now_ns)
+
+    def question(self) -> Question:
+        question = self.jump.take_question()
+        assert question is not None
+        return question
+
+    def answer(self, forecast: Forecast) -> None:
+        self.jump.hear_forecast(self.question(), forecast, self.now_ns)
+        self.run(0.02)
+
+    @property
+    def phases(self) -> list[str]:
+        return [phase for phase, _, _ in self.told]
+
+
+@pytest.fixture
+def rover() -> Standing:
+    return Standing()
+
+
+def test_the_question_says_how_the_rover_stands(rover: Standing):
+    rover.jump.hear_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
+    rover.ask(0.12)
+    question = rover.question()
+    assert (question.height, question.is_clearance) == (0.12, True)
+    x, y, heading, up, length = question.situation
+    assert (x, y, length) == (2.0, 1.0, 7.5)
+    assert heading == pytest.approx(0.7)
+    assert up == pytest.approx((0.1, 0.0, 1.6))
+    assert rover.jump.take_question() is None
+    assert rover.jump.phase.value == "foretelling"
+
+
+def test_a_good_answer_begins_the_jump_with_its_stroke(rover: Standing):
+    rover.ask()
+    rover.answer(GOOD)
+    assert rover.phases == ["foretelling", "compressing"]
+    assert "0.12 m" in rover.told[1][1]
+    assert rover.jump.take_slack_request() is None
+
+
+def test_a_bad_answer_leads_back_with_its_reason(rover: Standing):
+    rover.ask()
+    rover.answer(refused_forecast("it would topple"))
+    assert rover.told[-1] == ("standby", "better not: it would topple", Level.WARN)
+    rover.ask()
+
+
+def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
+    rover.jump.hear_winch_mode("hold")
+    rover.ask()
+    rover.answer(GOOD._replace(gives_slack=0.5))
+    assert rover.jump.take_slack_request() == GOOD.slack
+    assert rover.jump.take_slack_request() is None
+    rover.run(1.0)
+    assert rover.phases == ["foretelling", "giving_slack"]
+    rover.jump.hear_winch_mode("slack")
+    rover.run(3.0)
+    rover.jump.hear_winch_mode("hold")
+    rover.run(0.02)
+    assert rover.phases == ["foretelling", "giving_slack", "compressing"]
+
+
+def test_a_winch_that_gives_no_slack_ends_it(rover: Standing):
+    rover.jump.hear_winch_mode("fault")
+    rover.ask()
+    rover.answer(GOOD._replace(gives_slack=0.5))
+    rover.run(61.0)
+    assert rover.phases == ["foretelling", "giving_slack", "standby"]
+    assert "it is in 'fault'" in rover.told[-1][1]
+
+
+def test_an_answer_that_does_not_come_ends_it_and_is_not_heard_later(rover: Standing):
+    rover.ask()
+    question = rover.question()
+    rover.run(61.0)
+    assert rover.told[-1][:2] == ("standby", "not foretold within 60 s")
+    rover.jump.hear_forecast(question, GOOD, rover.now_ns)
+    rover.ask()
+    rover.jump.hear_forecast(question, GOOD, rover.now_ns)
+    assert rover.jump.phase.value == "foretelling"
+
+
+def test_an_abort_ends_it_before_anything_is_compressed(rover: Standing):
+    rover.ask()
+    assert rover.jump.abort(rover.now_ns) == "nothing was compressed yet"
+    rover.run(0.02)
+    assert rover.told[-1][:2] == ("standby", "aborted in foretelling")
+
+
+@pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
+def test_another_request_meanwhile_is_refused(rover: Standing, joint: str):
+    rover.ask()
+    with pytest.raises(Refusal, match="in foretelling") as caught:
+        rover.ask(0.1, joint)
+    assert caught.value.code is RefusalCode.WRONG_PHASE
+
+
+def test_a_rover_that_does_not_know_where_it_is_is_not_foretold():
+    rover = Standing(knows_place=False)
+    with pytest.raises(Refusal, match=topics.ODOMETRY) as caught:
+        rover.ask()
+    assert caught.value.code is RefusalCode.STALE
+
+
+def test_a_clock_that_jumps_ends_it(rover: Standing):
+    rover.ask()
+    rover.jump.start_over(0)
+    changes = rover.jump.take_transitions()
+    assert changes[-1].phase.value == "standby"
+    assert rover.jump.phase.value == "standby"
+
+
+def test_a_jump_that_cannot_begin_after_all_is_told(rover: Standing):
+    rover.ask()
+    rover.answer(GOOD._replace(stroke=0.25))
+    assert rover.phases[-1] == "standby"
+    assert "not begun: stroke is 0.25 m" in rover.told[-1][1]

@@ -1,0 +1,124 @@
+"""Jumps foretold by the plant: what is picked, what is refused, and that it comes out so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from msg_schemas.machine import JUMP_CLEARANCE
+from rover_control.jump import JumpSettings
+from rover_control.jump_forecast import Forecast, ForecastParameters, Question, Situation
+from rover_control.jump_predictor import JumpPredictor
+from rover_control.jump_report import forecast_sample
+from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_verify.checks.jump_rig import JumpingRover, Stand
+
+pytestmark = pytest.mark.usefixtures("compiled")
+
+FEW = ForecastParameters(rollouts=8, floor_depth=6.0)
+HERE = Situation(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
+
+
+def foretold(
+    height: float = 0.15, parameters: ForecastParameters = FEW, *, clearance: bool = False
+) -> Forecast:
+    question = Question(HERE, height, clearance, 1)
+    return JumpPredictor(parameters).foretell(question, SpringEstimate(SpringParameters()))
+
+
+@pytest.fixture(scope="module")
+def usual() -> Forecast:
+    return foretold()
+
+
+def test_a_jump_is_foretold_and_its_stroke_picked(usual: Forecast):
+    assert usual.refused == ""
+    assert usual.rollouts == 8
+    assert usual.height.middle == pytest.approx(0.15)
+    assert 0.12 < usual.height.low < 0.145
+    assert 0.155 < usual.height.high < 0.18
+    assert usual.stroke == pytest.approx(0.127, abs=0.004)
+    assert 0.95 < usual.ratio < 1.08
+    assert 0.0 < usual.range.low <= usual.range.middle <= usual.range.high < 0.5
+    assert usual.turn.low <= usual.turn.middle <= usual.turn.high
+    assert 0.0 < usual.peak_tension.low < usual.peak_tension.high < 20.0
+    assert usual.upright == 1.0
+    assert usual.gives_slack == 0.0
+    assert usual.took > 0.0
+
+
+def test_the_same_question_has_the_same_answer(usual: Forecast):
+    assert foretold()._replace(took=0.0) == usual._replace(took=0.0)
+
+
+def test_a_clearance_is_reached_with_more_than_the_median(usual: Forecast):
+    safe = foretold(clearance=True)
+    assert safe.stroke > usual.stroke
+    deviation = math.log(safe.height.high / safe.height.middle) / 1.645
+    # 10 % of a normal distribution lie below 1.2816 standard deviations.
+    assert safe.height.middle == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
+
+
+def test_what_is_known_of_the_spring_makes_the_interval_narrower():
+    spring = SpringEstimate(SpringParameters())
+    question = Question(HERE, 0.15, False, 1)
+    predictor = JumpPredictor(FEW)
+    before = predictor.foretell(question, spring).height
+    for stroke in (0.1, 0.13, 0.16, 0.19):
+        assert spring.learn(stroke, 1.05 * spring.formula(stroke))
+    after = predictor.foretell(question, spring)
+    assert after.height.high - after.height.low < 0.9 * (before.high - before.low)
+    assert after.stroke < predictor.foretell(question, SpringEstimate(SpringParameters())).stroke
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"largest_jerk": 0.1}, r"jerked with up to \d.* N, at most 0\.1 N"),
+        ({"most_slack": 0.05}, r"would need 0\.\d+ m of slack, at most 0\.05 m"),
+        (
+            {"toppling": 0.1, "tilt_error": 0.2, "largest_jerk": 1e4},
+            r"upright with a probability of 0\.\d+ alone",
+        ),
+        ({"foretold_scenario": "nowhere"}, "cannot be foretold: .*nowhere"),
+        ({"longest_stroke": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
+    ],
+)
+def test_a_jump_that_is_too_risky_is_refused(changes: dict[str, float], reason: str):
+    forecast = foretold(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
+    assert not np.isnan(forecast.stroke)
+    with pytest.raises(AssertionError, match=reason):
+        raise AssertionError(forecast.refused)
+
+
+def test_too_little_slack_is_to_be_given_by_the_winch():
+    taut = HERE._replace(length=math.hypot(2.0, 0.3, 6.0 - 0.43) + 0.1)
+    forecast = JumpPredictor(FEW).foretell(
+        Question(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
+    )
+    assert forecast.slack > FEW.slack_margin
+    assert forecast.gives_slack == pytest.approx(forecast.slack - 0.1)
+
+
+def test_a_forecast_is_a_sample_of_the_contract(usual: Forecast):
+    sample = forecast_sample(usual, 7)
+    assert sample.stamp_ns == 7
+    assert tuple(sample.joints["jump_height"]) == tuple(usual.height)
+    assert sample.joints["forecast_time"].effort == 8.0
+
+
+def test_a_jump_by_clearance_flies_as_foretold():
+    settings = JumpSettings(forecast=replace(FEW, rollouts=16))
+    rover = JumpingRover(Stand(slope=0.04, downhill=1.0, heading=0.7), settings, seed=2)
+    assert rover.leap(0.15, JUMP_CLEARANCE)
+    (forecast,) = rover.forecasts
+    assert rover.heights[0] >= 0.15
+    assert forecast.height.low <= rover.heights[0] <= forecast.height.high
+    (record,) = rover.records
+    assert record.forecast is forecast
+    assert record.wanted == 0.15
+    phases = [change.phase.value for _, change in rover.changes]
+    assert phases[:2] == ["foretelling", "compressing"]
