@@ -12,6 +12,7 @@ EXECUTABLES = {
     "jump_node": "rover_control.jump_node:main",
     "descent_node": "rover_control.descent_node:main",
     "drive_node": "rover_control.drive_node:main",
+    "mission_node": "rover_control.mission_node:main",
     "view_node": "rover_view.view_node:main",
     "winch_node": "tether_winch.winch_node:main",
     "hil_bridge": "rover_hil.bridge_node:main",
@@ -58,6 +59,7 @@ setup(
     package_data={
         "": ["py.typed"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
+        "rover_control": ["missions/*.yaml"],
         "rover_hil": ["eds/*.eds", "procedures/*.yaml"],
         "rover_sim": ["scenarios/*.yaml", "scenarios/bases/*.yaml"],
         "rover_verify": ["*.yaml"],

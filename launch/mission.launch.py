@@ -1,4 +1,4 @@
-"""The whole mission: the plant with winch, descent, drive and jump; arguments as sim.launch.py.
+"""The whole mission: the plant, all controllers and their supervisor; arguments as sim.launch.py.
 
 ros2 launch mother_rover mission.launch.py rviz:=true
 ros2 launch mother_rover mission.launch.py plant:=null namespace:=rover1
@@ -12,4 +12,6 @@ from rover_launch.plan import HANGING
 
 
 def generate_launch_description() -> LaunchDescription:
-    return describe("winch_node", "descent_node", "drive_node", "jump_node", **HANGING)
+    return describe(
+        "winch_node", "descent_node", "drive_node", "jump_node", "mission_node", **HANGING
+    )

@@ -119,6 +119,14 @@ POSITION_ERROR = "position_error"
 HEADING_ERROR = "heading_error"
 WHEEL_EFFORT = "wheel_effort"
 TETHER_RANGE = "tether_range"
+
+# How far the mission is.
+MISSION_LEG = "mission_leg"
+LEGS_LEFT = "legs_left"
+FAILED_TRIALS = "failed_trials"
+PICTURES_TAKEN = "pictures_taken"
+JUMPS_FLOWN = "jumps_flown"
+
 ALARM_NAMES = ("touchdown", "slack", "snag", "over_tension")
 
 ENERGY_NAMES = (

@@ -128,6 +128,7 @@ class ContractNode(LifecycleNode):
         self._opened: list[ContractPublisher] = []
         self._taken: list[Any] = []
         self._served: list[Any] = []
+        self._callers: dict[str, Any] = {}
         self._timers_while_active: list[Any] = []
         self._groups = declare_parameters(self, parameter_classes(type(self)))
         self.add_on_set_parameters_callback(self._on_set_parameters)
@@ -253,6 +254,26 @@ class ContractNode(LifecycleNode):
             return response
 
         self._served.append(self.create_service(message_class(row.service), name, answer))
+
+    def call_service(self, name: str, answered: Callable[[bool, str], None]) -> bool:
+        """Call a Trigger service of the table; returns whether its server is there.
+
+        ``answered`` gets success and message when the answer comes; a server that dies
+        meanwhile gives none.
+        """
+        check_access(self.NAME, Act.CALL, name)
+        if name not in self._callers:
+            self._callers[name] = self.create_client(message_class(SERVICES[name].service), name)
+        client = self._callers[name]
+        if not client.service_is_ready():
+            return False
+
+        def tell(future: Any) -> None:
+            if self.active and future.exception() is None:
+                answered(future.result().success, future.result().message)
+
+        client.call_async(client.srv_type.Request()).add_done_callback(tell)
+        return True
 
     def every(
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
@@ -486,8 +507,11 @@ class ContractNode(LifecycleNode):
             self.destroy_subscription(subscription)
         for service in self._served:
             self.destroy_service(service)
+        for client in self._callers.values():
+            self.destroy_client(client)
         for made in self._opened:
             made.destroy()
+        self._callers.clear()
         self._taken.clear()
         self._latched.clear()
         self._served.clear()

@@ -38,12 +38,19 @@ class ContractPublisher:
             message_class(row.message), name, qos.profile(row.intent)
         )
 
-    def send(self, sample: Sample) -> bool:
-        """Encode and publish; returns whether it went out."""
+    def send(self, sample: Sample, asker: str = "") -> bool:
+        """Encode and publish; returns whether it went out.
+
+        Args:
+            sample: to be sent.
+            asker: name by which a request is answered; empty = it is answered to nobody.
+        """
         try:
             message = encode(self._name, sample)
             if self._is_owned:
                 message.header.frame_id = self._commander
+            elif asker:
+                message.header.frame_id = asker
             self._publisher.publish(message)
         except Refusal as refusal:
             self._refuse(refusal)

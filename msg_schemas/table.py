@@ -5,9 +5,9 @@ and units, within which limits, and what happens when it falls silent or comes
 late. Nodes, recorder, reports and the generated document all read this table;
 no topic name stands anywhere else.
 
-The rows stand in ``rows_of_plant``, ``rows_of_link``, ``rows_of_descent``, ``rows_of_drive`` and
-``rows_of_nodes``; what a row can say in ``row_kinds``; frames, joints and largest values in
-``machine``.
+The rows stand in ``rows_of_plant``, ``rows_of_link``, ``rows_of_descent``, ``rows_of_drive``,
+``rows_of_mission`` and ``rows_of_nodes``; what a row can say in ``row_kinds``; frames, joints and
+largest values in ``machine``.
 Others import all of it from here.
 """
 
@@ -120,6 +120,7 @@ from msg_schemas.rows_of_descent import DESCENT_SERVICES, DESCENT_TOPICS
 from msg_schemas.rows_of_drive import DRIVE_SERVICES, DRIVE_TOPICS
 from msg_schemas.rows_of_jump import JUMP_SERVICES, JUMP_TOPICS
 from msg_schemas.rows_of_link import LINK_SERVICES, LINK_TOPICS
+from msg_schemas.rows_of_mission import MISSION_SERVICES, MISSION_TOPICS
 from msg_schemas.rows_of_nodes import NODE_SERVICES, NODE_TOPICS
 from msg_schemas.rows_of_plant import PLANT_SERVICES, PLANT_TOPICS
 
@@ -236,6 +237,7 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
             *DESCENT_TOPICS,
             *DRIVE_TOPICS,
             *JUMP_TOPICS,
+            *MISSION_TOPICS,
             *NODE_TOPICS,
         )
     }
@@ -249,6 +251,7 @@ SERVICES: Mapping[str, Service] = MappingProxyType(
             *DESCENT_SERVICES,
             *DRIVE_SERVICES,
             *JUMP_SERVICES,
+            *MISSION_SERVICES,
             *NODE_SERVICES,
         )
     }

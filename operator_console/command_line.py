@@ -18,7 +18,7 @@ import argcomplete
 
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
-from operator_console.commands import COMMANDS, Command, Order
+from operator_console.commands import COMMANDS, MISSION, Command, Order
 from operator_console.exchange import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -116,17 +116,21 @@ def make_parser() -> argparse.ArgumentParser:
     watch = kinds.add_parser(_WATCH, parents=[common], help="the same, live, until Ctrl-C")
     watch.description = "Shows what is known, live; lines where the output is no terminal."
     watch.add_argument("--period", type=_positive, default=1.0, metavar="S", help="default 1")
+    own = [name.removeprefix(f"{MISSION}-") for name in COMMANDS if name.startswith(MISSION)]
+    mission = kinds.add_parser(MISSION, help=f"a whole mission: {', '.join(own)}")
+    acts = mission.add_subparsers(metavar="ACT", required=True)
     for command in COMMANDS.values():
-        _add_command(kinds, command, common)
+        _add_command(acts if command.name.startswith(MISSION) else kinds, command, common)
     return parser
 
 
 def _add_command(kinds: argparse._SubParsersAction[argparse.ArgumentParser],
                  command: Command, common: argparse.ArgumentParser) -> None:  # fmt: skip
     own = kinds.add_parser(
-        command.name, parents=[common], help=command.about,
+        command.name.removeprefix(f"{MISSION}-"), parents=[common], help=command.about,
         description=f"{command.about[0].upper()}{command.about[1:]}.",
     )  # fmt: skip
+    own.set_defaults(command=command.name)
     for argument in command.arguments:
         rule = command.rule(argument)
         about = f"{argument.about} ({rule.minimum:g} .. {rule.maximum:g} {rule.unit})"

@@ -27,6 +27,8 @@ from msg_schemas.table import SERVICES, TOPICS
 from operator_console.endings import EndsWith
 
 _DEGREE = math.pi / 180.0
+MISSION = "mission"
+"""With what the commands of the mission begin: at a terminal a word of its own."""
 
 
 @dataclass(frozen=True)
@@ -281,6 +283,13 @@ def _calls(*services: str) -> tuple[Call, ...]:
     return tuple(Call(name) for name in services)
 
 
+def _of_mission(name: str, about: str, service: str) -> Command:
+    return Command(
+        f"{MISSION}-{name}", about, "mission", calls=_calls(service),
+        moves=name not in ("hold", "abort"),
+    )  # fmt: skip
+
+
 _RATE = Argument("rate", f"largest rate{_OWN}", "velocity", required=False)
 _LIMIT = Argument("tension", f"largest tension to use{_OWN}", "effort", required=False)
 
@@ -290,7 +299,7 @@ _TABLE = (
         "hold", "comes to rest: the winch brakes, the wheels stand, the descent keeps the attitude",
         "everything", rests=True,
         calls=(
-            *_calls(topics.WINCH_HOLD, topics.DRIVE_STOP),
+            *_calls(topics.MISSION_HOLD, topics.WINCH_HOLD, topics.DRIVE_STOP),
             Call(topics.DESCENT_HOLD, at_rest=True),
         ),
     ),
@@ -298,7 +307,9 @@ _TABLE = (
         "abort", "lets a compressed spring down, forgets all stops and comes to rest",
         "everything", rests=True,
         calls=(
-            *_calls(topics.JUMP_ABORT, topics.WINCH_HOLD, topics.DRIVE_STOP),
+            *_calls(
+                topics.MISSION_ABORT, topics.JUMP_ABORT, topics.WINCH_HOLD, topics.DRIVE_STOP
+            ),
             Call(topics.DESCENT_ABORT, at_rest=True),
         ),
     ),
@@ -365,6 +376,14 @@ _TABLE = (
         "drive", "drives straight ahead on the floor", "drive",
         (Argument("way", "from where the rover stands", "x", least=0.05),), moves=True,
         request=Request(topics.DRIVE_GOAL, "position", _DRIVE, ahead=True), ends=_WAY, undo="hold",
+    ),
+    _of_mission("go", "begins the mission; after an abort, the way home", topics.MISSION_GO),
+    _of_mission("hold", "brings the mission to rest; its leg waits", topics.MISSION_HOLD),
+    _of_mission("resume", "begins the leg again that a hold has left", topics.MISSION_RESUME),
+    _of_mission("skip", "leaves the mission's present leg out", topics.MISSION_SKIP),
+    _of_mission(
+        "abort", "brings the mission to rest and forgets its plan; go then leads home",
+        topics.MISSION_ABORT,
     ),
     Command(
         "pause", "stops simulated time", "simulation", calls=(Call(topics.SIM_PAUSE, True),)

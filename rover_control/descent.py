@@ -25,7 +25,7 @@ from rover_control.attitude import FlywheelReaction, WheelReaction
 from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
 from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters, WinchAsk
 from rover_control.pointing import SUBJECT as POINTING
-from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
+from rover_control.winch_link import FREE, HOLD, WinchLink, WinchLinkParameters
 
 _NO_ORDERS = Orders(None, None, None, None, None)
 RELEASED = "released"
@@ -33,6 +33,7 @@ RELEASED = "released"
 
 _NANO = 1e9
 _JUMPING = frozenset({"compressing", "letting_down", "flight", "landed"})
+_CLEAR = 0.2  # part of its travel, so near to whose middle the nut is clear
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ class DescentParameters:
     delay_recovery: float = parameter(
         2.0, "s", "without such a delay, before the rotors follow again", 0.0, 60.0
     )
+    screw_lead: float = parameter(2.0e-3, "m", "way of the nut by a turn of its screw", 1e-4, 0.1)
+    nut_clear: float = parameter(
+        2.0e-3, "m", "up to there the nut bears no spring and may be driven clear", 0.0, 0.1
+    )
+    nut_speed: float = parameter(0.01, "m/s", "at which it is driven clear", 1e-3, 0.5)
+    nut_patience: float = parameter(20.0, "s", "in which it must be clear", 1.0, 600.0)
     picture_time: float = parameter(
         0.1, "s", "from the order of a picture to the end of its exposure", 0.0, 10.0
     )
@@ -93,6 +100,7 @@ class Drives(NamedTuple):
     flywheel_torque: float | None = None  # [N m]
     winch: WinchAsk | None = None  # to be renewed
     trim: float | None = None  # [m/s]
+    nut: float | None = None  # that the jump motor's nut is to go to [m]
 
 
 class Descent:
@@ -116,6 +124,7 @@ class Descent:
         self._wheel_rate = 0.0  # as sent last [rad/s]
         self._wheel_told = 0.0  # by its encoder [rad/s]
         self._stepped_ns = 0
+        self._clears_since: float | None = None  # that the nut is driven clear [s]
         self._imu_ns = 0  # the newest reading's stamp
         self._make(0.0)
 
@@ -244,9 +253,15 @@ class Descent:
             self.controller.point(angle, now_ns)
         self._engage("a heading is asked for")
 
+    @property
+    def _per_turn(self) -> float:
+        """Way of the nut by the screw's angle [m/rad]."""
+        return self.settings.descent.screw_lead / math.tau
+
     def _engage(self, reason: str) -> None:
         if not self.is_engaged:
             self.is_engaged = True
+            self._clears_since = None
             self._changes.append(Transition("descent_engaged", reason))
 
     def _check_drives(self, now_ns: int) -> None:
@@ -256,14 +271,14 @@ class Descent:
                 RefusalCode.WRONG_PHASE,
                 f"the rover jumps ({self._jump}), its motor is needed",
             )
-        rotors = self.settings.phase_a.rotors
-        away = self.screw - rotors.travel_centre
-        if self.settings.phase_a.uses_rotors and abs(away) > rotors.travel:
+        nut = self.screw * self._per_turn
+        most = self.settings.descent.nut_clear
+        if self.settings.phase_a.uses_rotors and nut > most:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
-                f"the screw stands {away:.3g} rad from the middle of the nut's free travel, it may "
-                f"stand {rotors.travel:g} rad off; {topics.JUMP_MOTOR_COMMAND} drives it clear",
+                f"the nut stands at {nut:.4g} m and may bear the spring, it must stand at most at "
+                f"{most:g} m; {topics.JUMP_ABORT} lets the spring down",
             )
         self._check_known(topics.DESCENT_REQUEST, now_ns)
 
@@ -384,8 +399,9 @@ class Descent:
             self._pictures += 1
             nan = math.nan
             self._open.append(Observation(self._pictures, orders.exposure, nan, nan))
-        rotors = self._rotors(orders, h, now)
-        return Drives(*rotors, *self._winch(orders, now))
+        nut = self._clear_nut(now) if self.settings.phase_a.uses_rotors else None
+        rotors = self._rotors(orders if nut is None else _NO_ORDERS, h, now)
+        return Drives(*rotors, *self._winch(orders, now), nut)
 
     def halt(self) -> Drives:
         """What to send last, when nobody steps any more."""
@@ -414,6 +430,24 @@ class Descent:
         elif self.controller.pointing.is_active:
             self.controller.pointing.stop()
             self._changes.append(Transition("pointing_ended", reason, Level.WARN))
+
+    def _clear_nut(self, now: float) -> float | None:
+        """Where the nut is to go to, so that its motor is a reaction wheel; None = it is clear."""
+        rotors = self.settings.phase_a.rotors
+        away = abs(self.screw - rotors.travel_centre)
+        if self._clears_since is None and not away > rotors.travel:
+            return None
+        if self._clears_since is None:
+            self._clears_since = now
+            self._changes.append(Transition("nut_clearing", "the nut is driven clear of the latch"))
+        if away < _CLEAR * rotors.travel:
+            self._clears_since = None
+            self._changes.append(Transition("nut_clear", "the jump motor is a reaction wheel"))
+            return None
+        if self.is_busy and now - self._clears_since > self.settings.descent.nut_patience:
+            self._clears_since = now
+            self._interrupt("the nut does not come clear of the latch", round(now * _NANO))
+        return rotors.travel_centre * self._per_turn
 
     def _rotors(self, orders: Orders, h: float, now: float) -> tuple[float | None, float | None]:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
@@ -450,7 +484,9 @@ class Descent:
             return None, None
         profile = self.controller.profile
         if not self.is_busy:
-            if self.link.rests(now) or self._mode not in FREE:
+            # Whoever has the winch after a release moves it as soon as it holds.
+            released = not self.is_engaged and self._mode == HOLD
+            if released or self.link.rests(now) or self._mode not in FREE:
                 self._leave_winch()
                 return None, None
             return self.link.step(orders.winch, self.length, now), None

@@ -11,6 +11,7 @@ from msg_schemas import topics
 from msg_schemas.machine import (
     FLYWHEEL,
     HEADING_TURN,
+    JUMP_SCREW,
     OBSERVATION_STOP,
     WHEEL_DRIVE,
     WINCH_DRUM,
@@ -43,6 +44,9 @@ _PARTS: Mapping[str, type[Any]] = {
 }
 
 
+_NUT_FORCE = 50.0  # that it may use; clear of the latch it bears nothing [N]
+
+
 @dataclass(frozen=True)
 class DescentNodeParameters:
     """How often the node acts, and with what."""
@@ -70,6 +74,7 @@ class DescentNode(ContractNode):
         """Open topics and services."""
         self._wheel_outlet = self.publisher(topics.WHEEL_COMMAND)
         self._flywheel_outlet = self.publisher(topics.FLYWHEEL_COMMAND)
+        self._nut_outlet = self.publisher(topics.JUMP_MOTOR_COMMAND)
         self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
         self._trim_outlet = self.publisher(topics.WINCH_TRIM)
         self._phase_outlet = self.publisher(topics.DESCENT_PHASE)
@@ -221,6 +226,10 @@ class DescentNode(ContractNode):
         if drives.flywheel_torque is not None:
             value = JointValue(effort=drives.flywheel_torque)
             self._flywheel_outlet.send(JointSample(now_ns, {FLYWHEEL: value}))
+        if drives.nut is not None:
+            speed = self.parameters_of(DescentParameters).nut_speed
+            value = JointValue(drives.nut, speed, _NUT_FORCE)
+            self._nut_outlet.send(JointSample(now_ns, {JUMP_SCREW: value}))
         if drives.winch is not None:
             value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
             self._winch_outlet.send(JointSample(now_ns, {winch_joint: value}))

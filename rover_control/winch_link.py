@@ -15,8 +15,10 @@ from msg_schemas.parameters import parameter
 from msg_schemas.table import TOPICS
 from rover_control.phase_a import WinchAsk
 
-_HOLD, _LENGTH = "hold", "length"  # modes of the winch
-FREE = frozenset({_HOLD, _LENGTH})
+HOLD = "hold"
+"""Mode of a winch that rests."""
+_LENGTH = "length"
+FREE = frozenset({HOLD, _LENGTH})
 """Modes in which nobody else moves the winch."""
 # A winch that is trimmed does not come to rest by itself before the trim has been silent so long.
 _TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.silence  # [s]
@@ -66,7 +68,7 @@ class WinchLink:
 
     def rests(self, now: float) -> bool:
         """Whether the winch holds, and has done so for a while."""
-        return self.mode == _HOLD and now - self._mode_since > self.parameters.winch_rest
+        return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest
 
     def step(
         self,
@@ -114,7 +116,7 @@ class WinchLink:
 
     @property
     def _trim_was_ended(self) -> bool:
-        return self.mode == _HOLD and self._mode_since - self._trimmed < _TRIM_LASTS
+        return self.mode == HOLD and self._mode_since - self._trimmed < _TRIM_LASTS
 
     def trouble(self, length: float, now: float) -> str:
         """Why the winch does not do what it was asked; empty = it does."""

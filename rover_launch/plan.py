@@ -49,6 +49,7 @@ CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
     "descent_node": ("descent_node",),
     "jump_node": ("jump_node",),
     "drive_node": ("drive_node",),
+    "mission_node": ("mission_node",),
 }
 """Parameter files of each controller, the last one's values hold."""
 

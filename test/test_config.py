@@ -18,6 +18,7 @@ from rover_control.descent import DescentParameters
 from rover_control.descent_node import DescentNode
 from rover_control.drive_node import DriveNode
 from rover_control.jump_node import JumpNode
+from rover_control.mission_node import MissionNode
 from rover_control.swing_damping import DampingParameters
 from rover_hil.bridge_node import BridgeNode
 from rover_hil.emulator.emulator_node import EmulatorNode
@@ -29,8 +30,8 @@ from tether_winch.winch_node import WinchNode
 
 CONFIG = Path(__file__).parents[1] / "config"
 NODES: list[type[ContractNode]] = [
-    SimNode, NullPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, BridgeNode,
-    EmulatorNode, OperatorConsole, ViewNode,
+    SimNode, NullPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, MissionNode,
+    BridgeNode, EmulatorNode, OperatorConsole, ViewNode,
 ]  # fmt: skip
 
 

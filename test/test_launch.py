@@ -26,7 +26,7 @@ from rover_sim.sim_node import SimParameters
 ROOT = Path(__file__).parents[1]
 CONFIG = str(ROOT / "config")
 FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-MISSION = ("winch_node", "descent_node", "drive_node", "jump_node")
+MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_node")
 
 
 def controllers_of(path: Path) -> tuple[str, ...]:

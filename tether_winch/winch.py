@@ -69,6 +69,7 @@ _JUMPING = frozenset({"compressing", "settling", "releasing", "flight", "landed"
 _STALL = 0.05  # a step that comes later than this after the last one comes late [s]
 _BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
+_LITTLE = 0.1  # part of a held tension by which a renewal may differ from it
 _TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
 
 
@@ -559,7 +560,10 @@ class Winch:
         level: Level = Level.OK,
         values: Mapping[str, object] | None = None,
     ) -> None:
-        renewed = mode is self.mode and goal == self._goal
+        # Who leads a tether renews with the weight that is out now: each time a little other.
+        same = replace(goal, tension=self._goal.tension) == self._goal
+        little = abs(goal.tension - self._goal.tension) <= _LITTLE * self._goal.tension
+        renewed = mode is self.mode and same and little
         self._set_goal(goal)
         if renewed:
             return

@@ -3,7 +3,7 @@
 import { element, number } from "./format.js";
 
 const HEAD = new Set(["hold", "abort"]); // always at hand in the header, never asked again
-const TITLES = { everything: "whole machine", descent: "descent", winch: "winch alone", jump: "jump", simulation: "simulation" };
+const TITLES = { everything: "whole machine", descent: "descent", winch: "winch alone", jump: "jump", mission: "mission", simulation: "simulation" };
 
 export class Commands {
   // send(name, values): a promise of the outcome. now(): what an operator should see before deciding.

@@ -30,6 +30,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from msg_schemas.transition import Transition
+from rover_control.attitude import RotorParameters
 from rover_control.descent import (
     RELEASED,
     Descent,
@@ -280,11 +281,39 @@ def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
     world.descent.hear_jump("flight")
     assert "jumps" in refused(lambda: world.ask(6.0)).reason
     world.descent.hear_jump("standby")
-    screw, world.descent.screw = world.descent.screw, 0.0
-    assert "94.2 rad from the middle" in refused(lambda: world.ask(6.0)).reason
+    screw, world.descent.screw = world.descent.screw, 20.0
+    assert topics.JUMP_ABORT in refused(lambda: world.ask(6.0)).reason
     world.descent.screw = screw
     world.ask(6.0)
     assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
+
+
+def test_a_nut_that_lies_on_the_latch_is_driven_clear_before_the_rotors_are_used(world: World):
+    world.arm()
+    world.rover.screw = 0.0
+    world.run(0.1)
+    world.ask(6.0, observes=False)
+    world.run(0.2)
+    ordered = [drives for drives in world.sent if drives.nut is not None]
+    assert ordered[-1].nut == pytest.approx(-0.030, abs=1e-4)
+    assert all(drives.flywheel_torque is None for drives in ordered)
+    assert all(drives.wheel_rate is None for drives in ordered)
+    world.rover.screw = RotorParameters().travel_centre + 5.0
+    world.run_until(lambda: world.done)
+    assert world.told("nut_clear")
+    assert world.sent[-1].nut is None
+    assert world.sent[-1].flywheel_torque is not None
+
+
+def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
+    quick = replace(world.descent.settings, descent=DescentParameters(nut_patience=2.0))
+    world.descent.settings = quick
+    world.arm()
+    world.rover.screw = 0.0
+    world.run(0.1)
+    world.ask(6.0)
+    world.run_until(lambda: world.descent.interruption != "")
+    assert "does not come clear" in world.descent.interruption
 
 
 def test_limits_that_leave_no_room_are_refused():

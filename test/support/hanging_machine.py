@@ -28,6 +28,7 @@ class HangingMachine:
     Attributes:
         wheel_rate: of the left wheel [rad/s].
         flywheel_torque: [N m].
+        screw: angle of the flywheel's screw [rad].
     """
 
     def __init__(self, length: float, swing: float = 0.0) -> None:
@@ -36,7 +37,7 @@ class HangingMachine:
         self._hanging = HangingParameters()
         self._model = HangingModel(self._hanging, length, swing, 0.0, swing)
         self._wheel = 0.0
-        self._angle = RotorParameters().travel_centre
+        self.screw = RotorParameters().travel_centre
         self._rate = 0.0
         self._ticks = 0
 
@@ -46,7 +47,7 @@ class HangingMachine:
         friction = RotorParameters().flywheel_friction * math.tanh(self._rate)
         turning = self.flywheel_torque - friction
         self._rate += TICK * turning / self._hanging.flywheel_inertia
-        self._angle += TICK * self._rate
+        self.screw += TICK * self._rate
         rolling = self._hanging.wheel_inertia * (self.wheel_rate - self._wheel) / TICK
         self._wheel = self.wheel_rate
         self._gyro, self._force = self._model.step((turning, rolling))
@@ -57,7 +58,7 @@ class HangingMachine:
         yield topics.IMU, ImuSample(stamp_ns, self._gyro, self._force)
         left, right = JointValue(0.0, self._wheel), JointValue()
         yield topics.WHEEL_STATE, JointSample(stamp_ns, {WHEEL_LEFT: left, WHEEL_RIGHT: right})
-        turning = JointValue(self._angle, self._rate)
+        turning = JointValue(self.screw, self._rate)
         yield topics.FLYWHEEL_STATE, JointSample(stamp_ns, {FLYWHEEL: turning})
         if self._ticks % _CAMERA_EVERY == 0:
             seen = {WALL_DISTANCE: JointValue(WALL), SMEAR: JointValue(stamp_ns * 1e-12)}

@@ -1,0 +1,117 @@
+"""What must not be while the mission moves something, and what clears it. Pure.
+
+The mission asks for nothing that `INTERLOCKS` forbids at the time. Where `remedy` names a service,
+it calls that first; where there is none, it waits, and its leg ends by its time limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from types import MappingProxyType
+
+from msg_schemas import topics
+from rover_control.mission_sight import MissionSight
+
+TAUT = 2.0
+"""Pull [N] of the rover on the tether from which on it does not jump."""
+
+
+class Act(StrEnum):
+    """What the mission asks for."""
+
+    DESCEND = "descend, ascend or turn, swing and attitude under control"
+    LOWER = "pay out until the floor carries the rover"
+    LIFT = "reel in a rover that stands"
+    DRIVE = "drive"
+    SLACKEN = "give slack"
+    JUMP = "jump"
+    STOW = "give the drives back"
+
+
+class Condition(StrEnum):
+    """What may forbid it."""
+
+    WINCH_SILENT = "the winch is not heard"
+    DRIVE_SILENT = "the driving is not heard"
+    STOPPED = "the winch was stopped"
+    FAULT = "the winch is in a fault"
+    UNARMED = "the winch is not armed"
+    FLYING = "the rover flies, or comes to rest after a jump"
+    JUMP_FAULT = "the jump is in a fault"
+    COMPRESSED = "the latch may hold the spring"
+    DRIVING = "the rover is driven"
+    DESCENT = "the descent has winch and wheels"
+    STANDING = "the rover stands on the floor"
+    HANGING = "the rover hangs"
+    TAUT = "the tether pulls"
+
+
+_ALWAYS = (
+    Condition.WINCH_SILENT,
+    Condition.STOPPED,
+    Condition.FAULT,
+    Condition.UNARMED,
+    Condition.FLYING,
+    Condition.JUMP_FAULT,
+    Condition.COMPRESSED,
+)
+
+INTERLOCKS: Mapping[Act, tuple[Condition, ...]] = MappingProxyType(
+    {
+        Act.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
+        Act.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        Act.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        Act.DRIVE: (*_ALWAYS, Condition.DRIVE_SILENT, Condition.DESCENT, Condition.HANGING),
+        Act.SLACKEN: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING),
+        Act.JUMP: (
+            *_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING, Condition.TAUT,
+        ),
+        Act.STOW: (Condition.WINCH_SILENT, Condition.FLYING, Condition.COMPRESSED),
+    }
+)  # fmt: skip
+"""What forbids each act; what stands first is cleared first."""
+
+_HOLDS: Mapping[Condition, Callable[[MissionSight, float], bool]] = {
+    Condition.WINCH_SILENT: lambda sight, now: sight.silent(topics.WINCH_ESTIMATE, now),
+    Condition.DRIVE_SILENT: lambda sight, now: sight.silent(topics.ODOMETRY, now),
+    Condition.STOPPED: lambda sight, _: sight.winch == "stop",
+    Condition.FAULT: lambda sight, _: sight.winch == "fault",
+    Condition.UNARMED: lambda sight, _: sight.winch in ("", "disarmed"),
+    Condition.FLYING: lambda sight, _: sight.flies,
+    Condition.JUMP_FAULT: lambda sight, _: sight.jump == "fault",
+    Condition.COMPRESSED: lambda sight, _: sight.compressed,
+    Condition.DRIVING: lambda sight, _: sight.drives,
+    Condition.DESCENT: lambda sight, _: sight.descent_engaged,
+    Condition.STANDING: lambda sight, _: sight.stands,
+    Condition.HANGING: lambda sight, _: not sight.stands,
+    # A tension that is not known may be any.
+    Condition.TAUT: lambda sight, _: not sight.pull <= TAUT,
+}
+
+
+def holds(condition: Condition, sight: MissionSight, now: float) -> bool:
+    """Whether something is so now [s]."""
+    return _HOLDS[condition](sight, now)
+
+
+def forbidden(act: Act, sight: MissionSight, now: float) -> Condition | None:
+    """The first that forbids an act now [s]; None = it may be."""
+    return next((each for each in INTERLOCKS[act] if holds(each, sight, now)), None)
+
+
+def remedy(condition: Condition, sight: MissionSight) -> str:
+    """The service that clears it; empty = nothing but time, or people, do."""
+    if condition in (Condition.UNARMED, Condition.FAULT):
+        return topics.WINCH_REARM
+    if condition is Condition.JUMP_FAULT:
+        return topics.JUMP_ABORT
+    if condition is Condition.COMPRESSED:
+        # What is being compressed for somebody is his; what is let down takes its time.
+        return "" if sight.jump == "letting_down" else topics.JUMP_ABORT
+    if condition is Condition.DRIVING:
+        return topics.DRIVE_STOP
+    if condition is Condition.DESCENT:
+        idle = sight.descent == "standby"
+        return topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
+    return ""

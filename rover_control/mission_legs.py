@@ -1,0 +1,549 @@
+"""How each leg of a mission is done: what it asks for, and when it is over. Pure.
+
+A leg goes by what is seen now, so that it can be begun again at any time: after a hold, after a
+restart of the mission, or because the first trial failed.
+
+=========  ==================================================================================
+look       a stop of the descent with pictures
+turn       a heading that the descent turns to
+approach   a stop of the descent without pictures
+land       the winch pays out until the floor carries the rover
+visit      the rover drives; stuck, it gets slack and jumps, and drives on
+return     the same, to below the fairlead
+lift       the winch reels in until the rover hangs
+ascend     a stop of the descent at the stow
+stow       the descent gives winch and wheels back
+=========  ==================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, StrEnum, auto
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    HEADING_TURN,
+    JUMP_STROKE,
+    OBSERVATION_STOP,
+    PLAIN_STOP,
+    WINCH_SLACK,
+    WINCH_WHILE_RENEWED,
+)
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import (
+    NO_ORIENTATION,
+    JointSample,
+    JointValue,
+    PoseSample,
+    Sample,
+    Status,
+)
+from rover_control.mission_interlocks import Act
+from rover_control.mission_plan import Leg, LegKind, MissionPlan
+from rover_control.mission_sight import MissionSight, Place
+
+_ANSWER = 3.0  # in which a node shows that it does what it was asked [s]
+_RENEWAL = 0.25  # of a length that is gone to while it is renewed [s]
+_NEAR = 0.03  # at a length [m]
+_STEADY = 2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
+_AT_STOW, _STOW_PATIENCE = 0.1, 60.0  # so near, and so long for the swing there [m], [s]
+_SETTLES = 3.0  # after a jump [s]
+_GIVEN = 0.8  # part of the slack asked for that is enough
+_BY_HAND = "asked for"  # as drive_node says it
+
+
+class MissionPhase(StrEnum):
+    """What the mission is doing; words of the contract."""
+
+    STANDBY = "standby"
+    LOOKING = "looking"
+    TURNING = "turning"
+    APPROACHING = "approaching"
+    LANDING = "landing"
+    DRIVING = "driving"
+    JUMPING = "jumping"
+    RETURNING = "returning"
+    LIFTING = "lifting"
+    ASCENDING = "ascending"
+    STOWING = "stowing"
+    HOLDING = "holding"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True)
+class LegLimits:
+    """Longest times of one trial of a leg."""
+
+    look_limit: float = parameter(900.0, "s", "for a stop with pictures", 10.0, 1e5)
+    turn_limit: float = parameter(300.0, "s", "for a turn about the plumb line", 10.0, 1e5)
+    approach_limit: float = parameter(900.0, "s", "for the approach to the floor", 10.0, 1e5)
+    land_limit: float = parameter(300.0, "s", "for the landing", 10.0, 1e5)
+    visit_limit: float = parameter(900.0, "s", "for the way to a waypoint", 10.0, 1e5)
+    return_limit: float = parameter(900.0, "s", "for the way back below the fairlead", 10.0, 1e5)
+    lift_limit: float = parameter(600.0, "s", "to come off the floor", 10.0, 1e5)
+    ascend_limit: float = parameter(2400.0, "s", "for the ascent", 10.0, 1e5)
+    stow_limit: float = parameter(60.0, "s", "to give the drives back", 10.0, 1e5)
+    jump_limit: float = parameter(60.0, "s", "for slack and jump", 5.0, 1e4)
+
+    def of(self, kind: LegKind) -> float:
+        """Longest time [s] of a trial."""
+        limit: float = getattr(self, f"{kind}_limit")
+        return limit
+
+
+class Ask(NamedTuple):
+    """A request on a topic, or the call of a service where it has no sample."""
+
+    name: str
+    sample: Sample | None = None
+
+
+class Wish(NamedTuple):
+    """What a leg wants to ask for, where the interlocks let it."""
+
+    act: Act
+    ask: Ask
+    pause: float = _ANSWER  # before it is asked again [s]
+    reels: bool = False  # the winch moves for it, and is held where that is forbidden
+
+
+class Verdict(Enum):
+    """How a trial of a leg has ended."""
+
+    DONE = auto()
+    FAILED = auto()  # it may be tried again
+    GIVEN_UP = auto()  # trying again is of no use
+    TAKEN = auto()  # somebody else has taken over
+
+
+class End(NamedTuple):
+    """That a trial of a leg is over."""
+
+    verdict: Verdict
+    reason: str
+
+
+@dataclass
+class Notes:
+    """What the legs leave to those after them; kept over a restart.
+
+    Attributes:
+        floor: length at which the floor was touched [m]; NaN = not yet.
+        turned_from: heading of the descent's controller where the mission began [rad].
+        pictures: that were taken.
+        jumps: that were flown.
+    """
+
+    floor: float = math.nan
+    turned_from: float = math.nan
+    pictures: int = 0
+    jumps: int = 0
+
+
+class Conduct(ABC):
+    """One trial of a leg.
+
+    Args:
+        leg: what is to be done.
+        plan: of the whole mission.
+        notes: of the legs before, and for those after.
+        now: [s].
+    """
+
+    phase: MissionPhase
+
+    def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
+        self.leg = leg
+        self.plan = plan
+        self.notes = notes
+        self.begun = now
+        self.asked: float | None = None  # when the leg's own request was sent last [s]
+
+    def sent(self, ask: Ask, now: float) -> None:
+        """What was wished has been asked for."""
+        if ask.sample is not None:
+            self.asked = now
+
+    @abstractmethod
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """What is wanted now, or how it has ended; None = nothing but to wait."""
+
+    def _unanswered(self, now: float) -> bool:
+        """Whether what was asked for should have shown by now."""
+        return self.asked is not None and now - self.asked > _ANSWER
+
+
+def _refusal(news: Sequence[Status], topic: str) -> str:
+    """Why a topic's taker has refused; empty = it did not."""
+    for status in news:
+        if status.name.endswith(f": refused {topic}"):
+            return status.message
+    return ""
+
+
+def _joint(name: str, position: float, velocity: float = 0.0) -> JointSample:
+    return JointSample(0, {name: JointValue(position, velocity, 0.0)})
+
+
+def _number(status: Status, name: str) -> float:
+    try:
+        return float(status.values[name])
+    except (KeyError, ValueError):
+        return math.nan
+
+
+# --- hanging -------------------------------------------------------------------------------------
+
+
+class Stop(Conduct):
+    """A depth that the descent goes to, with pictures or without."""
+
+    def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
+        super().__init__(leg, plan, notes, now)
+        self.phase = {
+            LegKind.LOOK: MissionPhase.LOOKING,
+            LegKind.APPROACH: MissionPhase.APPROACHING,
+            LegKind.ASCEND: MissionPhase.ASCENDING,
+        }[leg.kind]
+        self._there_since = math.inf
+        self._is_cleared = False  # of stops that somebody has left
+        self._was_interrupted = False
+
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """Ask for the stop once, and see that it goes on."""
+        looks = self.leg.kind is LegKind.LOOK
+        if math.isnan(self.notes.turned_from) and not math.isnan(sight.heading):
+            self.notes.turned_from = sight.heading
+        if self.asked is not None:
+            for event in news:
+                if event.name == "stop_ended" and _number(event, "depth") == self.leg.depth:
+                    return self._ended(event, looks)
+                self._was_interrupted |= event.name == "descent_interrupted"
+            refused = _refusal(news, topics.DESCENT_REQUEST)
+            if refused and sight.descent in ("released", "standby"):
+                return End(Verdict.FAILED, refused)
+        if self.leg.kind is LegKind.ASCEND and self.asked is not None:
+            # What is left of the swing is no reason to stay out of the stow.
+            there = abs(sight.length - self.leg.depth) < _AT_STOW
+            self._there_since = min(self._there_since, now) if there else math.inf
+            if now - self._there_since > _STOW_PATIENCE:
+                return End(Verdict.DONE, f"at {sight.length:.2f} m, still swinging")
+        if sight.descent == "holding" and self.asked is not None:
+            if not self._was_interrupted:
+                return End(Verdict.TAKEN, "somebody holds the descent")
+            return Wish(Act.DESCEND, Ask(topics.DESCENT_RESUME))
+        if not self._is_cleared and self.asked is None:
+            if sight.descent_busy or sight.descent == "holding":
+                return Wish(Act.DESCEND, Ask(topics.DESCENT_ABORT))
+            self._is_cleared = True
+        idle = sight.descent in ("", "released", "standby")
+        lost = idle and self._unanswered(now) and now - self._idle_since(sight) > _ANSWER
+        if self.asked is None or lost:
+            joint = OBSERVATION_STOP if looks else PLAIN_STOP
+            return Wish(Act.DESCEND, Ask(topics.DESCENT_REQUEST, _joint(joint, self.leg.depth)))
+        return None
+
+    def _idle_since(self, sight: MissionSight) -> float:
+        # A descent that has just engaged stands by to learn the swing first.
+        since = sight.since.get(topics.DESCENT_PHASE, -math.inf)
+        return since + (30.0 if sight.descent == "standby" else 0.0)
+
+    def _ended(self, event: Status, looks: bool) -> End:
+        pictures = _number(event, "pictures")
+        if looks and pictures > 0.0:
+            self.notes.pictures += round(pictures)
+            return End(Verdict.DONE, event.message)
+        if looks:
+            return End(Verdict.GIVEN_UP, event.message)
+        reached = event.message == "reached"
+        return End(Verdict.DONE if reached else Verdict.FAILED, event.message)
+
+
+class Turn(Conduct):
+    """A heading about the plumb line."""
+
+    phase = MissionPhase.TURNING
+
+    def step(
+        self,
+        sight: MissionSight,
+        news: Sequence[Status],
+        now: float,  # noqa: ARG002 - it goes by no time of its own
+    ) -> Wish | End | None:
+        """Ask once: what cannot be reached or held is refused, and then left."""
+        if self.asked is None:
+            if sight.descent_busy:
+                return None
+            ask = Ask(topics.DESCENT_REQUEST, _joint(HEADING_TURN, self.leg.angle))
+            return Wish(Act.DESCEND, ask)
+        for event in news:
+            if event.name == "pointing_reached":
+                return End(Verdict.DONE, event.message)
+            if event.name == "pointing_ended":
+                return End(Verdict.GIVEN_UP, event.message)
+        refused = _refusal(news, topics.DESCENT_REQUEST)
+        return End(Verdict.GIVEN_UP, refused) if refused else None
+
+
+class Land(Conduct):
+    """The winch pays out until the floor carries the rover."""
+
+    phase = MissionPhase.LANDING
+
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """Renew the length on the way."""
+        if sight.stands:
+            if now - sight.stands_since < _STEADY:
+                return None
+            self.notes.floor = sight.length
+            if sight.place is None:
+                sight.place = Place(0.0, 0.0, self._heading(sight))
+            return End(Verdict.DONE, f"the floor carries the rover at {sight.length:.2f} m")
+        taken = _held_by_others(news)
+        if taken:
+            return End(Verdict.TAKEN, taken)
+        if sight.length > self.leg.depth - _NEAR and not sight.winch_moves:
+            return End(Verdict.FAILED, f"no floor down to {sight.length:.2f} m")
+        # Those who had the winch before may still bring it to rest.
+        if self.asked is None and sight.winch_moves and not sight.descent_engaged:
+            return None
+        rate = self.plan.landing.rate if self.plan.landing is not None else 0.0
+        return _length(Act.LOWER, self.leg.depth, rate)
+
+    def _heading(self, sight: MissionSight) -> float:
+        """In map, as far as the descent's gyro tells."""
+        turned = sight.heading - self.notes.turned_from
+        begun = math.radians(self.plan.heading)
+        return math.remainder(begun + (0.0 if math.isnan(turned) else turned), math.tau)
+
+
+class Lift(Conduct):
+    """The winch reels in until the rover hangs."""
+
+    phase = MissionPhase.LIFTING
+
+    def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
+        super().__init__(leg, plan, notes, now)
+        self._goal = math.nan
+
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """Renew the length on the way, which leads from where the floor was touched."""
+        if math.isnan(self._goal):
+            floor = self.notes.floor
+            self._goal = (sight.length if math.isnan(floor) else floor) - self.plan.lift.height
+        hangs = not sight.stands and now - sight.stands_since > _STEADY
+        there = abs(sight.length - self._goal) < _NEAR and not sight.winch_moves
+        if there and hangs:
+            return End(Verdict.DONE, f"the rover hangs at {sight.length:.2f} m")
+        if there and now - self.begun > 2.0 * _STEADY and sight.stands:
+            return End(Verdict.FAILED, f"the rover is still carried at {sight.length:.2f} m")
+        taken = _held_by_others(news)
+        if taken:
+            return End(Verdict.TAKEN, taken)
+        for event in news:
+            if event.name == "alarm_snag":
+                return End(Verdict.FAILED, f"the tether is held: {event.message}")
+        if there:
+            return None
+        return _length(Act.LIFT, self._goal, self.plan.lift.rate)
+
+
+class Stow(Conduct):
+    """The descent gives the drives back."""
+
+    phase = MissionPhase.STOWING
+
+    def step(
+        self,
+        sight: MissionSight,
+        news: Sequence[Status],  # noqa: ARG002 - what is engaged says enough
+        now: float,  # noqa: ARG002
+    ) -> Wish | End | None:
+        """Release what is engaged."""
+        if not sight.descent_engaged and not sight.winch_moves:
+            return End(Verdict.DONE, f"stowed at {sight.length:.2f} m")
+        if not sight.descent_engaged:
+            return None
+        idle = sight.descent == "standby"
+        service = topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
+        return Wish(Act.STOW, Ask(service))
+
+
+def _length(act: Act, length: float, rate: float) -> Wish:
+    ask = Ask(topics.WINCH_REQUEST, _joint(WINCH_WHILE_RENEWED, length, rate))
+    return Wish(act, ask, _RENEWAL, reels=True)
+
+
+def _held_by_others(news: Sequence[Status]) -> str:
+    for event in news:
+        if event.name == "winch_hold" and event.message == "asked to hold":
+            return "somebody holds the winch"
+    return ""
+
+
+# --- on the floor --------------------------------------------------------------------------------
+
+
+class _Stage(Enum):
+    DRIVE = auto()
+    SLACKEN = auto()
+    JUMP = auto()
+    SETTLE = auto()
+
+
+class Way(Conduct):
+    """A way on the floor, driven, with jumps where the rover is stuck."""
+
+    def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
+        super().__init__(leg, plan, notes, now)
+        self._returns = leg.kind is LegKind.RETURN
+        self._stage = _Stage.DRIVE
+        self._staged = now
+        self._slack_from = math.nan
+        self._jumps = 0
+        self._left_ground = False
+        self._taken = False  # drive_node was seen doing it
+
+    @property
+    def phase(self) -> MissionPhase:  # type: ignore[override]
+        """Driving or jumping."""
+        if self._stage is not _Stage.DRIVE:
+            return MissionPhase.JUMPING
+        return MissionPhase.RETURNING if self._returns else MissionPhase.DRIVING
+
+    def sent(self, ask: Ask, now: float) -> None:
+        """Saying where the rover stands is no request to drive."""
+        if ask.name != topics.DRIVE_START:
+            super().sent(ask, now)
+
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """Drive; or, stuck, slacken, jump and settle."""
+        if self._stage is _Stage.DRIVE:
+            return self._drive(sight, news, now)
+        if self._stage is _Stage.SLACKEN:
+            return self._slacken(sight, news, now)
+        if self._stage is _Stage.JUMP:
+            return self._jump(sight, news, now)
+        if now - self._staged > _SETTLES and not sight.flies:
+            self._enter(_Stage.DRIVE, now)
+        return None
+
+    def _enter(self, stage: _Stage, now: float) -> None:
+        self._stage, self._staged = stage, now
+        self.asked = None
+        self._taken = self._left_ground = False
+
+    # --- driving ---------------------------------------------------------------------------------
+
+    def _drive(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        if self._returns and self._is_home(sight) and not sight.drives:
+            place = sight.place
+            assert place is not None
+            far = math.hypot(place.x, place.y)
+            return End(Verdict.DONE, f"{far:.2f} m from the plumb line")
+        if self.asked is not None:
+            self._taken |= sight.drives
+            for event in news:
+                ended = self._judge(event, now)
+                if ended is not None or self._stage is not _Stage.DRIVE:
+                    return ended
+            refused = _refusal(news, topics.DRIVE_GOAL)
+            if refused:
+                return End(Verdict.FAILED, refused)
+        if sight.place is not None and not sight.knows_place:
+            return Wish(Act.DRIVE, Ask(topics.DRIVE_START, _pose(sight.place)))
+        lost = not sight.drives and (self._taken or self._unanswered(now))
+        if lost and now - sight.since.get(topics.DRIVE_PHASE, now) > _ANSWER:
+            self.asked, self._taken = None, False
+        if self.asked is None:
+            return Wish(Act.DRIVE, Ask(topics.DRIVE_GOAL, self._goal()))
+        return None
+
+    def _judge(self, event: Status, now: float) -> End | None:
+        if event.name == "drive_done":
+            return End(Verdict.DONE, event.message)
+        if event.name == "drive_stopped" and event.message == _BY_HAND:
+            return End(Verdict.TAKEN, "somebody stops the driving")
+        if event.name == "drive_failed":
+            return End(Verdict.FAILED, event.message)
+        if event.name == "drive_stuck":
+            if self._jumps >= self.plan.jumps.most:
+                return End(Verdict.FAILED, event.message)
+            self._enter(_Stage.SLACKEN, now)
+        return None
+
+    def _is_home(self, sight: MissionSight) -> bool:
+        place = sight.place
+        return place is not None and math.hypot(place.x, place.y) < 0.5 * self.plan.lift.radius
+
+    def _goal(self) -> PoseSample:
+        leg = self.leg
+        if math.isnan(leg.heading):
+            return PoseSample(0, (leg.x, leg.y, 0.0), NO_ORIENTATION)
+        return _pose(Place(leg.x, leg.y, leg.heading))
+
+    # --- jumping ---------------------------------------------------------------------------------
+
+    def _slacken(
+        self, sight: MissionSight, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
+        refused = _refusal(news, topics.WINCH_REQUEST)
+        if refused:
+            return End(Verdict.FAILED, refused)
+        if math.isnan(self._slack_from):
+            self._slack_from = sight.length
+        slack = self.plan.jumps.slack
+        if sight.length - self._slack_from > _GIVEN * slack and self.asked is not None:
+            self._slack_from = math.nan
+            self._enter(_Stage.JUMP, now)
+            return None
+        if self.asked is not None:
+            return None
+        return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, _joint(WINCH_SLACK, slack)))
+
+    def _jump(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        refused = _refusal(news, topics.JUMP_REQUEST)
+        if refused:
+            return End(Verdict.FAILED, refused)
+        self._left_ground |= sight.flies
+        if sight.jump == "letting_down" and self.asked is not None:
+            return End(Verdict.FAILED, "the jump was broken off")
+        if self._left_ground and sight.jump == "standby":
+            self._jumps += 1
+            self.notes.jumps += 1
+            self._enter(_Stage.SETTLE, now)
+            return None
+        if self.asked is None or (sight.jump == "standby" and self._unanswered(now)):
+            ask = Ask(topics.JUMP_REQUEST, _joint(JUMP_STROKE, self.plan.jumps.stroke))
+            return Wish(Act.JUMP, ask)
+        return None
+
+    @property
+    def jumping_for(self) -> float:
+        """When slack and jump began [s]; infinite while it drives."""
+        return math.inf if self._stage is _Stage.DRIVE else self._staged
+
+
+def _pose(place: Place) -> PoseSample:
+    half = 0.5 * place.heading
+    turned = (0.0, 0.0, math.sin(half), math.cos(half))
+    return PoseSample(0, (place.x, place.y, 0.0), turned)
+
+
+CONDUCTS: Mapping[LegKind, type[Conduct]] = {
+    LegKind.LOOK: Stop,
+    LegKind.TURN: Turn,
+    LegKind.APPROACH: Stop,
+    LegKind.LAND: Land,
+    LegKind.VISIT: Way,
+    LegKind.RETURN: Way,
+    LegKind.LIFT: Lift,
+    LegKind.ASCEND: Stop,
+    LegKind.STOW: Stow,
+}
+"""Who does what."""

@@ -1,0 +1,474 @@
+"""Whole missions without ROS: spatial plant, real sensors, and every controller of the suite.
+
+Plant, sensor errors, winch, descent, driving, jump and the mission's supervisor are stepped
+together at 50 Hz, the supervisor at 10 Hz. What the nodes say to one another over topics and
+services is handed on here, refusals and events included. What is true is kept for the checks alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    HEADING_TURN,
+    JUMP_STROKE,
+    OBSERVATION_STOP,
+    WINCH_WHILE_RENEWED,
+)
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import (
+    JointSample,
+    JointValue,
+    PoseSample,
+    Sample,
+    Status,
+    StatusSample,
+    TextSample,
+)
+from msg_schemas.table import SERVICES
+from msg_schemas.transition import Transition
+from rover_control.descent import Descent, DescentSettings
+from rover_control.descent import Drives as DescentDrives
+from rover_control.descent_profile import Stop
+from rover_control.descent_report import state_sample
+from rover_control.drive import Drive, Drives, DriveSettings
+from rover_control.drive_report import odometry_sample
+from rover_control.jump_sequence import JumpParameters, JumpSequence, Sensors
+from rover_control.mission import Mission, MissionSettings
+from rover_control.mission_legs import Ask
+from rover_control.mission_plan import MissionPlan
+from rover_sim import (
+    Command,
+    FlywheelCommand,
+    JumpMotorCommand,
+    Outcome,
+    SpatialPlant,
+    SpatialState,
+    WheelRateCommand,
+    load_scenario,
+    load_spatial,
+)
+from rover_sim.spatial_interface import SpatialInterface
+from rover_verify.checks.winch_spatial import winch_command
+from tether_winch.servo import DriveCommand, ServoParameters
+from tether_winch.winch import Winch, WinchParameters
+
+TICK_NS = 20_000_000  # of plant, sensors and controllers
+TICK = TICK_NS * 1e-9
+_SUPERVISED = 5  # ticks between two steps of the mission
+_WHEEL_TORQUE = 2.0  # that the wheel motor may use on the floor [N m]
+_HEARD = (
+    topics.IMU,
+    topics.CONTACT,
+    topics.WINCH_STATE,
+    topics.LOAD_CELL,
+    topics.MOTOR_CURRENTS,
+    topics.WHEEL_STATE,
+    topics.FLYWHEEL_STATE,
+    topics.JUMP_MOTOR_STATE,
+    topics.CAMERA,
+)
+WINCH = WinchParameters(servo=ServoParameters(trim_rate=0.3, shortest_length=1.4, end_zone=0.3))
+"""The winch as `config/winch_descent.yaml` sets it up."""
+
+_WINCH, _DESCENT, _DRIVE, _JUMP = "winch_node", "descent_node", "drive_node", "jump_node"
+MISSION = "mission_node"
+NODES = (_WINCH, _DESCENT, _DRIVE, _JUMP, MISSION)
+"""What may be killed and started again."""
+
+
+@dataclass
+class MissionFlight:
+    """A rover, its mother machine, and a mission.
+
+    Args:
+        scenario: its name.
+        overrides: of the scenario, by dotted path.
+        plan: of the mission.
+        settings: of the mission.
+        seed: of the sensors' errors.
+    """
+
+    scenario: str
+    overrides: Mapping[str, object]
+    plan: MissionPlan
+    settings: MissionSettings = field(default_factory=MissionSettings)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.plant = SpatialPlant(load_scenario(self.scenario, dict(self.overrides)))
+        self.state: SpatialState = self.plant.initial_state()
+        self.interface = SpatialInterface(self.plant, self.seed)
+        self.interface.restart(self.state, 0)
+        self.winch = Winch(WINCH)
+        self.descent = Descent(DescentSettings())
+        self.drive = Drive(DriveSettings())
+        self.jump = JumpSequence(JumpParameters())
+        self.mission = Mission(self.plan, self.settings)
+        self.ticks = 0
+        self.peak_tension = 0.0
+        self.story: list[tuple[float, str, Transition]] = []  # by whom, what
+        self.watch: Callable[[float, str, Transition], None] = lambda _time, _who, _what: None
+        self._sensors = Sensors()
+        self._words: dict[str, str] = {}
+        self._alarms: dict[str, bool] | None = None
+        self._drive_command: DriveCommand | None = None
+        self._of_descent = DescentDrives()
+        self._of_drive = Drives()
+        self._nut: JumpMotorCommand | None = None
+
+    # --- what is known ---------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return self.ticks * TICK
+
+    @property
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self.ticks * TICK_NS
+
+    @property
+    def tilt(self) -> float:
+        """True inclination of the rover [rad]."""
+        return math.acos(min(max(float(self.state.rotation[2, 2]), -1.0), 1.0))
+
+    def told(self, name: str) -> list[Transition]:
+        """What was told by this name."""
+        return [what for _, _, what in self.story if what.name == name]
+
+    # --- stepped ---------------------------------------------------------------------------------
+
+    def run(self, limit: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Go on until something is so, or so long [s]; whether it became so."""
+        ends = self.time + limit
+        while self.time < ends:
+            self.tick()
+            if until():
+                return True
+        return False
+
+    def tick(self) -> None:
+        """One tick: plant, sensors, controllers.
+
+        Raises:
+            RuntimeError: the plant cannot go on.
+        """
+        self.state, result = self.plant.step(self.state, self._command(), TICK)
+        if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
+            raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
+        self.ticks += 1
+        self.peak_tension = max(self.peak_tension, result.peak_tension)
+        self.interface.measure(self.state, self.now_ns, result)
+        samples = dict(self.interface.samples(_HEARD))
+        self._hear(samples)
+        self._step_winch()
+        self._step_descent()
+        self._step_drive()
+        self._step_jump()
+        self._tell_words()
+        if self.ticks % _SUPERVISED == 0:
+            self._step_mission(samples)
+
+    def _hear(self, samples: Mapping[str, Any]) -> None:
+        now, winch, descent, drive = self.now_ns, self.winch, self.descent, self.drive
+        drum, imu = samples[topics.WINCH_STATE], samples[topics.IMU]
+        currents, wheels = samples[topics.MOTOR_CURRENTS], samples[topics.WHEEL_STATE]
+        winch.hear_drum(drum, now)
+        winch.hear_load_cell(samples[topics.LOAD_CELL], now)
+        winch.hear_currents(currents, now)
+        descent.hear_drum(drum, now)
+        descent.hear_wheels(wheels, now)
+        descent.hear_flywheel(samples[topics.FLYWHEEL_STATE], now)
+        descent.hear_imu(imu, now)
+        descent.hear_camera(samples[topics.CAMERA])
+        drive.hear_contact(samples[topics.CONTACT], now)
+        drive.hear_wheels(wheels, now)
+        drive.hear_currents(currents, now)
+        drive.hear_imu(imu, now)
+        self._sensors = (
+            self._sensors.with_contact(samples[topics.CONTACT], now)
+            .with_jump_motor(samples[topics.JUMP_MOTOR_STATE], now)
+            .with_imu(imu, now)
+        )
+
+    def _step_winch(self) -> None:
+        now, winch = self.now_ns, self.winch
+        self._drive_command = winch.step(now)
+        self._tell(_WINCH, winch.take_transitions())
+        estimate = winch.estimate(now)
+        if estimate is not None:
+            self.drive.hear_winch_estimate(estimate, now)
+        if dict(winch.alarms) != self._alarms:
+            self._alarms = dict(winch.alarms)
+            joints = {name: JointValue(float(on)) for name, on in self._alarms.items()}
+            self.mission.hear(topics.WINCH_ALARMS, JointSample(now, joints), now)
+
+    def _step_descent(self) -> None:
+        drives = self._of_descent = self.descent.step(self.now_ns)
+        self._tell(_DESCENT, self.descent.take_changes())
+        self.descent.take_observations()
+        if drives.winch is not None:
+            value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
+            sample = JointSample(self.now_ns, {WINCH_WHILE_RENEWED: value})
+            self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
+        trim = drives.trim
+        if trim is not None:
+            self._try(_WINCH, topics.WINCH_TRIM, lambda: self.winch.trim(trim, self.now_ns))
+
+    def _step_drive(self) -> None:
+        drives = self._of_drive = self.drive.step(self.now_ns)
+        self._tell(_DRIVE, self.drive.take_changes())
+        ask = drives.winch
+        if ask is not None:
+            value = JointValue(ask.position, ask.velocity, ask.effort)
+            sample = JointSample(self.now_ns, {ask.joint: value})
+            self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
+
+    def _step_jump(self) -> None:
+        told = self.jump.step(self._sensors, self.now_ns)
+        if told is not None:
+            self._nut = JumpMotorCommand(told.compression, told.rate, told.force)
+        elif self._nut is not None and self._nut.trips and self._of_descent.nut is None:
+            # As the drive's own watchdog does: the nut stays where it is.
+            self._nut = replace(self._nut, compression=self._held_nut(), trips=False)
+        changes = [
+            Transition(f"jump_{each.phase}", each.reason, each.level, each.values)
+            for each in self.jump.take_transitions()
+        ]
+        self._tell(_JUMP, changes)
+
+    def _held_nut(self) -> float:
+        drive = self.plant.model.jump
+        return min(max(self.state.nut, -drive.free_travel), drive.stroke)
+
+    def _command(self) -> Command:
+        winch = None if self._drive_command is None else winch_command(self._drive_command)
+        descent, drive = self._of_descent, self._of_drive
+        wheel = None
+        if drive.wheel_rate is not None:
+            wheel = WheelRateCommand(drive.wheel_rate, _WHEEL_TORQUE)
+        elif descent.wheel_rate is not None:
+            torque = self.descent.settings.phase_a.rotors.wheel_torque
+            wheel = WheelRateCommand(descent.wheel_rate, torque)
+        jump: JumpMotorCommand | FlywheelCommand | None = self._nut
+        if descent.nut is not None:
+            speed = self.descent.settings.descent.nut_speed
+            jump = self._nut = JumpMotorCommand(descent.nut, speed)
+        elif descent.flywheel_torque is not None:
+            jump, self._nut = FlywheelCommand(descent.flywheel_torque), None
+        return Command(jump, winch, wheel)
+
+    def _tell_words(self) -> None:
+        """Hand on what the nodes' latched topics say."""
+        now = self.now_ns
+        words = {
+            topics.WINCH_MODE: self.winch.mode.value,
+            topics.DESCENT_PHASE: str(self.descent.phase),
+            topics.DRIVE_PHASE: self.drive.phase.value,
+            topics.JUMP_PHASE: self.jump.phase.value,
+        }
+        for name, word in words.items():
+            if self._words.get(name) == word:
+                continue
+            self._words[name] = word
+            self._say_word(name, word)
+            self.mission.hear(name, TextSample(word), now)
+
+    def _say_word(self, name: str, word: str) -> None:
+        now = self.now_ns
+        if name == topics.WINCH_MODE:
+            self.descent.hear_winch_mode(word, now)
+            self.drive.hear_winch_mode(word)
+        elif name == topics.DESCENT_PHASE:
+            self.drive.hear_descent(word)
+        elif name == topics.JUMP_PHASE:
+            self.winch.hear_jump(word, now)
+            self.descent.hear_jump(word)
+            self.drive.hear_jump(word)
+
+    def _tell(self, who: str, changes: list[Transition]) -> None:
+        for change in changes:
+            self.story.append((self.time, who, change))
+            self.watch(self.time, who, change)
+            if who == MISSION:
+                continue
+            values = {
+                key: repr(value) if isinstance(value, float) else str(value)
+                for key, value in change.values.items()
+            }
+            status = Status(change.name, change.reason, change.level, who, values)
+            sample = StatusSample(self.now_ns, (status,))
+            self.mission.hear(topics.EVENTS, sample, self.now_ns)
+
+    def _try(self, who: str, subject: str, act: Callable[[], object]) -> None:
+        """Do what a node is asked; its refusal goes to diagnostics."""
+        try:
+            act()
+        except Refusal as refusal:
+            self.watch(self.time, who, Transition(f"refused {subject}", refusal.reason))
+            status = Status(f"{who}: refused {subject}", refusal.reason, hardware_id=who)
+            sample = StatusSample(self.now_ns, (status,))
+            self.mission.hear(topics.DIAGNOSTICS, sample, self.now_ns)
+
+    # --- the mission -----------------------------------------------------------------------------
+
+    def _step_mission(self, samples: Mapping[str, Sample]) -> None:
+        now, mission = self.now_ns, self.mission
+        estimate = self.winch.estimate(now)
+        if estimate is not None:
+            mission.hear(topics.WINCH_ESTIMATE, estimate, now)
+        state = state_sample(self.descent, now)
+        if state is not None:
+            mission.hear(topics.DESCENT_STATE, state, now)
+        mission.hear(topics.ODOMETRY, odometry_sample(self.drive, now), now)
+        mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
+        for ask in mission.step(now):
+            self.ask(ask)
+        self._tell(MISSION, mission.take_changes())
+
+    def ask(self, ask: Ask) -> None:
+        """Hand on a request, or call a service."""
+        if ask.sample is None:
+            self._try(SERVICES[ask.name].server, ask.name, lambda: self._call(ask.name))
+        else:
+            sample = ask.sample
+            self._try(_TAKERS[ask.name], ask.name, lambda: self._request(ask.name, sample))
+
+    def _call(self, service: str) -> object:
+        now = self.now_ns
+        served: dict[str, Callable[[], object]] = {
+            topics.WINCH_HOLD: lambda: self.winch.hold(now),
+            topics.WINCH_REARM: lambda: self.winch.rearm(now),
+            topics.DESCENT_HOLD: lambda: self.descent.hold(now),
+            topics.DESCENT_RESUME: lambda: self.descent.resume(now),
+            topics.DESCENT_ABORT: lambda: self.descent.abort(now),
+            topics.DESCENT_RELEASE: self.descent.release,
+            topics.DRIVE_STOP: lambda: self.drive.stop(now),
+            topics.JUMP_ABORT: lambda: self.jump.abort(self._sensors, now),
+        }
+        return served[service]()
+
+    def _request(self, topic: str, sample: Sample) -> None:
+        now = self.now_ns
+        if isinstance(sample, PoseSample):
+            if topic == topics.DRIVE_START:
+                self.drive.place(sample)
+            else:
+                self.drive.request(sample, now)
+            return
+        assert isinstance(sample, JointSample)
+        ((name, value),) = sample.joints.items()
+        if topic == topics.WINCH_REQUEST:
+            self.winch.request(sample, now)
+        elif topic == topics.JUMP_REQUEST:
+            self.jump.request(sample.joints[JUMP_STROKE].position, 0.0, self._sensors, now)
+        elif name == HEADING_TURN:
+            self.descent.turn(value.position, now)
+        else:
+            self.descent.request(Stop(value.position, name == OBSERVATION_STOP, 0.0), now)
+
+    # --- killed and started again ----------------------------------------------------------------
+
+    def restart(self, node: str) -> None:
+        """Kill a node, and start it again at once: it knows nothing but what is latched."""
+        if node == _WINCH:
+            self.winch = Winch(WINCH)
+            self.winch.hear_jump(self._words[topics.JUMP_PHASE], self.now_ns)
+        elif node == _DESCENT:
+            self.descent = Descent(DescentSettings())
+            self._of_descent = DescentDrives()
+            self.descent.hear_winch_mode(self._words[topics.WINCH_MODE], self.now_ns)
+            self.descent.hear_jump(self._words[topics.JUMP_PHASE])
+        elif node == _DRIVE:
+            self.drive = Drive(DriveSettings())
+            self._of_drive = Drives()
+            self.drive.hear_winch_mode(self._words[topics.WINCH_MODE])
+            self.drive.hear_jump(self._words[topics.JUMP_PHASE])
+            self.drive.hear_descent(self._words[topics.DESCENT_PHASE])
+        elif node == _JUMP:
+            self.jump = JumpSequence(JumpParameters())
+        else:
+            kept = self.mission.checkpoint(self.now_ns)
+            self.mission = Mission(self.plan, self.settings)
+            self._alarms = None
+            for name, word in self._words.items():
+                self.mission.hear(name, TextSample(word), self.now_ns)
+            self.mission.restore(kept, self.now_ns)
+
+
+_TAKERS = {
+    topics.WINCH_REQUEST: _WINCH,
+    topics.DESCENT_REQUEST: _DESCENT,
+    topics.DRIVE_START: _DRIVE,
+    topics.DRIVE_GOAL: _DRIVE,
+    topics.JUMP_REQUEST: _JUMP,
+}
+
+
+def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
+    """Overrides of `floor_rubble`: the rover hangs at the stow over rubble of its own."""
+    return {
+        **hanging(rng),
+        "place.floor": {"height": -depth},
+        "place.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
+        "place.boulders.clear_radius": 1.0,
+        "tether.element_length": 0.9,
+        "integration.h": 4.0e-3,
+    }
+
+
+def hanging(rng: np.random.Generator) -> dict[str, object]:
+    """Overrides of any scenario: how the rover hangs, and what the controllers do not know."""
+    swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
+    tilt = rng.uniform(-1.0, 1.0, 2)
+    return {
+        "place.seed": int(rng.integers(1, 2**31)),
+        "tether.length": 2.0,
+        "winch.min_length": 1.4,
+        "start": {
+            "kind": "hanging",
+            "swing_angle": float(swing),
+            "swing_heading": float(plane),
+            "heading": float(heading),
+            "tilt": [float(tilt[0]), float(tilt[1]), 0.0],
+        },
+        **_machine(rng),
+    }
+
+
+_MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # by which they may be off
+
+
+def _machine(rng: np.random.Generator) -> dict[str, object]:
+    mass = float(rng.uniform(1.0 - _MASS, 1.0 + _MASS))
+    friction = float(rng.uniform(1.0 - _FRICTION, 1.0 + _FRICTION))
+    spring = float(rng.uniform(1.0 - _SPRING, 1.0 + _SPRING))
+    scenario = load_spatial("floor_rubble")
+    rover, winch = scenario.rover, scenario.winch
+    assert rover is not None
+    assert winch is not None
+    changed: dict[str, object] = {
+        "rover.m1": rover.m1 * mass,
+        "rover.m2": rover.m2 * mass,
+        "rover.inertia1": [mass * each for each in rover.inertia1],
+        "rover.inertia2": [mass * each for each in rover.inertia2],
+        "rover.slider.spring_rate": rover.slider.spring_rate * spring,
+    }
+    frictions = {
+        "winch.friction": winch.friction,
+        "rover.jump_drive.friction": rover.jump_drive.friction,
+        "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
+        "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
+    }
+    for name, values in frictions.items():
+        for part in ("coulomb", "breakaway", "viscous"):
+            changed[f"{name}.{part}"] = getattr(values, part) * friction
+    return changed

@@ -1,0 +1,268 @@
+"""The mission's supervisor on nodes that do what they are asked: order, trouble, operators."""
+
+from __future__ import annotations
+
+import pytest
+from mission_machine import PLAN, MissionMachine
+
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal
+from rover_control.mission import MissionParameters, MissionSettings
+from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
+from rover_control.mission_plan import LegKind
+
+
+def begun(until: MissionPhase | None = None, **settings: object) -> MissionMachine:
+    machine = MissionMachine(settings=MissionSettings(**settings))  # type: ignore[arg-type]
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    if until is not None:
+        machine.run(until=until)
+        assert machine.mission.phase is until
+    return machine
+
+
+def finished(machine: MissionMachine) -> bool:
+    machine.run()
+    return machine.story[-3:].count("mission_done") == 1
+
+
+def verdicts(machine: MissionMachine) -> set[Verdict]:
+    return {done.verdict for done in machine.mission.record}
+
+
+def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
+    machine = begun()
+    assert finished(machine)
+    assert machine.mission.phase is MissionPhase.STANDBY
+    assert verdicts(machine) == {Verdict.DONE}
+    assert len(machine.mission.record) == len(machine.mission.legs)
+    assert machine.length == pytest.approx(PLAN.stow)
+    assert machine.descent == "released"
+    assert machine.mission.notes.pictures == 3
+    assert topics.JUMP_REQUEST not in machine.asked
+    assert machine.mission.go(machine.now_ns)  # and again
+
+
+def test_a_rover_that_is_stuck_gets_slack_jumps_and_drives_on():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck = 1
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+    assert machine.mission.notes.jumps == 1
+    slack = len(machine.asked) - 1 - machine.asked[::-1].index(topics.JUMP_REQUEST)
+    assert machine.asked[slack - 1] == topics.WINCH_REQUEST
+
+
+def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck = 9  # three trials with two jumps each
+    assert finished(machine)
+    missed = [done for done in machine.mission.record if done.verdict is not Verdict.DONE]
+    assert [done.leg for done in missed] == ["waypoint 1 at (2, 0) m"]
+    assert "wheels turn" in missed[0].reason
+
+
+def test_a_held_mission_rests_and_goes_on_from_its_leg():
+    machine = begun(MissionPhase.LOOKING)
+    machine.run(1.0)
+    assert machine.descent == "travelling"
+    machine.mission.hold(machine.now_ns)
+    machine.run(5.0, until=MissionPhase.STANDBY)
+    assert machine.descent == "holding"
+    assert machine.mission.phase is MissionPhase.HOLDING
+    with pytest.raises(Refusal, match=topics.MISSION_RESUME):
+        machine.mission.go(machine.now_ns)
+    depth = machine.length
+    machine.run(5.0, until=MissionPhase.STANDBY)
+    assert machine.length == depth
+    machine.mission.resume(machine.now_ns)
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
+def test_while_held_an_operator_is_left_alone():
+    machine = begun(MissionPhase.DRIVING)
+    machine.mission.hold(machine.now_ns)
+    machine.run(5.0, until=MissionPhase.STANDBY)
+    assert machine.drive == "released"
+    count = len(machine.asked)
+    machine.drive = "steered"
+    machine.run(5.0, until=MissionPhase.STANDBY)
+    assert machine.drive == "steered"
+    assert len(machine.asked) == count
+
+
+def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
+    machine = begun(MissionPhase.DRIVING)
+    assert "waypoint 2" in machine.mission.skip(machine.now_ns)
+    machine.run(until=MissionPhase.LIFTING)
+    with pytest.raises(Refusal, match="way home"):
+        machine.mission.skip(machine.now_ns)
+    assert finished(machine)
+
+
+def test_a_skipped_landing_leaves_all_out_that_is_done_on_the_floor():
+    machine = begun(MissionPhase.APPROACHING)
+    machine.run(until=MissionPhase.LANDING)
+    assert "ascend" in machine.mission.skip(machine.now_ns)
+    assert finished(machine)
+    assert topics.DRIVE_GOAL not in machine.asked
+
+
+def test_the_return_cannot_be_left_out_far_from_the_plumb_line():
+    machine = begun(MissionPhase.DRIVING)
+    machine.run(until=MissionPhase.RETURNING)
+    with pytest.raises(Refusal, match="swings"):
+        machine.mission.skip(machine.now_ns)
+
+
+@pytest.mark.parametrize(
+    "phase", [MissionPhase.LOOKING, MissionPhase.LANDING, MissionPhase.DRIVING]
+)
+def test_an_aborted_mission_rests_and_comes_home_on_command(phase: MissionPhase):
+    machine = begun(phase)
+    machine.mission.abort(machine.now_ns)
+    machine.run(20.0, until=MissionPhase.STANDBY)
+    assert machine.mission.phase is MissionPhase.ABORTED
+    assert machine.winch == "hold"
+    assert machine.drive == "released"
+    assert machine.descent in ("released", "standby")
+    machine.mission.go(machine.now_ns)
+    assert finished(machine)
+    assert machine.length == pytest.approx(PLAN.stow)
+
+
+def test_what_is_not_under_way_is_refused():
+    machine = MissionMachine()
+    mission, now = machine.mission, machine.now_ns
+    with pytest.raises(Refusal, match="not heard"):
+        mission.go(now)
+    for ask in (mission.hold, mission.resume, mission.skip):
+        with pytest.raises(Refusal):
+            ask(now)
+    assert mission.abort(now) == "no mission is under way"
+    machine.say()
+    mission.go(now)
+    with pytest.raises(Refusal, match="looking"):
+        mission.go(now)
+    with pytest.raises(Refusal, match="nothing is held"):
+        mission.resume(now)
+
+
+def test_a_winch_that_was_started_again_is_armed_one_that_was_stopped_is_left():
+    machine = begun(MissionPhase.LANDING)
+    machine.winch = "disarmed"
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+
+    machine = begun(MissionPhase.LANDING)
+    machine.winch = "stop"
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "stopped" in machine.mission.reason
+    assert machine.winch == "stop"
+
+
+def test_a_winch_that_faults_again_and_again_ends_in_a_hold():
+    machine = begun(MissionPhase.LANDING)
+    for _ in range(3000):
+        machine.winch = "fault" if machine.winch == "length" else machine.winch
+        machine.tick()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert machine.asked.count(topics.WINCH_REARM) == 1 + MissionParameters().most_rearms
+
+
+def test_what_others_hold_is_not_taken_from_them():
+    machine = begun(MissionPhase.LANDING)
+    machine.run(1.0)
+    machine.winch = "hold"
+    machine.tell("winch_node", "winch_hold", "asked to hold")
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "somebody holds the winch" in machine.mission.reason
+
+
+def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():
+    limits = LegLimits(land_limit=20.0)
+    machine = begun(MissionPhase.LANDING, limits=limits)
+    machine.silent.add(topics.WINCH_ESTIMATE)
+    machine.run(200.0)
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "the winch is not heard" in machine.mission.reason
+    assert machine.story.count("mission_trial_failed") == MissionParameters().tries
+    machine.silent.clear()
+    machine.say()
+    machine.mission.resume(machine.now_ns)
+    assert finished(machine)
+
+
+def test_a_spring_that_somebody_has_compressed_is_let_down_before_the_rover_is_lifted():
+    machine = begun(MissionPhase.DRIVING)
+    machine.run(until=MissionPhase.RETURNING)
+    machine.nut = 0.1
+    assert finished(machine)
+    assert machine.nut == 0.0
+    assert topics.JUMP_ABORT in machine.asked
+
+
+def test_a_driving_that_begins_anew_is_told_where_the_rover_stands():
+    machine = begun(MissionPhase.DRIVING)
+    machine.run(until=MissionPhase.RETURNING)
+    told = len(machine.asked)
+    machine.place, machine.drive = (0.0, 0.0, 0.0), "released"
+    machine.tick()
+    machine.tick()
+    assert topics.DRIVE_START in machine.asked[told:]
+    assert machine.place[0] == pytest.approx(2.0, abs=0.5)
+    assert finished(machine)
+    assert machine.place[:2] == (0.0, 0.0)
+
+
+PHASES = [
+    MissionPhase.LOOKING, MissionPhase.APPROACHING, MissionPhase.LANDING, MissionPhase.DRIVING,
+    MissionPhase.RETURNING, MissionPhase.LIFTING, MissionPhase.ASCENDING,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPhase):
+    machine = begun(phase)
+    machine.restart_mission()
+    assert machine.mission.is_active
+    assert finished(machine)
+    assert len(machine.mission.record) == len(machine.mission.legs)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
+def test_one_that_is_started_again_late_waits_to_be_resumed():
+    machine = begun(MissionPhase.DRIVING)
+    machine.restart_mission(after=3600.0)
+    assert machine.mission.phase is MissionPhase.HOLDING
+    machine.mission.resume(machine.now_ns)
+    assert finished(machine)
+
+
+def test_a_checkpoint_of_another_plan_or_run_is_left():
+    machine = begun(MissionPhase.DRIVING)
+    kept = machine.mission.checkpoint(machine.now_ns)
+    for name, value in (("plan", "other"), ("stamp_ns", 10**15)):
+        fresh = MissionMachine()
+        fresh.mission.restore({**kept, name: value}, fresh.now_ns)
+        assert fresh.mission.phase is MissionPhase.STANDBY
+        assert [change.name for change in fresh.mission.take_changes()] == ["mission_forgotten"]
+
+
+def test_a_rover_that_stands_already_begins_on_the_floor():
+    machine = MissionMachine()
+    machine._on_floor, machine.length = True, 9.0
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    assert machine.mission.leg is not None
+    assert machine.mission.leg.kind is LegKind.VISIT
+    assert finished(machine)
+
+
+def test_every_leg_has_a_limit_of_its_own():
+    limits = LegLimits()
+    assert all(limits.of(kind) > 0.0 for kind in LegKind)

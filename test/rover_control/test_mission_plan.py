@@ -1,0 +1,89 @@
+"""Plans of missions: what is read, what is refused and how, and the legs that are made of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rover_control.mission_plan import (
+    LegKind,
+    PlanError,
+    itinerary,
+    load_plan,
+    shipped,
+    way_home,
+)
+
+GOOD = """
+stow: 2.0
+looks: [{depth: 4.0, turns: [30, -60]}]
+landing: {approach: 6.0, deepest: 9.0}
+survey: [{x: 1.0, y: 0.5}, {x: 2.0, y: 0.0, heading: 90}]
+"""
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "plan.yaml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_plan_of_the_package_can_be_followed(name: str):
+    legs = itinerary(load_plan(name))
+    assert legs[-1].kind is LegKind.STOW
+    assert LegKind.LAND in [leg.kind for leg in legs]
+
+
+def test_legs_follow_from_the_plan(tmp_path: Path):
+    legs = itinerary(load_plan(written(tmp_path, GOOD)))
+    assert [leg.kind.value for leg in legs] == [
+        "look", "turn", "look", "turn", "look", "approach", "land", "visit", "visit", "return",
+        "lift", "ascend", "stow",
+    ]  # fmt: skip
+    assert legs[1].angle == pytest.approx(0.5236, abs=1e-4)
+    assert legs[8].heading == pytest.approx(1.5708, abs=1e-4)
+    assert len({leg.name for leg in legs}) == len(legs)
+
+
+def test_the_way_home_begins_where_the_rover_is():
+    plan = load_plan("shallow")
+    assert [leg.kind.value for leg in way_home(plan, stands=True)] == [
+        "return", "lift", "ascend", "stow",
+    ]  # fmt: skip
+    assert [leg.kind.value for leg in way_home(plan, stands=False)] == ["ascend", "stow"]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (GOOD.replace("stow", "stowe"), "stowe"),
+        (GOOD.replace("depth: 4.0", "depth: 1.0"), "looks[0].depth"),
+        (GOOD.replace("[30, -60]", "[0]"), "turns[0]"),
+        (GOOD.replace("[30, -60]", "left"), "turns"),
+        (GOOD.replace("approach: 6.0", "approach: 3.0"), "landing.approach"),
+        (GOOD.replace("deepest: 9.0", "deepest: 5.0"), "landing.deepest"),
+        (GOOD.replace("landing: {approach: 6.0, deepest: 9.0}", ""), "survey"),
+        (GOOD + "lift: {height: 5.0}\n", "lift.height"),
+        (GOOD + "jumps: {stroke: 3.0}\n", "jumps.stroke"),
+        ("stow: [", "plan.yaml"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_with_its_key(tmp_path: Path, text: str, named: str):
+    with pytest.raises(PlanError) as caught:
+        load_plan(written(tmp_path, text))
+    assert named in str(caught.value)
+    assert "plan.yaml" in str(caught.value)
+
+
+def test_a_name_that_is_none_of_the_package_s_is_refused_with_those_that_are():
+    with pytest.raises(PlanError, match="shallow"):
+        load_plan("deep")
+
+
+def test_plans_are_told_apart(tmp_path: Path):
+    one = load_plan(written(tmp_path, GOOD)).digest
+    other = load_plan(written(tmp_path, GOOD.replace("4.0", "4.5"))).digest
+    assert one != other
+    assert one == load_plan(written(tmp_path, GOOD)).digest

@@ -1,0 +1,231 @@
+"""Nodes that do at once what a mission asks of them, each in the words of the contract."""
+
+from __future__ import annotations
+
+import math
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    JUMP_SCREW,
+    OBSERVATION_STOP,
+    PAYOUT,
+    PLAIN_STOP,
+    TENSION,
+    TETHER_OUT,
+    WINCH_SLACK,
+)
+from msg_schemas.samples import (
+    JointSample,
+    JointValue,
+    OdometrySample,
+    PoseSample,
+    Status,
+    StatusSample,
+    TextSample,
+)
+from rover_control.mission import Mission, MissionSettings
+from rover_control.mission_legs import Ask, MissionPhase
+from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
+
+STEP = 0.1  # [s]
+FLOOR = 9.0  # length at which the floor is touched [m]
+PLAN = MissionPlan(
+    looks=(Look(depth=4.0),),
+    landing=Landing(approach=7.0, deepest=10.0, rate=0.1),
+    survey=(Waypoint(x=2.0, y=0.0), Waypoint(x=2.0, y=1.0)),
+)
+
+
+class MissionMachine:
+    """A mission with everybody whom it asks.
+
+    Attributes:
+        stuck: how often the driving gets stuck from now on.
+        refuses: topics and services that are refused, with the reason.
+        asked: names of all that was asked for.
+    """
+
+    def __init__(self, plan: MissionPlan = PLAN, settings: MissionSettings | None = None) -> None:
+        self.plan, self.settings = plan, settings
+        self.mission = Mission(plan, settings)
+        self.now = 1.0
+        self.length, self.slack = 2.0, 0.0
+        self.winch, self.descent, self.drive, self.jump = "disarmed", "released", "released", ""
+        self.jump = "standby"
+        self.nut = -0.03
+        self.place = (0.0, 0.0, 0.0)
+        self.stuck = 0
+        self.refuses: dict[str, str] = {}
+        self.silent: set[str] = set()
+        self.asked: list[str] = []
+        self.story: list[str] = []
+        self._goal: tuple[float, float] | None = None
+        self._stop: tuple[str, float] | None = None
+        self._length_goal: float | None = None
+        self._busy = 0.0  # the jump, or a way, goes on for so long [s]
+
+    @property
+    def now_ns(self) -> int:
+        return round(self.now * 1e9)
+
+    @property
+    def stands(self) -> bool:
+        return self.length - self.slack >= FLOOR - 1e-6 or self._on_floor
+
+    _on_floor = False
+
+    # --- stepped ---------------------------------------------------------------------------------
+
+    def run(self, limit: float = 4000.0, until: MissionPhase | None = None) -> None:
+        """Until nothing is under way, or the mission is in a phase."""
+        for _ in range(round(limit / STEP)):
+            self.tick()
+            if until is None and not self.mission.is_active:
+                return
+            if until is not None and self.mission.phase is until:
+                return
+
+    def tick(self) -> None:
+        self.now += STEP
+        self._move()
+        self.say()
+        for ask in self.mission.step(self.now_ns):
+            self.asked.append(ask.name)
+            self.take(ask)
+        self.story += [change.name for change in self.mission.take_changes()]
+
+    def say(self) -> None:
+        hear, now = self.mission.hear, self.now_ns
+        for name, word in (
+            (topics.WINCH_MODE, self.winch),
+            (topics.DESCENT_PHASE, self.descent),
+            (topics.DRIVE_PHASE, self.drive),
+            (topics.JUMP_PHASE, self.jump),
+        ):
+            if word:
+                hear(name, TextSample(word), now)
+        alarms = {"touchdown": JointValue(float(self.stands))}
+        hear(topics.WINCH_ALARMS, JointSample(now, alarms), now)
+        if topics.WINCH_ESTIMATE not in self.silent:
+            joints = {
+                PAYOUT: JointValue(self.length),
+                TENSION: JointValue(1.0, 0.0, 0.3 if self.stands else 16.5),
+                TETHER_OUT: JointValue(),
+            }
+            hear(topics.WINCH_ESTIMATE, JointSample(now, joints), now)
+        hear(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
+        x, y, heading = self.place
+        turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
+        zero = (0.0, 0.0, 0.0)
+        hear(topics.ODOMETRY, OdometrySample(now, (x, y, 0.0), turned, zero, zero), now)
+
+    def tell(self, node: str, name: str, reason: str, **values: object) -> None:
+        status = Status(
+            name, reason, hardware_id=node, values={k: str(v) for k, v in values.items()}
+        )
+        self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+
+    def _move(self) -> None:
+        if self._stop is not None and self.descent == "travelling":
+            joint, depth = self._stop
+            self.length += math.copysign(
+                min(abs(depth - self.length), 0.3 * STEP * 10), depth - self.length
+            )
+            if abs(depth - self.length) < 1e-6:
+                self._stop, self.descent = None, "standby"
+                pictures = 3 if joint == OBSERVATION_STOP else 0
+                reason = "3 pictures" if pictures else "reached"
+                self.tell("descent_node", "stop_ended", reason, depth=depth, pictures=pictures)
+        if self._length_goal is not None and self.winch == "length":
+            way = self._length_goal - self.length
+            self.length += math.copysign(min(abs(way), 0.1 * STEP * 10), way)
+            if self.length >= FLOOR and way > 0.0:
+                self.length, self._on_floor = FLOOR, True
+                self._end_length(f"touchdown at {FLOOR} m")
+            elif abs(self._length_goal - self.length) < 1e-6:
+                self._on_floor = self.length >= FLOOR
+                self._end_length("there")
+        if self.jump == "letting_down":
+            self.jump, self.nut = "standby", 0.0
+        self._busy -= STEP
+        if self._busy > 0.0:
+            return
+        if self.jump == "flight":
+            self.jump, self.nut, self.slack = "standby", -0.03, 0.0
+            self.length = FLOOR
+        if self.drive == "driving" and self._goal is not None:
+            if self.stuck > 0:
+                self.stuck -= 1
+                self.drive = "stuck"
+                self.tell("drive_node", "drive_stuck", "the wheels turn and nothing else")
+            else:
+                way = math.dist(self._goal, self.place[:2])
+                share = min(0.2 / way, 1.0) if way > 0.0 else 1.0
+                x, y = (
+                    at + share * (to - at) for at, to in zip(self.place, self._goal, strict=False)
+                )
+                self.place = (x, y, self.place[2])
+                if share == 1.0:
+                    self.drive = "released"
+                    self.tell("drive_node", "drive_done", "all goals are reached")
+
+    def _end_length(self, reason: str) -> None:
+        self._length_goal, self.winch = None, "hold"
+        self.tell("winch_node", "winch_hold", reason)
+
+    # --- asked -----------------------------------------------------------------------------------
+
+    def take(self, ask: Ask) -> None:
+        if ask.name in self.refuses:
+            status = Status(f"a_node: refused {ask.name}", self.refuses[ask.name])
+            self.mission.hear(topics.DIAGNOSTICS, StatusSample(self.now_ns, (status,)), self.now_ns)
+        elif ask.sample is None:
+            self._serve(ask.name)
+        elif isinstance(ask.sample, PoseSample):
+            x, y, _ = ask.sample.position
+            if ask.name == topics.DRIVE_START:
+                qz, qw = ask.sample.orientation[2:]
+                self.place = (x, y, 2.0 * math.atan2(qz, qw))
+            else:
+                self._goal, self.drive, self._busy = (x, y), "driving", 0.5
+        else:
+            assert isinstance(ask.sample, JointSample)
+            ((name, value),) = ask.sample.joints.items()
+            self._request(ask.name, name, value.position)
+
+    def _request(self, topic: str, name: str, amount: float) -> None:
+        if topic == topics.DESCENT_REQUEST and name in (OBSERVATION_STOP, PLAIN_STOP):
+            self._stop, self.descent = (name, amount), "travelling"
+        elif topic == topics.WINCH_REQUEST and name == WINCH_SLACK:
+            self.slack, self.winch = amount, "slack"
+            self.length += amount
+        elif topic == topics.WINCH_REQUEST:
+            self._length_goal, self.winch = amount, "length"
+        elif topic == topics.JUMP_REQUEST:
+            self.jump, self._busy = "flight", 3.0
+
+    def _serve(self, service: str) -> None:
+        if service == topics.WINCH_REARM:
+            self.winch = "hold"
+        elif service == topics.WINCH_HOLD:
+            self._length_goal, self.winch = None, "hold"
+        elif service == topics.DESCENT_RELEASE:
+            self.descent = "released"
+        elif service == topics.DESCENT_HOLD:
+            self.descent = "holding"
+        elif service == topics.DESCENT_RESUME:
+            self.descent = "travelling"
+        elif service == topics.DESCENT_ABORT:
+            self._stop, self.descent = None, "standby"
+        elif service == topics.DRIVE_STOP:
+            self._goal, self.drive = None, "released"
+        elif service == topics.JUMP_ABORT:
+            self.jump, self.nut = "standby", 0.0
+
+    def restart_mission(self, after: float = 1.0) -> None:
+        """The mission is killed, and started again so much later [s]."""
+        kept = self.mission.checkpoint(self.now_ns)
+        self.now += after
+        self.mission = Mission(self.plan, self.settings)
+        self.say()
+        self.mission.restore(kept, self.now_ns)
