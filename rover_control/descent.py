@@ -32,7 +32,7 @@ RELEASED = "released"
 """The word for what is driven by nobody here, beside the words of the phases."""
 
 _NANO = 1e9
-_JUMPING = frozenset({"compressing", "letting_down", "flight", "landed"})
+_NO_JUMP = frozenset({"", "standby", "fault"})
 _CLEAR = 0.2  # part of its travel, so near to whose middle the nut is clear
 
 
@@ -265,7 +265,7 @@ class Descent:
             self._changes.append(Transition("descent_engaged", reason))
 
     def _check_drives(self, now_ns: int) -> None:
-        if self._jump in _JUMPING:
+        if self._jump not in _NO_JUMP:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,

@@ -27,7 +27,7 @@ _TOUCHDOWN = "touchdown"
 _WORDS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
 _DRIVES = frozenset({"standing", "turning", "driving", "steered"})
 _NO_JUMP = frozenset({"", "standby", "fault"})
-_FLIES = frozenset({"flight", "landed"})
+_FLIES = frozenset({"releasing", "flight", "landed", "hooking"})
 _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
@@ -183,7 +183,7 @@ class MissionSight:
 
     @property
     def flies(self) -> bool:
-        """Whether the rover is off the ground by a jump, or comes to rest after one."""
+        """Whether a jump is on its way from the release to the latch that is hooked again."""
         return self.jump in _FLIES
 
     @property

@@ -17,7 +17,6 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.machine import (
     HEADING_TURN,
-    JUMP_STROKE,
     OBSERVATION_STOP,
     WINCH_WHILE_RENEWED,
 )
@@ -39,7 +38,7 @@ from rover_control.descent_profile import Stop
 from rover_control.descent_report import state_sample
 from rover_control.drive import Drive, Drives, DriveSettings
 from rover_control.drive_report import odometry_sample
-from rover_control.jump_sequence import JumpParameters, JumpSequence, Sensors
+from rover_control.jump import Jump, JumpSettings
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask
 from rover_control.mission_plan import MissionPlan
@@ -62,12 +61,14 @@ from tether_winch.winch import Winch, WinchParameters
 TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
 _SUPERVISED = 5  # ticks between two steps of the mission
+_NUT_SILENCE = 25  # ticks without a command after which the nut stays where it is
 _WHEEL_TORQUE = 2.0  # that the wheel motor may use on the floor [N m]
 _HEARD = (
     topics.IMU,
     topics.CONTACT,
     topics.WINCH_STATE,
     topics.LOAD_CELL,
+    topics.ROVER_LOAD_CELL,
     topics.MOTOR_CURRENTS,
     topics.WHEEL_STATE,
     topics.FLYWHEEL_STATE,
@@ -109,19 +110,19 @@ class MissionFlight:
         self.winch = Winch(WINCH)
         self.descent = Descent(DescentSettings())
         self.drive = Drive(DriveSettings())
-        self.jump = JumpSequence(JumpParameters())
+        self.jump = Jump(JumpSettings())
         self.mission = Mission(self.plan, self.settings)
         self.ticks = 0
         self.peak_tension = 0.0
         self.story: list[tuple[float, str, Transition]] = []  # by whom, what
         self.watch: Callable[[float, str, Transition], None] = lambda _time, _who, _what: None
-        self._sensors = Sensors()
         self._words: dict[str, str] = {}
         self._alarms: dict[str, bool] | None = None
         self._drive_command: DriveCommand | None = None
         self._of_descent = DescentDrives()
         self._of_drive = Drives()
         self._nut: JumpMotorCommand | None = None
+        self._idle = 0  # ticks for which nobody has told the nut anything
 
     # --- what is known ---------------------------------------------------------------------------
 
@@ -165,6 +166,8 @@ class MissionFlight:
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
         self.ticks += 1
+        if any(event.name == "latch_released" for event in result.events):
+            self._nut = None  # as the drive does once its latch has tripped
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.interface.measure(self.state, self.now_ns, result)
         samples = dict(self.interface.samples(_HEARD))
@@ -193,11 +196,11 @@ class MissionFlight:
         drive.hear_wheels(wheels, now)
         drive.hear_currents(currents, now)
         drive.hear_imu(imu, now)
-        self._sensors = (
-            self._sensors.with_contact(samples[topics.CONTACT], now)
-            .with_jump_motor(samples[topics.JUMP_MOTOR_STATE], now)
-            .with_imu(imu, now)
-        )
+        jump = self.jump
+        jump.hear_contact(samples[topics.CONTACT], now)
+        jump.hear_jump_motor(samples[topics.JUMP_MOTOR_STATE], now)
+        jump.hear_imu(imu, now)
+        jump.hear_load_cell(samples[topics.ROVER_LOAD_CELL], now)
 
     def _step_winch(self) -> None:
         now, winch = self.now_ns, self.winch
@@ -233,10 +236,11 @@ class MissionFlight:
             self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
 
     def _step_jump(self) -> None:
-        told = self.jump.step(self._sensors, self.now_ns)
+        told = self.jump.step(self.now_ns)
+        self._idle = 0 if told is not None or self._of_descent.nut is not None else self._idle + 1
         if told is not None:
-            self._nut = JumpMotorCommand(told.compression, told.rate, told.force)
-        elif self._nut is not None and self._nut.trips and self._of_descent.nut is None:
+            self._nut = JumpMotorCommand(told.compression, told.rate, told.force, told.trips)
+        elif self._nut is not None and self._idle == _NUT_SILENCE:
             # As the drive's own watchdog does: the nut stays where it is.
             self._nut = replace(self._nut, compression=self._held_nut(), trips=False)
         changes = [
@@ -352,7 +356,7 @@ class MissionFlight:
             topics.DESCENT_ABORT: lambda: self.descent.abort(now),
             topics.DESCENT_RELEASE: self.descent.release,
             topics.DRIVE_STOP: lambda: self.drive.stop(now),
-            topics.JUMP_ABORT: lambda: self.jump.abort(self._sensors, now),
+            topics.JUMP_ABORT: lambda: self.jump.abort(now),
         }
         return served[service]()
 
@@ -369,7 +373,7 @@ class MissionFlight:
         if topic == topics.WINCH_REQUEST:
             self.winch.request(sample, now)
         elif topic == topics.JUMP_REQUEST:
-            self.jump.request(sample.joints[JUMP_STROKE].position, 0.0, self._sensors, now)
+            self.jump.request(sample, now)
         elif name == HEADING_TURN:
             self.descent.turn(value.position, now)
         else:
@@ -394,7 +398,7 @@ class MissionFlight:
             self.drive.hear_jump(self._words[topics.JUMP_PHASE])
             self.drive.hear_descent(self._words[topics.DESCENT_PHASE])
         elif node == _JUMP:
-            self.jump = JumpSequence(JumpParameters())
+            self.jump = Jump(JumpSettings())
         else:
             kept = self.mission.checkpoint(self.now_ns)
             self.mission = Mission(self.plan, self.settings)
