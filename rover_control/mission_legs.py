@@ -53,6 +53,8 @@ _NEAR = 0.03  # at a length [m]
 _STEADY = 2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
 _AT_STOW, _STOW_PATIENCE = 0.1, 60.0  # so near, and so long for the swing there [m], [s]
 _SETTLES = 3.0  # after a jump [s]
+_SLACKENS = 15.0  # in which slack is given [s]
+_LED = 1.0  # that a winch rests, before slack is given [s]
 _GIVEN = 0.8  # part of the slack asked for that is enough
 _BY_HAND = "asked for"  # as drive_node says it
 
@@ -495,6 +497,10 @@ class Way(Conduct):
         refused = _refusal(news, topics.WINCH_REQUEST)
         if refused:
             return End(Verdict.FAILED, refused)
+        # Who led the tether still brings it to rest.
+        since = now - sight.since.get(topics.WINCH_MODE, -math.inf)
+        if sight.winch_moves or since < _LED:
+            return None
         if math.isnan(self._slack_from):
             self._slack_from = sight.length
         slack = self.plan.jumps.slack
@@ -502,7 +508,7 @@ class Way(Conduct):
             self._slack_from = math.nan
             self._enter(_Stage.JUMP, now)
             return None
-        if self.asked is not None:
+        if self.asked is not None and now - self.asked < _SLACKENS:
             return None
         return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, _joint(WINCH_SLACK, slack)))
 
