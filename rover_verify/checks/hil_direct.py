@@ -49,6 +49,7 @@ _HEARD = (
     topics.WINCH_COMMAND, topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
 )  # fmt: skip
 _WAITED_FOR = (topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND)
+_REST_NS = 2_000_000_000  # after the end: pictures are told when the camera has told of them
 _ATTEMPTS = 50
 _WITHIN = 5  # cycles of SYNC: the rover's controller acts every fourth
 _LAST = 10.0  # of a flight [s]
@@ -147,6 +148,8 @@ class _Direct:
                 observer, topics.WINCH_COMMAND, _WAITED_FOR[1:], _WITHIN * SYNC_PERIOD
             )
         self._lockstep.run_until(lambda: any(map(ends, events.samples[since:])), _LONGEST)
+        rested = observer.time_ns() + _REST_NS
+        self._lockstep.run_until(lambda: observer.time_ns() >= rested, _LONGEST)
 
 
 class _Linked:
@@ -171,6 +174,7 @@ class _Linked:
 
     def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
         observer.listen(topics.EVENTS).wait(ends, since, _PATIENCE)
+        observer.wait_for_time(observer.time_ns() + _REST_NS)
 
 
 @contextmanager
@@ -260,7 +264,7 @@ def descent_figures(bag: Bag) -> Figures:
         "depth of the pictures [m]": float(np.mean(pictures.columns[f"{DEPTH}.position"])),
         "largest camera rate [rad/s]": float(np.max(pictures.columns[f"{CAMERA_RATE}.velocity"])),
         "time to the end of the stop [s]": told["stop_ended"].time_s - told["stop_accepted"].time_s,
-        "swing at the end [rad]": float(angle[time > time[-1] - _LAST].max()),
+        "swing at the end [rad]": float(np.nanmax(angle[time > time[-1] - _LAST])),
     }
 
 
