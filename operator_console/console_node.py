@@ -18,6 +18,7 @@ from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from operator_console.bag_shelf import BagShelf
 from operator_console.commands import COMMANDS, Command
+from operator_console.held_orders import HeldOrders
 from operator_console.operator_link import OperatorLink
 from operator_console.page_access import open_access
 from operator_console.picture import SEEN, Entry, History, Onlooker, frame
@@ -108,6 +109,7 @@ class OperatorConsole(ContractNode):
         server.keep("commands", {"commands": command_rows()})
         server.keep("machine", {"machine": dict(USUAL_MACHINE)})
         self._link = OperatorLink(self, self.NAME, self._on_sample)
+        self._held = HeldOrders(self._link.renew)
         self._link.listen(*SEEN)
         self._link.prepare()
         self._server = server
@@ -169,6 +171,12 @@ class OperatorConsole(ContractNode):
     # --- what operators ask for ------------------------------------------------------------------
 
     def _on_command(self, asked: Content) -> Future[Content]:
+        if "renews" in asked:
+            # At once, as this waits for nothing, and late it would be of no use.
+            renewed: Future[Content] = Future()
+            told = self._held.renew(str(asked["renews"]))
+            renewed.set_result({"done": told.is_done, "verdict": "ended", "reason": told.reason})
+            return renewed
         command = COMMANDS.get(asked["command"])
         moves = command is not None and command.moves
         return self._workers[moves].submit(self._carry_out, asked)
@@ -181,7 +189,8 @@ class OperatorConsole(ContractNode):
             order = COMMANDS[name].order(given)
         except FieldError as error:
             return refused(str(error))
-        outcome = self._link.send(order, _ANSWER_PATIENCE, self.told_to_stop).outcome
+        sent = self._link.send(order, _ANSWER_PATIENCE, self.told_to_stop)
+        outcome = sent.outcome
         told = f"{outcome.verdict.value}: {outcome.reason}"
         if outcome.code:
             told = f"{told} [{outcome.code}]"
@@ -190,7 +199,10 @@ class OperatorConsole(ContractNode):
             entry = Entry(self._machine_time(), level, "this console", order.text, told)
             self._onlooker.journal.append(entry)
         self._tell_journal([entry])
+        must_be_held = outcome.is_accepted and renewal_of(order.command) > 0.0
+        held = {"held": self._held.begin(sent)} if must_be_held else {}
         return {
+            **held,
             "done": outcome.is_accepted,
             "verdict": outcome.verdict.value,
             "reason": outcome.reason,
@@ -205,18 +217,23 @@ def refused(reason: str) -> Content:
     return {"done": False, "verdict": "refused", "reason": reason, "code": "", "by": "console"}
 
 
+def renewal_of(command: Command) -> float:
+    """How often a command must be said again [Hz]; 0 = once is enough."""
+    return 0.0 if command.request is None else command.request.renew
+
+
 def command_rows() -> list[dict[str, Any]]:
-    """The operators' commands as the page shows them; what must be renewed is left out."""
+    """The operators' commands as the page shows them."""
     return [
         {
             "name": command.name,
             "about": command.about,
             "group": command.group,
             "moves": command.moves,
+            "renew": renewal_of(command),
             "arguments": _arguments(command),
         }
         for command in COMMANDS.values()
-        if command.request is None or not command.request.renew
     ]
 
 

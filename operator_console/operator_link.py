@@ -273,6 +273,15 @@ class OperatorLink:
             if renew:
                 self._publish(exchange)
 
+    def renew(self, sent: Sent) -> Ending | None:
+        """Say a request again that must be renewed; returns how it ended, and says nothing then."""
+        assert sent.exchange is not None
+        with self._changed:
+            ending = sent.exchange.ending
+        if ending is None:
+            self._publish(sent.exchange)
+        return ending
+
     def undo(self, order: Order, patience: float = PATIENCE) -> Sent | None:
         """End halfway, safely, what an order began; None = nothing is to be ended."""
         undo = order.command.undo

@@ -1,4 +1,5 @@
-// The operators' commands: asked again before something moves, refusals shown with their reason.
+// The operators' commands: asked again before something moves, refusals shown with their reason. What
+// must be renewed goes on for as long as its button is held, and no longer.
 
 import { element, number } from "./format.js";
 
@@ -7,10 +8,13 @@ const TITLES = { everything: "whole machine", descent: "descent", winch: "winch 
 
 export class Commands {
   // send(name, values): a promise of the outcome. now(): what an operator should see before deciding.
-  constructor({ send, now }) {
+  // renew(name, held): a promise of whether what is held goes on.
+  constructor({ send, renew, now }) {
     this.send = send;
+    this.renew = renew;
     this.now = now;
     this.enabled = false;
+    this.pressed = null;
     this.note = "";
     this.list = document.getElementById("command-list");
     this.answer = document.getElementById("answer");
@@ -40,20 +44,70 @@ export class Commands {
       input.setAttribute("aria-label", `${row.name} ${argument.name} in ${argument.unit}`);
       return element("label", { for: id, title: input.title }, element("span", {}, argument.name), input, element("i", {}, argument.unit));
     });
-    const button = element("button", { type: "submit", "data-command": row.name, title: row.about }, row.name);
+    const isHeld = row.renew > 0;
+    const button = element("button", { type: isHeld ? "button" : "submit", "data-command": row.name, title: row.about }, isHeld ? `hold to ${row.name}` : row.name);
     const problem = element("p", { class: "problem", hidden: true });
     const form = element("form", { class: inputs.length ? "command" : "command plain", title: row.about, noValidate: true }, button, ...inputs, problem);
-    form.addEventListener("submit", (event) => {
-      event.preventDefault();
+    const given = (act) => {
       problem.hidden = true;
       try {
-        this.ask(row, read(row, new FormData(form)));
+        act(read(row, new FormData(form)));
       } catch (error) {
         problem.textContent = error.message;
         problem.hidden = false;
       }
+    };
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      if (!isHeld) given((values) => this.ask(row, values));
     });
+    if (isHeld) {
+      button.classList.add("held");
+      button.addEventListener("pointerdown", (event) => { if (event.button === 0) given((values) => this.press(row, values, button)); });
+      button.addEventListener("contextmenu", (event) => event.preventDefault());
+      button.addEventListener("keydown", (event) => { if (event.key === " " && !event.repeat) given((values) => this.press(row, values, button)); });
+    }
     return form;
+  }
+
+  // Until the button is let go, or the page is left, or the server no longer takes it.
+  async press(row, values, button) {
+    if (!this.enabled || this.pressed) return;
+    const pressed = { timer: 0, isOver: false };
+    this.pressed = pressed;
+    button.dataset.pressed = "";
+    const over = new AbortController();
+    const letGo = async () => {
+      if (pressed.isOver) return;
+      this.release(pressed, over, button);
+      await this.carryOut({ name: "hold", arguments: [] }, {});
+    };
+    for (const name of ["pointerup", "pointercancel", "blur", "keyup", "pagehide"]) window.addEventListener(name, letGo, { signal: over.signal });
+    document.addEventListener("visibilitychange", letGo, { signal: over.signal });
+    const text = spoken(row, values);
+    this.show("…", text, "sent, waiting for the answer", "waiting");
+    const outcome = await this.send(row.name, values);
+    if (!outcome.done) {
+      this.release(pressed, over, button);
+      return this.tell(text, outcome);
+    }
+    // Let go while the answer was on its way: what was begun then is ended now.
+    if (pressed.isOver) return this.carryOut({ name: "hold", arguments: [] }, {});
+    this.show("✓", `${text}: goes on while you hold it`, outcome.reason ?? "", "ok");
+    pressed.timer = setInterval(async () => {
+      const renewed = await this.renew(row.name, outcome.held);
+      if (renewed.done || pressed.isOver) return;
+      this.release(pressed, over, button);
+      this.tell(text, renewed);
+    }, 1000 / row.renew);
+  }
+
+  release(pressed, over, button) {
+    pressed.isOver = true;
+    clearInterval(pressed.timer);
+    over.abort();
+    delete button.dataset.pressed;
+    this.pressed = null;
   }
 
   async ask(row, values) {
@@ -67,6 +121,11 @@ export class Commands {
     this.show("…", text, "sent, waiting for the answer", "waiting");
     const outcome = await this.send(row.name, values);
     if (outcome.done) return this.show("✓", `${text}: taken`, outcome.reason ?? "", "ok");
+    return this.tell(text, outcome);
+  }
+
+  // That something was not done, or not any more, with the reason.
+  tell(text, outcome) {
     const word = outcome.verdict ?? (outcome.unknown ? "unknown" : "refused");
     const code = outcome.code ? ` [${outcome.code}]` : "";
     return this.show("✕", `${text}: ${word}`, `${outcome.reason}${code}`, "error");

@@ -62,6 +62,15 @@ export class Link {
 
   // Sends a command; the promise bears its outcome and never fails.
   command(name, values) {
+    return this.ask(name, { arguments: values });
+  }
+
+  // Says that a button is still held; the promise bears whether what it does goes on.
+  renew(name, held) {
+    return this.ask(name, { renews: held });
+  }
+
+  ask(name, content) {
     const id = ++this.count;
     return new Promise((resolve) => {
       if (this.socket.readyState !== WebSocket.OPEN) {
@@ -69,7 +78,7 @@ export class Link {
         return;
       }
       this.waiting.set(id, resolve);
-      this.socket.send(JSON.stringify({ id, command: name, arguments: values }));
+      this.socket.send(JSON.stringify({ id, command: name, ...content }));
     });
   }
 

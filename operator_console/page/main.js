@@ -47,6 +47,7 @@ const replay = new Replay({
 const past = { frames: [], journal: [] };
 const commands = new Commands({
   send: (name, values) => link.command(name, values),
+  renew: (name, held) => link.renew(name, held),
   now: () => `Now: depth ${reading("depth", 2)} m, tension ${reading("tension", 1)} N, descent ${word("descent")}, winch ${word("winch")}.`,
 });
 const link = new Link({ onContent: take, onState: showLink });

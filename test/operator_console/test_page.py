@@ -120,6 +120,17 @@ def test_an_operator_descends_by_click_and_reads_why_an_order_is_refused(pit: Pi
         assert re.search(r"\b48\b", refusal), refusal
         assert shown(page, "depth") == pytest.approx(START, abs=0.05)
 
+        # What must be renewed goes on while its button is held, and not a moment longer.
+        page.click("details[data-group=winch] summary")
+        page.fill("#argument-jog-rate", "0.02")
+        page.hover("[data-command=jog]")
+        page.mouse.down()
+        wait_for(page, "[data-word=winch]", "rate")
+        wait_for(page, "[data-value=depth] .value", r"5\.0[2-4]")
+        page.mouse.up()
+        wait_for(page, "[data-word=winch]", "hold")
+        wait_for(page, "#answer b", "hold: taken")
+
         descend(page)
         wait_for(page, "[data-value=depth] .value", r"5\.(0[5-9]|[1-9]\d)|6\.\d\d")
         assert "descend 6" in page.inner_text("#journal")
