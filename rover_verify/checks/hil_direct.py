@@ -100,7 +100,7 @@ class _Run:
         for name in (*machine, *self._controllers):
             self.observer.wait_until_ready(name)
         self.observer.wait_until(
-            lambda: {"winch/state", "clock"} <= recorded_topics(self.bag),
+            lambda: {topics.WINCH_STATE, topics.CLOCK.strip("/")} <= recorded_topics(self.bag),
             "the recorder does not hear the machine",
         )
 

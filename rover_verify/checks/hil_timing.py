@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import signal
+import threading
 import time
 from functools import cache
 from pathlib import Path
@@ -98,14 +99,14 @@ def uncounted_deadlines(batch: Batch) -> Measured:
             return at, int(told.values["cycles"]), int(told.values["late_cycles"])
 
         began, first, first_late = counts()
-        stopped = 0.0
+        stopped, asleep = 0.0, threading.Event()
         for _ in range(_STOPS):
             bridge.send(signal.SIGSTOP)
             pause = generator.uniform(*_STOPPED)
-            time.sleep(pause)
+            asleep.wait(pause)
             bridge.send(signal.SIGCONT)
             stopped += pause
-            time.sleep(generator.uniform(*_RUNNING))
+            asleep.wait(generator.uniform(*_RUNNING))
         ended, last, last_late = counts()
     due = (ended - began) / SYNC_PERIOD
     missed = due - (last - first)
