@@ -27,9 +27,10 @@ class ForecastParameters:
     forecast_limit: float = parameter(
         60.0, "s", "longest wait for a forecast, and for slack, by the node's clock", 1.0, 600.0
     )
-    tilt_error: float = parameter(
-        6.0e-3, "rad", "standard deviation of the attitude as it is known, each axis", 0.0, 0.2
-    )
+    stance_error: float = parameter(
+        3.0e-3, "rad", "standard deviation of the tilt on its floor against the model's, each axis",
+        0.0, 0.2,
+    )  # fmt: skip
     clearance_risk: float = parameter(
         0.10, "-", "probability with which a jump may stay below a clearance", 0.01, 0.5
     )

@@ -179,7 +179,7 @@ class JumpPredictor:
         p = self.parameters
         chord = math.hypot(situation.x, situation.y, p.floor_depth - p.attachment_height)
         # The rover goes aside with its tilt, up and down again, and rolls on a little.
-        aside = 4.0 * height * math.tan(situation.tilt + 3.0 * p.tilt_error)
+        aside = 4.0 * height * math.tan(situation.tilt + 3.0 * p.stance_error)
         wanted = min(aside + p.slack_margin, p.most_slack)
         present = wanted if math.isnan(situation.length) else situation.length - chord
         return max(present, wanted), max(wanted - max(present, 0.0), 0.0)
@@ -227,7 +227,7 @@ class JumpPredictor:
     def _fly(self, place: _Place, strokes: list[float], question: Question) -> list[_Leap]:
         p = self.parameters
         generator = np.random.default_rng([question.seed, 1])
-        tilts = p.tilt_error * generator.standard_normal((len(strokes), 2))
+        tilts = p.stance_error * generator.standard_normal((len(strokes), 2))
         rover = place.plant.scenario.rover
         if rover is None:
             raise RuntimeError(f"the scenario {place.plant.scenario.name} has no rover")

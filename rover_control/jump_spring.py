@@ -48,10 +48,10 @@ class SpringParameters:
         1.2e-3, "m", "standard deviation of the stroke from jump to jump", 0.0, 0.02
     )
     height_error: float = parameter(
-        4.0e-3, "m", "standard deviation of a flown height as measured", 1e-4, 0.1
+        2.0e-3, "m", "standard deviation of a flown height as measured", 1e-4, 0.1
     )
     height_scatter: float = parameter(
-        0.01, "-", "standard deviation of a height for other reasons", 1e-4, 0.5
+        4.0e-3, "-", "standard deviation of a height for other reasons", 1e-4, 0.5
     )
 
 

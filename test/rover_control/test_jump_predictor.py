@@ -80,7 +80,7 @@ def test_what_is_known_of_the_spring_makes_the_interval_narrower():
         ({"largest_jerk": 0.1}, r"jerked with up to \d.* N, at most 0\.1 N"),
         ({"most_slack": 0.05}, r"would need 0\.\d+ m of slack, at most 0\.05 m"),
         (
-            {"toppling": 0.1, "tilt_error": 0.2, "largest_jerk": 1e4},
+            {"toppling": 0.1, "stance_error": 0.2, "largest_jerk": 1e4},
             r"upright with a probability of 0\.\d+ alone",
         ),
         ({"foretold_scenario": "nowhere"}, "cannot be foretold: .*nowhere"),

@@ -1,0 +1,247 @@
+"""Crossings of rubble: wheels or jump where the wheels get stuck, by one rule and by another.
+
+The rover is to get 1.5 m ahead. Where its wheels get it no farther, a rule chooses: a detour by
+wheels (a left turn, a way, and the rest of the full turn, as the mechanism has it) or a jump with
+the wheels turning. How it moves is open loop, and it is stopped and counted by what is true; the
+rules know the attitude as at rest, the place and what was tried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_control.jump_forecast import ForecastParameters, Question, Situation
+from rover_control.jump_predictor import JumpPredictor
+from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_control.locomotion import (
+    LocomotionParameters,
+    Surroundings,
+    Way,
+    choose,
+    slack_value,
+)
+from rover_sim import (
+    Command,
+    JumpMotorCommand,
+    SettlingError,
+    SpatialPlant,
+    WheelRateCommand,
+    load_scenario,
+)
+from rover_sim.physics.jump_drive import Latch
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.flights import fly_batch
+
+_RUNS = 20
+_GOAL = 1.5  # ahead [m]
+_LIMIT = 150.0  # [s]
+_TICK = 0.05  # [s]
+_RATE = 0.8  # of the wheels [rad/s]
+_TORQUE = 2.0  # that their motor may use [N m]
+_PROGRESS = 0.02  # that counts as getting on [m],
+_PATIENCE = 6.0  # within which the wheels must [s]
+_CLEARANCE = 0.20  # of a jump [m]
+_NUT_SPEED = 0.09  # [m/s]
+_TOPPLED = 1.0  # tilt [rad]
+_FLOOR = 5.0  # below the fairlead [m]
+_TURN = 0.8  # of a detour, to the left [rad]
+_ASIDE = 6.0  # driven then [s]
+_RULES = ("wheels", "jump", "slack", "risk")
+
+
+class Crossing(NamedTuple):
+    """How a crossing went."""
+
+    end: str  # "across", "toppled", "late" or what else ended it
+    time: float  # [s]
+    energy: float  # put in by the motors [J]
+    jumps: int
+    detours: int
+    stuck: int
+
+    @property
+    def fails(self) -> bool:
+        """Whether the rover did not get across."""
+        return self.end != "across"
+
+
+class _Walker:
+    """A rover on its way across."""
+
+    def __init__(self, seed: int, index: int) -> None:
+        generator = np.random.default_rng([seed, index, 63])
+        self.plant = SpatialPlant(
+            load_scenario(
+                "floor_rubble",
+                {
+                    "place.seed": int(generator.integers(1, 2**31 - 1)),
+                    "place.boulders": {
+                        "density": 1.0, "smallest": 0.1, "largest": 0.6, "exponent": 2.5,
+                        "height_ratio": 0.4, "clear_radius": 0.3,
+                    },
+                    "start.position": [round(float(generator.uniform(1.0, 6.0)), 3), 0.0],
+                    "start.heading": round(float(generator.uniform(-180.0, 180.0)), 2),
+                    "start.settling": 300.0,
+                    "tether.length": 14.0,
+                    "tether.element_length": 1.0,
+                    "integration.h": 3.0e-3,
+                },
+            )
+        )  # fmt: skip
+        self.state = self.plant.initial_state()
+        self._start = self.state.G1.copy()
+        self._ahead = self.state.rotation[:2, 0] / np.linalg.norm(self.state.rotation[:2, 0])
+        self.best = 0.0
+        self.jumps = self.detours = self.stuck = 0
+        self.energy = 0.0
+
+    @property
+    def way(self) -> float:
+        """Made towards the goal [m]."""
+        return float((self.state.G1 - self._start)[:2] @ self._ahead)
+
+    @property
+    def heading(self) -> float:
+        x, y = self.state.rotation[:2, 0]
+        return math.atan2(y, x)
+
+    @property
+    def end(self) -> str:
+        """What has ended the crossing; empty = nothing yet."""
+        if self.state.phase.final:
+            return self.state.phase.value
+        if float(self.state.rotation[2, 2]) < math.cos(_TOPPLED):
+            return "toppled"
+        if self.way >= _GOAL:
+            return "across"
+        return "late" if self.state.time >= _LIMIT else ""
+
+    def step(self, rate: float | None, jump: JumpMotorCommand | None = None) -> bool:
+        """One tick; whether the latch has tripped in it."""
+        wheel = None if rate is None else WheelRateCommand(rate, _TORQUE)
+        self.state, result = self.plant.step(self.state, Command(jump, None, wheel), _TICK)
+        self.energy = result.energies.input
+        return any(event.name == "latch_released" for event in result.events)
+
+    def go(self, rate: float | None, time: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Drive for so long [s], or until it is done."""
+        ends = self.state.time + time
+        while self.state.time < ends and not self.end and not done():
+            self.step(rate)
+
+    def drive(self) -> None:
+        """Drive ahead until the goal or until the wheels get no farther."""
+        since, reached = self.state.time, self.way
+        while not self.end and self.state.time - since < _PATIENCE:
+            self.step(_RATE)
+            if self.way > reached + _PROGRESS:
+                since, reached = self.state.time, self.way
+        self.best = max(self.best, reached)
+
+    def detour(self) -> None:
+        """Turn left, drive, turn on to where it headed before."""
+        self.detours += 1
+        for turn in (_TURN, math.tau - _TURN):
+            last, turned = self.heading, 0.0
+            ends = self.state.time + 1.5 * turn * 0.44 / (0.15 * _RATE)
+            while turned < turn and self.state.time < ends and not self.end:
+                self.step(-_RATE)
+                turned += math.remainder(self.heading - last, math.tau)
+                last = self.heading
+            if turn == _TURN:
+                self.go(_RATE, _ASIDE)
+
+    def jump(self, stroke: float) -> None:
+        """Compress standing, jump with the wheels turning, hook again."""
+        self.jumps += 1
+        ends = self.state.time + 10.0
+        tripped = False
+        while not tripped and self.state.time < ends and not self.end:
+            tripped = self.step(None, JumpMotorCommand(stroke, _NUT_SPEED))
+        self.go(_RATE, 2.5)
+        ends = self.state.time + 10.0
+        hook = JumpMotorCommand(-0.03, _NUT_SPEED)
+        while self.state.time < ends and not self.end:
+            self.step(None, hook)
+            if self.state.latch is Latch.FREE and self.state.nut < -0.029:
+                break
+
+    def situation(self) -> Situation:
+        """How it stands."""
+        x, y, _ = self.state.G1.tolist()
+        up = self.state.rotation[2].tolist()
+        return Situation(x, y, self.heading, (up[0], up[1], up[2]), self.state.length)
+
+
+def cross(seed: int, index: int, rule: str) -> Crossing:
+    """One crossing by a rule: `wheels` or `jump` always, or one of `rover_control.locomotion`."""
+    try:
+        rover = _Walker(seed, index)
+    except SettlingError:
+        return Crossing("no rest", 0.0, 0.0, 0, 0, 0)
+    settings = LocomotionParameters(locomotion_rule=rule if rule in ("slack", "risk") else "risk")
+    parameters = ForecastParameters(floor_depth=_FLOOR, least_upright=0.0)
+    predictor, spring = JumpPredictor(parameters), SpringEstimate(SpringParameters())
+    usual = spring.stroke_for(_CLEARANCE)
+    stuck = jumped = 0
+    held_at = -math.inf
+    rover.drive()
+    while not rover.end:
+        if rover.best > held_at + 0.1:
+            stuck = jumped = 0
+        held_at = max(held_at, rover.best)
+        stuck += 1
+        rover.stuck += 1
+        rover.go(None, 1.0)
+        situation = rover.situation()
+        forecast = None
+        if rule == "risk":
+            question = Question(situation, _CLEARANCE, False, rover.stuck)
+            forecast = predictor.foretell(question, spring)
+        drop = _FLOOR - parameters.attachment_height
+        around = Surroundings(
+            slack_value(situation.x, situation.y, drop),
+            rover.plant.scenario.tether.section.axial_stiffness,
+            0.0,
+            stuck,
+            jumped,
+            forecast,
+        )
+        way = Way(rule) if rule in ("wheels", "jump") else choose(settings, around).way
+        if way is Way.JUMP:
+            jumped += 1
+            rover.jump(usual if forecast is None or forecast.refused else forecast.stroke)
+        else:
+            rover.detour()
+        rover.drive()
+    return Crossing(
+        rover.end, rover.state.time, rover.energy, rover.jumps, rover.detours, rover.stuck
+    )
+
+
+def risk_against_slack(batch: Batch) -> Measured:
+    """Crossings that fail by predicted risk, less those that fail by the source study's rule."""
+    runs = batch.runs if batch.runs > 0 else _RUNS
+    by_rule = {rule: fly_batch(batch, runs, cross, rule) for rule in _RULES}
+    details: dict[str, float | str] = {}
+    for rule, crossings in by_rule.items():
+        across = [crossing for crossing in crossings if not crossing.fails]
+        time = np.mean([crossing.time for crossing in across]) if across else math.nan
+        energy = np.mean([crossing.energy for crossing in across]) if across else math.nan
+        details[rule] = (
+            f"{len(across)} of {runs} across, "
+            f"{sum(crossing.end == 'toppled' for crossing in crossings)} toppled, "
+            f"{sum(crossing.jumps for crossing in crossings)} jumps, "
+            f"{sum(crossing.detours for crossing in crossings)} detours; "
+            f"mean of those across {time:.0f} s, {energy:.0f} J"
+        )
+    for index in range(runs):
+        ends = ", ".join(f"{rule} {by_rule[rule][index].end}" for rule in _RULES)
+        details[f"crossing {index}"] = ends
+    failed = {rule: sum(each.fails for each in by_rule[rule]) for rule in ("risk", "slack")}
+    note = f"{runs} crossings: {failed['risk']} fail by risk, {failed['slack']} by slack"
+    return Measured(float(failed["risk"] - failed["slack"]), note, details)
