@@ -262,6 +262,7 @@ class Descent:
         if not self.is_engaged:
             self.is_engaged = True
             self._clears_since = None
+            self.controller.look_again()
             self._changes.append(Transition("descent_engaged", reason))
 
     def _check_drives(self, now_ns: int) -> None:
@@ -373,10 +374,11 @@ class Descent:
         if self._is_retuned:
             self._make(controller.heading)
         else:
-            # What is known of the swing stays known; the rotors begin from rest.
+            # The rotors begin from rest; whether the rover hangs is nobody's concern here any more.
             p = controller.parameters
             controller.wheels = WheelReaction(p.hanging, p.rotors, p.design)
             controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
+            controller.look_away()
             self.is_engaged = False
             self.interruption = ""
         self._changes.append(Transition(f"descent_{RELEASED}", reason))

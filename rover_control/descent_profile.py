@@ -170,6 +170,10 @@ class DescentProfile:
         self._keeps_swing = False
         self._changes: list[Transition] = []
 
+    def look_again(self) -> None:
+        """The swing is not known any more: it is to be learnt before anything is done."""
+        self._known_since = math.nan
+
     def take_changes(self) -> list[Transition]:
         """Return what changed since the last call, and forget it."""
         taken, self._changes = self._changes, []

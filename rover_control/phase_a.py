@@ -130,6 +130,7 @@ class PhaseA:
         self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
         self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
+        self._looks_away = False  # the rover may not hang: nothing is learnt from it
         self._asked: WinchAsk | None = None
         self._asked_at = -math.inf
         self._trims = False
@@ -193,6 +194,9 @@ class PhaseA:
         if h > _LONGEST_STEP:
             self.estimator.restart()
             return
+        if self._looks_away:
+            self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
+            return
         # What turns with the rover changes in space, too.
         turned = self.estimator.yaw_rate * h
         change = (
@@ -201,6 +205,18 @@ class PhaseA:
         )
         self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
         self.twist += self.estimator.twisted
+
+    def look_away(self) -> None:
+        """Learn nothing more: the rover may be set down. How it turns is followed."""
+        self._looks_away = True
+
+    def look_again(self) -> None:
+        """The rover hangs again, and its swing is another one."""
+        if self._looks_away:
+            self._looks_away = False
+            self.estimator.look_again()
+            self.steady = SteadySwing()
+            self.profile.look_again()
 
     def hear_winch_mode(self, mode: str) -> None:
         """Take what the winch is doing."""

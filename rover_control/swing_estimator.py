@@ -167,6 +167,19 @@ class SwingEstimator:
             self._rows[2 + k, at + _P] = g - self.hanging.imu_below * stiffness / inertia
             self._rows[2 + k, at + _C] = g
 
+    def look_again(self) -> None:
+        """Forget the swing, as of a rover that has not hung meanwhile; the gyro stays known."""
+        state, spread = self._state, self._spread
+        self.restart()
+        for at in (_B, _AXIS + _B, _YAW_BIAS):
+            self._state[at] = state[at]
+            self._spread[at, at] = spread[at, at]
+
+    @property
+    def yaw_bias(self) -> float:
+        """Of the gyro about base_link z [rad/s]."""
+        return float(self._state[_YAW_BIAS])
+
     def hear_drum(self, length: float, rate: float) -> None:
         """Take length paid out [m] and payout rate [m/s]."""
         self.length, self.rate = length, rate
