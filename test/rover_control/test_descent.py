@@ -305,6 +305,27 @@ def test_a_nut_that_lies_on_the_latch_is_driven_clear_before_the_rotors_are_used
     assert world.sent[-1].flywheel_torque is not None
 
 
+def test_released_it_learns_nothing_of_a_rover_that_may_stand_and_then_its_swing_anew(world: World):
+    world.arm()
+    world.ask(6.0, observes=False)
+    world.run_until(lambda: world.done)
+    world.descent.release()
+    world.run(1.0)
+    estimator, twist = world.descent.controller.estimator, world.descent.controller.twist
+    known, bias = estimator.estimate, estimator.yaw_bias
+    world.run(5.0)
+    assert estimator.estimate == known
+    assert world.descent.controller.twist == pytest.approx(twist, abs=0.05)
+    begun = len(world.changes)
+    world.ask(5.0, observes=False)
+    assert estimator.yaw_bias == bias
+    assert estimator.estimate.swing_error > known.swing_error
+    world.run(0.5 * world.descent.settings.phase_a.profile.first_look)
+    names = [change.name for change in world.changes[begun:]]
+    assert "descent_travelling" not in names
+    world.run_until(lambda: world.length < 5.01)
+
+
 def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
     quick = replace(world.descent.settings, descent=DescentParameters(nut_patience=2.0))
     world.descent.settings = quick
