@@ -217,10 +217,11 @@ ACCESS: dict[str, Access] = {
         ),
     ),
     "view_node": Access(
-        publishes=(topics.OBSERVED_WALL,),
+        publishes=(topics.OBSERVED_WALL, topics.FORETOLD_JUMP),
         subscribes=(
             topics.ROBOT_DESCRIPTION,
             topics.DESCENT_OBSERVATION,
+            topics.JUMP_FORECAST,
             topics.TRUTH_BODY1,
             topics.TRUTH_BODY2,
             topics.WHEEL_STATE,

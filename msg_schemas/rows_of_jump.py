@@ -23,10 +23,12 @@ from msg_schemas.machine import (
     SPRING_GAIN,
     SPRING_ZERO,
     UPRIGHT,
+    WORLD_FRAME,
 )
 from msg_schemas.row_kinds import (
     UNUSED,
     Entry,
+    Field,
     Intent,
     Service,
     StalePolicy,
@@ -188,6 +190,20 @@ JUMP_TOPICS = (
         None,
         fields=tuple(row for entry in _FLOWN for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _FLOWN),
+    ),
+    Topic(
+        topics.FORETOLD_JUMP,
+        "how high and how far from where the rover stands the next jump is foretold to go: a mark "
+        "from the lower to the upper end of the height's interval of 90 %, and rings at the ends "
+        "of the range's, as no direction is foretold",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.LATCHED,
+        "view_node",
+        None,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        spatial_only=True,
     ),
 )  # fmt: skip
 

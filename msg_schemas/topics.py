@@ -61,6 +61,7 @@ MARKERS = "markers"
 PLACE = "place"
 ROBOT_DESCRIPTION = "robot_description"
 OBSERVED_WALL = "observed_wall"
+FORETOLD_JUMP = "foretold_jump"
 
 SIM_PAUSE = "sim/pause"
 SIM_STEP = "sim/step"

@@ -19,6 +19,7 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
+from rover_view.foretold_jump import foretold
 from rover_view.machine import DescriptionError, Machine, Placed
 from rover_view.observed_wall import ObservedWall
 
@@ -54,6 +55,7 @@ class ViewNode(ContractNode):
         self._machine: Machine | None = None
         self._wall = ObservedWall()
         self._wall_outlet = self.publisher(topics.OBSERVED_WALL)
+        self._jump_outlet = self.publisher(topics.FORETOLD_JUMP)
         self._body1: OdometrySample | None = None
         self._body2: OdometrySample | None = None
         self._wheels: tuple[float, float] = (0.0, 0.0)
@@ -63,6 +65,8 @@ class ViewNode(ContractNode):
         self._still: Any = None
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.DESCENT_OBSERVATION, self._on_picture)
+        self.subscribe(topics.TRUTH_BODY1, self._on_body1)
+        self.subscribe(topics.JUMP_FORECAST, self._on_forecast)
         if TFMessage is None:
             self.get_logger().warning(NO_TF)
             return
@@ -71,7 +75,6 @@ class ViewNode(ContractNode):
         self._moving = self.create_publisher(TFMessage, moving, 100)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._still = self.create_publisher(TFMessage, still, latched)
-        self.subscribe(topics.TRUTH_BODY1, self._on_body1)
         self.subscribe(topics.TRUTH_BODY2, self._on_body2)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)
         self.subscribe(topics.WINCH_STATE, self._on_winch)
@@ -105,6 +108,11 @@ class ViewNode(ContractNode):
             )
         if self._wall.add(sample, self._machine):
             self._wall_outlet.send(self._wall.drawing(sample.stamp_ns))
+
+    def _on_forecast(self, sample: JointSample) -> None:
+        # Against hardware nobody tells the truth: what is foretold has no place to be drawn at.
+        if self._body1 is not None:
+            self._jump_outlet.send(foretold(sample, self._body1, self.now_ns()))
 
     def _on_body1(self, sample: OdometrySample) -> None:
         self._body1 = sample
