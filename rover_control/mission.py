@@ -33,6 +33,7 @@ from rover_control.mission_legs import (
     Ask,
     Conduct,
     End,
+    Hoist,
     LegLimits,
     MissionPhase,
     Notes,
@@ -362,7 +363,10 @@ class Mission:
         """Begin a trial of the present leg."""
         leg = self.leg
         assert leg is not None
-        self._conduct = CONDUCTS[leg.kind](leg, self.plan, self.notes, now)
+        last = self._tries > 0 and self._tries == self.settings.mission.tries - 1
+        alone = leg.kind is LegKind.ASCEND and last and self.sight.length <= self.plan.lift.alone
+        kind = Hoist if alone else CONDUCTS[leg.kind]
+        self._conduct = kind(leg, self.plan, self.notes, now)
         self._rearms = 0
         self._sent.clear()
         self.waits_for = ""

@@ -355,6 +355,24 @@ class Lift(Conduct):
         return _length(Act.LIFT, self._goal, self.plan.lift.rate)
 
 
+class Hoist(Conduct):
+    """An ascent by the winch alone, where the descent cannot: what swings then swings more."""
+
+    phase = MissionPhase.ASCENDING
+
+    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+        """Renew the length on the way."""
+        taken = _held_by_others(news)
+        if taken:
+            return End(Verdict.TAKEN, taken)
+        snag = next((event for event in news if event.name == "alarm_snag"), None)
+        if snag is not None and now - self.begun > _STEADY:
+            return End(Verdict.FAILED, f"the tether is held: {snag.message}")
+        if abs(sight.length - self.leg.depth) < _NEAR and not sight.winch_moves:
+            return End(Verdict.DONE, f"at {sight.length:.2f} m, by the winch alone")
+        return _length(Act.LIFT, self.leg.depth, self.plan.lift.rate)
+
+
 class Stow(Conduct):
     """The descent gives the drives back."""
 

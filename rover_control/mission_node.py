@@ -35,7 +35,7 @@ from msg_schemas.samples import (
     TextSample,
 )
 from rover_control.mission import Mission, MissionSettings
-from rover_control.mission_legs import Ask
+from rover_control.mission_legs import Ask, MissionPhase
 from rover_control.mission_plan import load_plan
 from rover_control.mission_sight import HEARD
 
@@ -127,9 +127,16 @@ class MissionNode(ContractNode):
 
     def clock_jumped(self) -> None:
         """Start over: what was timed means nothing any more."""
-        if self.active:
-            self._begin()
-            self._is_restored = True
+        if not self.active:
+            return
+        if self._mission.is_active or self._mission.phase is not MissionPhase.STANDBY:
+            text = f"the clock has jumped in {self._mission.phase}: the mission is over"
+            self.event("mission_forgotten", text, Level.WARN)
+        told = self._told_phase
+        self._begin()
+        self._is_restored = True
+        if told == self._mission.phase.value:
+            self._told_phase = told
 
     def waiting_for(self) -> tuple[str, ...]:
         """The winch, without which no mission begins."""

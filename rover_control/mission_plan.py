@@ -106,6 +106,10 @@ class Lift(Configuration):
     height: float = quantity("m", "above where it stood", 0.8, minimum=0.2, maximum=10.0)
     rate: float = quantity("m/s", "at which the tether is reeled in", 0.05, minimum=0.01,
                            maximum=0.2)  # fmt: skip
+    alone: float = quantity(
+        "m", "length up to which the last trial of an ascent is the winch's alone; 0: never", 10.0,
+        minimum=0.0, maximum=MAX_LENGTH,
+    )  # fmt: skip
     radius: float = quantity(
         "m", "from the plumb line within which it may be lifted", 0.8, minimum=0.1, maximum=20.0
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from mission_machine import PLAN, MissionMachine
 
@@ -9,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from rover_control.mission import MissionParameters, MissionSettings
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
-from rover_control.mission_plan import LegKind
+from rover_control.mission_plan import LegKind, Lift
 
 
 def begun(until: MissionPhase | None = None, **settings: object) -> MissionMachine:
@@ -217,6 +219,24 @@ def test_a_driving_that_begins_anew_is_told_where_the_rover_stands():
     assert machine.place[0] == pytest.approx(2.0, abs=0.5)
     assert finished(machine)
     assert machine.place[:2] == (0.0, 0.0)
+
+
+def test_the_last_trial_of_an_ascent_from_not_too_deep_is_the_winch_s_alone():
+    machine = begun(MissionPhase.LIFTING)
+    machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
+    assert finished(machine)
+    assert "by the winch alone" in machine.mission.record[-2].reason
+    assert machine.length == pytest.approx(PLAN.stow)
+
+    deep = replace(PLAN, lift=Lift(alone=0.0))
+    machine = MissionMachine(deep)
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    machine.run(until=MissionPhase.LIFTING)
+    machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "the swing is not known" in machine.mission.reason
 
 
 PHASES = [
