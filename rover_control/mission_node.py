@@ -186,6 +186,7 @@ class MissionNode(ContractNode):
     # --- what is told and asked ------------------------------------------------------------------
 
     _heard: dict[str, Sample]
+    _told_phase = ""
 
     def _settings(self) -> MissionSettings:
         return MissionSettings(**{name: self.parameters_of(part) for name, part in _PARTS.items()})
