@@ -219,6 +219,8 @@ class Stop(Conduct):
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
         """Ask for the stop once, and see that it goes on."""
         looks = self.leg.kind is LegKind.LOOK
+        if not sight.descent:
+            return None  # what it does is latched, and will be heard
         if math.isnan(self.notes.turned_from) and not math.isnan(sight.heading):
             self.notes.turned_from = sight.heading
         if self.asked is not None:
@@ -229,6 +231,9 @@ class Stop(Conduct):
             refused = _refusal(news, topics.DESCENT_REQUEST)
             if refused and sight.descent in ("released", "standby"):
                 return End(Verdict.FAILED, refused)
+            if refused and sight.descent == "holding":
+                # It was held before it was asked: that is cleared first.
+                self.asked, self._is_cleared = None, False
         if self.leg.kind is LegKind.ASCEND and self.asked is not None:
             # What is left of the swing is no reason to stay out of the stow.
             there = abs(sight.length - self.leg.depth) < _AT_STOW

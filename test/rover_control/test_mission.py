@@ -9,7 +9,7 @@ from mission_machine import PLAN, MissionMachine
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal
-from rover_control.mission import MissionParameters, MissionSettings
+from rover_control.mission import Mission, MissionParameters, MissionSettings
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
 from rover_control.mission_plan import LegKind, Lift
 
@@ -252,6 +252,17 @@ def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPh
     assert machine.mission.is_active
     assert finished(machine)
     assert len(machine.mission.record) == len(machine.mission.legs)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
+def test_a_descent_that_was_interrupted_while_the_mission_was_away_is_taken_up():
+    machine = begun(MissionPhase.LOOKING)
+    machine.run(1.0)
+    kept, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
+    machine.mission = Mission(PLAN)
+    machine.mission.restore(kept, machine.now_ns)
+    machine.mission.step(machine.now_ns)  # before anything latched was heard
+    assert finished(machine)
     assert verdicts(machine) == {Verdict.DONE}
 
 
