@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,7 @@ _PATIENCE = 6.0  # within which the wheels must [s]
 _CLEARANCE = 0.20  # of a jump [m]
 _NUT_SPEED = 0.09  # [m/s]
 _TOPPLED = 1.0  # tilt [rad]
+_UPRIGHT = 0.35  # tilt with which a crossing may begin [rad]
 _FLOOR = 5.0  # below the fairlead [m]
 _TURN = 0.8  # of a detour, to the left [rad]
 _ASIDE = 6.0  # driven then [s]
@@ -72,8 +74,7 @@ class Crossing(NamedTuple):
 class _Walker:
     """A rover on its way across."""
 
-    def __init__(self, seed: int, index: int) -> None:
-        generator = np.random.default_rng([seed, index, 63])
+    def __init__(self, generator: np.random.Generator) -> None:
         self.plant = SpatialPlant(
             load_scenario(
                 "floor_rubble",
@@ -179,22 +180,27 @@ class _Walker:
 
 def cross(seed: int, index: int, rule: str) -> Crossing:
     """One crossing by a rule: `wheels` or `jump` always, or one of `rover_control.locomotion`."""
-    try:
-        rover = _Walker(seed, index)
-    except SettlingError:
-        return Crossing("no rest", 0.0, 0.0, 0, 0, 0)
+    generator = np.random.default_rng([seed, index, 63])
+    rover = None
+    while rover is None:
+        with suppress(SettlingError):  # it finds no rest where it was put: another place
+            put = _Walker(generator)
+            rover = put if put.situation().tilt < _UPRIGHT else None
     settings = LocomotionParameters(locomotion_rule=rule if rule in ("slack", "risk") else "risk")
     parameters = ForecastParameters(floor_depth=_FLOOR, least_upright=0.0)
     predictor, spring = JumpPredictor(parameters), SpringEstimate(SpringParameters())
     usual = spring.stroke_for(_CLEARANCE)
     stuck = jumped = 0
+    tried: Way | None = None  # last, where the rover is stuck now
     held_at = -math.inf
     rover.drive()
     while not rover.end:
         if rover.best > held_at + 0.1:
             stuck = jumped = 0
+            tried = None
         held_at = max(held_at, rover.best)
-        stuck += 1
+        stuck += stuck == 0 or tried is Way.WHEELS
+        jumped += tried is Way.JUMP
         rover.stuck += 1
         rover.go(None, 1.0)
         situation = rover.situation()
@@ -213,10 +219,10 @@ def cross(seed: int, index: int, rule: str) -> Crossing:
         )
         way = Way(rule) if rule in ("wheels", "jump") else choose(settings, around).way
         if way is Way.JUMP:
-            jumped += 1
             rover.jump(usual if forecast is None or forecast.refused else forecast.stroke)
         else:
             rover.detour()
+        tried = way
         rover.drive()
     return Crossing(
         rover.end, rover.state.time, rover.energy, rover.jumps, rover.detours, rover.stuck
