@@ -25,7 +25,7 @@ import llvmlite.binding
 import numba
 
 from rover_sim.physics import planar
-from rover_sim.physics.compiled import source_stamp
+from rover_sim.physics.compiled import keep_only, source_stamp
 from rover_sim.plants import build_plant
 from rover_sim.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.spatial_plant import SpatialPlant
@@ -133,12 +133,17 @@ def main() -> int:
 def _compile_given() -> int:
     gc.disable()  # a sixth of the compiler's time would go into looking for garbage
     plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
+    if isinstance(plant, SpatialPlant):
+        keep_only(function for function, _ in plant.parts())
     if _PARTS in sys.argv:
         if isinstance(plant, SpatialPlant):
             plant.compile_parts()
         return 0
     plant.warm_up()
-    plant.initial_state()
+    if isinstance(plant, SpatialPlant):
+        plant.unsettled_state()  # settling calls nothing that a step does not
+    else:
+        plant.initial_state()
     return 0
 
 

@@ -42,6 +42,8 @@ _IDLE = Command()
 # A tether that carries more than this share of the rover's weight carries the rover.
 _CARRIES = 0.05
 
+_AS_THEY_ARE = ("hanging", "straight")  # starts that are not settled
+
 # Settling: damping times of the tether [s], the tick [s] after which velocities are scaled down and
 # by what, and the speeds below which all is at rest [m/s].
 _SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
@@ -93,15 +95,24 @@ class SpatialPlant:
             SettlingError: it finds no rest.
             ScenarioError: the tether does not reach the rover.
         """
+        if self.scenario.start.kind in _AS_THEY_ARE:
+            return self.unsettled_state()
+        if self._settled is None:
+            self._settled = self._at_rest(self.unsettled_state())
+        return self._settled
+
+    def unsettled_state(self) -> SpatialState:
+        """As `initial_state`, but a standing rover has not come to rest: it is not simulated.
+
+        Raises:
+            ScenarioError: the tether does not reach the rover.
+        """
         kind = self.scenario.start.kind
         if kind == "hanging":
             return self._state_from(hanging(self.scenario))
         if kind == "straight":
             return self._state_from(straight(self.scenario))
-        if self._settled is None:
-            lying = self._state_from(laid_out(self.scenario, self._model.terrain))
-            self._settled = self._at_rest(lying)
-        return self._settled
+        return self._state_from(laid_out(self.scenario, self._model.terrain))
 
     def state_at(
         self,
@@ -408,9 +419,13 @@ class SpatialPlant:
         is_straight = self.scenario.start.kind == "straight"
         return self._state_from((straight if is_straight else hanging)(self.scenario))
 
+    def parts(self) -> list[tuple[Any, tuple[Any, ...]]]:
+        """What `warm_up` comes to late; see `rover_sim.physics.parts.parts`."""
+        return parts(self._model, self._solvers.own(), self._machines(0.0, 0.0))
+
     def compile_parts(self) -> None:
-        """Compile what `warm_up` comes to late, beside another process that calls `warm_up`."""
-        for part in parts(self._model, self._solvers.own(), self._machines(0.0, 0.0)):
+        """Compile the parts, beside another process that calls `warm_up`."""
+        for part in self.parts():
             _compile(*part)
 
     def warm_up(self) -> None:

@@ -4,7 +4,7 @@ import functools
 import hashlib
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,6 +66,8 @@ class _Inner(_Compiled):
         return self._entry(*inspect.signature(self.py_func).bind(*args, **kwargs).args)
 
 
+_inner_functions: list[Any] = []
+
 _ALWAYS: Final[dict[str, Any]] = {
     "nogil": True,
     "error_model": "numpy",
@@ -90,12 +92,25 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = compile_later(function)
         dispatcher.__class__ = kind
+        if kind is _Inner:
+            _inner_functions.append(dispatcher)
         dispatcher._cache._cache_file._source_stamp = source_stamp(
             Path(function.__code__.co_filename)
         )
         return dispatcher
 
     return decorate
+
+
+def keep_only(functions: Iterable[Any]) -> None:
+    """From now on, of the functions that compiled ones alone call, have these alone kept on disk.
+
+    Writing so many small files takes a process that compiles a step longer than they are worth.
+    """
+    kept = {id(function) for function in functions}
+    for function in _inner_functions:
+        if id(function) not in kept:
+            function._cache.disable()
 
 
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:

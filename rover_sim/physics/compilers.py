@@ -10,12 +10,15 @@ machine code by themselves: whoever calls them links their intermediate code, op
 with its own, and emits it.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Final
 
 from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager
+from numba.core.targetconfig import ConfigStack
 
 _NEVER_NEEDED: Final = frozenset(
     {
@@ -37,35 +40,42 @@ _answers: dict[Any, dict[Any, Any]] = {}
 """By flags of the compilation: the signature of a built-in function for types of operands."""
 
 
-class _Remembering:
-    """A typing context that gives the same answer to the same question without thinking again."""
+@contextmanager
+def _remembering(flags: Any) -> Iterator[None]:
+    """Let built-in functions give the same answer to the same question without thinking again.
 
-    def __init__(self, context: Any, flags: Any) -> None:
-        self._context = context
-        self._known = _answers.setdefault(flags.copy(), {})
+    Types are asked for while they are inferred and once more for each use while code is made. Only
+    what is compiled with these flags is answered so; what a function calls may have others.
+    """
+    known = _answers.setdefault(flags.copy(), {})
+    depth = len(ConfigStack()) + 1
+    builtin: Any = types.Function
+    think = builtin.get_call_type
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
-
-    def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
-        """Signature of a call; of built-in functions remembered, of our own always asked."""
-        if kws or type(function) is not types.Function:
-            return self._context.resolve_function_type(function, args, kws)
-        question = (function, args)
-        if question not in self._known:
-            answer = self._context.resolve_function_type(function, args, kws)
+    def get_call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws or len(ConfigStack()) != depth:
+            return think(function, context, args, kws)
+        question = (function, *args)
+        if question not in known:
+            answer = think(function, context, args, kws)
             if answer is None:
                 return None
-            self._known[question] = answer
-        return self._known[question]
+            known[question] = answer
+        return known[question]
+
+    builtin.get_call_type = get_call_type
+    try:
+        yield
+    finally:
+        builtin.get_call_type = think
 
 
 class KernelCompiler(CompilerBase):
     """numba's compiler, `pipeline_class`, for scalar code on arrays and tuples."""
 
-    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
-        super().__init__(typingctx, targetctx, library, *rest)
-        self.state.typingctx = _Remembering(typingctx, self.state.flags)
+    def _compile_core(self) -> Any:
+        with _remembering(self.state.flags):
+            return super()._compile_core()
 
     def define_pipelines(self) -> list[Any]:
         """The passes of numba's nopython pipeline that are needed."""

@@ -12,7 +12,7 @@ from rover_sim.physics.spatial import Machines, Orders
 from rover_sim.physics.spatial_book import remember_torques, report_loads
 from rover_sim.physics.spatial_rover import Pose
 from rover_sim.physics.spatial_step import Model, Solver
-from rover_sim.physics.tether_contact import add_tether_contact, end_tether_contact
+from rover_sim.physics.tether_contact import add_tether_contact
 from rover_sim.physics.variable_length import Payout, end_exit_step
 
 
@@ -51,15 +51,14 @@ def parts(model: Model, solver: Solver, machines: Machines) -> list[tuple[Any, t
             add_feet,
             (feet, terrain, p, h, pose, body, zero, feet_anchors, solver.rover, solver.feet),
         ),
-        (end_tether_contact, (ground, tether, h, anchors, work, contact)),
         (end_exit_step, (tether, h, pay, exit_, mouth[0], mouth[1])),
         (end_feet, (feet, terrain, h, pose, feet_anchors, solver.feet, feet_anchors)),
         (end_step, (tether, h, q, v, work, q, v)),
         (solve_increment, (tether, work)),
         (add_tether_contact, (terrain, ground, tether, h, anchors, work, contact)),
+        (remember_torques, (feet, solver.feet, body, body, book)),
+        (report_loads, (4, solver.feet, True, report)),
         (merge_first, (tether, 1.0, 0.0, mouth, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, mouth, q, v, anchors)),
-        (remember_torques, (model, solver, body, body, book)),
-        (report_loads, (model, solver, True, report)),
         (spatial.energies, (model, motion, machines, book, solver)),
     ]

@@ -163,22 +163,16 @@ def with_elements(tether: Tether, elements: int) -> Tether:
 
 
 @inner
-def exit_length(model: Model, machines: Machines, elements: int) -> float:
-    """Undeformed length of the element at the fairlead [m]: what the chain leaves of the payout."""
-    return machines.drum.length - elements * model.tether.element_length
-
-
-@inner
 def _pressing(latch: int) -> bool:
     """Whether nut and latch can touch."""
     return latch not in (_RELEASED, _HOOKING)
 
 
 @inner
-def payout_rate(model: Model, state: drums.DrumState) -> float:
+def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
     """Rate of the tether at the drum [m/s]."""
-    turns = model.drum.full_turns - state.angle / (2.0 * np.pi)
-    return drums.radius_at(model.drum, turns) * state.rate
+    turns = drum.full_turns - state.angle / (2.0 * np.pi)
+    return drums.radius_at(drum, turns) * state.rate
 
 
 @checked
@@ -199,8 +193,8 @@ def energies(
     if model.has_winch:
         exit_ = solver.exit
         begin_exit(solver.origin, motion.mouth[0], motion.mouth[1], motion.q, motion.v, exit_)
-        first = exit_length(model, machines, n)
-        rate = payout_rate(model, machines.drum)
+        first = machines.drum.length - length
+        rate = payout_rate(model.drum, machines.drum)
         parts = exit_energies(tether, first, rate, exit_.start, exit_.rate)
         kinetic += parts[0]
         gravity += parts[1]
@@ -226,18 +220,18 @@ def energies(
 
 
 @inner
-def _keep(model: Model, n: int, motion: Motion, after: Motion) -> None:
+def _keep(has_winch: bool, has_rover: bool, n: int, motion: Motion, after: Motion) -> None:
     """Make the attempted step's end the state."""
     width = row_width(n, 3)
     for k in range(6):
         for i in range(width):
             motion.q[k, i] = after.q[k, i]
             motion.v[k, i] = after.v[k, i]
-    if model.has_winch:
+    if has_winch:
         for r in range(2):
             for d in range(3):
                 motion.mouth[r, d] = after.mouth[r, d]
-    if model.has_rover:
+    if has_rover:
         for k in range(BODY_SIZE):
             motion.body[k] = after.body[k]
         for k in range(motion.feet_anchors.shape[0]):
@@ -247,7 +241,7 @@ def _keep(model: Model, n: int, motion: Motion, after: Motion) -> None:
 
 @inner
 def _came_through(
-    model: Model, pay: Payout, tension: float, slope0: Vector, motion: Motion
+    tether: Tether, pay: Payout, tension: float, slope0: Vector, mouth: Array
 ) -> float:
     """Energy of the tether that came through the fairlead in a step [J], beside the tension's work.
 
@@ -259,11 +253,11 @@ def _came_through(
     way = pay.length1 - pay.length0
     square = 0.0
     for d in range(3):
-        square += (0.5 * (slope0[d] + motion.mouth[0, d])) ** 2
+        square += (0.5 * (slope0[d] + mouth[0, d])) ** 2
     strain = 0.5 * (square - 1.0)
     rate = 0.5 * (pay.rate0 + pay.rate1)
-    carried = 0.5 * model.tether.line_density * rate * rate * square
-    stored = 0.5 * model.tether.axial_stiffness * strain * strain
+    carried = 0.5 * tether.line_density * rate * rate * square
+    stored = 0.5 * tether.axial_stiffness * strain * strain
     return way * (tension * (1.0 - np.sqrt(square)) + carried + stored)
 
 
@@ -313,6 +307,7 @@ def advance(
     shortest = model.step / (1 << model.max_halvings)
     nominal = model.tether.element_length
     capacity = motion.tether_anchors.shape[0] // 2
+    corners = model.feet.corners.shape[0]
     stop_before = 0.0
     while elapsed < dt * (1.0 - 1e-12):
         n = int(book[ELEMENTS])
@@ -356,8 +351,8 @@ def advance(
         pay = Payout(
             drum.length - chain,
             drum1.length - chain,
-            payout_rate(model, drum),
-            payout_rate(model, drum1),
+            payout_rate(model.drum, drum),
+            payout_rate(model.drum, drum1),
         )
 
         # the swivel
@@ -409,8 +404,8 @@ def advance(
         longest = min(2.0 * longest, model.step)
         z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
         if model.has_ground and model.has_rover:
-            remember_torques(model, solver, body, solver.after.body, book)
-        _keep(model, n, motion, solver.after)
+            remember_torques(model.feet, solver.feet, body, solver.after.body, book)
+        _keep(model.has_winch, model.has_rover, n, motion, solver.after)
         elapsed += h
         now = start + elapsed
 
@@ -458,7 +453,8 @@ def advance(
                 + drum_books.brake_heat
                 + drum_books.stop_heat
             )
-            book[INPUT_TETHER] += _came_through(model, pay, solver.exit.tension[0], slope0, motion)
+            pulled = solver.exit.tension[0]
+            book[INPUT_TETHER] += _came_through(tether, pay, pulled, slope0, motion.mouth)
             kinetic += drum_books.kinetic
             drum = drum1
             book[TENSION] = solver.exit.tension[0]
@@ -493,7 +489,7 @@ def advance(
         # touching, taking off, flying, landing
         if model.has_ground and model.has_rover:
             near = losses.near_ground
-            load = report_loads(model, solver, near, report)
+            load = report_loads(corners, solver.feet, near, report)
             if load > 0.0:
                 if book[AIRBORNE] != 0.0:
                     count = record_event(
@@ -540,13 +536,13 @@ def advance(
             first = drum.length - chain
             if first > _SPLIT_BEYOND * nominal and n < capacity:
                 split_first(
-                    tether, first, payout_rate(model, drum), motion.mouth, motion.q, motion.v,
+                    tether, first, payout_rate(model.drum, drum), motion.mouth, motion.q, motion.v,
                     motion.tether_anchors,
                 )  # fmt: skip
                 book[ELEMENTS] = n + 1
             elif first < _MERGE_BELOW * nominal and n > 1:
                 book[REMESHED] += merge_first(
-                    tether, first, payout_rate(model, drum), motion.mouth, motion.q, motion.v,
+                    tether, first, payout_rate(model.drum, drum), motion.mouth, motion.q, motion.v,
                     motion.tether_anchors,
                 )  # fmt: skip
                 book[ELEMENTS] = n - 1

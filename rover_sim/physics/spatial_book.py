@@ -8,8 +8,9 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import inner
+from rover_sim.physics.rover_contact import Feet, FeetStep
 from rover_sim.physics.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
-from rover_sim.physics.spatial_step import Losses, Model, Solver
+from rover_sim.physics.spatial_step import Losses
 from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
 
 # Entries of the array `book`: what is remembered besides motion and machines.
@@ -129,10 +130,8 @@ def record_event(
 
 
 @inner
-def report_loads(model: Model, solver: Solver, near: bool, report: Array) -> float:
-    """Report the normal forces on the rover; returns their sum [N]."""
-    feet = solver.feet
-    corners = model.feet.corners.shape[0]
+def report_loads(corners: int, feet: FeetStep, near: bool, report: Array) -> float:
+    """Report the normal forces on the rover, which has so many corners; returns their sum [N]."""
     report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
     if not near:
         return 0.0
@@ -157,25 +156,22 @@ def _hub_velocity(body: Array, hub: Vector) -> Vector:
 
 
 @inner
-def remember_torques(
-    model: Model, solver: Solver, before: Array, after: Array, book: Array
-) -> None:
+def remember_torques(feet: Feet, step: FeetStep, before: Array, after: Array, book: Array) -> None:
     """Remember the ground's torques on the wheels, as the next step will find them.
 
     The torques are those of this step's slip; until the next one Body 1 turns and moves on, by the
     changes of its rates in this step, and so does the slip of a wheel that keeps its own rate.
     """
-    feet = solver.feet
     swung = after[SPIN + 1] - before[SPIN + 1]
     for wheel in range(2):
-        hub = model.feet.left_wheel if wheel == 0 else model.feet.right_wheel
+        hub = feet.left_wheel if wheel == 0 else feet.right_wheel
         change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
         torque, slope = 0.0, 0.0
         for kind in range(2):
             w = 2 * wheel + kind
-            steep = max(feet.torque[w, 1], 0.0)
-            rolled = dot(vector_at(feet.forward[w], 0), change) / model.feet.tip_radius
-            torque -= feet.torque[w, 0] + steep * (swung - rolled)
+            steep = max(step.torque[w, 1], 0.0)
+            rolled = dot(vector_at(step.forward[w], 0), change) / feet.tip_radius
+            torque -= step.torque[w, 0] + steep * (swung - rolled)
             slope += steep
         entry = LEFT_TORQUE + 2 * wheel
         book[entry], book[entry + 1] = torque, slope

@@ -389,7 +389,9 @@ def attempt_step(
             )
             rover_heat = -ground_work - rover_stored
         else:
-            after.feet_anchors[:] = 0.0
+            for k in range(after.feet_anchors.shape[0]):
+                for d in range(3):
+                    after.feet_anchors[k, d] = 0.0
     if model.has_winch:
         tether_heat += end_exit_step(
             tether, h, actions.pay, solver.exit, after.mouth[0], after.mouth[1]
