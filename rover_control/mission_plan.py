@@ -19,16 +19,14 @@ from msg_schemas.configuration import (
     Configuration,
     ConfigurationError,
     quantity,
-    read,
     read_by,
     section,
     sections,
     text,
     to_mapping,
 )
-from msg_schemas.fields import FieldError
 from msg_schemas.machine import MAX_LENGTH, MAX_SLACK, MAX_STROKE
-from msg_schemas.yaml_reader import read_yaml
+from msg_schemas.shipped import ShippedError, names_in, read_named
 
 SHIPPED = Path(__file__).parent / "missions"
 """Where the plans of the package lie."""
@@ -168,7 +166,7 @@ class MissionPlan(Configuration):
 
 def shipped() -> list[str]:
     """Names of the package's own plans."""
-    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    return names_in(SHIPPED)
 
 
 def load_plan(name_or_path: str) -> MissionPlan:
@@ -177,20 +175,10 @@ def load_plan(name_or_path: str) -> MissionPlan:
     Raises:
         PlanError: it cannot be read, or something in it is not as it should be.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".yaml":
-        if name_or_path not in shipped():
-            raise PlanError(
-                f"no mission {name_or_path!r}: should be the path of a .yaml file, or one of "
-                f"{', '.join(shipped())}"
-            )
-        path = SHIPPED / f"{name_or_path}.yaml"
     try:
-        return read(MissionPlan, read_yaml(path))
-    except FieldError as error:
-        # The reader of YAML names the file itself.
-        told = str(error)
-        raise PlanError(told if told.startswith(str(path)) else f"{path}: {told}") from None
+        return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]
+    except ShippedError as error:
+        raise PlanError(str(error)) from None
 
 
 # --- legs ----------------------------------------------------------------------------------------

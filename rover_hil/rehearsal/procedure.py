@@ -14,14 +14,13 @@ from msg_schemas.configuration import (
     choice,
     flag,
     quantity,
-    read,
     read_by,
     sections,
     text,
 )
-from msg_schemas.fields import FieldError, not_known
+from msg_schemas.fields import not_known
+from msg_schemas.shipped import ShippedError, names_in, read_named
 from msg_schemas.table import SERVICES, TOPICS
-from msg_schemas.yaml_reader import read_yaml
 from rover_hil.rehearsal.actions import ACTIONS, Action, Mark, Publish
 from rover_hil.rehearsal.expectation import Expectation
 from rover_hil.rehearsal.expectations import EXPECTATIONS
@@ -151,7 +150,7 @@ class Written:
 
 def shipped() -> list[str]:
     """Names of the package's own procedures."""
-    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+    return names_in(SHIPPED)
 
 
 def load_procedure(name_or_path: str) -> Written:
@@ -160,20 +159,8 @@ def load_procedure(name_or_path: str) -> Written:
     Raises:
         ProcedureError: it cannot be read, or something in it is not as it should be.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".yaml":
-        if name_or_path not in shipped():
-            raise ProcedureError(
-                f"no procedure {name_or_path!r}: should be the path of a .yaml file, or one of "
-                f"{', '.join(shipped())}"
-            )
-        path = SHIPPED / f"{name_or_path}.yaml"
     try:
-        content = read_yaml(path)
-        procedure = read(Procedure, content)
-    except FieldError as error:
-        # The reader of YAML names the file itself.
-        text = str(error)
-        named = text if text.startswith(str(path)) else f"{path}: {text}"
-        raise ProcedureError(named) from None
+        path, procedure = read_named(Procedure, name_or_path, SHIPPED, "procedure")
+    except ShippedError as error:
+        raise ProcedureError(str(error)) from None
     return Written(path.stem, path, hashlib.sha256(path.read_bytes()).hexdigest(), procedure)

@@ -13,7 +13,7 @@ from msg_schemas import topics
 from msg_schemas.samples import Status
 from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage import open_stage
+from rover_verify.stage import Observer, Process, Stage, open_stage
 
 _CLOCK_OFFSET = 12.5  # of the rover's clock, set wrong on purpose [s]
 _LOOPS = 2000  # of which the percentiles are made
@@ -25,21 +25,24 @@ _RUNNING = (0.1, 0.5)  # and between [s]
 _READING = 3  # cycles by which a count and the time at which it is heard may be apart
 
 
+def _start(stage: Stage, generator: random.Random, **emulated: object) -> tuple[Process, Observer]:
+    """Start emulator and bridge in real time; the bridge, and an observer when both are ready."""
+    link = f"udp_multicast:239.74.163.2:{generator.randrange(44000, 48000)}"
+    stage.processes.start("rover_hil.emulator.emulator_node", {"link": link, **emulated})
+    bridge = stage.processes.start("rover_hil.bridge_node", {"link": link, "use_sim_time": True})
+    observer = stage.observer()
+    for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
+        observer.listen(name)
+    for node in ("drive_emulator", "hil_bridge"):
+        observer.wait_until_ready(node)
+    return bridge, observer
+
+
 @cache
 def _measured(folder: Path, seed: int) -> tuple[Status, dict[str, Status]]:
     """The link's status, and that of each device, after enough loops in real time."""
-    link = f"udp_multicast:239.74.163.2:{random.Random(seed).randrange(44000, 48000)}"
     with open_stage(folder) as stage:
-        stage.processes.start(
-            "rover_hil.emulator.emulator_node",
-            {"link": link, "rover_clock_offset": _CLOCK_OFFSET},
-        )
-        stage.processes.start("rover_hil.bridge_node", {"link": link, "use_sim_time": True})
-        observer = stage.observer()
-        for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
-            observer.listen(name)
-        for node in ("drive_emulator", "hil_bridge"):
-            observer.wait_until_ready(node)
+        _, observer = _start(stage, random.Random(seed), rover_clock_offset=_CLOCK_OFFSET)
         reports = observer.listen(topics.LINK_STATUS)
         for _ in range(_ATTEMPTS):
             if observer.call(topics.DRIVES_ARM, True).success:
@@ -79,17 +82,9 @@ def clock_offset(batch: Batch) -> Measured:
 def uncounted_deadlines(batch: Batch) -> Measured:
     """SYNCs that were due of a bridge that is stopped now and then, neither sent nor counted."""
     generator = random.Random(batch.seed)
-    link = f"udp_multicast:239.74.163.2:{generator.randrange(44000, 48000)}"
     with open_stage(batch.folder) as stage:
-        stage.processes.start("rover_hil.emulator.emulator_node", {"link": link})
-        bridge = stage.processes.start(
-            "rover_hil.bridge_node", {"link": link, "use_sim_time": True}
-        )
-        observer = stage.observer()
+        bridge, observer = _start(stage, generator)
         reports = observer.listen(topics.LINK_STATUS)
-        for name in (topics.DIAGNOSTICS, topics.CLOCK):
-            observer.listen(name)
-        observer.wait_until_ready("hil_bridge")
 
         def counts() -> tuple[float, int, int]:
             """When a report came [s], and its cycles and late ones."""

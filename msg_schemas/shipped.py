@@ -1,0 +1,52 @@
+"""Configurations by name: one that a package ships in a folder, or a file by its path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeVar
+
+from msg_schemas.configuration import ConfigurationError, read
+from msg_schemas.yaml_reader import read_yaml
+
+T = TypeVar("T")
+
+
+class ShippedError(ValueError):
+    """No such file, or not as it should be: which file, key and value, and what would be right."""
+
+
+def names_in(folder: Path) -> list[str]:
+    """Names of the configurations that a folder ships."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def read_named(kind: type[T], name_or_path: str, folder: Path, what: str) -> tuple[Path, T]:
+    """Read a configuration by its name in a folder, or a file by its path.
+
+    Args:
+        kind: of configuration.
+        name_or_path: a name, or a path that ends in .yaml.
+        folder: of those that are shipped.
+        what: it is, in a word.
+
+    Returns:
+        The file, and what is in it.
+
+    Raises:
+        ShippedError: it cannot be read, or something in it is not as it should be.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".yaml":
+        names = names_in(folder)
+        if name_or_path not in names:
+            raise ShippedError(
+                f"no {what} {name_or_path!r}: should be the path of a .yaml file, or one of "
+                f"{', '.join(names)}"
+            )
+        path = folder / f"{name_or_path}.yaml"
+    try:
+        return path, read(kind, read_yaml(path))
+    except ConfigurationError as error:
+        # The reader of YAML names the file itself.
+        told = str(error)
+        raise ShippedError(told if told.startswith(str(path)) else f"{path}: {told}") from None
