@@ -36,7 +36,9 @@ NOT_SENT = "what was asked for"
 PATIENCE = 10.0
 """How long a node that would take an order, and then its answer, are waited for [s]."""
 
-_BEATS = 2  # of one node's health, within which every other node is heard
+# A participant of Fast DDS that was not met at once is met when one of the two announces itself
+# again, each 3 s; its endpoints follow [s].
+_MET = 4.0
 _ONE_S_OWN_NS = 1_000_000
 _LOOK = 0.05  # at what nobody announces, such as the graph [s]
 _MEETING = 3.0  # for nodes that are known and not heard yet [s]
@@ -93,6 +95,7 @@ class OperatorLink:
         self._pose: tuple[OdometrySample, float] | None = None  # and when it was heard [s]
         self._exchanges: WeakSet[Exchange] = WeakSet()
         self._heard: dict[str, Any] = {}
+        self._everyone_is_met = time.monotonic() + _MET
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self.listen(topics.EVENTS, topics.DIAGNOSTICS)
@@ -153,8 +156,10 @@ class OperatorLink:
         """Wait until all who are there were heard; whether there is anybody."""
         self.listen_to_all()
         known = self._telemetry
-        if not self._wait(known.is_settled, timeout, cancelled):
+        if not self._wait(lambda: known.hears_anybody, timeout, cancelled):
             return False
+        left = min(timeout, self._everyone_is_met - time.monotonic())
+        self._wait(never, left, cancelled)
 
         def are_heard() -> bool:
             now = time.monotonic()
@@ -301,7 +306,7 @@ class OperatorLink:
         def is_there() -> bool:
             # Who can be asked must also be heard refusing.
             heard = self._telemetry.is_heard(request.taker, time.monotonic())
-            return heard and made.get_subscription_count() > 0
+            return heard and self._reaches(made, request.taker)
 
         if not self._wait(is_there, patience, cancelled):
             verdict = Verdict.GIVEN_UP if cancelled() else Verdict.NOBODY
@@ -366,6 +371,13 @@ class OperatorLink:
                 )
             return self._publishers[topic]
 
+    def _reaches(self, publisher: Any, name: str) -> bool:
+        """Whether that node would hear it; a recorder that listens as well is not enough."""
+        there = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
+        at = (name, self._node.get_namespace())
+        listens = any((each.node_name, each.node_namespace) == at for each in there)
+        return listens and publisher.get_subscription_count() >= len(there)
+
     def _absence(self, name: str) -> str:
         """Say that a node is not there, and where there is one of that name."""
         here = self._node.get_namespace()
@@ -415,9 +427,9 @@ class OperatorLink:
     def _missing(self, calls: Iterable[Call]) -> list[Call]:
         """Those that may still come: their server is known to be there, or not known yet."""
         waited_for = [c for c in calls if not self._client(c.service).service_is_ready()]
-        if not waited_for or not self._telemetry.is_settled(_BEATS):
-            return waited_for
         here, now = self._node.get_namespace(), time.monotonic()
+        if now < self._everyone_is_met:
+            return waited_for
         graph = self._node.get_node_names_and_namespaces()
         return [
             call

@@ -36,7 +36,6 @@ _AT_REST = 2e-3  # payout rates below count as rest [m/s]
 _WHILE_NS = 500_000_000  # for which a drum must rest that is at rest
 _DRUM_KEPT = 1000
 _KEPT = 50  # refusals and events
-_BEAT = 0.9  # a node tells its health about as often [s]
 
 
 @dataclass(frozen=True)
@@ -269,7 +268,6 @@ class Telemetry:
         self._alarms: tuple[str, ...] = ()
         self._health: dict[str, dict[str, Status]] = {}
         self._heard: dict[str, float] = {}
-        self._first_heard: dict[str, float] = {}
         self._link: dict[str, tuple[Status, float]] = {}
         self._simulation: tuple[Status, float] | None = None
         self._refusals: deque[tuple[Status, int, float]] = deque(maxlen=_KEPT)
@@ -316,7 +314,6 @@ class Telemetry:
                 self._refusals.append((status, stamp_ns, now))
             elif what == "node":
                 self._heard[node] = now
-                self._first_heard.setdefault(node, now)
                 self._health[node] = {what: status}  # what it says besides follows at once
             else:
                 self._health.setdefault(node, {})[what] = status
@@ -327,10 +324,10 @@ class Telemetry:
         """Whether a node tells its health."""
         return now - self._heard.get(node, -math.inf) <= SILENT_AFTER
 
-    def is_settled(self, beats: int = 1) -> bool:
-        """Whether one node was heard so often again: every other that is there was meanwhile."""
-        span = beats * _BEAT
-        return any(now - self._first_heard[node] > span for node, now in self._heard.items())
+    @property
+    def hears_anybody(self) -> bool:
+        """Whether a node has told its health."""
+        return bool(self._heard)
 
     @property
     def knows_phases(self) -> bool:

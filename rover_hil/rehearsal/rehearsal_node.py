@@ -247,7 +247,7 @@ class RehearsalNode(ContractNode):
         self._sender(topic)
         full = self.resolve_topic_name(topic)
         listening = self.get_subscriptions_info_by_topic(full)
-        return self._senders[topic].get_subscription_count() > 0 and any(
+        return self._senders[topic].get_subscription_count() >= len(listening) and any(
             each.node_name not in {_RECORDER, self.NAME} for each in listening
         )
 

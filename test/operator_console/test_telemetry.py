@@ -187,11 +187,9 @@ def test_a_parameter_is_read_from_the_configuration():
     assert known.parameter("winch_node", "shallowest") is None
 
 
-def test_all_who_are_there_were_heard_when_one_was_heard_again():
+def test_somebody_is_heard_by_the_health_he_tells():
     known = Telemetry()
+    known.hear(topics.WINCH_MODE, TextSample("hold"), 1.0)
+    assert not known.hears_anybody
     known.hear(topics.DIAGNOSTICS, health("a"), 1.0)
-    known.hear(topics.DIAGNOSTICS, health("b"), 1.9)
-    assert not known.is_settled()
-    known.hear(topics.DIAGNOSTICS, health("a"), 2.0)
-    assert known.is_settled()
-    assert not known.is_settled(beats=2)
+    assert known.hears_anybody
