@@ -15,6 +15,7 @@ from collections.abc import Callable
 import can
 
 from rover_hil.serial_bus import CobsSerialBus
+from rover_hil.udp_bus import UdpBus
 
 _DEFAULT_PORT = 43113
 
@@ -33,8 +34,8 @@ def _socketcan(channel: str, number: int | None) -> can.BusABC:
 
 def _udp_multicast(channel: str, number: int | None) -> can.BusABC:
     port = _DEFAULT_PORT if number is None else number
-    # The frames are classic CAN; others on the group are not ours. One hop: this network alone.
-    return can.Bus(interface="udp_multicast", channel=channel, port=port, hop_limit=1, fd=False)
+    # One hop: this network alone.
+    return UdpBus(channel, port, hop_limit=1)
 
 
 def _virtual(channel: str, number: int | None) -> can.BusABC:

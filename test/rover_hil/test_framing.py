@@ -156,6 +156,24 @@ def test_two_ends_of_a_link_hear_each_other(link: str):
         other.shutdown()
 
 
+def test_over_udp_one_hears_the_others_and_not_oneself():
+    frame = can.Message(arbitration_id=0x80, data=b"\x01", is_extended_id=False)
+    group, port = "239.74.163.2", 43992
+    foreign = can.Bus(interface="udp_multicast", channel=group, port=port, fd=False)
+    one, other = (open_bus(f"udp_multicast:{group}:{port}") for _ in range(2))
+    try:
+        for sender in (one, other, foreign):
+            sender.send(frame)
+        for bus, others in ((one, 2), (other, 2)):
+            assert [bus.recv(5.0) is not None for _ in range(others)] == [True] * others
+            assert bus.recv(0.1) is None
+        with pytest.raises(can.CanOperationError, match="classic CAN"):
+            one.send(can.Message(arbitration_id=1, data=bytes(12), is_fd=True))
+    finally:
+        for bus in (one, other, foreign):
+            bus.shutdown()
+
+
 def test_socketcan_carries_frames():
     try:
         one, other = open_bus("socketcan:vcan0"), open_bus("socketcan:vcan0")
