@@ -25,7 +25,7 @@ help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
 	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
-demo: $(VENV)/.ready-run  ## a tethered jump over DDS, recorded and reported into out/demo
+demo: $(VENV)/.ready-run  ## a mission down the Marius Hills Hole and back, reported into out/demo
 	@$(BIN)/demo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)

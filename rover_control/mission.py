@@ -27,18 +27,22 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.transition import Transition
+from rover_control.mission_floor import Hop, Way
 from rover_control.mission_interlocks import Condition, forbidden, remedy
 from rover_control.mission_legs import (
-    CONDUCTS,
     Ask,
     Conduct,
     End,
     Hoist,
+    Land,
     LegLimits,
+    Lift,
     MissionPhase,
     Notes,
+    Stop,
+    Stow,
+    Turn,
     Verdict,
-    Way,
     Wish,
 )
 from rover_control.mission_plan import Leg, LegKind, MissionPlan, itinerary, way_home
@@ -85,10 +89,23 @@ _AFTER: Mapping[LegKind, _After] = {
     LegKind.APPROACH: _After.NEXT,
     LegKind.LAND: _After.HOLD,
     LegKind.VISIT: _After.NEXT,
+    LegKind.HOP: _After.NEXT,
     LegKind.RETURN: _After.HOLD,
     LegKind.LIFT: _After.HOLD,
     LegKind.ASCEND: _After.HOLD,
     LegKind.STOW: _After.HOLD,
+}
+_CONDUCTS: Mapping[LegKind, type[Conduct]] = {
+    LegKind.LOOK: Stop,
+    LegKind.TURN: Turn,
+    LegKind.APPROACH: Stop,
+    LegKind.LAND: Land,
+    LegKind.VISIT: Way,
+    LegKind.HOP: Hop,
+    LegKind.RETURN: Way,
+    LegKind.LIFT: Lift,
+    LegKind.ASCEND: Stop,
+    LegKind.STOW: Stow,
 }
 _CANNOT_BE_SKIPPED = (LegKind.LIFT, LegKind.ASCEND, LegKind.STOW)
 
@@ -365,7 +382,7 @@ class Mission:
         assert leg is not None
         last = self._tries > 0 and self._tries == self.settings.mission.tries - 1
         alone = leg.kind is LegKind.ASCEND and last and self.sight.length <= self.plan.lift.alone
-        kind = Hoist if alone else CONDUCTS[leg.kind]
+        kind = Hoist if alone else _CONDUCTS[leg.kind]
         self._conduct = kind(leg, self.plan, self.notes, now)
         self._rearms = 0
         self._sent.clear()

@@ -1,4 +1,4 @@
-"""How each leg of a mission is done: what it asks for, and when it is over. Pure.
+"""How the legs of a mission are done: what each asks for, and when it is over. Pure.
 
 A leg goes by what is seen now, so that it can be begun again at any time: after a hold, after a
 restart of the mission, or because the first trial failed.
@@ -8,19 +8,19 @@ look       a stop of the descent with pictures
 turn       a heading that the descent turns to
 approach   a stop of the descent without pictures
 land       the winch pays out until the floor carries the rover
-visit      the rover drives; stuck, it gets slack and jumps, and drives on
-return     the same, to below the fairlead
 lift       the winch reels in until the rover hangs
 ascend     a stop of the descent at the stow
 stow       the descent gives winch and wheels back
 =========  ==================================================================================
+
+What is done on the floor stands in `mission_floor`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 from typing import NamedTuple
@@ -28,18 +28,14 @@ from typing import NamedTuple
 from msg_schemas import topics
 from msg_schemas.machine import (
     HEADING_TURN,
-    JUMP_STROKE,
     OBSERVATION_STOP,
     PLAIN_STOP,
-    WINCH_SLACK,
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
-    NO_ORIENTATION,
     JointSample,
     JointValue,
-    PoseSample,
     Sample,
     Status,
 )
@@ -47,16 +43,12 @@ from rover_control.mission_interlocks import Act
 from rover_control.mission_plan import Leg, LegKind, MissionPlan
 from rover_control.mission_sight import MissionSight, Place
 
-_ANSWER = 3.0  # in which a node shows that it does what it was asked [s]
+ANSWER = 3.0
+"""In which a node shows that it does what it was asked [s]."""
 _RENEWAL = 0.25  # of a length that is gone to while it is renewed [s]
 _NEAR = 0.03  # at a length [m]
 _STEADY = 2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
 _AT_STOW, _STOW_PATIENCE = 0.1, 60.0  # so near, and so long for the swing there [m], [s]
-_SETTLES = 3.0  # after a jump [s]
-_SLACKENS = 15.0  # in which slack is given [s]
-_LED = 1.0  # that a winch rests, before slack is given [s]
-_GIVEN = 0.8  # part of the slack asked for that is enough
-_BY_HAND = "asked for"  # as drive_node says it
 
 
 class MissionPhase(StrEnum):
@@ -86,6 +78,7 @@ class LegLimits:
     approach_limit: float = parameter(900.0, "s", "for the approach to the floor", 10.0, 1e5)
     land_limit: float = parameter(300.0, "s", "for the landing", 10.0, 1e5)
     visit_limit: float = parameter(900.0, "s", "for the way to a waypoint", 10.0, 1e5)
+    hop_limit: float = parameter(120.0, "s", "for slack and jump at a waypoint", 10.0, 1e5)
     return_limit: float = parameter(900.0, "s", "for the way back below the fairlead", 10.0, 1e5)
     lift_limit: float = parameter(600.0, "s", "to come off the floor", 10.0, 1e5)
     ascend_limit: float = parameter(2400.0, "s", "for the ascent", 10.0, 1e5)
@@ -110,7 +103,7 @@ class Wish(NamedTuple):
 
     act: Act
     ask: Ask
-    pause: float = _ANSWER  # before it is asked again [s]
+    pause: float = ANSWER  # before it is asked again [s]
     reels: bool = False  # the winch moves for it, and is held where that is forbidden
 
 
@@ -177,10 +170,10 @@ class Conduct(ABC):
 
     def _unanswered(self, now: float) -> bool:
         """Whether what was asked for should have shown by now."""
-        return self.asked is not None and now - self.asked > _ANSWER
+        return self.asked is not None and now - self.asked > ANSWER
 
 
-def _refusal(news: Sequence[Status], topic: str) -> str:
+def refusal_of(news: Sequence[Status], topic: str) -> str:
     """Why a topic's taker has refused; empty = it did not."""
     for status in news:
         if status.name.endswith(f": refused {topic}"):
@@ -188,7 +181,8 @@ def _refusal(news: Sequence[Status], topic: str) -> str:
     return ""
 
 
-def _joint(name: str, position: float, velocity: float = 0.0) -> JointSample:
+def joint_of(name: str, position: float, velocity: float = 0.0) -> JointSample:
+    """A request that is about one joint."""
     return JointSample(0, {name: JointValue(position, velocity, 0.0)})
 
 
@@ -228,7 +222,7 @@ class Stop(Conduct):
                 if event.name == "stop_ended" and _number(event, "depth") == self.leg.depth:
                     return self._ended(event, looks)
                 self._was_interrupted |= event.name == "descent_interrupted"
-            refused = _refusal(news, topics.DESCENT_REQUEST)
+            refused = refusal_of(news, topics.DESCENT_REQUEST)
             if refused and sight.descent in ("released", "standby"):
                 return End(Verdict.FAILED, refused)
             if refused and sight.descent == "holding":
@@ -249,10 +243,10 @@ class Stop(Conduct):
                 return Wish(Act.DESCEND, Ask(topics.DESCENT_ABORT))
             self._is_cleared = True
         idle = sight.descent in ("", "released", "standby")
-        lost = idle and self._unanswered(now) and now - self._idle_since(sight) > _ANSWER
+        lost = idle and self._unanswered(now) and now - self._idle_since(sight) > ANSWER
         if self.asked is None or lost:
             joint = OBSERVATION_STOP if looks else PLAIN_STOP
-            return Wish(Act.DESCEND, Ask(topics.DESCENT_REQUEST, _joint(joint, self.leg.depth)))
+            return Wish(Act.DESCEND, Ask(topics.DESCENT_REQUEST, joint_of(joint, self.leg.depth)))
         return None
 
     def _idle_since(self, sight: MissionSight) -> float:
@@ -286,14 +280,14 @@ class Turn(Conduct):
         if self.asked is None:
             if sight.descent_busy:
                 return None
-            ask = Ask(topics.DESCENT_REQUEST, _joint(HEADING_TURN, self.leg.angle))
+            ask = Ask(topics.DESCENT_REQUEST, joint_of(HEADING_TURN, self.leg.angle))
             return Wish(Act.DESCEND, ask)
         for event in news:
             if event.name == "pointing_reached":
                 return End(Verdict.DONE, event.message)
             if event.name == "pointing_ended":
                 return End(Verdict.GIVEN_UP, event.message)
-        refused = _refusal(news, topics.DESCENT_REQUEST)
+        refused = refusal_of(news, topics.DESCENT_REQUEST)
         return End(Verdict.GIVEN_UP, refused) if refused else None
 
 
@@ -400,7 +394,7 @@ class Stow(Conduct):
 
 
 def _length(act: Act, length: float, rate: float) -> Wish:
-    ask = Ask(topics.WINCH_REQUEST, _joint(WINCH_WHILE_RENEWED, length, rate))
+    ask = Ask(topics.WINCH_REQUEST, joint_of(WINCH_WHILE_RENEWED, length, rate))
     return Wish(act, ask, _RENEWAL, reels=True)
 
 
@@ -409,170 +403,3 @@ def _held_by_others(news: Sequence[Status]) -> str:
         if event.name == "winch_hold" and event.message == "asked to hold":
             return "somebody holds the winch"
     return ""
-
-
-# --- on the floor --------------------------------------------------------------------------------
-
-
-class _Stage(Enum):
-    DRIVE = auto()
-    SLACKEN = auto()
-    JUMP = auto()
-    SETTLE = auto()
-
-
-class Way(Conduct):
-    """A way on the floor, driven, with jumps where the rover is stuck."""
-
-    def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
-        super().__init__(leg, plan, notes, now)
-        self._returns = leg.kind is LegKind.RETURN
-        self._stage = _Stage.DRIVE
-        self._staged = now
-        self._slack_from = math.nan
-        self._jumps = 0
-        self._left_ground = False
-        self._taken = False  # drive_node was seen doing it
-
-    @property
-    def phase(self) -> MissionPhase:  # type: ignore[override]
-        """Driving or jumping."""
-        if self._stage is not _Stage.DRIVE:
-            return MissionPhase.JUMPING
-        return MissionPhase.RETURNING if self._returns else MissionPhase.DRIVING
-
-    def sent(self, ask: Ask, now: float) -> None:
-        """Saying where the rover stands is no request to drive."""
-        if ask.name != topics.DRIVE_START:
-            super().sent(ask, now)
-
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
-        """Drive; or, stuck, slacken, jump and settle."""
-        if self._stage is _Stage.DRIVE:
-            return self._drive(sight, news, now)
-        if self._stage is _Stage.SLACKEN:
-            return self._slacken(sight, news, now)
-        if self._stage is _Stage.JUMP:
-            return self._jump(sight, news, now)
-        if now - self._staged > _SETTLES and not sight.flies:
-            self._enter(_Stage.DRIVE, now)
-        return None
-
-    def _enter(self, stage: _Stage, now: float) -> None:
-        self._stage, self._staged = stage, now
-        self.asked = None
-        self._taken = self._left_ground = False
-
-    # --- driving ---------------------------------------------------------------------------------
-
-    def _drive(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
-        if self._returns and self._is_home(sight) and not sight.drives:
-            place = sight.place
-            assert place is not None
-            far = math.hypot(place.x, place.y)
-            return End(Verdict.DONE, f"{far:.2f} m from the plumb line")
-        if self.asked is not None:
-            self._taken |= sight.drives
-            for event in news:
-                ended = self._judge(event, now)
-                if ended is not None or self._stage is not _Stage.DRIVE:
-                    return ended
-            refused = _refusal(news, topics.DRIVE_GOAL)
-            if refused:
-                return End(Verdict.FAILED, refused)
-        if sight.place is not None and not sight.knows_place:
-            return Wish(Act.DRIVE, Ask(topics.DRIVE_START, _pose(sight.place)))
-        lost = not sight.drives and (self._taken or self._unanswered(now))
-        if lost and now - sight.since.get(topics.DRIVE_PHASE, now) > _ANSWER:
-            self.asked, self._taken = None, False
-        if self.asked is None:
-            return Wish(Act.DRIVE, Ask(topics.DRIVE_GOAL, self._goal()))
-        return None
-
-    def _judge(self, event: Status, now: float) -> End | None:
-        if event.name == "drive_done":
-            return End(Verdict.DONE, event.message)
-        if event.name == "drive_stopped" and event.message == _BY_HAND:
-            return End(Verdict.TAKEN, "somebody stops the driving")
-        if event.name == "drive_failed":
-            return End(Verdict.FAILED, event.message)
-        if event.name == "drive_stuck":
-            if self._jumps >= self.plan.jumps.most:
-                return End(Verdict.FAILED, event.message)
-            self._enter(_Stage.SLACKEN, now)
-        return None
-
-    def _is_home(self, sight: MissionSight) -> bool:
-        place = sight.place
-        return place is not None and math.hypot(place.x, place.y) < 0.5 * self.plan.lift.radius
-
-    def _goal(self) -> PoseSample:
-        leg = self.leg
-        if math.isnan(leg.heading):
-            return PoseSample(0, (leg.x, leg.y, 0.0), NO_ORIENTATION)
-        return _pose(Place(leg.x, leg.y, leg.heading))
-
-    # --- jumping ---------------------------------------------------------------------------------
-
-    def _slacken(
-        self, sight: MissionSight, news: Sequence[Status], now: float
-    ) -> Wish | End | None:
-        refused = _refusal(news, topics.WINCH_REQUEST)
-        if refused:
-            return End(Verdict.FAILED, refused)
-        # Who led the tether still brings it to rest.
-        since = now - sight.since.get(topics.WINCH_MODE, -math.inf)
-        if sight.winch_moves or since < _LED:
-            return None
-        if math.isnan(self._slack_from):
-            self._slack_from = sight.length
-        slack = self.plan.jumps.slack
-        if sight.length - self._slack_from > _GIVEN * slack and self.asked is not None:
-            self._slack_from = math.nan
-            self._enter(_Stage.JUMP, now)
-            return None
-        if self.asked is not None and now - self.asked < _SLACKENS:
-            return None
-        return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, _joint(WINCH_SLACK, slack)))
-
-    def _jump(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
-        refused = _refusal(news, topics.JUMP_REQUEST)
-        if refused:
-            return End(Verdict.FAILED, refused)
-        self._left_ground |= sight.flies
-        if sight.jump == "letting_down" and self.asked is not None:
-            return End(Verdict.FAILED, "the jump was broken off")
-        if self._left_ground and sight.jump == "standby":
-            self._jumps += 1
-            self.notes.jumps += 1
-            self._enter(_Stage.SETTLE, now)
-            return None
-        if self.asked is None or (sight.jump == "standby" and self._unanswered(now)):
-            ask = Ask(topics.JUMP_REQUEST, _joint(JUMP_STROKE, self.plan.jumps.stroke))
-            return Wish(Act.JUMP, ask)
-        return None
-
-    @property
-    def jumping_for(self) -> float:
-        """When slack and jump began [s]; infinite while it drives."""
-        return math.inf if self._stage is _Stage.DRIVE else self._staged
-
-
-def _pose(place: Place) -> PoseSample:
-    half = 0.5 * place.heading
-    turned = (0.0, 0.0, math.sin(half), math.cos(half))
-    return PoseSample(0, (place.x, place.y, 0.0), turned)
-
-
-CONDUCTS: Mapping[LegKind, type[Conduct]] = {
-    LegKind.LOOK: Stop,
-    LegKind.TURN: Turn,
-    LegKind.APPROACH: Stop,
-    LegKind.LAND: Land,
-    LegKind.VISIT: Way,
-    LegKind.RETURN: Way,
-    LegKind.LIFT: Lift,
-    LegKind.ASCEND: Stop,
-    LegKind.STOW: Stow,
-}
-"""Who does what."""

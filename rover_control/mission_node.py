@@ -13,20 +13,12 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.configuration import to_mapping
-from msg_schemas.machine import (
-    FAILED_TRIALS,
-    JUMPS_FLOWN,
-    LEGS_LEFT,
-    MISSION_LEG,
-    PICTURES_TAKEN,
-    WINCH_WHILE_RENEWED,
-)
+from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     JointSample,
-    JointValue,
     Level,
     PoseSample,
     Sample,
@@ -37,6 +29,7 @@ from msg_schemas.samples import (
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask, MissionPhase
 from rover_control.mission_plan import load_plan
+from rover_control.mission_report import state_sample
 from rover_control.mission_sight import HEARD
 
 # The controller's parameters are parts of its own, by their name there.
@@ -246,17 +239,7 @@ class MissionNode(ContractNode):
         return True, answer
 
     def _tell_state(self) -> None:
-        mission = self._mission
-        number = mission.leg_number
-        values = {
-            MISSION_LEG: number,
-            LEGS_LEFT: len(mission.legs) - number if number else 0,
-            FAILED_TRIALS: mission.tries,
-            PICTURES_TAKEN: mission.notes.pictures,
-            JUMPS_FLOWN: mission.notes.jumps,
-        }
-        joints = {name: JointValue(float(value)) for name, value in values.items()}
-        self._state_outlet.send(JointSample(self.now_ns(), joints))
+        self._state_outlet.send(state_sample(self._mission, self.now_ns()))
 
     # --- over a restart --------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from msg_schemas.configuration import (
     text,
     to_mapping,
 )
-from msg_schemas.machine import MAX_LENGTH, MAX_SLACK, MAX_STROKE
+from msg_schemas.machine import MAX_JUMP_HEIGHT, MAX_LENGTH, MAX_SLACK, MAX_STROKE
 from msg_schemas.shipped import ShippedError, names_in, read_named
 
 SHIPPED = Path(__file__).parent / "missions"
@@ -83,6 +83,10 @@ class Waypoint(Configuration):
     heading: float | None = quantity(
         "deg", "of base_link's x there; left out: any", None, minimum=-180.0, maximum=180.0,
         optional=True,
+    )  # fmt: skip
+    hop: float | None = quantity(
+        "m", "rise of a jump there, to see over the rubble; left out: none", None, above=0.0,
+        maximum=MAX_JUMP_HEIGHT, optional=True,
     )  # fmt: skip
 
 
@@ -192,6 +196,7 @@ class LegKind(StrEnum):
     APPROACH = "approach"
     LAND = "land"
     VISIT = "visit"
+    HOP = "hop"
     RETURN = "return"
     LIFT = "lift"
     ASCEND = "ascend"
@@ -200,7 +205,7 @@ class LegKind(StrEnum):
     @property
     def is_on_floor(self) -> bool:
         """Whether the rover stands when it begins."""
-        return self in (LegKind.VISIT, LegKind.RETURN, LegKind.LIFT)
+        return self in (LegKind.VISIT, LegKind.HOP, LegKind.RETURN, LegKind.LIFT)
 
 
 @dataclass(frozen=True)
@@ -211,6 +216,7 @@ class Leg:
         depth: that it leads to, as length at the drum [m].
         angle: to turn by [rad].
         x, y, heading: where it leads to on the floor [m, rad]; a heading of NaN is left open.
+        height: of a jump [m].
     """
 
     kind: LegKind
@@ -220,6 +226,7 @@ class Leg:
     x: float = math.nan
     y: float = math.nan
     heading: float = math.nan
+    height: float = math.nan
 
 
 def itinerary(plan: MissionPlan) -> tuple[Leg, ...]:
@@ -256,3 +263,5 @@ def _way_down(plan: MissionPlan) -> Iterator[Leg]:
         heading = math.nan if point.heading is None else math.radians(point.heading)
         name = f"waypoint {number} at ({point.x:g}, {point.y:g}) m"
         yield Leg(LegKind.VISIT, name, x=point.x, y=point.y, heading=heading)
+        if point.hop is not None:
+            yield Leg(LegKind.HOP, f"hop at waypoint {number}", height=point.hop)

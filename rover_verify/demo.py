@@ -1,328 +1,28 @@
-"""`demo`: a tethered jump through the whole suite, and how it compares with an independent code.
-
-Simulator, jump and winch controller and recorder run as four processes that talk over DDS, in a
-ROS domain of their own. This process is the operator: it asks for a jump by a message, waits for
-the landing, stops the recorder, has the bag reported, and compares height and attitude with what
-another code gives for the same jump.
-"""
+"""`demo`: what the suite does, shown: a whole mission, or one jump through the running nodes."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+from rover_verify import jump_show, mission_show
+from rover_verify.show import ShowError
+from rover_verify.stage import clean_shared_memory
 
-from msg_schemas import topics
-from msg_schemas.node import READY
-from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
-from rover_verify.stage import Observer, Process, Stage, clean_shared_memory, open_stage
-from rover_verify.stage.processes import environment
-from rover_verify.stage.recording import missing_streams
-
-SCENARIO = "paper_table1_high"
-OVERRIDES = {"start.geometry": "+K", "start.slack": 2.0, "tether.elements": 20}
-STROKE, NUT_SPEED = 0.2, 0.1
-
-
-@dataclass(frozen=True)
-class Reference:
-    """What an independent code gives for a figure of this jump, and how close we must come."""
-
-    key: str
-    label: str
-    value: float
-    tolerance: float
-    unit: str
-
-
-# Exudyn 1.13 with Green's strain, 20 elements: the source study's Table 1 with 0.5 GPa, rover above
-# the start (+K), slack 2. Its figures are given to four digits.
-REFERENCES = (
-    Reference("jump_height_m", "jump height", 0.3084, 5e-4, "m"),
-    Reference("attitude_variation_rad", "attitude variation", 0.6615, 2e-3, "rad"),
-)
-# The jump's energy is k delta^2 / 2 = 16.48 J.
-MAX_ENERGY_DRIFT = 1e-5
-
-MAX_LOSS = 0.10
-
-# On a cold cache the simulator compiles before it is ready.
-_READY_TIMEOUT = 170.0
-_ASK_TIMEOUT = 20.0
-_JUMP_TIMEOUT = 60.0
-_REPORT_TIMEOUT = 300.0
-_LOOK = 0.1
-
-SIM, JUMP, WINCH, RECORD = (
-    "rover_sim.sim_node",
-    "rover_control.jump_node",
-    "tether_winch.winch_node",
-    "rover_bags.record",
-)
-_STEPS = ("starting", "compressing", "flying", "landing", "stopping", "reporting")
-# A node that a busy machine starves for a quarter of a second counts as lost, and the spring is let
-# down: the operator asks again.
-_MOST_TRIALS = 4
-
-
-class DemoError(RuntimeError):
-    """The demonstration could not be shown; says why."""
+MISSION, JUMP = "mission", "jump"
+_TELL = {MISSION: mission_show.tell, JUMP: jump_show.tell}
 
 
 class _Stopped(BaseException):
     """Told to end by a signal."""
-
-
-class Show:
-    """The demonstration while it runs: four processes, one observer, one progress line."""
-
-    def __init__(self, stage: Stage, folder: Path, factor: float, bar: Any) -> None:
-        self._bar = bar
-        self.bag = folder / "bag"
-        start = stage.processes.start
-        follow_clock = {"use_sim_time": True}
-        self.nodes = {
-            SIM: start(
-                SIM,
-                {
-                    "scenario": SCENARIO,
-                    "overrides": json.dumps(OVERRIDES),
-                    "real_time_factor": factor,
-                },
-            ),
-            JUMP: start(JUMP, follow_clock),
-            WINCH: start(WINCH, follow_clock),
-            RECORD: start(RECORD, None, "--output", str(self.bag)),
-        }
-        self._observer: Observer = stage.observer()
-        for name in (topics.EVENTS, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.TRUTH_BODY1,
-                     topics.JUMP_PHASE, topics.CLOCK, topics.DIAGNOSTICS):  # fmt: skip
-            self._observer.listen(name)
-
-    # --- the acts, in their order ----------------------------------------------------------------
-
-    def wait_until_ready(self) -> None:
-        """Until everybody runs, the recorder listens, and the rover stands."""
-        self._follow("starting", self._is_ready, self._missing, _READY_TIMEOUT)
-
-    def jump(self) -> None:
-        """Ask for a jump as an operator does, and follow it to the landing."""
-        for trial in range(1, _MOST_TRIALS + 1):
-            if self._jumped(trial):
-                return
-            self._bar.total += 2
-        raise DemoError(f"the spring was let down {_MOST_TRIALS} times; is this machine very busy?")
-
-    def _jumped(self, trial: int) -> bool:
-        """Whether a jump that was asked for was flown; if not, the spring was let down."""
-        seen = self._seen
-        stood = seen("jump_standby")
-        self._ask(trial)
-
-        def is_over() -> bool:
-            return seen("jump_standby") > stood
-
-        def is_let_down() -> bool:
-            return seen("jump_letting_down") == trial
-
-        self._follow(
-            "compressing", lambda: seen("take_off") or is_let_down(), self._nut, _JUMP_TIMEOUT
-        )
-        if is_let_down():
-            self._follow("letting down", is_over, self._nut, _JUMP_TIMEOUT)
-            return False
-        self._follow("flying", lambda: seen("touchdown"), self._height, _JUMP_TIMEOUT)
-        self._follow("landing", is_over, self._height, _JUMP_TIMEOUT)
-        return True
-
-    def _ask(self, trial: int) -> None:
-        """Ask until it is accepted: on a busy machine a sensor may just then be silent."""
-        request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
-        give_up = time.monotonic() + _ASK_TIMEOUT
-        answered = threading.Event()
-        while self._seen("jump_compressing") < trial:
-            refusals = self._refusals()
-            if time.monotonic() > give_up:
-                raise DemoError(f"no jump: {refusals[-1] if refusals else 'no answer'}")
-            self._observer.send(topics.JUMP_REQUEST, request)
-            while self._seen("jump_compressing") < trial and self._refusals() == refusals:
-                if time.monotonic() > give_up:
-                    break
-                answered.wait(_LOOK)
-
-    def stop(self) -> None:
-        """Stop the recorder, then the others; each must end well."""
-        self._bar.set_description("stopping")
-        for name in (RECORD, JUMP, WINCH, SIM):
-            code = self.nodes[name].stop()
-            if code != 0:
-                raise DemoError(f"{name} ended with code {code}:\n{self.nodes[name].output}")
-        self._bar.update()
-
-    def report(self, folder: Path, domain: int) -> None:
-        """Have the bag reported by the suite's own command."""
-        self._bar.set_description("reporting")
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", "rover_bags.report", self.bag.name, "--out", "."],
-                cwd=folder,
-                check=False,
-                capture_output=True,
-                text=True,
-                timeout=_REPORT_TIMEOUT,
-                env=environment(domain),
-            )
-        except subprocess.TimeoutExpired as error:
-            raise DemoError(f"bag_report took longer than {_REPORT_TIMEOUT:g} s") from error
-        if done.returncode != 0:
-            raise DemoError(f"bag_report ended with code {done.returncode}:\n{done.stderr}")
-        (folder / "report.txt").write_text(done.stdout, encoding="utf-8")
-        self._bar.update()
-
-    # --- what is seen ----------------------------------------------------------------------------
-
-    def _follow(
-        self, act: str, done: Callable[[], object], now: Callable[[], str], timeout: float
-    ) -> None:
-        self._bar.set_description(act)
-        give_up = time.monotonic() + timeout
-        pause = threading.Event()
-        while not done():
-            for name, process in self.nodes.items():
-                if not process.is_running:
-                    raise DemoError(f"{name} has ended while {act}:\n{process.output}")
-            phase = self._last(topics.JUMP_PHASE)
-            if phase is not None and phase.text == "fault":
-                raise DemoError(f"while {act}: the jump controller reports a fault")
-            if time.monotonic() > give_up:
-                said = "\n".join(f"--- {n}:\n{p.output}" for n, p in self.nodes.items())
-                raise DemoError(f"{act} took longer than {timeout:g} s: {now()}\n{said}")
-            self._bar.set_postfix_str(now())
-            pause.wait(_LOOK)
-        self._bar.set_postfix_str("")
-        self._bar.update()
-
-    def _last(self, name: str) -> Any:
-        samples = self._observer.listen(name).samples
-        return samples[-1] if samples else None
-
-    def _is_ready(self) -> bool:
-        return not self._missing()
-
-    def _missing(self) -> str:
-        active = {
-            status.hardware_id
-            for sample in self._observer.listen(topics.EVENTS).samples
-            for status in sample.statuses
-            if status.name == "active"
-        }
-        wanted = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
-        waiting = [name for name in wanted if name not in active]
-        if not waiting:
-            conditions = self._conditions()
-            waiting = [
-                f"{name} ({conditions.get(name, 'silent')})"
-                for name in wanted
-                if conditions.get(name) != READY
-            ]
-        if not waiting:
-            missing = missing_streams(self.bag)
-            waiting += [f"{missing[0]} in the bag"] if missing else []
-        contact = self._last(topics.CONTACT)
-        stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
-        phase = self._last(topics.JUMP_PHASE)
-        if not waiting and not (stands and phase is not None and phase.text == "standby"):
-            waiting.append("the rover to stand")
-        return f"waiting for {', '.join(waiting)}" if waiting else ""
-
-    def _seen(self, name: str) -> int:
-        """How often an event was told."""
-        return sum(
-            status.name == name
-            for sample in self._observer.listen(topics.EVENTS).samples
-            for status in sample.statuses
-        )
-
-    def _conditions(self) -> dict[str, str]:
-        """What each node's health last said of itself."""
-        return {
-            status.hardware_id: status.message
-            for sample in self._observer.listen(topics.DIAGNOSTICS).samples
-            for status in sample.statuses
-            if status.name == f"{status.hardware_id}: node"
-        }
-
-    def _refusals(self) -> list[str]:
-        """Refusals of the operator's requests."""
-        return [
-            f"{status.name}: {status.message}"
-            for sample in self._observer.listen(topics.DIAGNOSTICS).samples
-            for status in sample.statuses
-            if status.name.endswith(f"refused {topics.JUMP_REQUEST}")
-        ]
-
-    def _nut(self) -> str:
-        state = self._last(topics.JUMP_MOTOR_STATE)
-        return "" if state is None else f"spring {state.joints[JUMP_SCREW].position * 1e3:.0f} mm"
-
-    def _height(self) -> str:
-        bodies = self._observer.listen(topics.TRUTH_BODY1).samples
-        if not bodies:
-            return ""
-        return f"{bodies[-1].position[2] - bodies[0].position[2]:+.3f} m"
-
-
-def judge(metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
-    """Each comparison as a line and whether it holds."""
-    lines: list[tuple[str, bool]] = []
-    for reference in REFERENCES:
-        value = metrics.get(reference.key)
-        if not isinstance(value, int | float):
-            lines.append((f"{reference.label}: not in the report", False))
-            continue
-        difference = value - reference.value
-        text = (
-            f"{reference.label:20} {value:+.4f} {reference.unit}, independent code "
-            f"{reference.value:+.4f}: difference {difference:+.1e}, allowed {reference.tolerance:g}"
-        )
-        lines.append((text, abs(difference) <= reference.tolerance))
-    drift = metrics.get("energy_drift_J")
-    if not isinstance(drift, int | float):
-        lines.append(("energy drift: not in the report", False))
-    else:
-        text = f"{'energy drift':20} {drift:+.1e} J, allowed {MAX_ENERGY_DRIFT:g}"
-        lines.append((text, abs(drift) <= MAX_ENERGY_DRIFT))
-    jumps = len(metrics.get("jumps", []))
-    lines.append((f"{'jumps in the bag':20} {jumps}, one was asked for", jumps == 1))
-    closed = bool(metrics.get("closed"))
-    lines.append((f"{'bag':20} {'closed' if closed else 'NOT closed'} by its recorder", closed))
-    figures = metrics.get("topics", {}).values()
-    for key, what, allowed in (
-        ("rejected", "messages that break the contract", 0.0),
-        ("dropped", "messages dropped by the recorder", 0.0),
-        # A machine that is busy with other things may lose some on the way.
-        ("missed", "messages lost on the way", MAX_LOSS),
-    ):
-        count = sum(item.get(key) or 0 for item in figures)
-        total = sum(item.get("count") or 0 for item in figures)
-        text = f"{count} of {count + total} {what}, allowed {allowed:.0%}"
-        lines.append((f"{'recording':20} {text}", count <= allowed * (count + total)))
-    return lines
 
 
 @contextmanager
@@ -343,51 +43,6 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def run_show(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, Any]:
-    """Run everything into an existing folder and return the metrics, the verdict with them.
-
-    Raises:
-        DemoError: something did not go as it must.
-    """
-    began = time.monotonic()
-    with ExitStack() as closing:
-        stage = closing.enter_context(open_stage(folder))
-        bar = closing.enter_context(
-            tqdm(total=len(_STEPS), disable=quiet, dynamic_ncols=True, leave=False, unit="act")
-        )
-        show = Show(stage, folder, factor, bar)
-        try:
-            show.wait_until_ready()
-            ready = time.monotonic() - began
-            show.jump()
-            show.stop()
-        except AssertionError as stuck:
-            raise DemoError(str(stuck)) from stuck
-        show.report(folder, stage.domain)
-        processes: Sequence[Process] = list(show.nodes.values())
-        domain = stage.domain
-    left = [process.module for process in processes if not process.group_is_gone()]
-    if left:
-        raise DemoError(f"processes left running: {', '.join(left)}")
-    path = folder / "metrics.json"
-    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    verdict = judge(metrics)
-    metrics |= {
-        "bag": "bag",
-        "scenario": SCENARIO,
-        "overrides": OVERRIDES,
-        "real_time_factor": factor,
-        "ros_domain_id": domain,
-        "ready_after_s": ready,
-        "wall_time_s": time.monotonic() - began,
-        "reference": {r.key: {"value": r.value, "tolerance": r.tolerance} for r in REFERENCES},
-        "verdict": [{"text": " ".join(text.split()), "pass": holds} for text, holds in verdict],
-        "pass": all(holds for _, holds in verdict),
-    }
-    path.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
-    return metrics
-
-
 def _replace(target: Path, made: Path) -> None:
     """Put a finished folder in the place of an older one; one of the two is always there."""
     old = target.with_name(f".{target.name}.old.{os.getpid()}")
@@ -398,19 +53,27 @@ def _replace(target: Path, made: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Show the jump.
+    """Show the mission, or the jump.
 
     Returns:
-        0 all as it should be, 1 the figures are off, 2 it could not be shown, 130 stopped.
+        0 all as it should be, 1 something is off, 2 it could not be shown, 130 stopped.
     """
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="replaced when done")
     parser.add_argument(
-        "--real-time-factor", type=float, default=1.0, metavar="X", help="simulated s per second"
-    )
+        "what", nargs="?", choices=(MISSION, JUMP), default=MISSION,
+        help="mission: down the Marius Hills Hole and back, all controllers in one process; jump: "
+        "a jump over DDS, compared with an independent code (default: mission)",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="replaced when done")
+    parser.add_argument("--seed", type=int, default=1, help="of the mission's sensor errors")
+    parser.add_argument(
+        "--real-time-factor", type=float, default=1.0, metavar="X",
+        help="of the jump, simulated s per second; the mission goes as fast as it can",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
-    if not 0.1 <= options.real_time_factor <= 10.0:
-        parser.error(f"--real-time-factor {options.real_time_factor}: must be 0.1 .. 10")
+    factor = options.real_time_factor
+    if not 0.1 <= factor <= 10.0:
+        parser.error(f"--real-time-factor {factor}: must be 0.1 .. 10")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     target: Path = options.out.resolve()
     if target.exists() and not (target / "metrics.json").exists() and any(target.iterdir()):
@@ -423,11 +86,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         print(f"demo: cannot write into {target.parent}: {error.strerror}", file=sys.stderr)
         return 2
+    quiet = not sys.stderr.isatty()
     try:
         with _ended_by_signals():
-            metrics = run_show(made, options.real_time_factor, quiet=not sys.stderr.isatty())
+            if options.what == MISSION:
+                metrics = mission_show.show_mission(made, seed=options.seed, quiet=quiet)
+            else:
+                metrics = jump_show.show_jump(made, factor, quiet=quiet)
         _replace(target, made)
-    except DemoError as error:
+    except ShowError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
     except _Stopped as stopped:
@@ -436,26 +103,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         shutil.rmtree(made, ignore_errors=True)
         clean_shared_memory()
-    _tell(target, metrics)
+    _tell(target, metrics, _TELL[options.what](metrics))
     return 0 if metrics["pass"] else 1
 
 
-def _tell(folder: Path, metrics: Mapping[str, Any]) -> None:
-    print(
-        f"\nA jump of {STROKE:g} m stroke on a tether of 5 m, commanded by a message, simulated,\n"
-        f"recorded and reported by separate processes in {metrics['wall_time_s']:.0f} s:\n"
-    )
+def _tell(folder: Path, metrics: Mapping[str, Any], what: str) -> None:
+    print(f"\n{what}\n")
     for item in metrics["verdict"]:
         print(f"  {'ok ' if item['pass'] else 'OFF'}  {item['text']}")
     print(f"\n{'As it should be.' if metrics['pass'] else 'NOT as it should be.'}  Look at:")
-    for name, what in (
+    for name, what_it_is in (
         ("report.html", "the report: open it in a browser"),
         ("animation.gif", "rover and tether in motion"),
         ("metrics.json", "the numbers"),
         ("bag", "the recorded bag (MCAP)"),
     ):
         if (folder / name).exists():
-            print(f"  {folder / name}  {what}")
+            print(f"  {folder / name}  {what_it_is}")
 
 
 if __name__ == "__main__":

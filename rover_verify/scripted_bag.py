@@ -18,10 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rclpy.serialization import serialize_message
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import (
     JUMP_SCREW,
@@ -31,7 +29,6 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_bags.files.store import BagWriter, standard_type
 from rover_sim import (
     Phase,
     Simulation,
@@ -41,12 +38,11 @@ from rover_sim import (
     compile_ahead,
     load_spatial,
 )
+from rover_verify.tape import Tape
 
 TICK = 0.01  # [s]
 DEPTH = 8.0  # of the floor below the fairlead [m]
 _NANO = 1_000_000_000
-_EPOCH_NS = 1_790_000_000_000_000_000
-_DELAY_NS = 300_000  # from sending to reception
 _RAMP = 0.5  # at which the winch's rate changes [m/s^2]
 _SLOW, _NEAR = 0.1, 1.0  # [m/s] within [m] of the floor
 _AT_REST = 0.05  # of the wheels [rad/s]
@@ -92,8 +88,7 @@ class Recording:
         plant.warm_up()
         self.simulation = Simulation(build_interface(plant, seed), TICK)
         self.events: list[tuple[str, float]] = []
-        self._writer = BagWriter(path, sync=False, chunk_period=1e9)
-        self._channels: dict[str, int] = {}
+        self._tape = Tape(path)
         self._phase: Phase | None = None
         content = {
             "node": "/sim_node",
@@ -118,13 +113,7 @@ class Recording:
 
     def tell(self, name: str, sample: Sample) -> None:
         """Write one sample."""
-        full = name if name.startswith("/") else f"/{name}"
-        if full not in self._channels:
-            kind = standard_type(TOPICS[name].message)
-            self._channels[full] = self._writer.add_topic(full, kind)
-        sent = _EPOCH_NS + self.simulation.stamp_ns
-        data = bytes(serialize_message(encode(name, sample)))
-        self._writer.write(self._channels[full], sent + _DELAY_NS, sent, data)
+        self._tape.tell(name, sample, self.simulation.stamp_ns)
 
     def step(self, orders: Orders) -> None:
         """Give the commands, make a tick, write what is due."""
@@ -154,7 +143,7 @@ class Recording:
 
     def close(self) -> None:
         """End the bag."""
-        self._writer.close()
+        self._tape.close()
 
     def _due(self, names: Iterable[str]) -> None:
         for name, sample in self.simulation.interface.samples(names):

@@ -12,8 +12,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from msg_schemas import topics
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -35,13 +33,15 @@ from msg_schemas.transition import Transition
 from rover_control.descent import Descent, DescentSettings
 from rover_control.descent import Drives as DescentDrives
 from rover_control.descent_profile import Stop
-from rover_control.descent_report import state_sample
+from rover_control.descent_report import observation_sample, state_sample
 from rover_control.drive import Drive, Drives, DriveSettings
 from rover_control.drive_report import odometry_sample
 from rover_control.jump import Jump, JumpSettings
+from rover_control.jump_report import flown_sample
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask
 from rover_control.mission_plan import MissionPlan
+from rover_control.mission_report import state_sample as mission_state
 from rover_sim import (
     Command,
     FlywheelCommand,
@@ -51,16 +51,17 @@ from rover_sim import (
     SpatialState,
     WheelRateCommand,
     load_scenario,
-    load_spatial,
 )
 from rover_sim.spatial_interface import SpatialInterface
 from rover_verify.checks.winch_spatial import winch_command
+from rover_verify.tape import Tape
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
 
 TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
 _SUPERVISED = 5  # ticks between two steps of the mission
+_STATED = 25  # between two times that it tells how far it is
 _NUT_SILENCE = 25  # ticks without a command after which the nut stays where it is
 _WHEEL_TORQUE = 2.0  # that the wheel motor may use on the floor [N m]
 _HEARD = (
@@ -94,6 +95,7 @@ class MissionFlight:
         plan: of the mission.
         settings: of the mission.
         seed: of the sensors' errors.
+        tape: takes down what sensors and controllers tell; None: nothing is recorded.
     """
 
     scenario: str
@@ -101,6 +103,7 @@ class MissionFlight:
     plan: MissionPlan
     settings: MissionSettings = field(default_factory=MissionSettings)
     seed: int = 0
+    tape: Tape | None = None
 
     def __post_init__(self) -> None:
         self.plant = SpatialPlant(load_scenario(self.scenario, dict(self.overrides)))
@@ -114,6 +117,7 @@ class MissionFlight:
         self.mission = Mission(self.plan, self.settings)
         self.ticks = 0
         self.peak_tension = 0.0
+        self.deepest = 0.0  # of base_link below the fairlead [m]
         self.story: list[tuple[float, str, Transition]] = []  # by whom, what
         self.watch: Callable[[float, str, Transition], None] = lambda _time, _who, _what: None
         self._words: dict[str, str] = {}
@@ -169,8 +173,11 @@ class MissionFlight:
         if any(event.name == "latch_released" for event in result.events):
             self._nut = None  # as the drive does once its latch has tripped
         self.peak_tension = max(self.peak_tension, result.peak_tension)
+        self.deepest = max(self.deepest, -float(self.state.G1[2]))
         self.interface.measure(self.state, self.now_ns, result)
         samples = dict(self.interface.samples(_HEARD))
+        if self.tape is not None:
+            self.tape.tick(self.interface, samples, self.now_ns)
         self._hear(samples)
         self._step_winch()
         self._step_descent()
@@ -212,12 +219,13 @@ class MissionFlight:
         if dict(winch.alarms) != self._alarms:
             self._alarms = dict(winch.alarms)
             joints = {name: JointValue(float(on)) for name, on in self._alarms.items()}
-            self.mission.hear(topics.WINCH_ALARMS, JointSample(now, joints), now)
+            self._say(topics.WINCH_ALARMS, JointSample(now, joints))
 
     def _step_descent(self) -> None:
         drives = self._of_descent = self.descent.step(self.now_ns)
         self._tell(_DESCENT, self.descent.take_changes())
-        self.descent.take_observations()
+        for picture in self.descent.take_observations():
+            self._record(topics.DESCENT_OBSERVATION, observation_sample(picture))
         if drives.winch is not None:
             value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
             sample = JointSample(self.now_ns, {WINCH_WHILE_RENEWED: value})
@@ -248,6 +256,8 @@ class MissionFlight:
             for each in self.jump.take_transitions()
         ]
         self._tell(_JUMP, changes)
+        for record in self.jump.take_records():
+            self._record(topics.JUMP_FLOWN, flown_sample(record))
 
     def _held_nut(self) -> float:
         drive = self.plant.model.jump
@@ -272,7 +282,6 @@ class MissionFlight:
 
     def _tell_words(self) -> None:
         """Hand on what the nodes' latched topics say."""
-        now = self.now_ns
         words = {
             topics.WINCH_MODE: self.winch.mode.value,
             topics.DESCENT_PHASE: str(self.descent.phase),
@@ -284,7 +293,7 @@ class MissionFlight:
                 continue
             self._words[name] = word
             self._say_word(name, word)
-            self.mission.hear(name, TextSample(word), now)
+            self._say(name, TextSample(word))
 
     def _say_word(self, name: str, word: str) -> None:
         now = self.now_ns
@@ -302,15 +311,25 @@ class MissionFlight:
         for change in changes:
             self.story.append((self.time, who, change))
             self.watch(self.time, who, change)
-            if who == MISSION:
-                continue
             values = {
                 key: repr(value) if isinstance(value, float) else str(value)
                 for key, value in change.values.items()
             }
             status = Status(change.name, change.reason, change.level, who, values)
             sample = StatusSample(self.now_ns, (status,))
-            self.mission.hear(topics.EVENTS, sample, self.now_ns)
+            if who == MISSION:
+                self._record(topics.EVENTS, sample)
+            else:
+                self._say(topics.EVENTS, sample)
+
+    def _say(self, name: str, sample: Sample) -> None:
+        """Tell the mission something, and the tape."""
+        self.mission.hear(name, sample, self.now_ns)
+        self._record(name, sample)
+
+    def _record(self, name: str, sample: Sample) -> None:
+        if self.tape is not None:
+            self.tape.tell(name, sample, self.now_ns)
 
     def _try(self, who: str, subject: str, act: Callable[[], object]) -> None:
         """Do what a node is asked; its refusal goes to diagnostics."""
@@ -328,15 +347,21 @@ class MissionFlight:
         now, mission = self.now_ns, self.mission
         estimate = self.winch.estimate(now)
         if estimate is not None:
-            mission.hear(topics.WINCH_ESTIMATE, estimate, now)
+            self._say(topics.WINCH_ESTIMATE, estimate)
         state = state_sample(self.descent, now)
         if state is not None:
-            mission.hear(topics.DESCENT_STATE, state, now)
-        mission.hear(topics.ODOMETRY, odometry_sample(self.drive, now), now)
+            self._say(topics.DESCENT_STATE, state)
+        self._say(topics.ODOMETRY, odometry_sample(self.drive, now))
         mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
         for ask in mission.step(now):
             self.ask(ask)
         self._tell(MISSION, mission.take_changes())
+        phase = mission.phase.value
+        if phase != self._words.get(topics.MISSION_PHASE):
+            self._words[topics.MISSION_PHASE] = phase
+            self._record(topics.MISSION_PHASE, TextSample(phase))
+        if self.ticks % _STATED == 0:
+            self._record(topics.MISSION_STATE, mission_state(mission, now))
 
     def ask(self, ask: Ask) -> None:
         """Hand on a request, or call a service."""
@@ -404,7 +429,8 @@ class MissionFlight:
             self.mission = Mission(self.plan, self.settings)
             self._alarms = None
             for name, word in self._words.items():
-                self.mission.hear(name, TextSample(word), self.now_ns)
+                if name != topics.MISSION_PHASE:
+                    self.mission.hear(name, TextSample(word), self.now_ns)
             self.mission.restore(kept, self.now_ns)
 
 
@@ -415,64 +441,3 @@ _TAKERS = {
     topics.DRIVE_GOAL: _DRIVE,
     topics.JUMP_REQUEST: _JUMP,
 }
-
-
-def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
-    """Overrides of `floor_rubble`: the rover hangs at the stow over rubble of its own."""
-    return {
-        **hanging(rng),
-        "place.floor": {"height": -depth},
-        "place.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
-        "place.boulders.clear_radius": 1.0,
-        "tether.element_length": 0.9,
-        "integration.h": 4.0e-3,
-    }
-
-
-def hanging(rng: np.random.Generator) -> dict[str, object]:
-    """Overrides of any scenario: how the rover hangs, and what the controllers do not know."""
-    swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
-    tilt = rng.uniform(-1.0, 1.0, 2)
-    return {
-        "place.seed": int(rng.integers(1, 2**31)),
-        "tether.length": 2.0,
-        "winch.min_length": 1.4,
-        "start": {
-            "kind": "hanging",
-            "swing_angle": float(swing),
-            "swing_heading": float(plane),
-            "heading": float(heading),
-            "tilt": [float(tilt[0]), float(tilt[1]), 0.0],
-        },
-        **_machine(rng),
-    }
-
-
-_MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # by which they may be off
-
-
-def _machine(rng: np.random.Generator) -> dict[str, object]:
-    mass = float(rng.uniform(1.0 - _MASS, 1.0 + _MASS))
-    friction = float(rng.uniform(1.0 - _FRICTION, 1.0 + _FRICTION))
-    spring = float(rng.uniform(1.0 - _SPRING, 1.0 + _SPRING))
-    scenario = load_spatial("floor_rubble")
-    rover, winch = scenario.rover, scenario.winch
-    assert rover is not None
-    assert winch is not None
-    changed: dict[str, object] = {
-        "rover.m1": rover.m1 * mass,
-        "rover.m2": rover.m2 * mass,
-        "rover.inertia1": [mass * each for each in rover.inertia1],
-        "rover.inertia2": [mass * each for each in rover.inertia2],
-        "rover.slider.spring_rate": rover.slider.spring_rate * spring,
-    }
-    frictions = {
-        "winch.friction": winch.friction,
-        "rover.jump_drive.friction": rover.jump_drive.friction,
-        "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
-        "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
-    }
-    for name, values in frictions.items():
-        for part in ("coulomb", "breakaway", "viscous"):
-            changed[f"{name}.{part}"] = getattr(values, part) * friction
-    return changed

@@ -16,7 +16,8 @@ from rover_control.mission_legs import MissionPhase, Verdict
 from rover_control.mission_plan import load_plan
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.mission_rig import NODES, MissionFlight, shallow
+from rover_verify.checks.mission_places import shallow
+from rover_verify.checks.mission_rig import NODES, MissionFlight
 
 _LIMIT = 4000.0  # for a mission [s]
 _RUNS = 20

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from rover_verify import demo
+from rover_verify import jump_show, mission_show
 from rover_verify.checks import Batch, Measured
 from rover_verify.stage import Process
 from rover_verify.stage.processes import environment
@@ -24,12 +25,12 @@ _MODULES = (
 def _shown(batch: Batch) -> dict[str, object]:
     folder = batch.folder / "demo"
     folder.mkdir()
-    return demo.run_show(folder, 1.0, quiet=True)
+    return jump_show.show_jump(folder, 1.0, quiet=True)
 
 
 def demo_height(batch: Batch) -> Measured:
     """Deviation of the demonstration's jump height from the independent code [m]."""
-    metrics, reference = _shown(batch), demo.REFERENCES[0]
+    metrics, reference = _shown(batch), jump_show.REFERENCES[0]
     value = metrics[reference.key]
     assert isinstance(value, float)
     return Measured(abs(value - reference.value), f"{value:.5f} m, other code {reference.value} m")
@@ -37,7 +38,7 @@ def demo_height(batch: Batch) -> Measured:
 
 def demo_attitude(batch: Batch) -> Measured:
     """Deviation of the demonstration's attitude variation from the independent code [rad]."""
-    metrics, reference = _shown(batch), demo.REFERENCES[1]
+    metrics, reference = _shown(batch), jump_show.REFERENCES[1]
     value = metrics[reference.key]
     assert isinstance(value, float)
     note = f"{value:.5f} rad, other code {reference.value} rad"
@@ -54,13 +55,27 @@ def demo_time(batch: Batch) -> Measured:
     )  # fmt: skip
 
 
+def mission_time(batch: Batch) -> Measured:
+    """Wall time of the whole mission's demonstration [s]; more than any where it fails."""
+    folder = batch.folder / "mission"
+    folder.mkdir()
+    metrics = mission_show.show_mission(folder, seed=batch.seed, quiet=True)
+    mission = metrics["mission"]
+    details = {key: str(mission[key]) for key in ("ready_after_s", "flown_in_s", "simulated_s")}
+    missed = [item["text"] for item in metrics["verdict"] if not item["pass"]]
+    taken = float(mission["wall_time_s"]) if not missed else math.inf
+    return Measured(taken, "; ".join(missed) or mission_show.tell(metrics), details)
+
+
 def demo_interrupted(batch: Batch) -> Measured:
     """How many processes are left when the demonstration is interrupted at random moments."""
     left, details = 0, {}
     runs = min(batch.runs, 3)
     for index, generator in enumerate(batch.generators(runs)):
         target = batch.folder / f"demo_{index}"
-        process = Process("rover_verify.demo", ["--out", str(target)], environment(0), batch.folder)
+        process = Process(
+            "rover_verify.demo", ["jump", "--out", str(target)], environment(0), batch.folder
+        )
         try:
             process.wait(float(generator.uniform(1.0, 12.0)))
         except AssertionError:

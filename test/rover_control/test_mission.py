@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from rover_control.mission import Mission, MissionParameters, MissionSettings
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
-from rover_control.mission_plan import LegKind, Lift
+from rover_control.mission_plan import LegKind, Lift, Waypoint
 
 
 def begun(until: MissionPhase | None = None, **settings: object) -> MissionMachine:
@@ -54,6 +54,33 @@ def test_a_rover_that_is_stuck_gets_slack_jumps_and_drives_on():
     assert machine.mission.notes.jumps == 1
     slack = len(machine.asked) - 1 - machine.asked[::-1].index(topics.JUMP_REQUEST)
     assert machine.asked[slack - 1] == topics.WINCH_REQUEST
+
+
+def test_a_hop_is_flown_where_the_plan_wants_one():
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
+    machine = MissionMachine(plan)
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    machine.run()
+    assert [done.leg for done in machine.mission.record][3:5] == [
+        "waypoint 1 at (2, 0) m", "hop at waypoint 1",
+    ]  # fmt: skip
+    assert verdicts(machine) == {Verdict.DONE}
+    assert machine.mission.notes.jumps == 1
+    assert machine.asked.index(topics.DRIVE_GOAL) < machine.asked.index(topics.JUMP_REQUEST)
+
+
+def test_a_hop_that_is_refused_is_left_out_and_the_rover_comes_home():
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
+    machine = MissionMachine(plan)
+    machine.refuses[topics.JUMP_REQUEST] = "too steep"
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    machine.run()
+    missed = [done for done in machine.mission.record if done.verdict is not Verdict.DONE]
+    assert [(done.leg, done.reason) for done in missed] == [("hop at waypoint 1", "too steep")]
+    assert machine.mission.phase is MissionPhase.STANDBY
+    assert machine.length == pytest.approx(PLAN.stow)
 
 
 def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():

@@ -8,7 +8,7 @@ import pytest
 
 from msg_schemas import topics
 from rover_verify import demo
-from rover_verify.demo import judge
+from rover_verify.jump_show import judge
 from rover_verify.stage import Process
 from rover_verify.stage.processes import environment
 
@@ -60,7 +60,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
     old.mkdir(parents=True)
     (old / "metrics.json").write_text("{}")
     (old / "of_before").write_text("")
-    process = run_demo(tmp_path)
+    process = run_demo(tmp_path, "jump")
     assert process.wait(240.0) == 0, process.output
     assert "As it should be." in process.output
     metrics = json.loads((old / "metrics.json").read_text())
@@ -80,7 +80,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
 def test_stopped_it_leaves_nothing_running_and_nothing_half_done(
     tmp_path: Path, number: signal.Signals
 ):
-    process = run_demo(tmp_path, "--out", "shown")
+    process = run_demo(tmp_path, "jump", "--out", "shown")
     folder = tmp_path / "shown"
 
     def bag_begun() -> bool:
@@ -133,5 +133,5 @@ def test_a_place_that_cannot_be_written_is_refused(
 
 def test_a_real_time_factor_out_of_range_is_refused():
     with pytest.raises(SystemExit) as ended:
-        demo.main(["--real-time-factor", "0"])
+        demo.main(["jump", "--real-time-factor", "0"])
     assert ended.value.code == 2

@@ -1,0 +1,26 @@
+"""What the mission tells of itself, as samples of the contract. Pure."""
+
+from __future__ import annotations
+
+from msg_schemas.machine import (
+    FAILED_TRIALS,
+    JUMPS_FLOWN,
+    LEGS_LEFT,
+    MISSION_LEG,
+    PICTURES_TAKEN,
+)
+from msg_schemas.samples import JointSample, JointValue
+from rover_control.mission import Mission
+
+
+def state_sample(mission: Mission, now_ns: int) -> JointSample:
+    """How far the mission is."""
+    number = mission.leg_number
+    values = {
+        MISSION_LEG: number,
+        LEGS_LEFT: len(mission.legs) - number if number else 0,
+        FAILED_TRIALS: mission.tries,
+        PICTURES_TAKEN: mission.notes.pictures,
+        JUMPS_FLOWN: mission.notes.jumps,
+    }
+    return JointSample(now_ns, {name: JointValue(float(value)) for name, value in values.items()})

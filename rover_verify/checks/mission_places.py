@@ -1,0 +1,67 @@
+"""Where missions take place, and what the controllers do not know of the machine: drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rover_sim import load_spatial
+
+_MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # by which they may be off
+
+
+def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
+    """Overrides of `floor_rubble`: the rover hangs at the stow over rubble of its own."""
+    return {
+        **hanging(rng),
+        "place.floor": {"height": -depth},
+        "place.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
+        "place.boulders.clear_radius": 1.0,
+        "tether.element_length": 0.9,
+        "integration.h": 4.0e-3,
+    }
+
+
+def hanging(rng: np.random.Generator) -> dict[str, object]:
+    """Overrides of any scenario: how the rover hangs, and what the controllers do not know."""
+    swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
+    tilt = rng.uniform(-1.0, 1.0, 2)
+    return {
+        "place.seed": int(rng.integers(1, 2**31)),
+        "tether.length": 2.0,
+        "winch.min_length": 1.4,
+        "start": {
+            "kind": "hanging",
+            "swing_angle": float(swing),
+            "swing_heading": float(plane),
+            "heading": float(heading),
+            "tilt": [float(tilt[0]), float(tilt[1]), 0.0],
+        },
+        **_machine(rng),
+    }
+
+
+def _machine(rng: np.random.Generator) -> dict[str, object]:
+    mass = float(rng.uniform(1.0 - _MASS, 1.0 + _MASS))
+    friction = float(rng.uniform(1.0 - _FRICTION, 1.0 + _FRICTION))
+    spring = float(rng.uniform(1.0 - _SPRING, 1.0 + _SPRING))
+    scenario = load_spatial("floor_rubble")
+    rover, winch = scenario.rover, scenario.winch
+    assert rover is not None
+    assert winch is not None
+    changed: dict[str, object] = {
+        "rover.m1": rover.m1 * mass,
+        "rover.m2": rover.m2 * mass,
+        "rover.inertia1": [mass * each for each in rover.inertia1],
+        "rover.inertia2": [mass * each for each in rover.inertia2],
+        "rover.slider.spring_rate": rover.slider.spring_rate * spring,
+    }
+    frictions = {
+        "winch.friction": winch.friction,
+        "rover.jump_drive.friction": rover.jump_drive.friction,
+        "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
+        "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
+    }
+    for name, values in frictions.items():
+        for part in ("coulomb", "breakaway", "viscous"):
+            changed[f"{name}.{part}"] = getattr(values, part) * friction
+    return changed

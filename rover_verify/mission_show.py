@@ -1,0 +1,207 @@
+"""The demonstration of a whole mission, down the Marius Hills Hole and back.
+
+Plant, sensors with their errors, and every controller of the suite are stepped together in this
+process: over DDS the machine would have to wait for five nodes at each of a hundred thousand ticks
+for what is here a minute's work. What they tell is recorded as it would come over DDS, and
+reported by the suite's own command.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from msg_schemas import topics
+from msg_schemas.samples import TextSample
+from rover_control.mission_legs import Verdict
+from rover_control.mission_plan import LegKind, load_plan
+from rover_sim import compile_ahead, load_spatial
+from rover_verify.checks.mission_rig import MissionFlight
+from rover_verify.show import write_report
+from rover_verify.tape import Tape
+
+SCENARIO, PLAN = "marius_hills", "demonstration"
+OVERRIDES: Mapping[str, object] = {
+    "winch.min_length": 1.4,
+    "tether.length": 2.0,
+    "tether.element_length": 0.9,
+    "integration.h": 4.0e-3,
+}
+LIMIT = 2400.0
+"""For the mission [s]; one that takes longer is shown as far as it came."""
+_BRIEF = 180.0  # that the whole is to take [s]
+_RECORDED = 25.0  # largest rate of a stream of the plant's in the bag [Hz]
+_TOLD_EVERY = 25  # ticks
+_STOWED = 0.2  # so near to the stow counts as there [m]
+
+
+def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[str, Any]:
+    """Fly the mission into an existing folder and return the metrics, the verdict with them.
+
+    Args:
+        folder: for bag and report.
+        seed: of the sensors' errors.
+        quiet: without a progress line.
+
+    Raises:
+        ShowError: something did not go as it must.
+    """
+    began = time.monotonic()
+    with tqdm(
+        total=1, disable=quiet, dynamic_ncols=True, leave=False,
+        bar_format="{desc} |{bar:20}| {postfix}",
+    ) as bar:  # fmt: skip
+        bar.set_description_str("loading the simulator")
+        scenario = load_spatial(SCENARIO, dict(OVERRIDES))
+        compile_ahead(scenario)
+        tape = Tape(folder / "bag", _RECORDED)
+        try:
+            content = {"node": "/sim_node", "scenario": scenario.to_mapping(), "seed": seed}
+            tape.tell(topics.CONFIG, TextSample(json.dumps(content)), 0)
+            flight = MissionFlight(SCENARIO, OVERRIDES, load_plan(PLAN), seed=seed, tape=tape)
+            ready = time.monotonic() - began
+            ended = _fly(flight, bar)
+        finally:
+            tape.close()
+        flown = time.monotonic() - began - ready
+        bar.set_description_str("reporting")
+        bar.set_postfix_str("")
+        write_report(folder, 0)
+    path = folder / "metrics.json"
+    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    mission = {
+        **outcome(flight, ended),
+        "ready_after_s": ready,
+        "flown_in_s": flown,
+        "real_time_factor": flight.time / flown,
+        "wall_time_s": time.monotonic() - began,
+    }
+    verdict = judge(mission, metrics)
+    metrics |= {
+        "bag": "bag",
+        "scenario": SCENARIO,
+        "overrides": dict(OVERRIDES),
+        "seed": seed,
+        "mission": mission,
+        "wall_time_s": mission["wall_time_s"],
+        "verdict": [{"text": text, "pass": holds} for text, holds in verdict],
+        "pass": all(holds for _, holds in verdict),
+    }
+    path.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
+    return metrics
+
+
+def _fly(flight: MissionFlight, bar: Any) -> str:
+    """Fly until the mission is over; returns why it could not go on, empty: it could."""
+    began = time.monotonic()
+    mission = flight.mission
+    legs = bar.total = len(mission.legs)
+
+    def is_over() -> bool:
+        if flight.ticks % _TOLD_EVERY == 0:
+            bar.n = mission.leg_number - 1 if mission.is_active else legs
+            factor = flight.time / max(time.monotonic() - began, 1e-3)
+            depth = -float(flight.state.G1[2])
+            bar.set_description_str(f"{mission.phase.value:11}", refresh=False)
+            bar.set_postfix_str(
+                f"{depth:5.1f} m deep, {flight.time:5.0f} s simulated, "
+                f"{factor:.1f} times as fast as real time"
+            )
+        return not mission.is_active
+
+    try:
+        flight.run(1.0)
+        mission.go(flight.now_ns)
+        over = flight.run(LIMIT, is_over)
+    except RuntimeError as error:
+        return str(error)
+    return "" if over else f"not over after {LIMIT:g} s"
+
+
+def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
+    """What became of a mission.
+
+    Args:
+        flight: as it has ended.
+        ended: why it could not go on; empty = it could.
+    """
+    mission, state = flight.mission, flight.state
+    done = [each.leg for each in mission.record if each.verdict is Verdict.DONE]
+    missed = {e.leg: e.reason for e in mission.record if e.verdict is not Verdict.DONE}
+    section = flight.plant.scenario.tether.section
+    stow = flight.plan.stow
+    near = abs(state.length - stow) < _STOWED and -float(state.G1[2]) < stow + 1.0
+    return {
+        "plan": PLAN,
+        "legs_done": done,
+        "legs_missed": missed,
+        "phase": mission.phase.value,
+        "reason": ended or mission.reason,
+        "home": near and not mission.is_active and not ended,
+        "depth_m": -float(state.G1[2]),
+        "deepest_m": flight.deepest,
+        "pictures": mission.notes.pictures,
+        "jumps": mission.notes.jumps,
+        "jumps_planned": sum(leg.kind is LegKind.HOP for leg in mission.legs),
+        "peak_tension_N": flight.peak_tension,
+        "breaking_load_N": section.breaking_load,
+        "simulated_s": flight.time,
+    }
+
+
+def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
+    """Each promise as a line, and whether it is kept."""
+    missed = mission["legs_missed"]
+    left_out = "; ".join(f"{leg}: {why}" for leg, why in missed.items())
+    total = len(mission["legs_done"]) + len(missed)
+    where = f"{mission['depth_m']:.1f} m below the fairlead, {mission['phase']}"
+    home = "hangs at the stow" if mission["home"] else f"NOT home, {where}: {mission['reason']}"
+    peak, most = mission["peak_tension_N"], mission["breaking_load_N"]
+    drift = metrics.get("energy_drift_J")
+    counts = metrics.get("topics", {}).values()
+    rejected = sum(item.get("rejected") or 0 for item in counts)
+    legs = f"{len(mission['legs_done'])} of {total} done"
+    pace = f"{mission['real_time_factor']:.1f} times as fast as real time"
+    bag = f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages"
+    lines = [
+        (f"rover      {home}", bool(mission["home"])),
+        (f"legs       {legs}{f', missed {left_out}' if left_out else ''}", not missed),
+        (f"pictures   {mission['pictures']} of the wall", mission["pictures"] > 0),
+        (
+            f"jumps      {mission['jumps']} flown, {mission['jumps_planned']} planned",
+            mission["jumps"] >= mission["jumps_planned"],
+        ),
+        (f"tether     at most {peak:.0f} N, it bears {most:.0f} N", peak < most),
+        (
+            f"time       {mission['simulated_s']:.0f} s simulated, {pace}",
+            mission["real_time_factor"] > 1.0,
+        ),
+        (f"bag        {bag} break the contract", bool(metrics.get("closed")) and rejected == 0),
+    ]
+    if isinstance(drift, int | float):
+        lines.append((f"energy     book is off by {drift:+.1e} J", math.isfinite(drift)))
+    return lines
+
+
+def tell(metrics: Mapping[str, Any]) -> str:
+    """What happened, in a sentence."""
+    mission = metrics["mission"]
+    how = (
+        "and came back to the stow"
+        if mission["home"]
+        else f"and is {mission['depth_m']:.1f} m below the fairlead now, {mission['phase']}: "
+        f"{mission['reason']}"
+    )
+    brief = "" if mission["wall_time_s"] <= _BRIEF else f", more than the {_BRIEF:g} s aimed at"
+    return (
+        f"In the Marius Hills Hole the rover went down to {mission['deepest_m']:.1f} m, took "
+        f"{mission['pictures']} pictures, jumped {mission['jumps']} times, {how};\n"
+        f"{mission['simulated_s']:.0f} s simulated, all shown in {mission['wall_time_s']:.0f} s"
+        f"{brief}:"
+    )
