@@ -9,6 +9,7 @@ from msg_schemas.machine import (
     FORECAST_TIME,
     JUMP_CLEARANCE,
     JUMP_HEIGHT,
+    JUMP_OUTLOOK,
     JUMP_RANGE,
     JUMP_SLACK,
     JUMP_STROKE,
@@ -122,7 +123,8 @@ JUMP_TOPICS = (
         topics.JUMP_REQUEST,
         "an operator or the mission asks for a jump: by the spring's stroke; by the height, for "
         "which the node finds the stroke by what it has learnt of the spring; or by a clearance, "
-        "for which it foretells the jump first, picks stroke and slack, or says why not",
+        "for which it foretells the jump first, picks stroke and slack, or says why not; an "
+        "outlook is such a forecast alone, and moves nothing",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -150,8 +152,15 @@ JUMP_TOPICS = (
                 UNUSED,
                 _LATER_0,
             ),
+            *joint_fields(
+                JUMP_OUTLOOK,
+                ("m", "clearance of a jump that is only foretold", 0.01, MAX_JUMP_HEIGHT),
+                UNUSED,
+                UNUSED,
+                _LATER_0,
+            ),
         ),
-        joints=(JUMP_STROKE, JUMP_HEIGHT, JUMP_CLEARANCE),
+        joints=(JUMP_STROKE, JUMP_HEIGHT, JUMP_CLEARANCE, JUMP_OUTLOOK),
         one_joint=True,
         stale=StalePolicy(max_age=2.0, max_lead=0.5),
     ),

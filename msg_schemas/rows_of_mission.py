@@ -33,7 +33,8 @@ MISSION_TOPICS = (
         _NODE,
         None,
         words=(
-            "standby", "looking", "turning", "approaching", "landing", "driving", "jumping",
+            "standby", "looking", "turning", "approaching", "landing", "driving", "choosing",
+            "jumping",
             "returning", "lifting", "ascending", "stowing", "holding", "aborted",
         ),
         spatial_only=True,

@@ -226,7 +226,7 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.9.0"
+CONTRACT_VERSION = "2.10.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {

@@ -2,7 +2,7 @@
 
 A jump by stroke or height begins at once. One by clearance is foretold first: `take_question` says
 what is to be foretold, and what answers it tells `hear_forecast`; then the winch is asked for
-slack, where there is too little, and the jump begins.
+slack, where there is too little, and the jump begins. An outlook ends with the forecast.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_STROKE, PAYOUT
+from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_OUTLOOK, JUMP_STROKE, PAYOUT
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, Level, OdometrySample, WrenchSample
@@ -69,6 +69,7 @@ class _Pending:
     question: Question
     speed: float  # of the nut [m/s]
     since_ns: int
+    is_outlook: bool = False  # it is only foretold
     is_asked: bool = False  # whether the question was taken
     forecast: Forecast | None = None
     is_moving: bool = False  # whether the winch has begun to give slack
@@ -180,8 +181,8 @@ class Jump:
                 f"the jump is in {self.phase}, a jump starts from standby; {topics.JUMP_ABORT} "
                 "ends it",
             )
-        if joint == JUMP_CLEARANCE:
-            self._ask(value, speed, now_ns)
+        if joint in (JUMP_CLEARANCE, JUMP_OUTLOOK):
+            self._ask(value, speed, now_ns, is_outlook=joint == JUMP_OUTLOOK)
             return
         if joint == JUMP_STROKE:
             self.sequence.request(value, speed, self.sensors, now_ns)
@@ -259,10 +260,15 @@ class Jump:
         values = {
             "height": forecast.height.middle,
             "upright": forecast.upright,
+            "stroke": forecast.stroke,
             "took": forecast.took,
         }
         if forecast.refused:
             self._drop(f"better not: {forecast.refused}", values)
+            return
+        if pending.is_outlook:
+            text = f"foretold: it lands upright with {forecast.upright:.2f}"
+            self._drop(text, values, Level.OK)
             return
         pending.forecast, pending.since_ns = forecast, now_ns
         if forecast.gives_slack > 0.0:
@@ -272,7 +278,7 @@ class Jump:
         else:
             self._begin(pending, forecast, now_ns)
 
-    def _ask(self, clearance: float, speed: float, now_ns: int) -> None:
+    def _ask(self, clearance: float, speed: float, now_ns: int, *, is_outlook: bool) -> None:
         self.sequence.check_request(self.sensors, now_ns)
         up = self._recorder.standing()
         place = self._odometry
@@ -283,13 +289,13 @@ class Jump:
                 f"{topics.ODOMETRY if place is None else topics.IMU} was not heard, so it is not "
                 "known how the rover stands",
             )
-        x, y, _ = place.position
+        x, y, z = place.position
         qx, qy, qz, qw = place.orientation
         heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        situation = Situation(x, y, heading, up, self._length)
+        situation = Situation(x, y, heading, up, self._length, -z)
         self._asked += 1
         question = Question(situation, clearance, True, self._asked)
-        self._pending = _Pending(question, speed, now_ns)
+        self._pending = _Pending(question, speed, now_ns, is_outlook)
         self._transitions.append(
             Transition(
                 JumpPhase.FORETELLING,
@@ -326,9 +332,9 @@ class Jump:
         self._tilt = pending.question.situation.tilt
         self._follow(now_ns)
 
-    def _drop(self, reason: str, values: Mapping[str, object]) -> None:
+    def _drop(self, reason: str, values: Mapping[str, object], level: Level = Level.WARN) -> None:
         self._pending = self._slack_request = None
-        self._transitions.append(Transition(JumpPhase.STANDBY, reason, Level.WARN, values))
+        self._transitions.append(Transition(JumpPhase.STANDBY, reason, level, values))
 
     # --- following the sequence ------------------------------------------------------------------
 

@@ -17,7 +17,9 @@ class ForecastParameters:
     foretold_scenario: str = parameter(
         "floor_rubble", "-", "scenario that has the machine, its tether and gravity"
     )
-    floor_depth: float = parameter(5.0, "m", "of the floor below the fairlead", 0.5, 1e3)
+    floor_depth: float = parameter(
+        5.0, "m", "of the floor below the fairlead, where the odometry tells no height", 0.5, 1e3
+    )
     attachment_height: float = parameter(
         0.43, "m", "of the tether's attachment above the floor, while the rover stands", 0.0, 10.0
     )
@@ -58,6 +60,7 @@ class Situation(NamedTuple):
     heading: float  # [rad]
     up: tuple[float, float, float]  # against gravity, in base_link, any length
     length: float  # of the tether paid out [m]; nan = not known: as the rover needs it
+    drop: float = 0.0  # of the tether's attachment below the fairlead [m]; 0 = not known
 
     @property
     def tilt(self) -> float:

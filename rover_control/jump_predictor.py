@@ -177,15 +177,21 @@ class JumpPredictor:
     def _slack(self, situation: Situation, height: float) -> tuple[float, float]:
         """Slack for the jump [m], and how much of it is to be given."""
         p = self.parameters
-        chord = math.hypot(situation.x, situation.y, p.floor_depth - p.attachment_height)
+        chord = math.hypot(situation.x, situation.y, self._drop(situation))
         # The rover goes aside with its tilt, up and down again, and rolls on a little.
         aside = 4.0 * height * math.tan(situation.tilt + 3.0 * p.stance_error)
         wanted = min(aside + p.slack_margin, p.most_slack)
         present = wanted if math.isnan(situation.length) else situation.length - chord
         return max(present, wanted), max(wanted - max(present, 0.0), 0.0)
 
+    def _drop(self, situation: Situation) -> float:
+        """Of the attachment below the fairlead [m]."""
+        p = self.parameters
+        return situation.drop if situation.drop > 0.0 else p.floor_depth - p.attachment_height
+
     def _place(self, situation: Situation, slack: float) -> _Place:
-        key = tuple(round(v, _ROUNDED) for v in (*_level(situation), slack))
+        drop = self._drop(situation)
+        key = tuple(round(v, _ROUNDED) for v in (*_level(situation), slack, drop))
         if self._kept is None or self._kept[0] != key:
             self._kept = (key, self._built(situation, slack))
         return self._kept[1]
@@ -195,8 +201,10 @@ class JumpPredictor:
         x, y, heading, slope, downhill = _level(situation)
         # The floor passes below the rover at its depth, so it is elsewhere below the fairlead.
         fall = math.tan(slope)
-        height = -p.floor_depth + fall * (x * math.cos(downhill) + y * math.sin(downhill))
-        chord = math.hypot(x, y, p.floor_depth - p.attachment_height)
+        drop = self._drop(situation)
+        depth = drop + p.attachment_height
+        height = -depth + fall * (x * math.cos(downhill) + y * math.sin(downhill))
+        chord = math.hypot(x, y, drop)
         length = chord + max(slack, 0.05)
         scenario = rover_sim.load_spatial(
             p.foretold_scenario,

@@ -25,7 +25,6 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from msg_schemas.parameters import parameter
-from rover_control.jump_forecast import Forecast
 
 
 class Way(StrEnum):
@@ -51,11 +50,19 @@ class LocomotionParameters:
     stiff_tether: float = parameter(
         1.0e3, "N", "axial stiffness EA below which the study's rule always jumps", 0.0, 1e9
     )
+    tether_stiffness: float = parameter(2.0e4, "N", "EA of the tether that is used", 0.1, 1e9)
     usual_risk: float = parameter(0.05, "-", "of wheels that have not got stuck here", 0.0, 1.0)
     steepest_drive: float = parameter(0.30, "rad", "ground that wheels still climb", 0.02, 1.5)
     topple_weight: float = parameter(
         2.0, "-", "of toppling against standing where one stood", 1.0, 100.0
     )
+
+
+class Outlook(NamedTuple):
+    """What a forecast says of a jump."""
+
+    upright: float  # probability of landing so
+    refused: str  # why it is better not to jump; empty = go
 
 
 class Surroundings(NamedTuple):
@@ -66,7 +73,7 @@ class Surroundings(NamedTuple):
     slope: float  # of the ground ahead, as far as it is known [rad]
     stuck: int  # times that the wheels got stuck here and did not get on since
     jumped: int  # jumps here that did not get the rover on
-    forecast: Forecast | None  # of a jump from here; None = none was made
+    outlook: Outlook | None  # of a jump from here; None = none was made
 
 
 class Choice(NamedTuple):
@@ -120,11 +127,11 @@ def _wheels_risk(parameters: LocomotionParameters, around: Surroundings) -> floa
 
 
 def _jump_risk(parameters: LocomotionParameters, around: Surroundings) -> tuple[float, str]:
-    forecast, weight = around.forecast, parameters.topple_weight
-    if forecast is None:
+    outlook, weight = around.outlook, parameters.topple_weight
+    if outlook is None:
         return weight, "no jump was foretold"
-    if forecast.refused:
-        return weight, forecast.refused
+    if outlook.refused:
+        return weight, outlook.refused
     stays = (around.jumped + 1.0) / (around.jumped + 3.0)
-    risk = (1.0 - forecast.upright) * weight + forecast.upright * stays
-    return risk, f"it lands upright with {forecast.upright:.2f}"
+    risk = (1.0 - outlook.upright) * weight + outlook.upright * stays
+    return risk, f"it lands upright with {outlook.upright:.2f}"

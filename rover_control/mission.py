@@ -2,8 +2,8 @@
 
 ===========  ================================================================================
 standby      nothing is under way; `go` begins
-(a leg's)    looking, turning, approaching, landing, driving, jumping, returning, lifting,
-             ascending, stowing: what the present leg does
+(a leg's)    looking, turning, approaching, landing, driving, choosing, jumping, returning,
+             lifting, ascending, stowing: what the present leg does
 holding      all is at rest: asked for, or because a leg cannot go on by itself; `resume` begins
              the leg again, `skip` leaves it out
 aborted      the same, and what was planned is forgotten; `go` leads home from where the rover is
@@ -27,6 +27,7 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.transition import Transition
+from rover_control.locomotion import LocomotionParameters
 from rover_control.mission_floor import Hop, Way
 from rover_control.mission_interlocks import Condition, forbidden, remedy
 from rover_control.mission_legs import (
@@ -74,6 +75,7 @@ class MissionSettings:
 
     mission: MissionParameters = field(default_factory=MissionParameters)
     limits: LegLimits = field(default_factory=LegLimits)
+    locomotion: LocomotionParameters = field(default_factory=LocomotionParameters)
 
 
 class _After(Enum):
@@ -298,6 +300,7 @@ class Mission:
             asks = self._calm(now)
         else:
             found = self._late(now) or self._conduct.step(self.sight, news, now)
+            self._tell_choices()
             if isinstance(found, End):
                 self._over(found, now)
             elif isinstance(found, Wish):
@@ -384,6 +387,8 @@ class Mission:
         alone = leg.kind is LegKind.ASCEND and last and self.sight.length <= self.plan.lift.alone
         kind = Hoist if alone else _CONDUCTS[leg.kind]
         self._conduct = kind(leg, self.plan, self.notes, now)
+        if isinstance(self._conduct, Way):
+            self._conduct.locomotion = self.settings.locomotion
         self._rearms = 0
         self._sent.clear()
         self.waits_for = ""
@@ -495,6 +500,19 @@ class Mission:
             self._stop(MissionPhase.HOLDING, text, Level.WARN)
 
     # --- telling ---------------------------------------------------------------------------------
+
+    def _tell_choices(self) -> None:
+        """Between wheels and jump."""
+        if not isinstance(self._conduct, Way):
+            return
+        for choice in self._conduct.take_choices():
+            values = {
+                "way": choice.way.value,
+                "rule": self.settings.locomotion.locomotion_rule,
+                "wheels_risk": choice.wheels_risk,
+                "jump_risk": choice.jump_risk,
+            }
+            self._tell("mission_chosen", f"{choice.way}: {choice.reason}", values=values)
 
     def _tell_waiting(self, reason: str) -> None:
         if reason and reason != self.waits_for:

@@ -1,7 +1,8 @@
 """What a mission does on the floor: ways that are driven, and jumps. Pure.
 
 ======  =====================================================================================
-visit   the rover drives; stuck, it gets slack and jumps, and drives on
+visit   the rover drives; stuck, it chooses between a way around and slack and a jump, and
+        drives on
 hop     it gets slack and jumps where it stands
 return  as a visit, to below the fairlead
 ======  =====================================================================================
@@ -14,8 +15,17 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_STROKE, WINCH_SLACK
-from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseSample, Status
+from msg_schemas.machine import JUMP_HEIGHT, JUMP_OUTLOOK, JUMP_STROKE, WINCH_SLACK
+from msg_schemas.samples import NO_ORIENTATION, JointSample, Level, PoseSample, Status
+from rover_control.locomotion import (
+    Choice,
+    LocomotionParameters,
+    Outlook,
+    Surroundings,
+    choose,
+    slack_value,
+)
+from rover_control.locomotion import Way as Means
 from rover_control.mission_interlocks import Act
 from rover_control.mission_legs import (
     ANSWER,
@@ -27,6 +37,7 @@ from rover_control.mission_legs import (
     Verdict,
     Wish,
     joint_of,
+    number_of,
     refusal_of,
 )
 from rover_control.mission_plan import Leg, LegKind, MissionPlan
@@ -37,17 +48,26 @@ _SLACKENS = 15.0  # in which slack is given [s]
 _LED = 1.0  # that a winch rests, before slack is given [s]
 _GIVEN = 0.8  # part of the slack asked for that is enough
 _BY_HAND = "asked for"  # as drive_node says it
+_PROGRESS = 0.1  # towards the goal, after which the rover is stuck elsewhere [m]
+_ASIDE, _BEND = 0.6, 0.8  # way of a detour, and how far left of ahead each further one [m], [rad]
 
 
 class _Stage(Enum):
     DRIVE = auto()
+    FORETELL = auto()
     SLACKEN = auto()
     JUMP = auto()
     SETTLE = auto()
 
 
 class Way(Conduct):
-    """A way on the floor, driven, with jumps where the rover is stuck."""
+    """A way on the floor, driven, with detours and jumps where the rover is stuck.
+
+    Attributes:
+        locomotion: how it chooses between these.
+    """
+
+    locomotion = LocomotionParameters()
 
     def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
         super().__init__(leg, plan, notes, now)
@@ -55,13 +75,22 @@ class Way(Conduct):
         self._stage = _Stage.DRIVE
         self._staged = now
         self._slack_from = math.nan
-        self._jumps = 0
+        self._jumps = 0  # on this way, all in all
+        self._detours = 0
+        self._stuck = self._jumped = 0  # times at this place, as `locomotion` counts them
+        self._stuck_at = math.inf  # distance to the goal [m]
+        self._tried: Means | None = None  # last, at this place
+        self._stroke = plan.jumps.stroke
+        self._aside: Place | None = None  # where a detour leads by
+        self._choices: list[Choice] = []
         self._left_ground = False
         self._taken = False  # drive_node was seen doing it
 
     @property
     def phase(self) -> MissionPhase:  # type: ignore[override]
-        """Driving or jumping."""
+        """Driving, choosing or jumping."""
+        if self._stage is _Stage.FORETELL:
+            return MissionPhase.CHOOSING
         if self._stage is not _Stage.DRIVE:
             return MissionPhase.JUMPING
         return MissionPhase.RETURNING if self._returns else MissionPhase.DRIVING
@@ -72,9 +101,11 @@ class Way(Conduct):
             super().sent(ask, now)
 
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
-        """Drive; or, stuck, slacken, jump and settle."""
+        """Drive; or, stuck, choose: a detour, or slacken, jump and settle."""
         if self._stage is _Stage.DRIVE:
             return self._drive(sight, news, now)
+        if self._stage is _Stage.FORETELL:
+            return self._foretell(sight, news, now)
         if self._stage is _Stage.SLACKEN:
             return self._slacken(sight, news, now)
         if self._stage is _Stage.JUMP:
@@ -104,7 +135,7 @@ class Way(Conduct):
         if self.asked is not None:
             self._taken |= sight.drives
             for event in news:
-                ended = self._judge(event, now)
+                ended = self._judge(event, sight, now)
                 if ended is not None or self._stage is not _Stage.DRIVE:
                     return ended
             refused = refusal_of(news, topics.DRIVE_GOAL)
@@ -119,7 +150,11 @@ class Way(Conduct):
             return Wish(Act.DRIVE, Ask(topics.DRIVE_GOAL, self._goal()))
         return None
 
-    def _judge(self, event: Status, now: float) -> End | None:
+    def _judge(self, event: Status, sight: MissionSight, now: float) -> End | None:
+        if event.name == "drive_done" and self._aside is not None:
+            self._aside = None
+            self._enter(_Stage.DRIVE, now)
+            return None
         if event.name == "drive_done":
             return End(Verdict.DONE, event.message)
         if event.name == "drive_stopped" and event.message == _BY_HAND:
@@ -127,9 +162,15 @@ class Way(Conduct):
         if event.name == "drive_failed":
             return End(Verdict.FAILED, event.message)
         if event.name == "drive_stuck":
-            if self._jumps >= self.plan.jumps.most:
+            self._count(sight)
+            spent = self._jumps >= self.plan.jumps.most
+            if spent and self._detours >= self.plan.jumps.detours:
                 return End(Verdict.FAILED, event.message)
-            self._enter(_Stage.SLACKEN, now)
+            foretells = self.locomotion.locomotion_rule == "risk" and not spent
+            if foretells:
+                self._enter(_Stage.FORETELL, now)
+            else:
+                return self._choose(None, sight, now)
         return None
 
     def _is_home(self, sight: MissionSight) -> bool:
@@ -138,9 +179,77 @@ class Way(Conduct):
 
     def _goal(self) -> PoseSample:
         leg = self.leg
+        if self._aside is not None:
+            return PoseSample(0, (self._aside.x, self._aside.y, 0.0), NO_ORIENTATION)
         if math.isnan(leg.heading):
             return PoseSample(0, (leg.x, leg.y, 0.0), NO_ORIENTATION)
         return _pose(Place(leg.x, leg.y, leg.heading))
+
+    # --- choosing --------------------------------------------------------------------------------
+
+    def take_choices(self) -> list[Choice]:
+        """Return what was chosen since the last call, and forget it."""
+        taken, self._choices = self._choices, []
+        return taken
+
+    def _count(self, sight: MissionSight) -> None:
+        """The rover is stuck: here again, or somewhere else."""
+        self._aside = None
+        place = sight.place
+        left = math.inf if place is None else math.hypot(place.x - self.leg.x, place.y - self.leg.y)
+        if left < self._stuck_at - _PROGRESS:
+            self._stuck = self._jumped = 0
+            self._tried = None
+            self._stuck_at = left
+        self._stuck += self._stuck == 0 or self._tried is Means.WHEELS
+        self._jumped += self._tried is Means.JUMP
+
+    def _foretell(
+        self, sight: MissionSight, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
+        refused = refusal_of(news, topics.JUMP_REQUEST)
+        if refused:
+            return self._choose(Outlook(0.0, refused), sight, now)
+        for event in news:
+            if event.name == "jump_standby" and self.asked is not None:
+                upright, stroke = number_of(event, "upright"), number_of(event, "stroke")
+                if event.level is not Level.OK or math.isnan(upright):
+                    return self._choose(Outlook(0.0, event.message), sight, now)
+                self._stroke = stroke
+                return self._choose(Outlook(upright, ""), sight, now)
+        if self.asked is None or (sight.jump == "standby" and self._unanswered(now)):
+            ask = Ask(topics.JUMP_REQUEST, joint_of(JUMP_OUTLOOK, self.plan.jumps.clearance))
+            return Wish(Act.SLACKEN, ask)  # nothing moves, but what stands in its way is the same
+        return None
+
+    def _choose(self, outlook: Outlook | None, sight: MissionSight, now: float) -> End | None:
+        place = sight.place
+        value = math.nan if place is None else slack_value(place.x, place.y, sight.drop)
+        stiffness = self.locomotion.tether_stiffness
+        around = Surroundings(value, stiffness, 0.0, self._stuck, self._jumped, outlook)
+        choice = choose(self.locomotion, around)
+        means = choice.way
+        if means is Means.JUMP and self._jumps >= self.plan.jumps.most:
+            means = Means.WHEELS
+        elif means is Means.WHEELS and self._detours >= self.plan.jumps.detours:
+            means = Means.JUMP
+            if outlook is not None and outlook.refused:
+                return End(Verdict.FAILED, f"no detour is left, and no jump: {outlook.refused}")
+        if means is not choice.way:
+            text = f"{choice.reason}; but of {choice.way} none is left"
+            choice = choice._replace(way=means, reason=text)
+        self._choices.append(choice)
+        self._tried = means
+        if means is Means.JUMP:
+            self._enter(_Stage.SLACKEN, now)
+            return None
+        self._detours += 1
+        if place is not None:
+            towards = place.heading + _BEND * self._detours
+            x, y = place.x + _ASIDE * math.cos(towards), place.y + _ASIDE * math.sin(towards)
+            self._aside = Place(x, y, math.nan)
+        self._enter(_Stage.DRIVE, now)
+        return None
 
     # --- jumping ---------------------------------------------------------------------------------
 
@@ -169,6 +278,9 @@ class Way(Conduct):
         refused = refusal_of(news, topics.JUMP_REQUEST)
         if refused:
             return End(Verdict.FAILED, refused)
+        for event in news:
+            if event.name == "jump_landed" and event.level is not Level.OK:
+                return End(Verdict.FAILED, event.message)
         self._left_ground |= sight.flies
         if sight.jump == "letting_down" and self.asked is not None:
             return End(Verdict.FAILED, "the jump was broken off")
@@ -183,7 +295,7 @@ class Way(Conduct):
 
     def _leap(self) -> JointSample:
         """What is asked of the jump."""
-        return joint_of(JUMP_STROKE, self.plan.jumps.stroke)
+        return joint_of(JUMP_STROKE, self._stroke)
 
     @property
     def jumping_for(self) -> float:

@@ -60,6 +60,7 @@ class MissionPhase(StrEnum):
     APPROACHING = "approaching"
     LANDING = "landing"
     DRIVING = "driving"
+    CHOOSING = "choosing"
     JUMPING = "jumping"
     RETURNING = "returning"
     LIFTING = "lifting"
@@ -186,7 +187,8 @@ def joint_of(name: str, position: float, velocity: float = 0.0) -> JointSample:
     return JointSample(0, {name: JointValue(position, velocity, 0.0)})
 
 
-def _number(status: Status, name: str) -> float:
+def number_of(status: Status, name: str) -> float:
+    """A value of an event; NaN where it has none."""
     try:
         return float(status.values[name])
     except (KeyError, ValueError):
@@ -219,7 +221,7 @@ class Stop(Conduct):
             self.notes.turned_from = sight.heading
         if self.asked is not None:
             for event in news:
-                if event.name == "stop_ended" and _number(event, "depth") == self.leg.depth:
+                if event.name == "stop_ended" and number_of(event, "depth") == self.leg.depth:
                     return self._ended(event, looks)
                 self._was_interrupted |= event.name == "descent_interrupted"
             refused = refusal_of(news, topics.DESCENT_REQUEST)
@@ -255,7 +257,7 @@ class Stop(Conduct):
         return since + (30.0 if sight.descent == "standby" else 0.0)
 
     def _ended(self, event: Status, looks: bool) -> End:
-        pictures = _number(event, "pictures")
+        pictures = number_of(event, "pictures")
         if looks and pictures > 0.0:
             self.notes.pictures += round(pictures)
             return End(Verdict.DONE, event.message)

@@ -92,12 +92,22 @@ class Waypoint(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class Jumps(Configuration):
-    """How a rover that is stuck frees itself."""
+    """How a rover that is stuck gets on."""
 
     most: int = quantity(
         "-", "jumps on the way to one waypoint; 0: none", 2, kind=int, minimum=0, maximum=20
     )
-    stroke: float = quantity("m", "of the spring", 0.12, minimum=0.01, maximum=MAX_STROKE)
+    detours: int = quantity(
+        "-", "ways around by wheels, on the way to one waypoint", 2, kind=int, minimum=0,
+        maximum=20,
+    )  # fmt: skip
+    stroke: float = quantity(
+        "m", "of the spring, for a jump that was not foretold", 0.12, minimum=0.01,
+        maximum=MAX_STROKE,
+    )  # fmt: skip
+    clearance: float = quantity(
+        "m", "rise that a foretold jump is to reach", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
+    )
     slack: float = quantity("m", "that the winch gives before", 0.8, minimum=0.1, maximum=MAX_SLACK)
 
 

@@ -73,6 +73,7 @@ class MissionSight:
         self.pull = math.nan  # of the rover on the tether, beyond the tether's weight [N]
         self.nut = math.nan  # compression at which the nut stands [m]
         self.heading = math.nan  # of the hanging rover since its controller's start [rad]
+        self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # where the rover is, as the mission goes by it
         self.place_told: Place | None = None  # where drive_node says it is
         self._heard: dict[str, float] = {}
@@ -119,6 +120,7 @@ class MissionSight:
         heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         told = Place(sample.position[0], sample.position[1], heading)
         before, self.place_told = self.place_told, told
+        self.drop = -sample.position[2] if sample.position[2] < 0.0 else math.nan
         # An odometry that begins anew leaps; where it was is remembered.
         if before is not None and near(before, told) and self.knows_place:
             self.place = told

@@ -31,7 +31,7 @@ OVERRIDES: Mapping[str, object] = {
     "winch.min_length": 1.4,
     "tether.length": 2.0,
     "tether.element_length": 0.9,
-    "integration.h": 4.0e-3,
+    "integration.h": 2.0e-3,
 }
 LIMIT = 2400.0
 """For the mission [s]; one that takes longer is shown as far as it came."""

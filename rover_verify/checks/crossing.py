@@ -20,6 +20,7 @@ from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_control.locomotion import (
     LocomotionParameters,
+    Outlook,
     Surroundings,
     Way,
     choose,
@@ -215,7 +216,7 @@ def cross(seed: int, index: int, rule: str) -> Crossing:
             0.0,
             stuck,
             jumped,
-            forecast,
+            None if forecast is None else Outlook(forecast.upright, forecast.refused),
         )
         way = Way(rule) if rule in ("wheels", "jump") else choose(settings, around).way
         if way is Way.JUMP:

@@ -17,7 +17,7 @@ def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
         "place.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
         "place.boulders.clear_radius": 1.0,
         "tether.element_length": 0.9,
-        "integration.h": 4.0e-3,
+        "integration.h": 2.0e-3,
     }
 
 

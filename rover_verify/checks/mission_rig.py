@@ -37,7 +37,9 @@ from rover_control.descent_report import observation_sample, state_sample
 from rover_control.drive import Drive, Drives, DriveSettings
 from rover_control.drive_report import odometry_sample
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_report import flown_sample
+from rover_control.jump_forecast import ForecastParameters
+from rover_control.jump_predictor import JumpPredictor
+from rover_control.jump_report import flown_sample, forecast_sample
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask
 from rover_control.mission_plan import MissionPlan
@@ -120,6 +122,7 @@ class MissionFlight:
         self.deepest = 0.0  # of base_link below the fairlead [m]
         self.story: list[tuple[float, str, Transition]] = []  # by whom, what
         self.watch: Callable[[float, str, Transition], None] = lambda _time, _who, _what: None
+        self._predictor: JumpPredictor | None = None
         self._words: dict[str, str] = {}
         self._alarms: dict[str, bool] | None = None
         self._drive_command: DriveCommand | None = None
@@ -216,6 +219,7 @@ class MissionFlight:
         estimate = winch.estimate(now)
         if estimate is not None:
             self.drive.hear_winch_estimate(estimate, now)
+            self.jump.hear_winch_estimate(estimate)
         if dict(winch.alarms) != self._alarms:
             self._alarms = dict(winch.alarms)
             joints = {name: JointValue(float(on)) for name, on in self._alarms.items()}
@@ -244,6 +248,7 @@ class MissionFlight:
             self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
 
     def _step_jump(self) -> None:
+        self._foretell()
         told = self.jump.step(self.now_ns)
         self._idle = 0 if told is not None or self._of_descent.nut is not None else self._idle + 1
         if told is not None:
@@ -258,6 +263,17 @@ class MissionFlight:
         self._tell(_JUMP, changes)
         for record in self.jump.take_records():
             self._record(topics.JUMP_FLOWN, flown_sample(record))
+
+    def _foretell(self) -> None:
+        """Answer at once what takes a node a second or two."""
+        question = self.jump.take_question()
+        if question is None:
+            return
+        if self._predictor is None:
+            self._predictor = JumpPredictor(ForecastParameters())
+        forecast = self._predictor.foretell(question, self.jump.spring)
+        self._record(topics.JUMP_FORECAST, forecast_sample(forecast, self.now_ns))
+        self.jump.hear_forecast(question, forecast, self.now_ns)
 
     def _held_nut(self) -> float:
         drive = self.plant.model.jump
@@ -300,6 +316,7 @@ class MissionFlight:
         if name == topics.WINCH_MODE:
             self.descent.hear_winch_mode(word, now)
             self.drive.hear_winch_mode(word)
+            self.jump.hear_winch_mode(word)
         elif name == topics.DESCENT_PHASE:
             self.drive.hear_descent(word)
         elif name == topics.JUMP_PHASE:
@@ -351,7 +368,9 @@ class MissionFlight:
         state = state_sample(self.descent, now)
         if state is not None:
             self._say(topics.DESCENT_STATE, state)
-        self._say(topics.ODOMETRY, odometry_sample(self.drive, now))
+        odometry = odometry_sample(self.drive, now)
+        self.jump.hear_odometry(odometry)
+        self._say(topics.ODOMETRY, odometry)
         mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
         for ask in mission.step(now):
             self.ask(ask)
@@ -424,6 +443,7 @@ class MissionFlight:
             self.drive.hear_descent(self._words[topics.DESCENT_PHASE])
         elif node == _JUMP:
             self.jump = Jump(JumpSettings())
+            self.jump.hear_winch_mode(self._words[topics.WINCH_MODE])
         else:
             kept = self.mission.checkpoint(self.now_ns)
             self.mission = Mission(self.plan, self.settings)

@@ -7,7 +7,14 @@ import math
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.machine import FLOOR_SWITCH, JUMP_CLEARANCE, JUMP_SCREW, JUMP_STROKE, PAYOUT
+from msg_schemas.machine import (
+    FLOOR_SWITCH,
+    JUMP_CLEARANCE,
+    JUMP_OUTLOOK,
+    JUMP_SCREW,
+    JUMP_STROKE,
+    PAYOUT,
+)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, OdometrySample
 from rover_control.jump import Jump, JumpSettings
@@ -85,7 +92,7 @@ def test_the_question_says_how_the_rover_stands(rover: Standing):
     rover.ask(0.12)
     question = rover.question()
     assert (question.height, question.is_clearance) == (0.12, True)
-    x, y, heading, up, length = question.situation
+    x, y, heading, up, length, _ = question.situation
     assert (x, y, length) == (2.0, 1.0, 7.5)
     assert heading == pytest.approx(0.7)
     assert up == pytest.approx((0.1, 0.0, 1.6))
@@ -178,3 +185,26 @@ def test_a_jump_that_cannot_begin_after_all_is_told(rover: Standing):
     rover.answer(GOOD._replace(stroke=0.25))
     assert rover.phases[-1] == "standby"
     assert "not begun: stroke is 0.25 m" in rover.told[-1][1]
+
+
+def test_an_outlook_is_foretold_and_nothing_moves(rover: Standing):
+    rover.ask(0.12, JUMP_OUTLOOK)
+    rover.answer(GOOD)
+    rover.run(1.0)
+    assert rover.phases == ["foretelling", "standby"]
+    assert rover.told[-1][1:] == ("foretold: it lands upright with 1.00", Level.OK)
+    assert rover.jump.take_slack_request() is None
+
+
+def test_an_outlook_that_advises_against_the_jump_says_why(rover: Standing):
+    rover.ask(0.12, JUMP_OUTLOOK)
+    rover.answer(refused_forecast("it would topple"))
+    assert rover.told[-1][1:] == ("better not: it would topple", Level.WARN)
+
+
+def test_how_deep_the_rover_stands_is_taken_from_the_odometry(rover: Standing):
+    still = (0.0, 0.0, 0.0)
+    place = OdometrySample(1, (2.0, 1.0, -49.5), (0.0, 0.0, 0.0, 1.0), still, still)
+    rover.jump.hear_odometry(place)
+    rover.ask(0.12)
+    assert rover.question().situation.drop == 49.5

@@ -9,6 +9,7 @@ from mission_machine import PLAN, MissionMachine
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal
+from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import Mission, MissionParameters, MissionSettings
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
 from rover_control.mission_plan import LegKind, Lift, Waypoint
@@ -83,9 +84,59 @@ def test_a_hop_that_is_refused_is_left_out_and_the_rover_comes_home():
     assert machine.length == pytest.approx(PLAN.stow)
 
 
+def test_a_choice_is_told_with_its_reason_and_its_risks():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck = 1
+    assert finished(machine)
+    (choice,) = machine.choices
+    assert choice.values["way"] == "jump"
+    assert choice.values["rule"] == "risk"
+    assert choice.values["wheels_risk"] == pytest.approx(2.0 / 3.0)
+    assert choice.values["jump_risk"] == pytest.approx(1.0 / 3.0)
+    assert "upright with 1.00" in choice.reason
+
+
+@pytest.mark.parametrize(
+    ("upright", "advice"), [(0.5, ""), (1.0, "better not: the tether would be jerked")]
+)
+def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: str):
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck, machine.upright, machine.advice = 1, upright, advice
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+    assert machine.mission.notes.jumps == 0
+    assert [choice.values["way"] for choice in machine.choices] == ["wheels"]
+    assert advice in machine.choices[0].reason
+
+
+def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_forecast():
+    machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
+    machine.stuck = 1
+    assert finished(machine)
+    assert [choice.values["way"] for choice in machine.choices] == ["wheels"]
+    assert topics.JUMP_REQUEST not in machine.asked
+
+
+def test_where_no_detour_is_left_the_rover_jumps_and_where_neither_is_the_leg_fails():
+    machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
+    machine.stuck = 5
+    machine.run(200.0, until=MissionPhase.RETURNING)
+    ways = [choice.values["way"] for choice in machine.choices]
+    assert ways[:4] == ["wheels", "wheels", "jump", "jump"]
+    assert "mission_trial_failed" in machine.story
+
+
+def test_a_jump_that_does_not_leave_the_ground_is_no_jump():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck, machine.jump_fails = 1, True
+    machine.run(60.0, until=MissionPhase.RETURNING)
+    assert machine.mission.notes.jumps == 0
+    assert "mission_trial_failed" in machine.story
+
+
 def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
     machine = begun(MissionPhase.DRIVING)
-    machine.stuck = 9  # three trials with two jumps each
+    machine.stuck = 15  # three trials with two jumps and two detours each
     assert finished(machine)
     missed = [done for done in machine.mission.record if done.verdict is not Verdict.DONE]
     assert [done.leg for done in missed] == ["waypoint 1 at (2, 0) m"]

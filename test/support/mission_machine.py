@@ -6,6 +6,7 @@ import math
 
 from msg_schemas import topics
 from msg_schemas.machine import (
+    JUMP_OUTLOOK,
     JUMP_SCREW,
     OBSERVATION_STOP,
     PAYOUT,
@@ -17,12 +18,14 @@ from msg_schemas.machine import (
 from msg_schemas.samples import (
     JointSample,
     JointValue,
+    Level,
     OdometrySample,
     PoseSample,
     Status,
     StatusSample,
     TextSample,
 )
+from msg_schemas.transition import Transition
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask, MissionPhase
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
@@ -41,6 +44,9 @@ class MissionMachine:
 
     Attributes:
         stuck: how often the driving gets stuck from now on.
+        upright: probability of landing so that is foretold.
+        advice: against jumps.
+        choices: reasons of what the mission has chosen.
         refuses: topics and services that are refused, with the reason.
         asked: names of all that was asked for.
     """
@@ -55,10 +61,13 @@ class MissionMachine:
         self.nut = -0.03
         self.place = (0.0, 0.0, 0.0)
         self.stuck = 0
+        self.jump_fails = False  # the next one does not leave the ground
+        self.upright, self.advice = 1.0, ""  # of jumps, as they are foretold; advice against
         self.refuses: dict[str, str] = {}
         self.silent: set[str] = set()
         self.asked: list[str] = []
         self.story: list[str] = []
+        self.choices: list[Transition] = []
         self._goal: tuple[float, float] | None = None
         self._stop: tuple[str, float] | None = None
         self._length_goal: float | None = None
@@ -92,7 +101,9 @@ class MissionMachine:
         for ask in self.mission.step(self.now_ns):
             self.asked.append(ask.name)
             self.take(ask)
-        self.story += [change.name for change in self.mission.take_changes()]
+        changes = self.mission.take_changes()
+        self.story += [change.name for change in changes]
+        self.choices += [change for change in changes if change.name == "mission_chosen"]
 
     def say(self) -> None:
         hear, now = self.mission.hear, self.now_ns
@@ -150,6 +161,10 @@ class MissionMachine:
         self._busy -= STEP
         if self._busy > 0.0:
             return
+        if self.jump == "flight" and self.jump_fails:
+            self.jump_fails = False
+            status = Status("jump_landed", "it has not left the ground", Level.WARN, "jump_node")
+            self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
         if self.jump == "flight":
             self.jump, self.nut, self.slack = "standby", -0.03, 0.0
             self.length = FLOOR
@@ -201,8 +216,18 @@ class MissionMachine:
             self.length += amount
         elif topic == topics.WINCH_REQUEST:
             self._length_goal, self.winch = amount, "length"
+        elif name == JUMP_OUTLOOK:
+            self._foretell()
         elif topic == topics.JUMP_REQUEST:
             self.jump, self._busy = "flight", 3.0
+
+    def _foretell(self) -> None:
+        level = Level.WARN if self.advice else Level.OK
+        status = Status(
+            "jump_standby", self.advice, level, "jump_node",
+            {"upright": repr(self.upright), "stroke": "0.13"},
+        )  # fmt: skip
+        self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
     def _serve(self, service: str) -> None:
         if service == topics.WINCH_REARM:
