@@ -113,6 +113,8 @@ class PhaseA:
         self.pump = RotorPump(p.damping, p.hanging)
         self.steady = SteadySwing()
         self._pushes = 0
+        self._losses = 0
+        self._is_lost = False  # what the gyro shows is no hanging rover's motion
         self.yaw = YawKeeper(p.yaw, p.hanging)
         self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
         self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
@@ -205,6 +207,23 @@ class PhaseA:
         )
         self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
         self.twist += self.estimator.twisted
+        self._tell_of_losses()
+
+    def _tell_of_losses(self) -> None:
+        """Say that the estimate had to be begun anew, once for as long as it does not settle."""
+        if self.estimator.losses != self._losses:
+            self._losses = self.estimator.losses
+            self.profile.look_again()
+            if not self._is_lost:
+                self._is_lost = True
+                text = (
+                    "gyro, accelerometer and rotors do not agree with a rover that hangs on a taut "
+                    "tether; the swing is learnt anew"
+                )
+                self._changes.append(Transition("swing_lost", text, Level.WARN))
+        elif self._is_lost and self.estimator.is_settled:
+            self._is_lost = False
+            self._changes.append(Transition("swing_found", "the swing is known again", Level.OK))
 
     def look_away(self) -> None:
         """Learn nothing more: the rover may be set down. How it turns is followed."""

@@ -45,6 +45,9 @@ _EYE = np.eye(_SIZE)
 _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
 _MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
+_UNREST_TIME = 0.3  # over which what shakes the rover is learnt [s]
+_EXPECTED = 4.0  # mean square of the misses over their variance, that needs no unrest
+_TILT_ERROR = 0.05  # part by which the tilt's stiffness over inertia may be off
 _PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
 _MASS_ERROR = 0.2  # part by which the mass may be off
 _LEAST_PULL = 0.3  # of the weight, below which the tether is not taut
@@ -140,6 +143,7 @@ class SwingEstimator:
         self.rate = 0.0
         self.keeps_yaw_bias = False  # learns nothing about it: while rotors cone the rover
         self.pushes = 0  # times that something pushed the rover
+        self.losses = 0  # times that the estimate was no hanging rover's, and was begun anew
         self.restart()
 
     def restart(self) -> None:
@@ -152,6 +156,8 @@ class SwingEstimator:
         self._step = self._swept = 0.0
         self.turned = 0.0  # about its own axis in the last step [rad]
         self._missed = [0.0, 0.0]
+        self._surplus = [0.0] * 4  # smoothed once; what is sudden is a push
+        self._unrest = [0.0] * 4  # variance of what is measured, beyond what is known of it
         self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
         unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
         self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
@@ -234,10 +240,11 @@ class SwingEstimator:
         rows = self._rows[: len(measured)]
         missed = np.array(measured) - rows @ self._state
         self._look_for_pushes(missed.tolist(), h)
-        self._update(rows, missed, np.array(variances))
+        self._update(rows, missed, np.array(variances), h)
         if not self._is_credible():
             self.restart()
             self.pushes += 1
+            self.losses += 1
 
     def _is_credible(self) -> bool:
         """Whether a hanging rover can be what is estimated.
@@ -253,20 +260,30 @@ class SwingEstimator:
             and (variances >= 0.0).all()
         )
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether the swing's rate is known so well that a push can be told from it."""
+        return float(self._spread[_V, _V]) < self.parameters.shock**2
+
+    @property
+    def _is_calm(self) -> bool:
+        """Whether nothing shakes the rover that the model does not know."""
+        return self.is_settled and max(self._unrest[:2]) < self.parameters.shock**2
+
     def _is_taut(self, force: Vector) -> bool:
         return force[2] > _LEAST_PULL * self.hanging.rover_gravity
 
     def _look_for_pushes(self, missed: list[float], h: float) -> None:
         """Take by how much the gyro missed."""
         # At the start, and just after a push, there is nothing to miss.
-        settled = float(self._spread[_V, _V]) < self.parameters.shock**2
+        settled = self.is_settled
         state = self._state.tolist()
         for k, inertia in enumerate(self.hanging.inertias):
             self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed[k] - self._missed[k])
             # A model that is off misses in proportion to the tilt's motion.
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
-            limit = self.parameters.shock + _MODEL_ERROR * moving
+            limit = self.parameters.shock + _MODEL_ERROR * moving + math.sqrt(self._unrest[k])
             if abs(self._missed[k]) > limit and settled:
                 self._shaken()
 
@@ -321,17 +338,36 @@ class SwingEstimator:
             self._pushed[k] += min(h / _PUSH_TIME, 1.0) * (change / h - self._pushed[k])
             unknown = _MASS_ERROR * self._pushed[k] / reach
             spread[k * _AXIS + _V, k * _AXIS + _V] += h * _PUSH_TIME * unknown**2
+        for k, inertia in enumerate(self.hanging.inertias):
+            at = k * _AXIS
+            square = pulled * self.hanging.stiffness / inertia
+            moving = state[at + _Q] ** 2 + square * state[at + _P] ** 2
+            unrest = self._unrest[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
+            # What turns the rover by its tether pushes the swing as the tilt's own pull does.
+            along = np.zeros(_SIZE)
+            along[[at + _V, at + _Q]] = -share, 1.0 + share
+            spread += unrest * np.outer(along, along)
         self._spread = 0.5 * (spread + spread.T)
 
-    def _update(self, rows: Array, missed: Array, variances: Array) -> None:
+    def _update(self, rows: Array, missed: Array, variances: Array, h: float) -> None:
         """Take measurements at once: their rows (k, SIZE), what they missed, their variances.
 
         In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
+        What is missed by more than the model and the sensors' noise explain is unrest that they do
+        not know: a tether that vibrates, or tilts so large that what is not known of the inertia
+        shows. It is learnt from the misses: the gyro's is motion of the tilt, the accelerometer's
+        is noise. While there is any, how the swing turns tells nothing about the yaw.
         """
+        variances[2:] += self._unrest[2 : len(variances)]
         along = self._spread @ rows.T
         expected = rows @ along + np.diag(variances)
+        share = min(h / _UNREST_TIME, 1.0)
+        for k, variance in enumerate(expected.diagonal().tolist()):
+            surplus = float(missed[k]) ** 2 - _EXPECTED * variance
+            self._surplus[k] = max(self._surplus[k] + share * (surplus - self._surplus[k]), 0.0)
+            self._unrest[k] += share * (self._surplus[k] - self._unrest[k])
         gain = np.linalg.solve(expected, along.T).T
-        if self.keeps_yaw_bias:
+        if self.keeps_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
         self._state = self._state + gain @ missed
         kept = _EYE - gain @ rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import replace
 
@@ -163,6 +164,32 @@ def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing():
     assert misses(estimator.estimate, model)[0] < math.radians(0.15)
     # Without a push none is seen.
     assert calm < 2.5e-4
+
+
+@pytest.mark.parametrize("yaw_rate", [0.0, -0.09])
+def test_the_swing_of_a_rover_just_lifted_is_found_while_it_tilts_and_its_tether_vibrates(
+    yaw_rate: float,
+):
+    model = make_model(6.6, yaw_rate=yaw_rate)
+    # Tilts by 4 deg at 16 deg/s, as one does that was pulled off the floor, and is heavier than
+    # the estimator takes it for.
+    model.phi += math.radians(4.0) * cmath.exp(0.5j)
+    model.phi_rate += math.radians(16.0) * cmath.exp(2.0j)
+    model.hanging = replace(HANGING, rover_mass=11.0)
+    model.vibration = math.radians(3.0)
+    estimator = watched(model, 15.0)
+    assert estimator.pushes == 0
+    assert misses(estimator.estimate, model)[0] < math.radians(0.2)
+    assert abs(estimator.yaw_bias) < 0.002
+
+
+def test_a_free_tilt_of_an_inertia_that_is_off_is_not_taken_for_swing():
+    model = make_model(6.6)
+    model.phi += math.radians(4.0)
+    model.phi_rate += math.radians(16.0) * 1j
+    model.hanging = replace(HANGING, inertia_about_x=0.16, inertia_about_y=0.16)
+    estimator = watched(model, 10.0)
+    assert misses(estimator.estimate, model)[0] < math.radians(0.5)
 
 
 def test_without_the_drum_nothing_is_estimated():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,9 @@ class HangingModel:
     bias: Vector = (0.0, 0.0, 0.0)
     noise: float = 0.0  # of the gyro, a sample of 100 Hz [rad/s]
     force_noise: float = 0.0
+    vibration: float = 0.0  # of the tether's end about its mean direction, along x of the map [rad]
+    vibration_rate: float = 25.0  # of a few metres of tether under 16 N [rad/s]
+    time: float = 0.0
     generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
     def step(self, momentum_rate: tuple[float, float]) -> tuple[Vector, Vector]:
@@ -37,7 +41,9 @@ class HangingModel:
         turned, felt, swept = 0.0j, 0.0j, 0.0
         for _ in range(STEPS):
             heading = cmath.exp(1j * self.yaw)
-            tilt = (self.phi - self.u) / heading
+            shaken = self.vibration * math.sin(self.vibration_rate * self.time)
+            tilt = (self.phi - self.u + shaken) / heading
+            self.time += H
             # The tether rights the rover; a torque about +y displaces toward -x.
             right = -p.rover_mass * p.rover_gravity * p.lever * tilt
             along_x = (right.real + momentum_rate[1]) / p.inertia_about_y
