@@ -10,7 +10,8 @@ or stands still, where waiting costs no slack.
 touchdown     something carries most of the rover: the floor, or a ledge on which it sits
 slack         the tether carries nothing but itself
 snag          the load is well above the mean: something holds the rover or tether while it is
-              reeled in; not looked for after own braking
+              reeled in; not looked for after own braking, and ended where the drum stands and
+              carries what it did when it stood before
 over_tension  the tension is too high, whatever the reason
 """
 
@@ -23,6 +24,8 @@ from enum import StrEnum
 
 from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.held import Held
+
+_STANDING_RATE = 1e-3  # of payout, below which the drum stands [m/s]
 
 
 class LoadState(StrEnum):
@@ -116,6 +119,10 @@ class LoadWatch:
         self.mean = parameters.weight_reference  # [N]
         self.load = math.nan  # [N]
         self._learnt = self._LEARNT_AT_ONCE  # [s]
+        self._set_aside = 0.0  # integral of the load while a change is pending [N s]
+        self._pended = 0.0  # for so long [s]
+        self._stood = 0.0  # for so long the drum has stood [s]
+        self._hung = math.nan  # load that hung on the drum when it stood last [N]
         self._braked: float | None = None
         self._paying_since: float | None = None
         self._reeled: float | None = None
@@ -186,6 +193,7 @@ class LoadWatch:
             self._paying_since = now
         if rate < -0.01:
             self._reeled = now
+        self._stood = self._stood + dt if abs(rate) < _STANDING_RATE else 0.0
         self._judge(tension, max(p.hold_time, p.bounce_share * bounce_period), now)
         self._learn(dt, now)
         return self.state
@@ -210,13 +218,17 @@ class LoadWatch:
         )
         # Too much tension while reeling in is a snag at once: the winch will now brake.
         caught = self._over.is_on and self._reeled is not None and now - self._reeled < p.hold_time
+        was_on = self._snag.is_on
+        hangs = self._hangs_as_before
         self._snag.step(
-            ratio > p.snag_above and free,
-            ratio < p.snag_above - h or not free,
+            ratio > p.snag_above and free and not hangs,
+            ratio < p.snag_above - h or not free or hangs,
             now,
             0.0 if caught else lasting,
             p.back_time,
         )
+        if was_on and hangs and not self._snag.is_on:
+            self.mean = self._hung
         if self._over.is_on:
             self.state = LoadState.OVER_TENSION
         elif self._snag.is_on:
@@ -228,16 +240,43 @@ class LoadWatch:
         else:
             self.state = LoadState.NORMAL
 
-    def _learn(self, dt: float, now: float) -> None:
-        """Move the running mean, while the rover hangs and nothing else is going on."""
+    @property
+    def _hangs_as_before(self) -> bool:
+        """Whether the drum stands, and carries no more than when it stood last."""
         p = self.parameters
-        pending = any(h.is_on or h.is_pending for h in (self._touchdown, self._snag, self._over))
-        if pending or self._just_braked(now):
+        return self._stood > p.brake_blanking and self.load < (p.snag_above - p.hysteresis) * (
+            self._hung
+        )
+
+    def _learn(self, dt: float, now: float) -> None:
+        """Move the running mean, while the rover hangs and nothing else is going on.
+
+        What passed a threshold and was not believed was part of the motion as much as what did
+        not: it is learnt belatedly, as the mean of a load that goes up and down would otherwise
+        be that of its lower half.
+        """
+        watched = (self._touchdown, self._snag, self._over)
+        if any(held.is_on for held in watched) or self._just_braked(now):
+            self._set_aside = self._pended = 0.0
             return
-        self._learnt = min(self._learnt + dt, p.mean_time)
-        mean = self.mean + (self.load - self.mean) * dt / self._learnt
+        self._set_aside += self.load * dt
+        self._pended += dt
+        if any(held.is_pending for held in watched):
+            return
+        p, time = self.parameters, self._pended
+        load = self._set_aside / time if time > 0.0 else self.load
+        self._set_aside = self._pended = 0.0
+        self._learnt = min(self._learnt + time, p.mean_time)
+        self.mean = self._believed(self.mean + (load - self.mean) * min(time / self._learnt, 1.0))
+        if self._stood > p.brake_blanking:
+            before = self.mean if math.isnan(self._hung) else self._hung
+            self._hung = self._believed(before + (load - before) * min(time / p.mean_time, 1.0))
+
+    def _believed(self, load: float) -> float:
+        """A load, as far as the rover can weigh as much [N]."""
+        p = self.parameters
         low, high = 1.0 - p.learning_range, 1.0 + p.learning_range
-        self.mean = min(max(mean, low * p.weight_reference), high * p.weight_reference)
+        return min(max(load, low * p.weight_reference), high * p.weight_reference)
 
     def _just_braked(self, now: float) -> bool:
         return self._braked is not None and now - self._braked < self.parameters.brake_blanking

@@ -416,8 +416,8 @@ class Winch:
         elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
             goal = at_rest_quickly(self._goal)
             self._enter(Mode.HOLD, f"touchdown at {self.payout.length:.4g} m", goal, now)
-        elif self.load.is_snagged and not self.servo.rests and self.mode is not Mode.HOLD:
-            if self.mode.is_armed:
+        elif self.load.is_snagged and not self.servo.rests and self._reels_in():
+            if self.mode.is_armed and self.mode is not Mode.HOLD:
                 goal = at_rest_quickly(self._goal)
                 reason = f"snag at {self.payout.length:.4g} m"
                 self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
@@ -462,6 +462,10 @@ class Winch:
         is_length = goal.kind is GoalKind.LENGTH
         wants = goal.length > self.payout.length if is_length else goal.rate > 0.0
         return self.servo.reference.rate > 0.0 or wants
+
+    def _reels_in(self) -> bool:
+        """Whether what holds the rover is pulled at; paying out lets it come free."""
+        return self.servo.reference.rate < 0.0 or not self._pays_out()
 
     def _drive(self, now_ns: int, h: float) -> DriveCommand:
         tension, _ = self.tension_now(now_ns)

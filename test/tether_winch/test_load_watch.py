@@ -87,6 +87,26 @@ def test_a_payload_not_told_of_is_learnt():
     assert feed.tell(0.45 * 1.3 * WEIGHT, 1.0) is LoadState.TOUCHDOWN
 
 
+def test_a_load_that_goes_up_and_down_is_learnt_as_its_mean(feed: Feed):
+    for _ in range(60):
+        for share in (1.45, 0.55):
+            assert feed.tell(share * WEIGHT, 0.5, -0.1) is LoadState.NORMAL
+    assert feed.watch.mean == pytest.approx(WEIGHT, rel=0.1)
+
+
+def test_a_snag_ends_where_the_drum_stands_and_carries_what_it_did_before():
+    feed = Feed()
+    feed.tell(WEIGHT, 20.0, 0.0)
+    # A ledge carries part of it for a while.
+    feed.tell(0.6 * WEIGHT, 20.0, 0.1)
+    assert feed.tell(WEIGHT, 1.0, -0.1) is LoadState.SNAG
+    assert feed.tell(WEIGHT, 3.0, 0.0) is LoadState.NORMAL
+    assert feed.tell(WEIGHT, 10.0, -0.1) is LoadState.NORMAL
+    # What is caught stays so, for as long as it is.
+    assert feed.tell(1.6 * WEIGHT, 1.0, -0.1) is LoadState.SNAG
+    assert feed.tell(1.6 * WEIGHT, 30.0, 0.0) is LoadState.SNAG
+
+
 def test_what_stands_is_not_learnt(feed: Feed):
     mean = feed.watch.mean
     feed.tell(3.0, 60.0)
