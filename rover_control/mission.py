@@ -58,6 +58,9 @@ class MissionParameters:
     """Patience of the mission."""
 
     tries: int = parameter(3, "-", "trials of a leg", 1, 100)
+    pause: float = parameter(
+        45.0, "s", "before a hanging leg is tried again: the swing is learnt meanwhile", 0.0, 600.0
+    )
     node_silence: float = parameter(
         2.0, "s", "after which winch or driving count as not there", 0.2, 60.0
     )
@@ -109,6 +112,7 @@ _CONDUCTS: Mapping[LegKind, type[Conduct]] = {
     LegKind.ASCEND: Stop,
     LegKind.STOW: Stow,
 }
+_HANGING = (LegKind.LOOK, LegKind.APPROACH, LegKind.ASCEND)
 _CANNOT_BE_SKIPPED = (LegKind.LIFT, LegKind.ASCEND, LegKind.STOW)
 
 
@@ -144,6 +148,7 @@ class Mission:
         self._conduct: Conduct | None = None
         self._still = MissionPhase.STANDBY  # the phase where no leg is under way
         self._is_calm = True  # what was to be brought to rest, is
+        self._pauses_until = -math.inf  # before the leg is tried again [s]
         self._sent: dict[str, float] = {}  # when what was asked for last [s]
         self._told: MissionPhase | None = None
         self._changes: list[Transition] = []
@@ -298,7 +303,7 @@ class Mission:
         asks: tuple[Ask, ...] = ()
         if self._conduct is None:
             asks = self._calm(now)
-        else:
+        elif now >= self._pauses_until:
             found = self._late(now) or self._conduct.step(self.sight, news, now)
             self._tell_choices()
             if isinstance(found, End):
@@ -390,6 +395,7 @@ class Mission:
         if isinstance(self._conduct, Way):
             self._conduct.locomotion = self.settings.locomotion
         self._rearms = 0
+        self._pauses_until = -math.inf
         self._sent.clear()
         self.waits_for = ""
         self.reason = reason
@@ -410,6 +416,8 @@ class Mission:
             self._tell("mission_trial_failed", text, Level.WARN, {"tries": self._tries})
             if self._tries < tries:
                 self._begin(now, f"trial {self._tries + 1} of {tries}, as {end.reason}")
+                if leg.kind in _HANGING:
+                    self._pauses_until = now + self.settings.mission.pause
                 return
             goes_on = leg.kind is LegKind.RETURN and self._may_lift()
             if _AFTER[leg.kind] is _After.HOLD and not goes_on:

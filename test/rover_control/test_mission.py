@@ -84,6 +84,19 @@ def test_a_hop_that_is_refused_is_left_out_and_the_rover_comes_home():
     assert machine.length == pytest.approx(PLAN.stow)
 
 
+def test_a_hanging_leg_is_tried_again_after_a_pause():
+    machine = begun()
+    machine.refuses[topics.DESCENT_REQUEST] = "it swings too much"
+    machine.run(10.0, until=MissionPhase.STANDBY)
+    assert machine.mission.tries == 1
+    asked = machine.asked.count(topics.DESCENT_REQUEST)
+    machine.refuses.clear()
+    machine.run(MissionParameters().pause - 12.0, until=MissionPhase.STANDBY)
+    assert machine.asked.count(topics.DESCENT_REQUEST) == asked
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
 def test_a_choice_is_told_with_its_reason_and_its_risks():
     machine = begun(MissionPhase.DRIVING)
     machine.stuck = 1
