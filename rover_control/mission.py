@@ -416,8 +416,10 @@ class Mission:
             self._tell("mission_trial_failed", text, Level.WARN, {"tries": self._tries})
             if self._tries < tries:
                 self._begin(now, f"trial {self._tries + 1} of {tries}, as {end.reason}")
-                if leg.kind in _HANGING:
-                    self._pauses_until = now + self.settings.mission.pause
+                p = self.settings.mission
+                # Trials that fail as somebody is gone would be spent before his silence is noticed.
+                pause = p.pause if leg.kind in _HANGING else p.node_silence
+                self._pauses_until = now + pause
                 return
             goes_on = leg.kind is LegKind.RETURN and self._may_lift()
             if _AFTER[leg.kind] is _After.HOLD and not goes_on:

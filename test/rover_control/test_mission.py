@@ -97,6 +97,21 @@ def test_a_hanging_leg_is_tried_again_after_a_pause():
     assert verdicts(machine) == {Verdict.DONE}
 
 
+def test_a_winch_that_is_gone_for_a_while_costs_one_trial_at_most():
+    machine = begun(MissionPhase.DRIVING)
+    machine.silent.add(topics.WINCH_ESTIMATE)
+    machine.refuses[topics.DRIVE_GOAL] = "winch/estimate not heard"
+    machine.drive = "failed"
+    machine.tell("drive_node", "drive_failed", "winch/estimate not heard")
+    machine.run(20.0, until=MissionPhase.STANDBY)
+    assert machine.mission.tries == 1
+    assert machine.mission.phase is MissionPhase.DRIVING
+    machine.silent.clear()
+    machine.refuses.clear()
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
 def test_a_choice_is_told_with_its_reason_and_its_risks():
     machine = begun(MissionPhase.DRIVING)
     machine.stuck = 1
