@@ -48,15 +48,21 @@ survey:
   - {x: 0.6, y: 0.6}
 lift: {height: 0.5, rate: 0.05, radius: 0.6}
 """
-# What each had moved, or held by renewed requests; the supervisor leads the winch in some legs.
-_MOVED = {
-    "winch_node": (topics.WINCH_STATE,),
-    "descent_node": (topics.WINCH_STATE, topics.WHEEL_STATE),
-    "drive_node": (topics.WINCH_STATE, topics.WHEEL_STATE),
-    "jump_node": (topics.JUMP_MOTOR_STATE,),
-    "mission_node": (),
+# What each moves, the winch by requests that it renews, and in which phases of the mission; others
+# may go on with what is theirs. An empty set: in any.
+_MOVED: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
+    "winch_node": ((topics.WINCH_STATE,), frozenset()),
+    "descent_node": (
+        (topics.WINCH_STATE, topics.WHEEL_STATE),
+        frozenset({"looking", "turning", "approaching", "ascending"}),
+    ),
+    "drive_node": (
+        (topics.WINCH_STATE, topics.WHEEL_STATE),
+        frozenset({"driving", "returning"}),
+    ),
+    "jump_node": ((topics.JUMP_MOTOR_STATE,), frozenset()),
+    "mission_node": ((topics.WINCH_STATE,), frozenset({"landing", "lifting"})),
 }
-_LED_BY_MISSION = frozenset({"landing", "lifting"})
 _JOINTS = {
     topics.WINCH_STATE: (WINCH_DRUM, 2e-3),
     topics.WHEEL_STATE: (WHEEL_LEFT, 0.05),
@@ -161,11 +167,9 @@ def _kill(cast: _Cast, node: str) -> Kill:
     dead.send(signal.SIGKILL)
     dead.wait()
     cast.wait(_WATCHDOGS)
-    watched = _MOVED[node]
-    if node == "mission_node" and during in _LED_BY_MISSION:
-        watched = (topics.WINCH_STATE,)
-    # Others may have gone on with what is theirs: a drive's goal is not the jump's.
-    unsafe = [moves for topic in watched if (moves := cast.moves(topic))]
+    watched, phases = _MOVED[node]
+    is_its_own = not phases or during in phases
+    unsafe = [moves for topic in watched if is_its_own and (moves := cast.moves(topic))]
     since = len(events)
     if node == "winch_node":
         unsafe += _moves_unarmed(cast)
