@@ -26,6 +26,8 @@ _SCENARIO = "free_hang"
 TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
 _WALL_RADIUS = 30.0  # of the hole that trials scrape along [m]
 _SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
+# Softer than rock: the rover may be some centimetres within the lip where it appears [N/m^1.5].
+_LIP_STIFFNESS = 1.0e5
 _LIP_ROOM = 0.3 * _SHAFT  # so far the tether may hang aside when a lip appears about it [m]
 _PULLS = 1.15  # part of the weight
 _APART = 0.5  # touches of the wall that come sooner after one another are one scrape [s]
@@ -158,7 +160,12 @@ class SpatialRig:
             "fairlead_height": 0.5,
             "rim_radius": 0.05,
         }
-        caught = {**self._overrides, "place.floor": {"material": "rock"}, "place.hole": shaft}
+        caught = {
+            **self._overrides,
+            "place.floor": {"material": "rock"},
+            "place.rock.stiffness": _LIP_STIFFNESS,
+            "place.hole": shaft,
+        }
         self._plant = SpatialPlant(load_scenario(_SCENARIO, caught))
         self._has_lip = True
 
