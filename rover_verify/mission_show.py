@@ -36,7 +36,7 @@ OVERRIDES: Mapping[str, object] = {
 LIMIT = 2400.0
 """For the mission [s]; one that takes longer is shown as far as it came."""
 _BRIEF = 180.0  # that the whole is to take [s]
-_RECORDED = 25.0  # largest rate of a stream of the plant's in the bag [Hz]
+_RECORDED = 12.5  # largest rate of a stream of the plant's in the bag [Hz]
 _TOLD_EVERY = 25  # ticks
 _STOWED = 0.2  # so near to the stow counts as there [m]
 
