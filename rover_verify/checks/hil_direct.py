@@ -158,8 +158,7 @@ class _Linked:
     """`hil_bridge` and `drive_emulator`, in lockstep."""
 
     def __init__(self, stage: Stage, scenario: Mapping[str, object], seed: int) -> None:
-        link = f"udp_multicast:239.74.163.2:{random.SystemRandom().randrange(44000, 48000)}"
-        lockstep = {"link": link, "lockstep": True, "lockstep_patience": 30.0}
+        lockstep = {"link": stage.link, "lockstep": True, "lockstep_patience": 30.0}
         given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
         stage.processes.start(
             "rover_hil.emulator.emulator_node",

@@ -25,11 +25,11 @@ _RUNNING = (0.1, 0.5)  # and between [s]
 _READING = 3  # cycles by which a count and the time at which it is heard may be apart
 
 
-def _start(stage: Stage, generator: random.Random, **emulated: object) -> tuple[Process, Observer]:
+def _start(stage: Stage, **emulated: object) -> tuple[Process, Observer]:
     """Start emulator and bridge in real time; the bridge, and an observer when both are ready."""
-    link = f"udp_multicast:239.74.163.2:{generator.randrange(44000, 48000)}"
-    stage.processes.start("rover_hil.emulator.emulator_node", {"link": link, **emulated})
-    bridge = stage.processes.start("rover_hil.bridge_node", {"link": link, "use_sim_time": True})
+    link = {"link": stage.link}
+    stage.processes.start("rover_hil.emulator.emulator_node", {**link, **emulated})
+    bridge = stage.processes.start("rover_hil.bridge_node", {**link, "use_sim_time": True})
     observer = stage.observer()
     for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
         observer.listen(name)
@@ -39,10 +39,10 @@ def _start(stage: Stage, generator: random.Random, **emulated: object) -> tuple[
 
 
 @cache
-def _measured(folder: Path, seed: int) -> tuple[Status, dict[str, Status]]:
+def _measured(folder: Path) -> tuple[Status, dict[str, Status]]:
     """The link's status, and that of each device, after enough loops in real time."""
     with open_stage(folder) as stage:
-        _, observer = _start(stage, random.Random(seed), rover_clock_offset=_CLOCK_OFFSET)
+        _, observer = _start(stage, rover_clock_offset=_CLOCK_OFFSET)
         reports = observer.listen(topics.LINK_STATUS)
         for _ in range(_ATTEMPTS):
             if observer.call(topics.DRIVES_ARM, True).success:
@@ -58,7 +58,7 @@ def _measured(folder: Path, seed: int) -> tuple[Status, dict[str, Status]]:
 
 def round_trip(batch: Batch) -> Measured:
     """99th percentile of the time from a state's sampling to the execution of its command."""
-    told, _ = _measured(batch.folder, batch.seed)
+    told, _ = _measured(batch.folder)
     names = (
         "round_trip_p50", "round_trip_max", "round_trip_count", "command_time_p99",
         "answer_time_p99", "cycles", "late_cycles", "incomplete_cycles", "overdue_round_trips",
@@ -70,7 +70,7 @@ def round_trip(batch: Batch) -> Measured:
 
 def clock_offset(batch: Batch) -> Measured:
     """Error of the rover's clock against the mother's, over the uncertainty that is told."""
-    _, devices = _measured(batch.folder, batch.seed)
+    _, devices = _measured(batch.folder)
     rover, mother = devices["imu"].values, devices["winch"].values
     found = float(rover["clock_offset"]) - float(mother["clock_offset"])
     uncertainty = float(rover["clock_uncertainty"]) + float(mother["clock_uncertainty"])
@@ -83,7 +83,7 @@ def uncounted_deadlines(batch: Batch) -> Measured:
     """SYNCs that were due of a bridge that is stopped now and then, neither sent nor counted."""
     generator = random.Random(batch.seed)
     with open_stage(batch.folder) as stage:
-        bridge, observer = _start(stage, generator)
+        bridge, observer = _start(stage)
         reports = observer.listen(topics.LINK_STATUS)
 
         def counts() -> tuple[float, int, int]:

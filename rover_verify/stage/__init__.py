@@ -8,16 +8,22 @@ from pathlib import Path
 
 from rover_verify.stage.observer import Observer
 from rover_verify.stage.processes import Process, Processes, clean_shared_memory
-from rover_verify.stage.ros_domain import reserved_domain
+from rover_verify.stage.ros_domain import multicast_link, reserved_domain
 
 __all__ = ["Observer", "Process", "Processes", "Stage", "clean_shared_memory", "open_stage"]
 
 
 class Stage:
-    """Processes and observers in one domain; closing it stops them all."""
+    """Processes and observers in one domain; closing it stops them all.
+
+    Attributes:
+        domain: of ROS.
+        link: to drives, as `hil_bridge` names it, for those of this stage.
+    """
 
     def __init__(self, domain: int, folder: Path, closing: ExitStack) -> None:
         self.domain = domain
+        self.link = multicast_link(domain)
         self.processes = Processes(domain, folder)
         self._closing = closing
         closing.callback(self.processes.end)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -22,6 +23,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
+from msg_schemas.access import ACCESS, ALL
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
@@ -34,6 +36,9 @@ TRANSITIONS = {
     "deactivate": Transition.TRANSITION_DEACTIVATE,
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
+
+# They take nothing of what is published.
+_LISTEN_TO_ALL = frozenset(name for name, row in ACCESS.items() if row.subscribes == ALL)
 
 _DEEP = 5000
 _number = itertools.count()
@@ -123,7 +128,9 @@ class Observer:
         )
         self._changed = threading.Condition()
         self._feeds: dict[str, Feed] = {}
+        self._tellers: set[str] = set()  # names of the nodes whose diagnostics were heard
         self._publishers: dict[str, Any] = {}
+        self._reached: dict[str, tuple[int, int]] = {}  # the graph when each publisher was
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stopping = threading.Event()
@@ -155,11 +162,15 @@ class Observer:
         if name not in self._feeds:
             row = topic_row(name)
             feed = Feed(name, self._changed)
+
+            def hear(message: Any) -> None:
+                sample = decode(name, message)
+                if name == topics.DIAGNOSTICS:
+                    self._tellers.update(status.hardware_id for status in sample.statuses)
+                feed.add(sample)
+
             self.node.create_subscription(
-                message_class(row.message),
-                name,
-                lambda message: feed.add(decode(name, message)),
-                qos.profile(row.intent, _DEEP),
+                message_class(row.message), name, hear, qos.profile(row.intent, _DEEP)
             )
             self._feeds[name] = feed
             self._executor.wake()
@@ -215,17 +226,38 @@ class Observer:
     # --- commanding ------------------------------------------------------------------------------
 
     def publisher(self, name: str) -> Any:
-        """Return a raw publisher that somebody already listens to."""
+        """Return a raw publisher that reaches a node that takes it, and all others that listen."""
         if name not in self._publishers:
             row = topic_row(name)
             self._publishers[name] = self.node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent)
             )
         made = self._publishers[name]
-        self.wait_until(lambda: made.get_subscription_count() > 0, f"nobody listens to {name}")
-        # Who can be commanded must also be heard refusing.
-        self.listen(topics.DIAGNOSTICS).wait()
+        self.wait_until(lambda: self._reaches_a_taker(name), f"nobody takes {name}")
         return made
+
+    def _reaches_a_taker(self, name: str) -> bool:
+        """Whether all who listen to a publisher are met, and who takes it is heard refusing.
+
+        A node that was killed stays in the graph for a while, and its successor counts besides.
+        """
+        made = self._publishers[name]
+        graph = (made.get_subscription_count(), self.node.count_publishers(topics.DIAGNOSTICS))
+        if self._reached.get(name) == graph:
+            return True
+        listen = self.node.get_subscriptions_info_by_topic(made.topic_name)
+        tell = self.node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
+        listening, telling = (Counter(each.node_name for each in ends) for ends in (listen, tell))
+        takers = (listening.keys() & telling.keys()) - _LISTEN_TO_ALL
+        reaches = (
+            bool(takers)
+            and graph[0] >= len(listen)
+            and all(listening[each] >= telling[each] for each in takers)
+            and takers <= self._tellers
+        )
+        if reaches:
+            self._reached[name] = graph
+        return reaches
 
     def send(self, name: str, sample: Sample) -> None:
         """Publish a good sample."""

@@ -21,9 +21,17 @@ from pathlib import Path
 # to people.
 DOMAINS = range(50, 102)
 
+# Above the ephemeral ports of Linux, one of which another socket may have.
+_FIRST_PORT = 61000
+
 _LOCKS = Path(tempfile.gettempdir()) / "ros_test_domains"
 _PATIENCE = 300.0
 _RETRY = 0.5
+
+
+def multicast_link(domain: int) -> str:
+    """The link to drives that belongs to a reserved domain: no other test uses it."""
+    return f"udp_multicast:239.74.163.2:{_FIRST_PORT + domain}"
 
 
 def _open_shared(path: Path) -> int:

@@ -210,8 +210,8 @@ def _channels_of(bag: Path) -> tuple[dict[str, Channel], dict[int, Schema]]:
 def test_a_lone_message_reaches_the_file_within_its_period(tmp_path: Path):
     writer = BagWriter(tmp_path / "bag", chunk_period=0.2)
     channel = writer.add_topic("/words", standard_type(STRING))
-    writer.write(channel, START, START, text_message("alone"))
     began = time.monotonic()
+    writer.write(channel, START, START, text_message("alone"))
     assert contents(tmp_path / "bag") == []
     while not contents(tmp_path / "bag"):
         assert time.monotonic() - began < 5.0

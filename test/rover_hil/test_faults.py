@@ -51,7 +51,7 @@ class Rig:
 
     def __init__(self, stage: Stage) -> None:
         self._processes = stage.processes
-        self._link = f"udp_multicast:239.74.163.2:{random.SystemRandom().randrange(44000, 48000)}"
+        self._link = stage.link
         self.emulator = self.start_emulator()
         self.bridge = self.start_bridge()
         self.observer: Observer = stage.observer()

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rover_hil.framing import Decoder, Frame, encode
 from rover_hil.serial_bus import CobsSerialBus
 from rover_hil.transport import TransportError, open_bus
+from rover_verify.stage.ros_domain import multicast_link, reserved_domain
 
 DATA = st.binary(max_size=8)
 PLAIN = st.builds(Frame, st.integers(0, 0x7FF), DATA, st.just(False), st.booleans(), st.booleans())
@@ -143,8 +144,16 @@ def test_a_port_that_is_not_there_is_told():
         open_bus("serial:/dev/no_such_port")
 
 
-@pytest.mark.parametrize("link", ["virtual:here", "udp_multicast:239.74.163.2:43991"])
-def test_two_ends_of_a_link_hear_each_other(link: str):
+@pytest.fixture
+def own_multicast() -> Iterator[str]:
+    """A multicast link that no other test uses."""
+    with reserved_domain() as domain:
+        yield multicast_link(domain)
+
+
+@pytest.mark.parametrize("kind", ["virtual", "udp_multicast"])
+def test_two_ends_of_a_link_hear_each_other(kind: str, own_multicast: str):
+    link = own_multicast if kind == "udp_multicast" else "virtual:here"
     one, other = open_bus(link), open_bus(link)
     try:
         one.send(can.Message(arbitration_id=0x80, data=b"\x01", is_extended_id=False))
