@@ -130,6 +130,7 @@ class Observer:
         self._feeds: dict[str, Feed] = {}
         self._tellers: set[str] = set()  # names of the nodes whose diagnostics were heard
         self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
         self._reached: dict[str, tuple[int, int]] = {}  # the graph when each publisher was
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -297,16 +298,17 @@ class Observer:
         return self._call(kind, name, request)
 
     def _call(self, kind: type[Any], name: str, request: Any) -> Any:
-        client = self.node.create_client(kind, name)
-        try:
-            self.wait_until(client.service_is_ready, f"nobody serves {name}")
-            answered = threading.Event()
-            future = client.call_async(request)
-            future.add_done_callback(lambda _: answered.set())
-            assert answered.wait(PATIENCE), f"{name} gave no answer in {PATIENCE:g} s"
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        # Kept: a server gives up an answer to a client that it has not met within 0.1 s, which on a
+        # busy machine each new client risks.
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
+        self.wait_until(client.service_is_ready, f"nobody serves {name}")
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        assert answered.wait(PATIENCE), f"{name} gave no answer in {PATIENCE:g} s"
+        return future.result()
 
     def change_state(self, node_name: str, transition: str) -> bool:
         """Ask a lifecycle node for a transition; returns whether it succeeded."""

@@ -385,12 +385,13 @@ def kill_while_paying_out(bench: Bench, length: float) -> None:
     bench.ask(WINCH_TO_LENGTH, length + 8.0, 0.3)
     mother = bench.mother
     mother.wait(lambda: mother.last.rate > 0.295, "the drum does not pay out")
+    killed = len(mother.history)
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
     mother.is_alone = True
     mother.wait(lambda: mother.last.rate == 0.0, "the drum does not stop")
     mother.wait_for(3.0)
-    last = next(i for i, (_, _, c) in enumerate(mother.history) if i > 100 and c is None)
+    last = next(i for i, (_, _, c) in enumerate(mother.history) if i >= killed and c is None)
     # Silence begins with the last command, which the drive had for 0.1 s.
     begun = max(0, last - 11)
     after = mother.history[begun:]
