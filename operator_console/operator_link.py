@@ -20,6 +20,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
+from msg_schemas.acquaintance import Acquaintance
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.row_kinds import Intent
@@ -43,6 +44,7 @@ _ONE_S_OWN_NS = 1_000_000
 _LOOK = 0.05  # at what nobody announces, such as the graph [s]
 _MEETING = 3.0  # for nodes that are known and not heard yet [s]
 _SLOWING = 5.0  # for what is asked to come to rest, before the next is asked [s]
+_KNOWN = 0.5  # longest for a server to get to know who calls it [s]
 _GRACE = 1.0  # for what is good to know before an order is sent [s]
 
 
@@ -98,6 +100,8 @@ class OperatorLink:
         self._everyone_is_met = time.monotonic() + _MET
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
+        self._acquaintances: dict[str, Acquaintance] = {}  # by service
+        self._found: dict[str, float] = {}  # when each service was seen to be there [s]
         self.listen(topics.EVENTS, topics.DIAGNOSTICS)
 
     def close(self) -> None:
@@ -109,6 +113,10 @@ class OperatorLink:
                 self._node.destroy_publisher(publisher)
             for client in self._clients.values():
                 self._node.destroy_client(client)
+            for acquaintance in self._acquaintances.values():
+                acquaintance.close()
+            self._acquaintances.clear()
+            self._found.clear()
             self._heard.clear()
             self._publishers.clear()
             self._clients.clear()
@@ -398,11 +406,28 @@ class OperatorLink:
                 self._clients[service] = self._node.create_client(kind, service)
             return self._clients[service]
 
+    def _get_known(self, calls: Iterable[Call]) -> None:
+        """Open what is called, and see to it that its server knows of that."""
+        new = {call.service for call in calls} - self._clients.keys()
+        for service in new:
+            self._client(service)
+        if new:
+            self._acquaintances |= dict.fromkeys(new, Acquaintance(self._node, self._wake))
+
+    def _is_ready(self, call: Call) -> bool:
+        """Whether it would be done and answered; nobody is waited for long who is there."""
+        if not self._client(call.service).service_is_ready():
+            return False
+        acquaintance = self._acquaintances.get(call.service)
+        if acquaintance is None or acquaintance.is_with(call.server):
+            return True
+        now = time.monotonic()
+        return now > self._found.setdefault(call.service, now) + _KNOWN
+
     def _call_all(self, order: Order, patience: float, cancelled: Callable[[], bool]) -> Outcome:
         """Call every service that is there: each at once, or in order where all are needed."""
         calls, in_order = order.command.calls, order.command.needs_all
-        for call in calls:
-            self._client(call.service)
+        self._get_known(calls)
         parts: dict[Call, Outcome] = {}
         if in_order:
             self._wait(lambda: not self._missing(calls), patience, cancelled)
@@ -426,7 +451,7 @@ class OperatorLink:
 
     def _missing(self, calls: Iterable[Call]) -> list[Call]:
         """Those that may still come: their server is known to be there, or not known yet."""
-        waited_for = [c for c in calls if not self._client(c.service).service_is_ready()]
+        waited_for = [call for call in calls if not self._is_ready(call)]
         here, now = self._node.get_namespace(), time.monotonic()
         if now < self._everyone_is_met:
             return waited_for
@@ -459,7 +484,7 @@ class OperatorLink:
         def are_answered() -> bool:
             nonlocal asked_last
             for call in calls:
-                if call not in asked and self._client(call.service).service_is_ready():
+                if call not in asked and self._is_ready(call):
                     asked[call], asked_last = self._begin(call), time.monotonic()
             if any(not future.done() for future in asked.values()):
                 return time.monotonic() > asked_last + answer

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -20,10 +21,12 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.access import ACCESS, ALL
+from msg_schemas.acquaintance import Acquaintance
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
@@ -298,10 +301,15 @@ class Observer:
         return self._call(kind, name, request)
 
     def _call(self, kind: type[Any], name: str, request: Any) -> Any:
-        # Kept: a server gives up an answer to a client that it has not met within 0.1 s, which on a
-        # busy machine each new client risks.
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
+            acquaintance = Acquaintance(self.node)
+
+            def knows_the_client() -> bool:
+                return any(map(acquaintance.is_with, self._servers(name)))
+
+            self.wait_until(knows_the_client, f"nobody serves {name}")
+            acquaintance.close()
         client = self._clients[name]
         self.wait_until(client.service_is_ready, f"nobody serves {name}")
         answered = threading.Event()
@@ -309,6 +317,15 @@ class Observer:
         future.add_done_callback(lambda _: answered.set())
         assert answered.wait(PATIENCE), f"{name} gave no answer in {PATIENCE:g} s"
         return future.result()
+
+    def _servers(self, name: str) -> list[str]:
+        """Names of the nodes that serve it."""
+        service, found = self.node.resolve_service_name(name), []
+        for node, namespace in self.node.get_node_names_and_namespaces():
+            with suppress(NodeNameNonExistentError):  # it has just ended
+                if service in dict(self.node.get_service_names_and_types_by_node(node, namespace)):
+                    found.append(node)
+        return found
 
     def change_state(self, node_name: str, transition: str) -> bool:
         """Ask a lifecycle node for a transition; returns whether it succeeded."""
