@@ -70,6 +70,8 @@ _STALL = 0.05  # a step that comes later than this after the last one comes late
 _BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
 _LITTLE = 0.1  # part of a held tension by which a renewal may differ from it
+_SHORTEST = 0.05  # a motion, before it is over [s]
+_TRIM_AWAITED = 0.3  # the same, of one that is renewed [s]
 _TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
 
 
@@ -444,7 +446,9 @@ class Winch:
 
     def _has_ended(self, now: float) -> bool:
         # By time alone a stalled node would take a motion that has not begun for one that is over.
-        begun = self._driven >= _BEGINNING and now - self._in_mode_since > 0.05
+        # A controller that would trim hears of the motion first, and its trim comes after that.
+        least = _TRIM_AWAITED if self._is_renewed else _SHORTEST
+        begun = self._driven >= _BEGINNING and now - self._in_mode_since > least
         return begun and self._trimmed is None and self.servo.rests
 
     def _is_forgotten(self, now: float) -> bool:

@@ -239,6 +239,19 @@ def test_a_trim_is_bounded_ends_by_itself_and_is_refused_elsewhere():
     assert made.ticks[-1].length == pytest.approx(20.003, abs=0.01)
 
 
+def test_a_controller_s_request_for_where_it_is_waits_for_the_trim():
+    made = session(20.0)
+    made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
+    made.run(0.6)
+    assert made.winch.mode is Mode.HOLD  # none came
+    made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
+    made.run(0.25)
+    made.winch.trim(0.05, made.now_ns)
+    made.run(0.4)
+    assert made.winch.mode is Mode.LENGTH
+    assert made.winch.servo.trim_offset > 0.005
+
+
 def test_before_its_ends_it_slows_down_smoothly():
     made = session(6.0)
     for _ in range(50):
