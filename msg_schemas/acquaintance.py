@@ -51,7 +51,7 @@ class Acquaintance:
         return name in self._names
 
     def close(self) -> None:
-        """Hear no more."""
+        """Hear no more; only where nobody spins the node meanwhile."""
         for subscription in self._newest:
             self._node.destroy_subscription(subscription)
         self._newest.clear()

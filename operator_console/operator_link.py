@@ -40,6 +40,7 @@ PATIENCE = 10.0
 # A participant of Fast DDS that was not met at once is met when one of the two announces itself
 # again, each 3 s; its endpoints follow [s].
 _MET = 4.0
+_DEEP = 200  # messages that may wait: what all nodes have latched comes at one time
 _ONE_S_OWN_NS = 1_000_000
 _LOOK = 0.05  # at what nobody announces, such as the graph [s]
 _MEETING = 3.0  # for nodes that are known and not heard yet [s]
@@ -130,8 +131,9 @@ class OperatorLink:
                 continue
             row = topic_row(name)
             self._heard[name] = self._node.create_subscription(
-                message_class(row.message), name, self._hearer(name), qos.profile(row.intent)
-            )
+                message_class(row.message), name, self._hearer(name),
+                qos.profile(row.intent, _DEEP),
+            )  # fmt: skip
 
     def listen_to_all(self) -> None:
         """Hear everything that telemetry shows."""

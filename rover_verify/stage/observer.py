@@ -309,7 +309,8 @@ class Observer:
                 return any(map(acquaintance.is_with, self._servers(name)))
 
             self.wait_until(knows_the_client, f"nobody serves {name}")
-            acquaintance.close()
+            # By the thread that spins: it must not wait for what is being destroyed.
+            self._executor.create_task(acquaintance.close)
         client = self._clients[name]
         self.wait_until(client.service_is_ready, f"nobody serves {name}")
         answered = threading.Event()

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from msg_schemas import topics
+from msg_schemas import qos, topics
+from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.samples import TextSample
 from operator_console.operator_link import OperatorLink
 
 pytestmark = [pytest.mark.ros]
@@ -41,3 +46,34 @@ def test_what_is_opened_is_closed_and_can_be_opened_again(node: Node):
         assert len(opened(node)) > len(before) + 10
         link.close()
         assert opened(node) == before
+
+
+def test_what_all_nodes_have_latched_is_heard_though_it_comes_at_one_time(node: Node):
+    row = topic_row(topics.CONFIG)
+    names = [f"node_{number}" for number in range(8)]
+    outlets = []
+    for name in names:
+        text = json.dumps({"node": f"/{name}", "parameters": {"depth": 2.0}})
+        outlets.append(
+            node.create_publisher(
+                message_class(row.message), topics.CONFIG, qos.profile(row.intent)
+            )
+        )
+        outlets[-1].publish(encode(topics.CONFIG, TextSample(text)))
+    heard: list[str] = []
+    link = OperatorLink(node, "somebody", lambda _, sample: heard.append(sample.text))
+    link.listen(topics.CONFIG)
+    arriving = threading.Event()
+    for _ in range(100):
+        if all(outlet.get_subscription_count() for outlet in outlets):
+            break
+        arriving.wait(0.1)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    for _ in range(100):
+        executor.spin_once(timeout_sec=0.1)
+        if len(heard) == len(names):
+            break
+    assert {json.loads(text)["node"] for text in heard} == {f"/{name}" for name in names}
+    executor.shutdown()
+    link.close()
