@@ -243,7 +243,7 @@ def test_a_controller_s_request_for_where_it_is_waits_for_the_trim():
     made = session(20.0)
     made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.6)
-    assert made.winch.mode is Mode.HOLD  # none came
+    assert len(made.told("winch_hold")) == 2  # when it was armed, and as none came
     made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.25)
     made.winch.trim(0.05, made.now_ns)
