@@ -291,11 +291,8 @@ class RehearsalNode(ContractNode):
         return Answer(bool(answer.success), str(answer.message))
 
     def _client(self, service: str) -> Any:
-        return self._caller(message_class(SERVICES[service].service), service)
-
-    def _caller(self, kind: Any, service: str) -> Any:
-        # Kept: a server may give up its answer to a client that it does not know yet.
         if service not in self._callers:
+            kind = message_class(SERVICES[service].service)
             self._callers[service] = self.create_client(kind, service)
         return self._callers[service]
 
@@ -315,8 +312,11 @@ class RehearsalNode(ContractNode):
     def parameter(self, node: str, name: str) -> object:
         """A parameter's present value."""
         service = f"{node}/get_parameters"
-        asked = GetParameters.Request(names=[name])
-        answer = self._call(self._caller(GetParameters, service), service, asked, _NODE_ANSWERS)
+        client = self.create_client(GetParameters, service)
+        try:
+            answer = self._call(client, service, GetParameters.Request(names=[name]), _NODE_ANSWERS)
+        finally:
+            self.destroy_client(client)
         if not answer.values or answer.values[0].type == ParameterType.PARAMETER_NOT_SET:
             raise CannotDoError(f"the node {node} has no parameter {name}")
         value: object = parameter_value_to_python(answer.values[0])
@@ -325,9 +325,12 @@ class RehearsalNode(ContractNode):
     def set_parameter(self, node: str, name: str, value: object) -> None:
         """Set a parameter."""
         service = f"{node}/set_parameters"
-        caller = self._caller(SetParameters, service)
+        client = self.create_client(SetParameters, service)
         asked = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        (answer,) = self._call(caller, service, asked, _NODE_ANSWERS).results
+        try:
+            (answer,) = self._call(client, service, asked, _NODE_ANSWERS).results
+        finally:
+            self.destroy_client(client)
         if not answer.successful:
             raise CannotDoError(f"{node} refuses {name}: {answer.reason}")
 
