@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -33,6 +34,8 @@ _BEYOND_TRIP = 2.0e-3
 _NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
 _NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
 _NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
+# Studies and identifications make many plants that differ in other things than wheels and soil.
+_known_table = lru_cache(maxsize=16)(wheel_table)
 
 
 def make_model(scenario: SpatialScenario) -> Model:
@@ -82,7 +85,7 @@ def make_model(scenario: SpatialScenario) -> Model:
 def _feet(scenario: SpatialScenario, rover: Rover) -> Feet:
     place, wheels = scenario.place, rover.wheels
     corners, first = rover.corners
-    table = wheel_table(wheel_on_soil(wheels.parameters(), place.soil.parameters()))
+    table = _known_table(wheel_on_soil(wheels.parameters(), place.soil.parameters()))
     return Feet(
         corners=np.ascontiguousarray(corners),
         first_of_body2=first,

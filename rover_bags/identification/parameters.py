@@ -71,8 +71,7 @@ def with_stiffness(scenario: SpatialScenario) -> SpatialScenario:
 
 def value_of(scenario: SpatialScenario, name: str) -> float | None:
     """The value of one of `PARAMETERS`, None where there is none that could be sought."""
-    value = _at(scenario.to_mapping(), PARAMETERS[name].path)
-    return value if value is not None and 0.0 < value < math.inf else None
+    return _sought(scenario.to_mapping(), name)
 
 
 def with_values(scenario: SpatialScenario, values: Mapping[str, float]) -> SpatialScenario:
@@ -89,7 +88,7 @@ def with_values(scenario: SpatialScenario, values: Mapping[str, float]) -> Spati
     mapping = scenario.to_mapping()
     for name, value in values.items():
         sought = PARAMETERS[name]
-        before = value_of(scenario, name)
+        before = _sought(mapping, name)
         if before is None:
             raise IdentifyError(f"{scenario.name} has no {name} ({sought.path}) that can be sought")
         for path in (sought.path, *sought.along):
@@ -105,6 +104,12 @@ def without_errors(scenario: SpatialScenario) -> SpatialScenario:
         if isinstance(channel, dict) and "noise_density" in channel:
             channel.update(noise_density=0.0, bias=0.0, bias_walk=0.0, resolution=0.0)
     return SpatialScenario.from_mapping(mapping)
+
+
+def _sought(mapping: Mapping[str, Any], name: str) -> float | None:
+    """The value of one of `PARAMETERS`, None where there is none that could be sought."""
+    value = _at(mapping, PARAMETERS[name].path)
+    return value if value is not None and 0.0 < value < math.inf else None
 
 
 def _at(mapping: Mapping[str, Any], path: str) -> float | None:
