@@ -107,7 +107,7 @@ class Comparison:
                 group = row.group
                 table.append(["", group.upper(), *("" for _ in self.names), ""])
             cells = [_text(value) for value in row.values]
-            spread = "" if row.spread is None else _text(row.spread)
+            spread = "" if row.spread is None else f"{row.spread:.3g}"
             table.append(["*" if row.differs else "", row.name, *cells, spread])
         widths = [max(len(line[i]) for line in table) for i in range(len(table[0]))]
         lines = [
@@ -132,11 +132,16 @@ class Comparison:
                 "they are marked. Times count from each bag's begin.</p>"
             ),
             figures(self.plots),
+            (
+                '<p class="only"><label><input type="checkbox" id="only-differing"> '
+                "show only what differs</label></p>"
+            ),
         ]
         for group in dict.fromkeys(row.group for row in self.rows):
             rows = [row for row in self.rows if row.group == group]
-            parts.append(f"<section><h2>{escaped(group.capitalize())}</h2>{self._table(rows)}")
-            parts.append("</section>")
+            kind = "" if any(row.differs for row in rows) else ' class="same"'
+            parts.append(f"<section{kind}><h2>{escaped(group.capitalize())}</h2>")
+            parts.append(f"{self._table(rows)}</section>")
         return whole_page(f"Bags compared: {names}", parts)
 
     def _table(self, rows: Sequence[Row]) -> str:
@@ -144,9 +149,10 @@ class Comparison:
         body = []
         for row in rows:
             mark = ' class="bad"' if row.differs else ""
+            kind = "" if row.differs else ' class="same"'
             cells = "".join(f"<td{mark}>{escaped(_text(value))}</td>" for value in row.values)
-            spread = "" if row.spread is None else _text(row.spread)
-            body.append(f"<tr><td>{escaped(row.name)}</td>{cells}<td>{spread}</td></tr>")
+            spread = "" if row.spread is None else f"{row.spread:.3g}"
+            body.append(f"<tr{kind}><td>{escaped(row.name)}</td>{cells}<td>{spread}</td></tr>")
         return (
             f'<div class="scroll"><table><thead><tr>{heads}</tr></thead>'
             f"<tbody>{''.join(body)}</tbody></table></div>"
@@ -215,6 +221,10 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
 Key = tuple[str, str]
 
 
+_WORDS: Final = {"downward": ("way", "down", "up"), "turning": ("what", "turn", "drive")}
+"""Of a stretch that is of either kind: what is told of it, and the words."""
+
+
 def _figures(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
     """Group, name and value of each figure of a report."""
     for name in ("seed", "package_version", "contract_version"):
@@ -239,6 +249,10 @@ def _figures(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
                        ("jumps", "jump")):  # fmt: skip
         for number, item in enumerate(report[group], 1):
             for name, value in item.items():
+                if name in _WORDS:
+                    told, if_so, if_not = _WORDS[name]
+                    yield (group, f"{one} {number}: {told}"), if_so if value else if_not
+                    continue
                 if isinstance(value, bool) or not isinstance(value, int | float | None):
                     continue
                 yield (group, f"{one} {number}: {_named(name)}"), value

@@ -55,6 +55,8 @@ th { color: var(--soft); font-weight: 600; border-bottom: 2px solid #adb5bd;
 th:first-child, td:first-child, .words { text-align: left; }
 td.words { white-space: normal; }
 td.bad { color: var(--bad); font-weight: 600; }
+.only { margin: 28px 0 0; }
+body:has(#only-differing:checked) .same { display: none; }
 code, pre { font: 12.5px/1.45 ui-monospace, 'SFMono-Regular', Menlo, Consolas, monospace; }
 pre { background: var(--tint); border: 1px solid var(--line); border-radius: 8px; padding: 12px;
       overflow: auto; max-height: 420px; }

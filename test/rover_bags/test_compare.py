@@ -36,6 +36,7 @@ def test_what_differs_is_marked_and_what_does_not_is_not(bags: list[Path]):
     assert rate.differs
     assert [float(value or 0.0) for value in rate.values] == pytest.approx([0.25, 0.2], rel=0.01)
     assert rate.spread == pytest.approx(0.05, rel=0.05)
+    assert rows["descents", "descent 1: way"].values == ("down", "down")
     assert not rows["activities", "hanging, times"].differs
     assert not rows["jumps", "jump 1: jump height [m]"].differs
 
@@ -65,6 +66,8 @@ def test_page_json_and_terminal(
     page = (tmp_path / "out" / "comparison.html").read_text()
     assert page.count("<svg") >= 4
     assert 'class="bad"' in page
+    same = sum(not row["differs"] for row in content["rows"])
+    assert page.count('<tr class="same">') == same > 0
     assert "http" not in page
 
 
