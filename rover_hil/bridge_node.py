@@ -88,6 +88,7 @@ class BridgeNode(ContractNode):
 
     NAME = "hil_bridge"
     PARAMETERS = (BridgeParameters,)
+    HEARS_MUCH = True
 
     _link: Link | None = None
 

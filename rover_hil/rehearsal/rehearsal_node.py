@@ -125,6 +125,7 @@ class RehearsalNode(ContractNode):
 
     NAME = "hil_rehearsal"
     PARAMETERS = (RehearsalParameters,)
+    HEARS_MUCH = True
     verdict: ClassVar[Verdict | None] = None
 
     def setup(self) -> None:
