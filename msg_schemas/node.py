@@ -99,9 +99,9 @@ class ContractNode(LifecycleNode):
     Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
     ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as they
     need. Where ``HEARS_MUCH``, rclpy's executor of events hands on what comes: it takes
-    less time for thousands of messages a second, but makes up for timers that were late,
-    so that several of their calls come at one time. A ``setup`` that takes more than a few
-    seconds calls ``heed_stop`` now and then.
+    less than half of the time for each message, but now and then misses a timer of simulated
+    time: nodes that have such timers keep to the other. A ``setup`` that takes more than a
+    few seconds calls ``heed_stop`` now and then.
     """
 
     NAME: ClassVar[str] = ""

@@ -144,6 +144,10 @@ class WheelReaction:
         """Whether the wheel has come down from its pumping."""
         return self._bias == self.rotors.quiet_bias
 
+    def take_over(self, rate: float) -> None:
+        """Begin with the left wheel as it turns [rad/s]: a jump of it would tilt the rover."""
+        self._bias = min(rate, self.rotors.quiet_bias)
+
     def step(self, tilt_rate: float, pumped: float, h: float, *, pumps: bool) -> float:
         """Advance by h; returns the left wheel's rate to have [rad/s].
 

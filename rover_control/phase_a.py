@@ -126,6 +126,7 @@ class PhaseA:
         self._length = math.nan
         self._brake_is_open = False
         self._mode = ""
+        self._left_rate = 0.0  # of the left wheel [rad/s]
         self._wheel_momentum = 0.0  # about +y [N m s]
         self._flywheel_momentum = 0.0  # about +x
         self._screw = (0.0, 0.0)  # angle [rad], rate [rad/s]
@@ -173,7 +174,8 @@ class PhaseA:
     def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
         self._heard[topics.WHEEL_STATE] = now_ns
-        rates = sample.joints[WHEEL_LEFT].velocity + sample.joints[WHEEL_RIGHT].velocity
+        self._left_rate = sample.joints[WHEEL_LEFT].velocity
+        rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
         self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
 
     def hear_flywheel(self, sample: JointSample, now_ns: int) -> None:
@@ -230,7 +232,8 @@ class PhaseA:
         self._looks_away = True
 
     def look_again(self) -> None:
-        """The rover hangs again, and its swing is another one."""
+        """The rover hangs again, and its swing is another one; its wheel may still turn."""
+        self.wheels.take_over(self._left_rate)
         if self._looks_away:
             self._looks_away = False
             self.estimator.look_again()

@@ -344,9 +344,10 @@ class SwingEstimator:
             moving = state[at + _Q] ** 2 + square * state[at + _P] ** 2
             unrest = self._unrest[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
             # What turns the rover by its tether pushes the swing as the tilt's own pull does.
-            along = np.zeros(_SIZE)
-            along[[at + _V, at + _Q]] = -share, 1.0 + share
-            spread += unrest * np.outer(along, along)
+            spread[at + _V, at + _V] += unrest * share**2
+            spread[at + _Q, at + _Q] += unrest * (1.0 + share) ** 2
+            spread[at + _V, at + _Q] -= unrest * share * (1.0 + share)
+            spread[at + _Q, at + _V] -= unrest * share * (1.0 + share)
         self._spread = 0.5 * (spread + spread.T)
 
     def _update(self, rows: Array, missed: Array, variances: Array, h: float) -> None:

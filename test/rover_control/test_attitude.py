@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -110,6 +111,18 @@ def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
         rate = wheels.step(0.2 * math.sin(0.1 * k), 0.02, H, pumps=k < 2000)
         assert rate <= 0.0
     assert wheels.is_quiet
+
+
+def test_a_wheel_that_still_turns_is_taken_over_as_it_is_and_brought_down_by_its_ramp():
+    wheels = WheelReaction(HANGING, ROTORS, DESIGN)
+    wheels.take_over(ROTORS.wheel_bias)
+    rates = [ROTORS.wheel_bias, *(wheels.step(0.0, 0.0, H, pumps=False) for _ in range(1000))]
+    steps = [after - before for before, after in itertools.pairwise(rates)]
+    assert max(map(abs, steps)) <= ROTORS.wheel_ramp * H * (1.0 + 1e-9)
+    assert wheels.is_quiet
+    # A wheel that turned with the other one is not driven so.
+    wheels.take_over(3.0)
+    assert wheels.step(0.0, 0.0, H, pumps=False) <= 0.0
 
 
 def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():

@@ -132,6 +132,7 @@ def refuse_what_is_wrong(bench: Bench) -> None:
     bench.observer.wait_for_status(
         topics.DIAGNOSTICS,
         lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.IMU}",
+        bench.diagnostics(),  # at the start it had not been heard either
     )
     bench.ask(OBSERVATION_STOP, 6.0)
     assert f"{topics.IMU} not heard" in bench.refused("stale")

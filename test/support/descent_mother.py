@@ -23,8 +23,11 @@ from rover_verify.stage import Observer
 from rover_verify.stage.observer import Feed
 
 _LAG_NS = 60_000_000  # by which the descent's commands may be behind
+_ESTIMATE_LAG_NS = 200_000_000  # by which its estimates may be, that it tells ten times a second
 _PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
 _ANSWER = 0.05  # the same of one that did not answer the last tick [s]
+_LOST = 0.002  # the same of one that has not answered for many ticks [s]
+_MANY = 40
 _LOOK = 0.002  # [s]
 _COASTING = 3.0  # of a wheel without commands, by its friction [rad/s^2]
 
@@ -33,17 +36,17 @@ class DescentMother(Mother):
     """Runs in a thread of its own from ``begin`` on.
 
     Attributes:
-        descends: whether a descent node is waited for, as it drives the flywheel.
+        descends: whether it drives the flywheel, and may be no further behind than a drive bears.
     """
 
     def __init__(self, observer: Observer, hoist: Hoist, length: float) -> None:
         super().__init__(observer, hoist)
         self.rover = HangingMachine(length)
         self.descends = False
-        self._keeps_up = False  # the descent answered the last tick
+        self._unanswered = 1  # ticks since the descent was no further behind than it may be
         self._wheel = observer.listen(topics.WHEEL_COMMAND)
         self._flywheel = observer.listen(topics.FLYWHEEL_COMMAND)
-        self._phase = observer.listen(topics.DESCENT_PHASE)
+        self._estimate = observer.listen(topics.DESCENT_STATE)
         for name in (topics.IMU, topics.WHEEL_STATE, topics.FLYWHEEL_STATE, topics.CAMERA):
             self._outlets[name] = observer.publisher(name)
 
@@ -72,10 +75,21 @@ class DescentMother(Mother):
         super()._await_answer(heard)
         begun = time.monotonic()
         pause = threading.Event()
-        patience = _PATIENCE if self._keeps_up else _ANSWER
-        while self.descends and not self._ended.is_set():
-            last = self._flywheel.last
-            self._keeps_up = last is not None and self.now_ns - last.stamp_ns <= _LAG_NS
-            if self._keeps_up or time.monotonic() - begun > patience:
+        patience = _ANSWER if self._unanswered < _MANY else _LOST
+        if not self._unanswered:
+            patience = _PATIENCE
+        while not self._ended.is_set():
+            if self._keeps_up():
+                self._unanswered = 0
+                return
+            if time.monotonic() - begun > patience:
+                self._unanswered += 1
                 return
             pause.wait(_LOOK)
+
+    def _keeps_up(self) -> bool:
+        """Whether the descent has heard what it was told but a moment ago."""
+        feed, lag_ns = self._estimate, _ESTIMATE_LAG_NS
+        if self.descends:
+            feed, lag_ns = self._flywheel, _LAG_NS
+        return feed.last is not None and self.now_ns - feed.last.stamp_ns <= lag_ns
