@@ -5,6 +5,7 @@ Clean Ctrl-C, exit codes that mean something, ``--help``.
 
 from __future__ import annotations
 
+import faulthandler
 import signal
 import sys
 import traceback
@@ -21,6 +22,7 @@ from msg_schemas.parameters import ParameterError
 from msg_schemas.ros_parameters import described_parameters
 
 _SPIN_SLICE = 0.1  # [s]
+_LEAVING = 20.0  # the graph, before that is given up [s]
 
 N = TypeVar("N", bound=ContractNode)
 
@@ -83,6 +85,7 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
         return ExitCode.CRASH
     finally:
         try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _init_ros(arguments: list[str]) -> None:
@@ -117,5 +120,7 @@ def _run_until(node_class: type[N], stop: _StopRequest) -> int:
         return ExitCode.OK if node.exit_code is None else node.exit_code
     finally:
         node.shut_down()
+        # All is said and safe. Should rclpy or the middleware not let go, its stacks tell where.
+        faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
         executor.shutdown()
         node.destroy_node()
