@@ -1,4 +1,8 @@
-"""Who knows what a node has opened; a service is called when its server knows the client."""
+"""Who has met whom: whom a publisher reaches, and which server knows a client.
+
+Something is published when all that listen are met, and a service is called when its server knows
+the client.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,18 @@ if TYPE_CHECKING:
 # What has happened is kept for who listens late, so that a node is heard at once; one that has
 # nothing to tell of yet is heard by its health.
 _HEARD = (topics.EVENTS, topics.DIAGNOSTICS)
+
+
+def listeners(node: Node, publisher: Any) -> list[tuple[str, str]]:
+    """Name and namespace of each who listens to a publisher, once all known ones are met.
+
+    Empty before: what is published to the one who was met first, as it may be a recorder, is lost
+    to who is met a moment later.
+    """
+    known = node.get_subscriptions_info_by_topic(publisher.topic_name)
+    if publisher.get_subscription_count() < len(known):
+        return []
+    return [(each.node_name, each.node_namespace) for each in known]
 
 
 class Acquaintance:

@@ -20,7 +20,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.acquaintance import Acquaintance
+from msg_schemas.acquaintance import Acquaintance, listeners
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.row_kinds import Intent
@@ -313,10 +313,12 @@ class OperatorLink:
         if order.command.heads:
             self.listen(topics.DESCENT_PHASE, topics.WINCH_STATE)
 
+        at = (request.taker, self._node.get_namespace())
+
         def is_there() -> bool:
             # Who can be asked must also be heard refusing.
             heard = self._telemetry.is_heard(request.taker, time.monotonic())
-            return heard and self._reaches(made, request.taker)
+            return heard and at in listeners(self._node, made)
 
         if not self._wait(is_there, patience, cancelled):
             verdict = Verdict.GIVEN_UP if cancelled() else Verdict.NOBODY
@@ -380,13 +382,6 @@ class OperatorLink:
                     kind, topic, qos.profile(Intent.COMMAND)
                 )
             return self._publishers[topic]
-
-    def _reaches(self, publisher: Any, name: str) -> bool:
-        """Whether that node would hear it; a recorder that listens as well is not enough."""
-        there = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-        at = (name, self._node.get_namespace())
-        listens = any((each.node_name, each.node_namespace) == at for each in there)
-        return listens and publisher.get_subscription_count() >= len(there)
 
     def _absence(self, name: str) -> str:
         """Say that a node is not there, and where there is one of that name."""

@@ -26,6 +26,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from msg_schemas import qos, topics
+from msg_schemas.acquaintance import listeners
 from msg_schemas.codecs import decode, message_class, to_time, topic_row
 from msg_schemas.node import READY, ContractNode, ExitCode, package_version
 from msg_schemas.node_process import run
@@ -244,12 +245,8 @@ class RehearsalNode(ContractNode):
 
     def is_heard(self, topic: str) -> bool:
         """Whether somebody listens, besides the recorder."""
-        self._sender(topic)
-        full = self.resolve_topic_name(topic)
-        listening = self.get_subscriptions_info_by_topic(full)
-        return self._senders[topic].get_subscription_count() >= len(listening) and any(
-            each.node_name not in {_RECORDER, self.NAME} for each in listening
-        )
+        heard = {name for name, _ in listeners(self, self._sender(topic))}
+        return bool(heard - {_RECORDER, self.NAME})
 
     def _sender(self, topic: str) -> Any:
         if topic not in self._senders:

@@ -37,6 +37,7 @@ from rover_sim import (
 )
 from rover_sim.physics import spatial_rover
 from rover_sim.spatial_interface import SpatialInterface
+from rover_verify.checks.machine_off import machine_off
 from rover_verify.checks.winch_spatial import winch_command
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
@@ -92,10 +93,6 @@ class Start:
 
     def overrides(self) -> dict[str, object]:
         """Values of the scenario by dotted path."""
-        scenario = _nominal()
-        rover, winch = scenario.rover, scenario.winch
-        assert rover is not None
-        assert winch is not None
         frequency = HangingParameters().swing_frequency(self.length)
         # Sideways at the plane's end, without turning about the tether.
         cone = math.degrees(frequency) * self.minor / self.major if self.major > 0.0 else 0.0
@@ -107,22 +104,10 @@ class Start:
             "start.body_rate": [0.0, 0.0, -cone],
             "start.heading": self.heading,
             "start.tilt": [*self.tilt, 0.0],
-            "rover.m1": rover.m1 * self.mass,
-            "rover.m2": rover.m2 * self.mass,
-            "rover.inertia1": [self.mass * each for each in rover.inertia1],
-            "rover.inertia2": [self.mass * each for each in rover.inertia2],
+            **machine_off(_nominal(), self.mass, self.friction),
         }
         if self.swivel_friction is not None:
             changed["tether.swivel_friction"] = self.swivel_friction
-        frictions = {
-            "winch.friction": winch.friction,
-            "rover.jump_drive.friction": rover.jump_drive.friction,
-            "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
-            "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
-        }
-        for name, values in frictions.items():
-            for part in ("coulomb", "breakaway", "viscous"):
-                changed[f"{name}.{part}"] = getattr(values, part) * self.friction
         return {**_MESH, **changed}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rover_sim import load_spatial
+from rover_verify.checks.machine_off import machine_off
 
 _MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # by which they may be off
 
@@ -45,23 +46,6 @@ def _machine(rng: np.random.Generator) -> dict[str, object]:
     friction = float(rng.uniform(1.0 - _FRICTION, 1.0 + _FRICTION))
     spring = float(rng.uniform(1.0 - _SPRING, 1.0 + _SPRING))
     scenario = load_spatial("floor_rubble")
-    rover, winch = scenario.rover, scenario.winch
-    assert rover is not None
-    assert winch is not None
-    changed: dict[str, object] = {
-        "rover.m1": rover.m1 * mass,
-        "rover.m2": rover.m2 * mass,
-        "rover.inertia1": [mass * each for each in rover.inertia1],
-        "rover.inertia2": [mass * each for each in rover.inertia2],
-        "rover.slider.spring_rate": rover.slider.spring_rate * spring,
-    }
-    frictions = {
-        "winch.friction": winch.friction,
-        "rover.jump_drive.friction": rover.jump_drive.friction,
-        "rover.wheel_drive.left_friction": rover.wheel_drive.left_friction,
-        "rover.wheel_drive.right_friction": rover.wheel_drive.right_friction,
-    }
-    for name, values in frictions.items():
-        for part in ("coulomb", "breakaway", "viscous"):
-            changed[f"{name}.{part}"] = getattr(values, part) * friction
-    return changed
+    assert scenario.rover is not None
+    rate = scenario.rover.slider.spring_rate * spring
+    return machine_off(scenario, mass, friction) | {"rover.slider.spring_rate": rate}

@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.access import ACCESS, ALL
-from msg_schemas.acquaintance import Acquaintance
+from msg_schemas.acquaintance import Acquaintance, listeners
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
@@ -249,13 +249,12 @@ class Observer:
         graph = (made.get_subscription_count(), self.node.count_publishers(topics.DIAGNOSTICS))
         if self._reached.get(name) == graph:
             return True
-        listen = self.node.get_subscriptions_info_by_topic(made.topic_name)
+        listening = Counter(node for node, _ in listeners(self.node, made))
         tell = self.node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
-        listening, telling = (Counter(each.node_name for each in ends) for ends in (listen, tell))
+        telling = Counter(each.node_name for each in tell)
         takers = (listening.keys() & telling.keys()) - _LISTEN_TO_ALL
         reaches = (
             bool(takers)
-            and graph[0] >= len(listen)
             and all(listening[each] >= telling[each] for each in takers)
             and takers <= self._tellers
         )
