@@ -192,6 +192,7 @@ ACCESS: dict[str, Access] = {
             topics.DESCENT_PHASE,
             topics.DESCENT_STATE,
             topics.DRIVE_PHASE,
+            topics.DRIVE_STATE,
             topics.ODOMETRY,
             topics.JUMP_PHASE,
             topics.JUMP_MOTOR_STATE,

@@ -70,7 +70,7 @@ class Surroundings(NamedTuple):
 
     slack_value: float  # dh/df [-]; inf = plumb below the fairlead
     axial_stiffness: float  # EA of the tether [N]
-    slope: float  # of the ground ahead, as far as it is known [rad]
+    slope: float  # of what the rover stands on [rad]; nan = not known
     stuck: int  # times that the wheels got stuck here and did not get on since
     jumped: int  # jumps here that did not get the rover on
     outlook: Outlook | None  # of a jump from here; None = none was made

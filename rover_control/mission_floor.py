@@ -226,7 +226,7 @@ class Way(Conduct):
         place = sight.place
         value = math.nan if place is None else slack_value(place.x, place.y, sight.drop)
         stiffness = self.locomotion.tether_stiffness
-        around = Surroundings(value, stiffness, 0.0, self._stuck, self._jumped, outlook)
+        around = Surroundings(value, stiffness, sight.slope, self._stuck, self._jumped, outlook)
         choice = choose(self.locomotion, around)
         means = choice.way
         if means is Means.JUMP and self._jumps >= self.plan.jumps.most:

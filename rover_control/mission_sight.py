@@ -10,6 +10,8 @@ from msg_schemas.machine import (
     HEADING,
     JUMP_SCREW,
     PAYOUT,
+    PITCH,
+    ROLL,
     TENSION,
     TETHER_OUT,
 )
@@ -39,6 +41,7 @@ HEARD = (
     topics.WINCH_ALARMS,
     topics.WINCH_ESTIMATE,
     topics.DESCENT_STATE,
+    topics.DRIVE_STATE,
     topics.ODOMETRY,
     topics.JUMP_MOTOR_STATE,
     topics.EVENTS,
@@ -73,6 +76,7 @@ class MissionSight:
         self.pull = math.nan  # of the rover on the tether, beyond the tether's weight [N]
         self.nut = math.nan  # compression at which the nut stands [m]
         self.heading = math.nan  # of the hanging rover since its controller's start [rad]
+        self.slope = math.nan  # of what the rover stands on, by its tilt [rad]
         self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # where the rover is, as the mission goes by it
         self.place_told: Place | None = None  # where drive_node says it is
@@ -114,6 +118,9 @@ class MissionSight:
             self.nut = joints[JUMP_SCREW].position
         elif topic == topics.DESCENT_STATE:
             self.heading = joints[HEADING].position
+        elif topic == topics.DRIVE_STATE:
+            upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
+            self.slope = math.acos(upright)
 
     def _hear_place(self, sample: OdometrySample) -> None:
         x, y, z, w = sample.orientation

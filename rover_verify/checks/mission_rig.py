@@ -33,9 +33,11 @@ from msg_schemas.transition import Transition
 from rover_control.descent import Descent, DescentSettings
 from rover_control.descent import Drives as DescentDrives
 from rover_control.descent_profile import Stop
-from rover_control.descent_report import observation_sample, state_sample
+from rover_control.descent_report import observation_sample
+from rover_control.descent_report import state_sample as descent_state
 from rover_control.drive import Drive, Drives, DriveSettings
 from rover_control.drive_report import odometry_sample
+from rover_control.drive_report import state_sample as drive_state
 from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_forecast import ForecastParameters
 from rover_control.jump_predictor import JumpPredictor
@@ -365,12 +367,13 @@ class MissionFlight:
         estimate = self.winch.estimate(now)
         if estimate is not None:
             self._say(topics.WINCH_ESTIMATE, estimate)
-        state = state_sample(self.descent, now)
+        state = descent_state(self.descent, now)
         if state is not None:
             self._say(topics.DESCENT_STATE, state)
         odometry = odometry_sample(self.drive, now)
         self.jump.hear_odometry(odometry)
         self._say(topics.ODOMETRY, odometry)
+        self._say(topics.DRIVE_STATE, drive_state(self.drive, now))
         mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
         for ask in mission.step(now):
             self.ask(ask)

@@ -137,6 +137,16 @@ def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: 
     assert advice in machine.choices[0].reason
 
 
+def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
+    machine = begun(MissionPhase.DRIVING)
+    # So likely to topple, a jump is worse than wheels that got stuck once on level ground.
+    machine.stuck, machine.slope, machine.upright = 1, 0.4, 0.7
+    assert finished(machine)
+    (choice,) = machine.choices
+    assert choice.values["wheels_risk"] == 1.0
+    assert choice.values["way"] == "jump"
+
+
 def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_forecast():
     machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
     machine.stuck = 1

@@ -10,7 +10,9 @@ from msg_schemas.machine import (
     JUMP_SCREW,
     OBSERVATION_STOP,
     PAYOUT,
+    PITCH,
     PLAIN_STOP,
+    ROLL,
     TENSION,
     TETHER_OUT,
     WINCH_SLACK,
@@ -43,6 +45,7 @@ class MissionMachine:
     """A mission with everybody whom it asks.
 
     Attributes:
+        slope: nose up, of what the rover stands on [rad].
         stuck: how often the driving gets stuck from now on.
         upright: probability of landing so that is foretold.
         advice: against jumps.
@@ -60,6 +63,7 @@ class MissionMachine:
         self.jump = "standby"
         self.nut = -0.03
         self.place = (0.0, 0.0, 0.0)
+        self.slope = 0.0
         self.stuck = 0
         self.jump_fails = False  # the next one does not leave the ground
         self.upright, self.advice = 1.0, ""  # of jumps, as they are foretold; advice against
@@ -129,6 +133,8 @@ class MissionMachine:
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
         zero = (0.0, 0.0, 0.0)
         hear(topics.ODOMETRY, OdometrySample(now, (x, y, 0.0), turned, zero, zero), now)
+        tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0)}
+        hear(topics.DRIVE_STATE, JointSample(now, tilt), now)
 
     def tell(self, node: str, name: str, reason: str, **values: object) -> None:
         status = Status(
