@@ -38,6 +38,7 @@ LIMIT = 2400.0
 _BRIEF = 180.0  # that the whole is to take [s]
 _RECORDED = 12.5  # largest rate of a stream of the plant's in the bag [Hz]
 _TOLD_EVERY = 25  # ticks
+_BALANCE = 1e-4  # by which the energy book may be off, of the weight taken to the deepest
 _STOWED = 0.2  # so near to the stow counts as there [m]
 
 
@@ -134,7 +135,8 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
     mission, state = flight.mission, flight.state
     done = [each.leg for each in mission.record if each.verdict is Verdict.DONE]
     missed = {e.leg: e.reason for e in mission.record if e.verdict is not Verdict.DONE}
-    section = flight.plant.scenario.tether.section
+    scenario = flight.plant.scenario
+    weight = scenario.tip_mass * scenario.gravity
     stow = flight.plan.stow
     near = abs(state.length - stow) < _STOWED and -float(state.G1[2]) < stow + 1.0
     return {
@@ -150,7 +152,8 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
         "jumps": mission.notes.jumps,
         "jumps_planned": sum(leg.kind is LegKind.HOP for leg in mission.legs),
         "peak_tension_N": flight.peak_tension,
-        "breaking_load_N": section.breaking_load,
+        "breaking_load_N": scenario.tether.section.breaking_load,
+        "energy_J": weight * flight.deepest,
         "simulated_s": flight.time,
     }
 
@@ -163,13 +166,15 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
     where = f"{mission['depth_m']:.1f} m below the fairlead, {mission['phase']}"
     home = "hangs at the stow" if mission["home"] else f"NOT home, {where}: {mission['reason']}"
     peak, most = mission["peak_tension_N"], mission["breaking_load_N"]
-    drift = metrics.get("energy_drift_J")
+    drift, moved = metrics.get("energy_drift_J"), mission["energy_J"]
+    drift = drift if isinstance(drift, int | float) else math.nan
+    energy = f"book is off by {drift:+.1e} J, {moved:.0f} J is what the descent sets free"
     counts = metrics.get("topics", {}).values()
     rejected = sum(item.get("rejected") or 0 for item in counts)
     legs = f"{len(mission['legs_done'])} of {total} done"
     pace = f"{mission['real_time_factor']:.1f} times as fast as real time"
     bag = f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages"
-    lines = [
+    return [
         (f"rover      {home}", bool(mission["home"])),
         (f"legs       {legs}{f', missed {left_out}' if left_out else ''}", not missed),
         (f"pictures   {mission['pictures']} of the wall", mission["pictures"] > 0),
@@ -183,10 +188,8 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
             mission["real_time_factor"] > 1.0,
         ),
         (f"bag        {bag} break the contract", bool(metrics.get("closed")) and rejected == 0),
+        (f"energy     {energy}", abs(drift) <= _BALANCE * moved),
     ]
-    if isinstance(drift, int | float):
-        lines.append((f"energy     book is off by {drift:+.1e} J", math.isfinite(drift)))
-    return lines
 
 
 def tell(metrics: Mapping[str, Any]) -> str:

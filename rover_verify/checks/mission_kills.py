@@ -189,7 +189,9 @@ def _moves_unarmed(cast: _Cast) -> list[str]:
     modes.wait(lambda sample: sample.text not in ("disarmed", "fault"), told)
     # The last samples may already be those of the armed winch.
     before = drum.samples[first : len(drum) - _LATE]
-    moved = max((abs(sample.joints[WINCH_DRUM].velocity) for sample in before), default=0.0)
+    if not before:
+        return ["the drum was not heard before it was armed"]
+    moved = max(abs(sample.joints[WINCH_DRUM].velocity) for sample in before)
     still = _JOINTS[topics.WINCH_STATE][1]
     return [f"the drum moved with {moved:.3g} m/s unarmed"] if moved > still else []
 

@@ -56,8 +56,8 @@ class Freed(NamedTuple):
 
     @property
     def is_free(self) -> bool:
-        """Whether it got away from where it was stuck, or was not stuck at all."""
-        return self.stuck == 0 or self.way >= _MOVED
+        """Whether it got away from where it was stuck."""
+        return self.way >= _MOVED
 
 
 def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
@@ -115,7 +115,7 @@ def fly_stuck(seed: int, index: int) -> Freed:
 
 
 def not_freed(batch: Batch) -> Measured:
-    """Rovers that got stuck and did not free themselves."""
+    """Rovers that got stuck and did not free themselves; NaN if none got stuck."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     flown = list(fly_batch(batch, runs, fly_stuck))
     stuck = [each for each in flown if each.stuck]
@@ -127,4 +127,5 @@ def not_freed(batch: Batch) -> Measured:
         for index, each in enumerate(flown)
     }
     note = f"{len(stuck)} of {runs} rovers got stuck, {sum(e.jumps for e in stuck)} jumps"
-    return Measured(float(sum(not each.is_free for each in stuck)), note, details)
+    kept = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
+    return Measured(kept, note, details)
