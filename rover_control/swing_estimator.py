@@ -43,6 +43,8 @@ _SIZE = 13
 _SWINGING, _TILTING = (_U, _V), (_P, _Q)
 _EYE = np.eye(_SIZE)
 _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
+_OUTSTANDING = 8.0  # RMS of the lasting unrest that a push must stand out of
+_LASTING = 3.0  # over which that is smoothed [s]
 _MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
 _UNREST_TIME = 0.3  # over which what shakes the rover is learnt [s]
@@ -158,6 +160,7 @@ class SwingEstimator:
         self._missed = [0.0, 0.0]
         self._surplus = [0.0] * 4  # smoothed once; what is sudden is a push
         self._unrest = [0.0] * 4  # variance of what is measured, beyond what is known of it
+        self._lasting = [0.0, 0.0]  # of the gyro's, smoothed once more
         self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
         unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
         self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
@@ -283,7 +286,10 @@ class SwingEstimator:
             # A model that is off misses in proportion to the tilt's motion.
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
-            limit = self.parameters.shock + _MODEL_ERROR * moving + math.sqrt(self._unrest[k])
+            limit = self.parameters.shock + _MODEL_ERROR * moving
+            # A push is unrest, too, at once; what it must stand out of was there before.
+            self._lasting[k] += min(h / _LASTING, 1.0) * (self._unrest[k] - self._lasting[k])
+            limit += _OUTSTANDING * math.sqrt(self._lasting[k])
             if abs(self._missed[k]) > limit and settled:
                 self._shaken()
 

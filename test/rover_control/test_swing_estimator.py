@@ -183,6 +183,28 @@ def test_the_swing_of_a_rover_just_lifted_is_found_while_it_tilts_and_its_tether
     assert abs(estimator.yaw_bias) < 0.002
 
 
+@pytest.mark.parametrize("rate", [7.2, 10.7])  # of a long tether's second and third mode [rad/s]
+def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_long(rate: float):
+    model = make_model(45.0)
+    model.vibration_rate = rate
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    before, after = [], []
+    for k in range(10000):
+        model.vibration = math.radians(1.0) * math.sin(0.0008 * k) ** 2
+        if k == 6000:
+            assert estimator.pushes == 0
+            push = 1j * math.radians(1.5) * HANGING.swing_frequency(45.0)
+            model.v += push
+            model.phi_rate += push
+        gyro, force = model.step((0.0, 0.0))
+        estimator.hear_drum(45.0, 0.0)
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+        if k > 3000:
+            (before if k < 6000 else after).append(misses(estimator.estimate, model)[0])
+    assert max(before) < math.radians(0.1)
+    assert max(after[2000:]) < math.radians(0.4)
+
+
 def test_a_free_tilt_of_an_inertia_that_is_off_is_not_taken_for_swing():
     model = make_model(6.6)
     model.phi += math.radians(4.0)
