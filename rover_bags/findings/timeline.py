@@ -104,6 +104,12 @@ _CREEP: Final = 5e-3
 """A drum that is slower stands [m/s]."""
 _LEAST_WAY: Final = 0.03
 """A drum that moves on by less has not gone anywhere [m]: it only damps a swing."""
+_STROKE: Final = 0.35
+"""Of the length: a stroke that damps a swing is no longer."""
+_UNDONE: Final = 2.2
+"""A stroke over the one that undoes it; the first and the last are half as long as others."""
+_TURNS: Final = (0.5, 0.3)
+"""Rest between two strokes: no longer than so much [s], and that share of the longer one."""
 _PAUSE: Final = 0.3
 """A shorter rest does not end a motion, a shorter motion is none [s]."""
 _BOUNCE: Final = 0.12
@@ -233,7 +239,7 @@ def _with_motions(
 ) -> NDArray[np.object_]:
     time, found = signals.time, carried.copy()
     stands, flies = carried == Activity.STANDING, carried == Activity.FLIGHT
-    for begin, end, side in _drum_motions(signals):
+    for begin, end, side in _travels(signals, carried == Activity.HANGING):
         part = slice(begin, end + 1)
         hangs = np.flatnonzero(carried[part] == Activity.HANGING) + begin
         found[hangs] = Activity.DESCENDING if side > 0 else Activity.ASCENDING
@@ -252,6 +258,27 @@ def _with_motions(
             if stop < len(time) and flies[stop]:
                 found[trip:stop] = Activity.COMPRESSING
     return found
+
+
+def _travels(signals: Signals, hangs: Flags) -> list[tuple[int, int, int]]:
+    """Motions of the drum but for the strokes to and fro by which it damps a hanging swing."""
+    motions = sorted(_drum_motions(signals))
+    time, length = signals.time, signals.get("length")
+    if length is None:
+        return motions
+    strokes = set()
+    for one, other in itertools.pairwise(motions):
+        if one[2] == other[2] or not (hangs[one[0]] and hangs[other[1]]):
+            continue
+        ways = [abs(float(length[end] - length[begin])) for begin, end, _ in (one, other)]
+        spans = [float(time[end] - time[begin]) for begin, end, _ in (one, other)]
+        rest, share = _TURNS
+        if time[other[0]] - time[one[1]] > rest + share * max(spans):
+            continue
+        for motion, way, opposite in zip((one, other), ways, ways[::-1], strict=True):
+            if way <= min(_UNDONE * opposite, _STROKE * float(length[motion[0]])):
+                strokes.add(motion)
+    return [motion for motion in motions if motion not in strokes]
 
 
 def _drum_motions(signals: Signals) -> Iterator[tuple[int, int, int]]:

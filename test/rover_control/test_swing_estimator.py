@@ -188,7 +188,8 @@ def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_lo
     model = make_model(45.0)
     model.vibration_rate = rate
     estimator = SwingEstimator(EstimatorParameters(), HANGING)
-    before, after = [], []
+    before: list[float] = []
+    after: list[float] = []
     for k in range(10000):
         model.vibration = math.radians(1.0) * math.sin(0.0008 * k) ** 2
         if k == 6000:

@@ -147,6 +147,30 @@ def test_a_short_trim_of_the_drum_is_no_descent(tmp_path: Path):
     assert [phase.what.value for phase in measure(bag).timeline.phases] == ["hanging"]
 
 
+def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(tmp_path: Path):
+    def stroke(n: int) -> Leg:
+        side = -1 if n % 2 else 1
+        # Half as long at the begin, fading to the end.
+        duration = (1.0 if n == 0 else 2.0) * 0.9**n
+        return Leg("descending" if side > 0 else "ascending", duration, 0.2 * side)
+
+    legs = (
+        Leg("hanging", 2.0),
+        Leg("descending", 8.0, 0.25),
+        Leg("hanging", 1.0),
+        *(stroke(n) for n in range(12)),
+        Leg("hanging", 2.0),
+        Leg("ascending", 5.0, -0.1),
+        Leg("hanging", 3.0),
+        Leg("descending", 5.0, 0.1),
+    )
+    bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
+    found = [phase.what.value for phase in measure(bag).timeline.phases]
+    assert found == [
+        "hanging", "descending", "hanging", "ascending", "hanging", "descending",
+    ]  # fmt: skip
+
+
 def test_a_bag_without_switches_or_phase_has_no_activities(tmp_path: Path):
     made = MadeUp()
     absent = (topics.TRUTH_PHASE, topics.CONTACT)
