@@ -263,10 +263,20 @@ def _with_motions(
 def _travels(signals: Signals, hangs: Flags) -> list[tuple[int, int, int]]:
     """Motions of the drum but for the strokes to and fro by which it damps a hanging swing."""
     motions = sorted(_drum_motions(signals))
+    # Between two strokes there may be small ones, which go first.
+    while strokes := _strokes(signals, hangs, motions):
+        motions = [motion for motion in motions if motion not in strokes]
+    return motions
+
+
+def _strokes(
+    signals: Signals, hangs: Flags, motions: list[tuple[int, int, int]]
+) -> set[tuple[int, int, int]]:
+    """Motions that the one before or after undoes."""
     time, length = signals.time, signals.get("length")
+    found: set[tuple[int, int, int]] = set()
     if length is None:
-        return motions
-    strokes = set()
+        return found
     for one, other in itertools.pairwise(motions):
         if one[2] == other[2] or not (hangs[one[0]] and hangs[other[1]]):
             continue
@@ -277,8 +287,8 @@ def _travels(signals: Signals, hangs: Flags) -> list[tuple[int, int, int]]:
             continue
         for motion, way, opposite in zip((one, other), ways, ways[::-1], strict=True):
             if way <= min(_UNDONE * opposite, _STROKE * float(length[motion[0]])):
-                strokes.add(motion)
-    return [motion for motion in motions if motion not in strokes]
+                found.add(motion)
+    return found
 
 
 def _drum_motions(signals: Signals) -> Iterator[tuple[int, int, int]]:
