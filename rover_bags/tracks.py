@@ -32,6 +32,8 @@ _TENSION: Final = TETHER_COLUMNS.index("tension")
 _DAY_NS: Final = 86_400_000_000_000
 _SHAPES_PER_ROW: Final = 4
 """A shape of the tether takes as much room as so many rows, at least."""
+_TELLING: Final = 64  # steps that tell how often a topic comes
+_FEWEST: Final = 8  # steps without which that is not known
 _FEW_SHAPES: Final = 256
 _MOST_STATUSES: Final = 20_000
 _MOST_TEXTS: Final = 100_000
@@ -116,7 +118,8 @@ class Pace:
         first, last: The same by the clock that paces the topic [ns].
         widest: Longest pause by that clock [ns].
         widest_at: Stamp and log time of the message before it.
-        gaps: Pauses of more than 1.75 promised periods.
+        period: Promised, or the usual one of a topic that comes more slowly all the time [ns].
+        gaps: Pauses of more than 1.75 of these periods.
         running: Time that all runs took by that clock [ns], from each first message to its last.
         restarts: How often that clock was put back.
         delay: Longest time from sending to reception [ns], of what was sent while the recorder
@@ -132,12 +135,14 @@ class Pace:
     last: int = 0
     widest: int | None = None
     widest_at: tuple[int, int] = (0, 0)
+    period: float = 0.0
     gaps: int = 0
     running: int = 0
     restarts: int = 0
     delay: int | None = None
     stamps: tuple[int, int] | None = None
     by_log: bool = False
+    _early: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def add(self, row: Topic, stamp_ns: Stamps, log_ns: Stamps, publish_ns: Stamps) -> None:
         """Take further messages."""
@@ -163,7 +168,7 @@ class Pace:
             self.running += int(np.maximum(steps, 0).sum())
             self.restarts += int((steps < 0).sum())
             if row.rate is not None:
-                self.gaps += int((steps > GAP / row.rate * 1e9).sum())
+                self._look_for_gaps(steps, 1e9 / row.rate)
         heard = publish_ns >= self.first_log
         if heard.any():
             longest = int((log_ns - publish_ns)[heard].max())
@@ -174,6 +179,15 @@ class Pace:
         self.stamps = (low, high)
         self.last, self.last_log = int(paced[-1]), int(log_ns[-1])
         self.count += len(log_ns)
+
+    def _look_for_gaps(self, steps: Stamps, promised: float) -> None:
+        """Count pauses, once the first steps have told how often the topic comes at all."""
+        if len(self._early) >= _TELLING:
+            self.gaps += int((steps > GAP * self.period).sum())
+            return
+        self._early = np.concatenate([self._early, steps])
+        self.period = usual_period(self._early, promised)
+        self.gaps = int((self._early > GAP * self.period).sum())
 
 
 class Rows(NamedTuple):
@@ -385,6 +399,18 @@ class GrowingTrack:
 
 
 _NODE_NUMBERS: Final = len(TETHER_COLUMNS)
+
+
+def usual_period(steps: NDArray[Any], promised: float) -> float:
+    """Period by which gaps are judged: what was promised, or longer where all come more slowly.
+
+    Args:
+        steps: From each message to the next, in any unit of time, shape (N,).
+        promised: Period, in the same unit.
+    """
+    ahead = steps[steps > 0]
+    usual = float(np.median(ahead)) if len(ahead) >= _FEWEST else 0.0
+    return usual if usual > GAP * promised else promised
 
 
 def paced(track: Track) -> Floats:

@@ -43,7 +43,9 @@ class TopicFigures:
         wall_rate_hz: The same by the machine's clock.
         max_gap_s: Longest pause between messages.
         max_gap_at_s: When it began, in simulated time.
-        gaps: Pauses of more than 1.75 promised periods.
+        slow_hz: Usual rate of a topic that came more slowly than promised all the time, as who sent
+            it did not keep the promise or who recorded it did not take all; None otherwise.
+        gaps: Pauses of more than 1.75 periods, promised or usual.
         latency_p50_ms, latency_p99_ms, latency_max_ms: From sending to reception, machine's
             clock; without messages sent before the recorder was listening, and None for latched
             topics, which may be received long after they were sent.
@@ -63,6 +65,7 @@ class TopicFigures:
     wall_rate_hz: float | None
     max_gap_s: float | None
     max_gap_at_s: float | None
+    slow_hz: float | None
     gaps: int | None
     latency_p50_ms: float | None
     latency_p99_ms: float | None
@@ -163,7 +166,7 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
     row = TOPICS.get(name) if name is not None else None
     track = bag.track(name) if name is not None else None
     pace = bag.paces.get(name) if name is not None else None
-    rate = wall = gap = gap_at = longest = None
+    rate = wall = gap = gap_at = longest = slow = None
     gaps = None
     latency: list[float | None] = [None, None]
     age: list[float | None] = [None, None]
@@ -175,6 +178,7 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
             gap, gap_at = pace.widest * 1e-9, float(bag.clock.times(stamp, log)[0])
             if row is not None and row.rate and row.intent is not Intent.COMMAND:
                 gaps = pace.gaps
+                slow = 1e9 / pace.period if pace.period > 1.01e9 / row.rate else None
         if row is not None and row.intent not in {Intent.LATCHED, Intent.EVENT}:
             heard = track.publish_ns >= track.log_ns[0]
             heard[0] |= len(track) == 1
@@ -192,6 +196,7 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
         wall_rate_hz=wall,
         max_gap_s=gap,
         max_gap_at_s=gap_at,
+        slow_hz=slow,
         gaps=gaps,
         latency_p50_ms=latency[0],
         latency_p99_ms=latency[1],

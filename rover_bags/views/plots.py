@@ -26,7 +26,7 @@ from rover_bags.findings.geometry import headings, tilts
 from rover_bags.findings.jumps import Jump, Motion, is_spatial, motion
 from rover_bags.findings.metrics import Metrics
 from rover_bags.read import Bag, Floats, Track
-from rover_bags.tracks import GAP, LARGEST, paced
+from rover_bags.tracks import GAP, LARGEST, paced, usual_period
 from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, strong_end
 from rover_bags.views.lines import envelope
 
@@ -444,16 +444,22 @@ def _strips(bag: Bag) -> Plot | None:
     axes.set_title("When the topics came", pad=26, x=-0.2)
     axes.set_xlabel("simulated time [s]")
     for row, (_, rate, track) in enumerate(rows):
-        for steady, colour in ((True, SKY), (False, RED)):
-            spans = _spans(track, GAP / rate * track.stride, steady=steady)
+        promised = track.stride / rate
+        period = usual_period(np.diff(paced(track)), promised)
+        for steady, colour in ((True, SKY if period == promised else YELLOW), (False, RED)):
+            spans = _spans(track, GAP * period, steady=steady)
             axes.broken_barh(
                 [(begin, end - begin) for begin, end in spans], (row + 0.15, 0.7),
                 facecolors=colour,
             )  # fmt: skip
-    for colour, label in ((SKY, "at the promised rate"), (RED, f"pause of over {GAP:g} periods")):
+    for colour, label in (
+        (SKY, "at the promised rate"),
+        (YELLOW, "more slowly, all the time"),
+        (RED, f"pause of over {GAP:g} periods"),
+    ):
         axes.plot([], [], color=colour, lw=6, label=label)
     axes.legend(
-        loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncol=2, handlelength=1.3,
+        loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncol=3, handlelength=1.3,
         borderaxespad=0.0,
     )  # fmt: skip
     axes.set_yticks(np.arange(len(rows)) + 0.5, [name for name, _, _ in rows])

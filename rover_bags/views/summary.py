@@ -86,6 +86,13 @@ def complaints(bag: Bag, metrics: Metrics) -> list[str]:
     for name, count in sorted(bag.rejected.items()):
         example = next((item.reason for item in bag.examples if item.topic == name), "")
         found.append(f"{name}: {count} messages break the contract, such as: {example}")
+    slow = [
+        f"{figures.topic} {figures.slow_hz:.3g} of {figures.expected_hz:.3g} Hz"
+        for figures in metrics.topics.values()
+        if figures.slow_hz is not None
+    ]
+    if slow:
+        found.append(f"more slowly than promised, all the time: {', '.join(slow)}")
     for figures in metrics.topics.values():
         if figures.gaps:
             pauses = "1 gap" if figures.gaps == 1 else f"{figures.gaps} gaps"

@@ -192,6 +192,20 @@ def test_rates_and_gaps_are_told(tmp_path: Path):
     assert rows[topics.TRUTH_ENERGY].gaps == 1
     assert rows[topics.TRUTH_TETHER].gaps == 1
     assert rows[topics.TRUTH_TETHER].rate_hz == pytest.approx(50.0, rel=0.02)
+    assert load.slow_hz is None
+
+
+def test_gaps_of_a_thinned_record_are_judged_by_its_own_rate(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola()], until=2.0)
+    made.rows = [
+        row
+        for row in made.rows
+        if row[1] != topics.LOAD_CELL or (round(row[0] * 100) % 8 == 0 and not 0.5 < row[0] < 0.8)
+    ]
+    load = measured(made, tmp_path).topics[topics.LOAD_CELL]
+    assert load.slow_hz == pytest.approx(12.5)
+    assert load.gaps == 1
 
 
 def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
@@ -204,7 +218,8 @@ def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
     rows = measured(made, tmp_path).topics
     assert rows[topics.SIM_STATUS].gaps == 0
     assert rows[topics.SIM_STATUS].rate_hz == pytest.approx(10.0)
-    assert rows[topics.CLOCK].gaps == 20
+    assert rows[topics.CLOCK].gaps == 0
+    assert rows[topics.CLOCK].slow_hz == pytest.approx(2.0)
     assert rows[topics.CLOCK].wall_rate_hz == pytest.approx(10.0)
 
 
