@@ -25,6 +25,7 @@ from rover_control.hanging_rover import HangingParameters
 
 _LEAST_BUDGET = 1e-6  # of a wheel that has not begun to turn [N m s]
 _FULL, _EASED = 0.8, 0.5  # of a budget, where it is said to be spent and where no longer
+_LINGERS = 6.0  # some periods of the tilt, before it is said that it holds again [s]
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,8 @@ class AxisControl:
         self.budget = budget
         self.momentum = 0.0
         self.cannot_hold = ""
+        self._is_spent = False
+        self._eased = 0.0  # for so long it is not spent [s]
 
     def step(self, tilt_rate: float, h: float, spent: float = 0.0, what: str = "") -> float:
         """Advance by h; returns the momentum to have [N m s].
@@ -102,10 +105,15 @@ class AxisControl:
         if abs(spent) > abs(own):
             used, text = spent, what
         if abs(used) >= _FULL:
+            self._is_spent, self._eased = True, 0.0
             self.cannot_hold = self.cannot_hold or f"{self.name} cannot hold the attitude: {text}"
         elif abs(used) < _EASED:
-            self.cannot_hold = ""
-        if self.cannot_hold and torque * used > 0.0:
+            self._is_spent = False
+            self._eased += h
+            # A tilt that is too large spends it in each of its half periods.
+            if self._eased > _LINGERS:
+                self.cannot_hold = ""
+        if self._is_spent and torque * used > 0.0:
             torque = -self.gains.bleed * self.momentum
         self.momentum += torque * h
         self.momentum = min(max(self.momentum, -self.budget), self.budget)

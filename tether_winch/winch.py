@@ -69,7 +69,7 @@ _JUMPING = frozenset({"compressing", "settling", "releasing", "flight", "landed"
 _STALL = 0.05  # a step that comes later than this after the last one comes late [s]
 _BEGINNING = 3  # steps after which a motion that has something to do has begun
 _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
-_LITTLE = 0.1  # part of a held tension by which a renewal may differ from it
+_LITTLE = 0.1  # part of a held tension, or of a way's rate, by which a renewal may differ
 _SHORTEST = 0.05  # a motion, before it is over [s]
 _TRIM_AWAITED = 0.3  # the same, of one that is renewed [s]
 _TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
@@ -568,9 +568,13 @@ class Winch:
         level: Level = Level.OK,
         values: Mapping[str, object] | None = None,
     ) -> None:
-        # Who leads a tether renews with the weight that is out now: each time a little other.
-        same = replace(goal, tension=self._goal.tension) == self._goal
-        little = abs(goal.tension - self._goal.tension) <= _LITTLE * self._goal.tension
+        # Who leads a tether renews with the weight that is out now, and who goes up slows down as
+        # the tether gets short: each time a little other.
+        before = self._goal
+        rate = before.rate if mode is Mode.LENGTH else goal.rate
+        same = replace(goal, tension=before.tension, rate=rate) == before
+        little = abs(goal.tension - before.tension) <= _LITTLE * before.tension
+        little &= abs(goal.rate - before.rate) <= _LITTLE * abs(before.rate)
         renewed = mode is self.mode and same and little
         self._set_goal(goal)
         if renewed:

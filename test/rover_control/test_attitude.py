@@ -51,6 +51,17 @@ def test_what_cannot_be_held_is_said_before_the_budget_is_spent():
     assert not axis.cannot_hold
 
 
+def test_a_tilt_that_spends_the_budget_again_and_again_is_told_once():
+    axis = make_axis()
+    told: list[bool] = []
+    for step in range(3000):
+        # A tilt that swings, and that nobody damps, until it ends.
+        axis.step(0.2 * math.cos(4.0 * step * H) if step < 2000 else 0.0, H)
+        if not told or bool(axis.cannot_hold) is not told[-1]:
+            told.append(bool(axis.cannot_hold))
+    assert told == [False, True, False]
+
+
 def test_the_holding_time_of_a_steady_torque_is_what_is_left_of_the_budget():
     axis = make_axis(0.3)
     # A static tilt of 5 deg needs 0.28 N m and empties 0.3 N m s in about a second.

@@ -95,6 +95,18 @@ def test_a_length_that_is_not_renewed_on_the_way_ends_in_a_hold():
     assert made.winch.mode is Mode.LENGTH
 
 
+def test_a_way_that_is_slowed_down_little_by_little_is_told_once():
+    made = session()
+    for step in range(16):
+        made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
+        made.run(0.5)
+    assert len(made.told("winch_length")) == 1
+    assert made.ticks[-1].rate == pytest.approx(0.3 * 0.95**15, rel=0.05)
+    made.ask(WINCH_WHILE_RENEWED, 14.0, 0.05)
+    made.run(0.1)
+    assert len(made.told("winch_length")) == 2
+
+
 def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
     made = session()
     made.ask(WINCH_TO_LENGTH, 11.0, 0.3)
