@@ -59,6 +59,12 @@ class _StopRequest:
         """Whether a signal has come."""
         return self._made
 
+    @staticmethod
+    def take_no_more() -> None:
+        """Bear any that still come: a process that ends gives its handlers up before its end."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
 
 def run(node_class: type[N], arguments: list[str] | None = None) -> int:
     """Run one node until it is told to stop; the ``main`` of every node.
@@ -85,6 +91,7 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
         return ExitCode.CRASH
     finally:
         try_shutdown()
+        stop.take_no_more()
         faulthandler.cancel_dump_traceback_later()
 
 

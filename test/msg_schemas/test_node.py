@@ -313,7 +313,19 @@ def end_with_both(process: Process):
     process.send(signal.SIGINT)
 
 
-ENDINGS = [end_with_sigint, end_with_two_sigints, end_with_sigterm, end_with_both]
+def end_with_sigints_until_it_is_gone(process: Process):
+    while process.is_running:
+        process.send(signal.SIGINT)
+        time.sleep(0.002)
+
+
+ENDINGS = [
+    end_with_sigint,
+    end_with_two_sigints,
+    end_with_sigints_until_it_is_gone,
+    end_with_sigterm,
+    end_with_both,
+]
 
 
 @pytest.mark.parametrize("end", ENDINGS)
