@@ -1,8 +1,9 @@
 """Turning the hanging rover to a heading and holding it: batches on the spatial plant.
 
 Each run has its own sensor errors, a swing of 1 to 1.5 deg that is watched for 200 s, by which the
-gyro's bias is learnt, and a mass and friction that are off by up to 20 %. The lengths take turns,
-and so do the senses.
+gyro's bias is learnt, and a mass and friction that are off by up to 20 %. A turn that is refused is
+asked for again 100 s later, as an operator would; for the third time it stays refused. The lengths
+take turns, and so do the senses.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ TOLERANCE = math.radians(5.0)
 HELD_FOR = 30.0  # [s]
 TOO_SHORT = 5.0  # tether on which the twist is too strong [m]
 _WATCHED = 200.0  # swing and bias, before a turn [s]
+_ASKS = 3  # at most, where a turn is refused: the bias is known better later
+_PATIENCE = 100.0  # until it is asked again [s]
 _LONGEST = 1500.0  # [s]
 _CAUSES = {"twist": "twist", "gyro bias": "bias"}  # foretold, and the word by which it is told
 
@@ -41,6 +44,7 @@ class Turn(NamedTuple):
     asked: Forecast | None  # foretold when it was asked
     told: Forecast | None  # foretold when it was reached
     ended: str  # what ended the holding, as it was told; empty: it was lost before it was let go
+    asks: int = 1  # times that it was asked for
 
 
 def turn(seed: int, index: int) -> Turn:
@@ -52,10 +56,16 @@ def turn(seed: int, index: int) -> Turn:
     flight.begin()
     flight.run(_WATCHED)
     wanted = TURN if index % 2 == 0 else -TURN
-    try:
-        asked = flight.rover.point(wanted, flight.now_ns)
-    except Refusal as refusal:
-        return Turn(length, refusal.reason, math.nan, math.nan, math.nan, None, None, "")
+    asked, asks = None, 0
+    while asked is None:
+        asks += 1
+        try:
+            asked = flight.rover.point(wanted, flight.now_ns)
+        except Refusal as refusal:
+            if asks == _ASKS:
+                nan = math.nan
+                return Turn(length, refusal.reason, nan, nan, nan, None, None, "", asks)
+            flight.run(_PATIENCE)
     began, last = flight.time, flight.true_swing().twist
     turned, arrived, strayed, told = 0.0, math.nan, math.nan, None
     while flight.time - began < _LONGEST and flight.rover.pointing.is_active:
@@ -79,7 +89,8 @@ def turn(seed: int, index: int) -> Turn:
             told = Forecast(**change.values)  # type: ignore[arg-type]
         if change.name == "pointing_ended":
             ended = change.reason
-    return Turn(length, "", arrived - began, strayed, flight.time - arrived, asked, told, ended)
+    held = flight.time - arrived
+    return Turn(length, "", arrived - began, strayed, held, asked, told, ended, asks)
 
 
 def refuse(seed: int, index: int) -> str:
@@ -102,8 +113,12 @@ def _turns(batch: Batch) -> Sequence[Turn]:
 def turning_time(batch: Batch) -> Measured:
     """Longest time for a turn; NaN where one was not made."""
     times = [each.turning for each in _turns(batch)]
-    refused = [each.refused for each in _turns(batch) if each.refused]
-    note = f"{len(times)} turns, median {np.nanmedian(times):.0f} s, {len(refused)} refused"
+    refused = sum(bool(each.refused) for each in _turns(batch))
+    again = sum(each.asks > 1 for each in _turns(batch))
+    note = (
+        f"{len(times)} turns, median {np.nanmedian(times):.0f} s, {refused} refused, {again} asked "
+        f"for again after {_PATIENCE:g} s"
+    )
     return Measured(float(np.max(times)), note)
 
 
