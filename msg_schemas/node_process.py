@@ -12,8 +12,7 @@ import traceback
 from typing import TypeVar
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
@@ -113,7 +112,7 @@ def _init_ros(arguments: list[str]) -> None:
 def _run_until(node_class: type[N], stop: _StopRequest) -> int:
     node = node_class()
     node.told_to_stop = stop.is_made
-    executor = EventsExecutor() if node_class.HEARS_MUCH else SingleThreadedExecutor()
+    executor = node_class.EXECUTOR()
     executor.add_node(node)
     try:
         failed = node.bring_up()

@@ -24,6 +24,7 @@ from typing import Any, ClassVar
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -131,6 +132,7 @@ class RecordNode(ContractNode):
 
     NAME = "bag_record"
     PARAMETERS = (RecordParameters,)
+    EXECUTOR = SingleThreadedExecutor  # the other asks no group what is to be left
     disk_failed: ClassVar[bool] = False
 
     def __init__(self, **node_options: Any) -> None:

@@ -88,7 +88,6 @@ class BridgeNode(ContractNode):
 
     NAME = "hil_bridge"
     PARAMETERS = (BridgeParameters,)
-    HEARS_MUCH = True
 
     _link: Link | None = None
 

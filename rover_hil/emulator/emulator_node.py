@@ -121,7 +121,6 @@ class EmulatorNode(ContractNode):
 
     NAME = "drive_emulator"
     PARAMETERS = (EmulatorParameters, TruthRates)
-    HEARS_MUCH = True
 
     _machine: EmulatedMachine | None = None
     _link: Link | None = None

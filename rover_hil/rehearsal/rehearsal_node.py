@@ -126,7 +126,6 @@ class RehearsalNode(ContractNode):
 
     NAME = "hil_rehearsal"
     PARAMETERS = (RehearsalParameters,)
-    HEARS_MUCH = True
     verdict: ClassVar[Verdict | None] = None
 
     def setup(self) -> None:

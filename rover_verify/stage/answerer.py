@@ -22,7 +22,6 @@ class Answerer(ContractNode):
     """Holds the drum by its motor, and answers every state."""
 
     NAME = "answerer"
-    HEARS_MUCH = True
 
     def setup(self) -> None:
         """Open both topics."""
