@@ -154,16 +154,22 @@ class Process:
         """Send a signal to the whole group, as a terminal does with Ctrl-C."""
         os.killpg(self.pid, number)
 
+    def ends_within(self, timeout: float) -> bool:
+        """Whether it ends within so many seconds, or has."""
+        try:
+            self._popen.wait(timeout)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
     def wait(self, timeout: float = PATIENCE) -> int:
         """Wait for the end and return the exit code; AssertionError if it lives on."""
-        try:
-            code = self._popen.wait(timeout)
-        except subprocess.TimeoutExpired:
+        if not self.ends_within(timeout):
             raise AssertionError(
                 f"{self.module} should have ended within {timeout:g} s:\n{self.output}"
-            ) from None
+            )
         self._reader.join(5.0)
-        return code
+        return int(self._popen.returncode)
 
     def stop(self, number: signal.Signals = signal.SIGINT, timeout: float = PATIENCE) -> int:
         """Send a signal and wait for the exit code."""

@@ -314,9 +314,8 @@ def end_with_both(process: Process):
 
 
 def end_with_sigints_until_it_is_gone(process: Process):
-    while process.is_running:
+    while not process.ends_within(0.002):
         process.send(signal.SIGINT)
-        time.sleep(0.002)
 
 
 ENDINGS = [
