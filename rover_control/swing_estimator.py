@@ -46,9 +46,11 @@ _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
 _OUTSTANDING = 8.0  # RMS of the lasting unrest that a push must stand out of
 _LASTING = 3.0  # over which that is smoothed [s]
 _MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
+_BLOW_TIME = 0.5  # over which the accelerometer's are gathered [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
 _UNREST_TIME = 0.3  # over which what shakes the rover is learnt [s]
 _EXPECTED = 4.0  # mean square of the misses over their variance, that needs no unrest
+_BLOW = 5.0  # standard deviations beyond which a miss of the accelerometer is a blow, not a tilt
 _TILT_ERROR = 0.05  # part by which the tilt's stiffness over inertia may be off
 _PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
 _MASS_ERROR = 0.2  # part by which the mass may be off
@@ -158,9 +160,11 @@ class SwingEstimator:
         self._step = self._swept = 0.0
         self.turned = 0.0  # about its own axis in the last step [rad]
         self._missed = [0.0, 0.0]
+        self._blown = [0.0, 0.0]  # sideways, by what the accelerometer missed [m/s]
         self._surplus = [0.0] * 4  # smoothed once; what is sudden is a push
         self._unrest = [0.0] * 4  # variance of what is measured, beyond what is known of it
-        self._lasting = [0.0, 0.0]  # of the gyro's, smoothed once more
+        self._lately = [0.0, 0.0]  # of the gyro's, smoothed once more
+        self._lasting = [0.0, 0.0]  # and once more: a push does not hide itself
         self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
         unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
         self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
@@ -277,10 +281,17 @@ class SwingEstimator:
         return force[2] > _LEAST_PULL * self.hanging.rover_gravity
 
     def _look_for_pushes(self, missed: list[float], h: float) -> None:
-        """Take by how much the gyro missed."""
+        """Take by how much the gyro missed, and the accelerometer on a taut tether.
+
+        What pushes the rover into a swing, at once or over a second, is felt by the accelerometer
+        as the speed that it gives; the gyro alone would show it as a tilt's motion at first.
+        """
         # At the start, and just after a push, there is nothing to miss.
         settled = self.is_settled
+        reach = self.length + self.hanging.lever
+        blows = missed[2:] or (0.0, 0.0)
         state = self._state.tolist()
+        pushed = False
         for k, inertia in enumerate(self.hanging.inertias):
             self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed[k] - self._missed[k])
             # A model that is off misses in proportion to the tilt's motion.
@@ -288,10 +299,14 @@ class SwingEstimator:
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
             limit = self.parameters.shock + _MODEL_ERROR * moving
             # A push is unrest, too, at once; what it must stand out of was there before.
-            self._lasting[k] += min(h / _LASTING, 1.0) * (self._unrest[k] - self._lasting[k])
+            share = min(h / _LASTING, 1.0)
+            self._lately[k] += share * (self._unrest[k] - self._lately[k])
+            self._lasting[k] += share * (self._lately[k] - self._lasting[k])
             limit += _OUTSTANDING * math.sqrt(self._lasting[k])
-            if abs(self._missed[k]) > limit and settled:
-                self._shaken()
+            self._blown[k] += h * blows[k] - min(h / _BLOW_TIME, 1.0) * self._blown[k]
+            pushed |= max(abs(self._missed[k]), abs(self._blown[k]) / reach) > limit
+        if pushed and settled:
+            self._shaken()
 
     def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:
         d, length = self.hanging.lever, self.length
@@ -364,15 +379,25 @@ class SwingEstimator:
         not know: a tether that vibrates, or tilts so large that what is not known of the inertia
         shows. It is learnt from the misses: the gyro's is motion of the tilt, the accelerometer's
         is noise. While there is any, how the swing turns tells nothing about the yaw.
+
+        A blow, as a wall's or that of a tether that jerks, shows in the accelerometer as many times
+        the weight for a sample or two. No tilt comes so suddenly: the further off, the less such a
+        sample counts, for the tilt as for the unrest, which still grows where it lasts.
         """
         variances[2:] += self._unrest[2 : len(variances)]
         along = self._spread @ rows.T
         expected = rows @ along + np.diag(variances)
+        squares = np.square(missed)
+        believed = _BLOW**2 * expected.diagonal()
+        doubt = np.maximum(squares - believed, 0.0)[2:] / _BLOW**2
+        squares[2:] = np.minimum(squares, believed)[2:]
         share = min(h / _UNREST_TIME, 1.0)
         for k, variance in enumerate(expected.diagonal().tolist()):
-            surplus = float(missed[k]) ** 2 - _EXPECTED * variance
+            surplus = float(squares[k]) - _EXPECTED * variance
             self._surplus[k] = max(self._surplus[k] + share * (surplus - self._surplus[k]), 0.0)
             self._unrest[k] += share * (self._surplus[k] - self._unrest[k])
+        variances[2:] += doubt
+        expected[2:, 2:] += np.diag(doubt)
         gain = np.linalg.solve(expected, along.T).T
         if self.keeps_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
@@ -384,6 +409,7 @@ class SwingEstimator:
         """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
         self.pushes += 1
         self._missed = [0.0, 0.0]
+        self._blown = [0.0, 0.0]
         push = self.parameters.first_swing * self.hanging.swing_frequency(self.length)
         aside = 0.1 * self.parameters.first_swing
         for at in (0, _AXIS):

@@ -148,19 +148,29 @@ def test_a_free_tilt_is_told_from_the_swing():
     assert misses(estimate, model)[0] < math.radians(0.05)
 
 
-def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing():
+# A push at once that the accelerometer's sample misses, and pushes of 10 to 500 ms that it feels.
+@pytest.mark.parametrize(("samples", "arm"), [(1, 0.0), (1, 30.2), (3, 30.2), (50, 30.2)])
+def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing(samples: int, arm: float):
     model = make_model(30.0)
     estimator = watched(model, 50.0)
     calm = estimator.estimate.swing_error
-    push = 1j * math.radians(1.5) * HANGING.swing_frequency(30.0)
-    model.v += push
-    model.phi_rate += push
-    errors = []
-    for _ in range(700):
+    push = cmath.rect(math.radians(1.5) * HANGING.swing_frequency(30.0) / samples, 2.0)
+    blow = arm * push / 0.01
+    errors: list[float] = []
+    swings: list[float] = []
+    for k in range(700):
+        if k < samples:
+            model.v += push
+            model.phi_rate += push
         gyro, force = model.step((0.0, 0.0))
+        if k < samples:
+            force = (force[0] + blow.real, force[1] + blow.imag, force[2])
         estimator.step(gyro, force, (0.0, 0.0), 0.01)
         errors.append(estimator.estimate.swing_error)
-    assert max(errors[:50]) > 5.0 * calm
+        swings.append(estimator.estimate.ellipse.major)
+    assert max(errors[:70]) > 5.0 * calm
+    assert (estimator.pushes, estimator.losses) == (1, 0)
+    assert max(swings) < math.radians(3.0)
     assert misses(estimator.estimate, model)[0] < math.radians(0.15)
     # Without a push none is seen.
     assert calm < 2.5e-4
