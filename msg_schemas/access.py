@@ -122,6 +122,7 @@ ACCESS: dict[str, Access] = {
             topics.WINCH_STATE,
             topics.WHEEL_STATE,
             topics.FLYWHEEL_STATE,
+            topics.LOAD_CELL,
             topics.CAMERA,
             topics.WINCH_MODE,
             topics.JUMP_PHASE,

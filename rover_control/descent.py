@@ -19,7 +19,7 @@ from msg_schemas import topics
 from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level
+from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
 from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, WheelReaction
 from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
@@ -207,6 +207,10 @@ class Descent:
         self._mode = mode
         self.controller.hear_winch_mode(mode)
         self.link.hear_mode(mode, now_ns / _NANO)
+
+    def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+        """Take the tension at the fairlead."""
+        self.controller.hear_load_cell(sample, now_ns)
 
     def hear_jump(self, phase: str) -> None:
         """Take what the jump is doing: it needs the same motor."""

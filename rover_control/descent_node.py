@@ -28,6 +28,7 @@ from msg_schemas.samples import (
     Level,
     Status,
     TextSample,
+    WrenchSample,
 )
 from rover_control.attitude import RotorParameters
 from rover_control.descent import Descent, DescentParameters, DescentSettings, Drives
@@ -85,6 +86,7 @@ class DescentNode(ContractNode):
         self.subscribe(topics.WINCH_STATE, self._on_drum)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)
         self.subscribe(topics.FLYWHEEL_STATE, self._on_flywheel)
+        self.subscribe(topics.LOAD_CELL, self._on_load_cell)
         self.subscribe(topics.CAMERA, self._on_camera)
         self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
         self.subscribe(topics.JUMP_PHASE, self._on_jump)
@@ -156,6 +158,9 @@ class DescentNode(ContractNode):
 
     def _on_flywheel(self, sample: JointSample) -> None:
         self._descent.hear_flywheel(sample, self.now_ns())
+
+    def _on_load_cell(self, sample: WrenchSample) -> None:
+        self._descent.hear_load_cell(sample, self.now_ns())
 
     def _on_camera(self, sample: JointSample) -> None:
         self._descent.hear_camera(sample)

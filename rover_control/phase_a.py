@@ -1,7 +1,8 @@
 """The hanging rover's controller: estimator, damping, attitude and the descent's sequence. Pure.
 
 It is told what sensors and operators say, and stepped by time; it returns what wheels, flywheel and
-winch are to do. It knows nothing but IMU, encoders of drum and rotors, and the winch's mode.
+winch are to do. It knows nothing but IMU, encoders of drum and rotors, load cell and the winch's
+mode.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level
+from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
 from msg_schemas.table import (
     FLYWHEEL,
     SMEAR,
@@ -39,6 +40,7 @@ from rover_control.rotor_pump import Pumping, RotorPump
 from rover_control.steady_swing import SteadySwing
 from rover_control.swing_damping import DampingParameters, WinchTrim
 from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
+from rover_control.weighing import Weighing
 from rover_control.yaw_keeper import Handing, YawKeeper, YawParameters
 
 _NANO = 1e9
@@ -120,9 +122,11 @@ class PhaseA:
         self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
         self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
         self.pointing = Pointing(p.pointing, p.hanging)
+        self.weighing = Weighing(p.hanging)
         self.twist = 0.0  # of the tether: the heading, without ever jumping [rad]
         self._heard: dict[str, int] = {}
         self._imu_ns: int | None = None
+        self._load_ns: int | None = None
         self._length = math.nan
         self._brake_is_open = False
         self._mode = ""
@@ -170,6 +174,15 @@ class PhaseA:
         self._length = length
         self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
         self.estimator.hear_drum(length, rate)
+
+    def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+        """Take the tension at the fairlead: it weighs the rover."""
+        stamp = sample.stamp_ns or now_ns
+        last, self._load_ns = self._load_ns, stamp
+        hangs = not (self._looks_away or math.isnan(self._length))
+        if hangs and last is not None and stamp > last:
+            h = (stamp - last) / _NANO
+            self.weighing.hear(math.hypot(*sample.force), self._length, h)
 
     def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
@@ -238,6 +251,7 @@ class PhaseA:
             self._looks_away = False
             self.estimator.look_again()
             self.steady = SteadySwing()
+            self.weighing.restart()
             self.profile.look_again()
 
     def hear_winch_mode(self, mode: str) -> None:
@@ -311,7 +325,12 @@ class PhaseA:
                 else "the rotors are not used",
             )
         forecast = self.pointing.request(
-            turn, self.twist, self._length, yaw_error=swing.yaw_error, twist=self.twist
+            turn,
+            self.twist,
+            self._length,
+            yaw_error=swing.yaw_error,
+            twist=self.twist,
+            mass=self.weighing.ratio,
         )
         text = (
             f"turns by {math.degrees(turn):.0f} deg within {forecast.turning:.0f} s, holds for "

@@ -131,6 +131,7 @@ class Pointing:
         *,
         yaw_error: float = 0.0,
         spin: float = 0.0,
+        mass: float = 1.0,
         share: float = 1.0,
     ) -> Forecast:
         """What a turn comes to.
@@ -141,11 +142,12 @@ class Pointing:
             length: of the tether [m].
             yaw_error: of the yaw rate, by the gyro's bias [rad/s].
             spin: of the rover against the turn already [rad/s].
+            mass: of the rover, and its inertia, over what is known: it tilts and turns less.
             share: of the largest rate that is counted on.
         """
         p = self.parameters
-        rate, step = share * self.largest_rate, 1.0
-        inertia, torsion = self.hanging.inertia_about_z, self.hanging.torsion(length)
+        rate, step = share * self.largest_rate / mass**2, 1.0
+        inertia, torsion = mass * self.hanging.inertia_about_z, self.hanging.torsion(length)
         slips = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
         passed, time, back = 0.0, 0.0, spin  # turned, spin against it
@@ -173,7 +175,14 @@ class Pointing:
         return min(max(torsion * twist, -slips), slips)
 
     def request(
-        self, turn: float, heading: float, length: float, *, yaw_error: float, twist: float
+        self,
+        turn: float,
+        heading: float,
+        length: float,
+        *,
+        yaw_error: float,
+        twist: float,
+        mass: float = 1.0,
     ) -> Forecast:
         """Turn by so much, and hold the heading then.
 
@@ -183,6 +192,8 @@ class Pointing:
             length: of the tether [m].
             yaw_error: standard deviation of the yaw rate [rad/s].
             twist: of the tether [rad].
+            mass: of the rover over what is known, as it is weighed. What is promised does not
+                count on it, what is foretold does.
 
         Raises:
             Refusal: it cannot be reached, or not be held.
@@ -218,7 +229,7 @@ class Pointing:
         self._coned, self._learnt = 0.0, _Learnt()
         self._time, self._reached, self._begun = 0.0, False, yaw_error
         self._arrived = 0.0
-        self.forecast = self.foretell(turn, twist, length, yaw_error=yaw_error)
+        self.forecast = self.foretell(turn, twist, length, yaw_error=yaw_error, mass=mass)
         return self.forecast
 
     def stop(self) -> None:

@@ -280,6 +280,7 @@ class HangingFlight:
         self.winch.hear_load_cell(cell, now)
         self.winch.hear_currents(currents, now)
         self.rover.hear_drum(drum, now)
+        self.rover.hear_load_cell(cell, now)
         self.rover.hear_wheels(wheels, now)
         self.rover.hear_flywheel(flywheel, now)
         self.rover.hear_imu(imu, now)

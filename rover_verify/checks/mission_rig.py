@@ -200,6 +200,7 @@ class MissionFlight:
         winch.hear_load_cell(samples[topics.LOAD_CELL], now)
         winch.hear_currents(currents, now)
         descent.hear_drum(drum, now)
+        descent.hear_load_cell(samples[topics.LOAD_CELL], now)
         descent.hear_wheels(wheels, now)
         descent.hear_flywheel(samples[topics.FLYWHEEL_STATE], now)
         descent.hear_imu(imu, now)

@@ -116,7 +116,7 @@ def test_on_its_own_model_it_turns_and_holds_as_foretold(sign: float, heavier: f
     pointing = make()
     length = 15.0
     rover = Coned(length, heavier)
-    pointing.request(sign * RIGHT, 0.0, length, yaw_error=0.0, twist=0.0)
+    asked = pointing.request(sign * RIGHT, 0.0, length, yaw_error=0.0, twist=0.0, mass=heavier)
     time = reached = 0.0
     foretold, lost = None, ""
     while not lost:
@@ -134,6 +134,9 @@ def test_on_its_own_model_it_turns_and_holds_as_foretold(sign: float, heavier: f
     assert not pointing.is_active
     assert reached < POINTING.longest_turn
     assert time - reached == pytest.approx(foretold.holding, rel=0.1)
+    # When it was asked for, from what the rover weighs; it softly begins and ends.
+    assert time - reached == pytest.approx(asked.holding, rel=0.2)
+    assert reached == pytest.approx(asked.turning + POINTING.coning_ramp, rel=0.15)
 
 
 def test_a_heading_that_is_not_known_any_more_is_let_go():
