@@ -118,8 +118,6 @@ class Pace:
         first, last: The same by the clock that paces the topic [ns].
         widest: Longest pause by that clock [ns].
         widest_at: Stamp and log time of the message before it.
-        period: Promised, or the usual one of a topic that comes more slowly all the time [ns].
-        gaps: Pauses of more than 1.75 of these periods.
         running: Time that all runs took by that clock [ns], from each first message to its last.
         restarts: How often that clock was put back.
         delay: Longest time from sending to reception [ns], of what was sent while the recorder
@@ -135,14 +133,16 @@ class Pace:
     last: int = 0
     widest: int | None = None
     widest_at: tuple[int, int] = (0, 0)
-    period: float = 0.0
-    gaps: int = 0
     running: int = 0
     restarts: int = 0
     delay: int | None = None
     stamps: tuple[int, int] | None = None
     by_log: bool = False
+    _promised: float = 0.0  # period [ns]
     _early: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _usual: float = 0.0  # period of the first messages, where they came more slowly than promised
+    _late: int = 0  # steps of more than GAP of the promised period
+    _later: int = 0  # of more than GAP of the usual one
 
     def add(self, row: Topic, stamp_ns: Stamps, log_ns: Stamps, publish_ns: Stamps) -> None:
         """Take further messages."""
@@ -180,14 +180,31 @@ class Pace:
         self.last, self.last_log = int(paced[-1]), int(log_ns[-1])
         self.count += len(log_ns)
 
+    @property
+    def is_slow(self) -> bool:
+        """Whether most messages came more slowly than promised, from the first on."""
+        return self._usual > self._promised and 2 * self._late > self.count - 1
+
+    @property
+    def period(self) -> float:
+        """Promised, or the usual one of a topic that is slow [ns]."""
+        return self._usual if self.is_slow else self._promised
+
+    @property
+    def gaps(self) -> int:
+        """Pauses of more than 1.75 of these periods."""
+        return self._later if self.is_slow else self._late
+
     def _look_for_gaps(self, steps: Stamps, promised: float) -> None:
         """Count pauses, once the first steps have told how often the topic comes at all."""
+        self._promised = promised
+        self._late += int((steps > GAP * promised).sum())
         if len(self._early) >= _TELLING:
-            self.gaps += int((steps > GAP * self.period).sum())
+            self._later += int((steps > GAP * self._usual).sum())
             return
         self._early = np.concatenate([self._early, steps])
-        self.period = usual_period(self._early, promised)
-        self.gaps = int((self._early > GAP * self.period).sum())
+        self._usual = usual_period(self._early, promised)
+        self._later = int((self._early > GAP * self._usual).sum())
 
 
 class Rows(NamedTuple):

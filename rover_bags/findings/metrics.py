@@ -178,7 +178,7 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
             gap, gap_at = pace.widest * 1e-9, float(bag.clock.times(stamp, log)[0])
             if row is not None and row.rate and row.intent is not Intent.COMMAND:
                 gaps = pace.gaps
-                slow = 1e9 / pace.period if pace.period > 1.01e9 / row.rate else None
+                slow = 1e9 / pace.period if pace.is_slow else None
         if row is not None and row.intent not in {Intent.LATCHED, Intent.EVENT}:
             heard = track.publish_ns >= track.log_ns[0]
             heard[0] |= len(track) == 1

@@ -208,6 +208,19 @@ def test_gaps_of_a_thinned_record_are_judged_by_its_own_rate(tmp_path: Path):
     assert load.gaps == 1
 
 
+def test_a_topic_that_was_slow_at_first_alone_has_gaps(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola()], until=4.0)
+    made.rows = [
+        row
+        for row in made.rows
+        if row[1] != topics.LOAD_CELL or row[0] > 1.4 or round(row[0] * 100) % 2 == 0
+    ]
+    load = measured(made, tmp_path).topics[topics.LOAD_CELL]
+    assert load.slow_hz is None
+    assert load.gaps == 70
+
+
 def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
     made = MadeUp()
     status = Status("sim_node: plant", "running")
