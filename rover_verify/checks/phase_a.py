@@ -21,6 +21,7 @@ from rover_verify.checks.hanging_rig import HangingFlight, Picture, Start
 
 STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
 KICK_AT, KICK = 30.0, math.radians(1.5)
+_LEARNT = 10.0  # after a kick, from when on the swing is to be known [s]
 LONGEST = 1200.0  # of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
 _OFF = 0.2  # by which mass and friction may be off
@@ -156,6 +157,25 @@ def watch(seed: int, index: int) -> tuple[float, float]:
     )
 
 
+def kicked(seed: int, index: int) -> float:
+    """Largest error of the swing's amplitude [rad], 10 s to 25 s after a kick."""
+    rng = np.random.default_rng([seed, index])
+    length, kick = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
+    flight = HangingFlight(draw(rng, length, 0.15, 0.05))
+    flight.begin()
+    flight.ask(length, observes=False)
+    flight.run(45.0)
+    flight.kick(kick, float(rng.uniform(0.0, math.tau)))
+    flight.run(_LEARNT)
+    worst = 0.0
+    for _ in range(150):
+        flight.run(0.1)
+        told = flight.rover.swing
+        assert told is not None
+        worst = max(worst, abs(told.ellipse.major - flight.true_swing().major))
+    return worst
+
+
 def ascend(seed: int, index: int) -> float:
     """Swing [rad] after an ascent from 45 m to 2 m that began with a cone of 0.3 by 0.3 deg."""
     rng = np.random.default_rng([seed, index])
@@ -184,6 +204,12 @@ def estimate_error(batch: Batch) -> Measured:
         f"{len(errors)} runs, median {np.median(errors[:, 0]):.3f} deg; yaw rate worst "
         f"{errors[:, 1].max():.3f} deg/s",
     )
+
+
+def error_after_kick(batch: Batch) -> Measured:
+    """Worst error of the swing's amplitude from 10 s after a kick on."""
+    errors = np.degrees(fly_batch(batch, batch.runs, kicked))
+    return Measured(float(errors.max()), f"{len(errors)} kicks, median {np.median(errors):.3f} deg")
 
 
 def unexplained_stops(batch: Batch) -> Measured:

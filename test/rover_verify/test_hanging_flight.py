@@ -10,6 +10,7 @@ import pytest
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.descent_profile import DescentPhase
 from rover_verify.checks.hanging_rig import HangingFlight, Start
+from rover_verify.checks.phase_a import kicked
 
 
 def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
@@ -39,6 +40,10 @@ def test_a_stop_is_reached_by_the_winch_s_own_controller():
         assert flight.time < 30.0
     assert flight.state.length == pytest.approx(11.0, abs=flight.parameters.profile.near_enough)
     assert not flight.refusals
+
+
+def test_the_swing_is_known_again_soon_after_a_kick_between_two_readings():
+    assert math.degrees(kicked(1, 0)) < 0.1
 
 
 def test_a_kick_is_the_swing_that_it_says():

@@ -31,6 +31,7 @@ ARROWS: dict[str, set[str]] = {
         "tether_winch",
         "rover_bags",
         "operator_console",
+        "rover_launch",
         "rover_studies",
     },
 }
