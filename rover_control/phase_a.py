@@ -331,6 +331,7 @@ class PhaseA:
             yaw_error=swing.yaw_error,
             twist=self.twist,
             mass=self.weighing.ratio,
+            spin=self._spin_by_bias(swing),
         )
         text = (
             f"turns by {math.degrees(turn):.0f} deg within {forecast.turning:.0f} s, holds for "
@@ -338,6 +339,21 @@ class PhaseA:
         )
         self._changes.append(Transition("pointing_begun", text, Level.OK))
         return forecast
+
+    def _spin_by_bias(self, swing: SwingEstimate) -> float:
+        """Spin [rad/s] that is left when the wheels' bias has come up.
+
+        Their motor's torque tilts the rover, and the tether then pulls past its centre of mass, by
+        where the swing is at that time: the swing gets momentum about the plumb line, and the
+        rover the opposite.
+        """
+        hanging, rotors = self.parameters.hanging, self.parameters.rotors
+        change = rotors.wheel_bias - self._left_rate
+        angle = swing.frequency * 0.5 * abs(change) / rotors.wheel_ramp
+        aside = swing.direction[1] * math.cos(angle)
+        aside += swing.direction_rate[1] / swing.frequency * math.sin(angle)
+        inertia = self.weighing.ratio * hanging.inertia_about_z
+        return hanging.wheel_inertia * change * aside / inertia
 
     def hold(self, now_ns: int) -> str:
         """Stand still."""

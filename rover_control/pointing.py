@@ -19,6 +19,9 @@ drifts away, by half the acceleration times the square of the time. What the gyr
 known to adds to the error all the time. A turn is promised with less than the largest rate, as the
 mass may be off.
 
+A rover that weighs more tilts less by as much, so the rotors' momenta follow what it weighs, as far
+as they reach, and the tilt with the rate is what it would be.
+
 How much the coning turns is measured on the way. The momentum about the plumb line, of the rover's
 spin, of its tilt's motion and of its rotors H,
 
@@ -54,6 +57,9 @@ class PointingParameters:
 
     coning_frequency: float = parameter(3.3, "rad/s", "W, below the tilt's own", 0.1, 20.0)
     coning_momentum: float = parameter(0.024, "N m s", "largest amplitude of both", 0.0, 1.0)
+    coning_reserve: float = parameter(
+        1.1, "-", "by how much more momentum there may be, for a rover that weighs more", 1.0, 2.0
+    )
     coning_ramp: float = parameter(8.0, "s", "in which the coning comes up", 0.5, 100.0)
     promised: float = parameter(0.7, "-", "of the coning's rate, that is counted on", 0.1, 1.0)
     approach: float = parameter(12.0, "s", "in which what is left of a turn is made", 1.0, 100.0)
@@ -96,6 +102,7 @@ class Pointing:
         self._gain = tilt**2 * (inertia * square / (hanging.inertia_about_z * w) - 0.5 * w)
         self._own = [w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)]
         self._target = math.nan
+        self._mass = 1.0  # of the rover over what is known, as it was weighed
         self._coning_inertia = inertia
         self._weighs = (hanging.stiffness - inertia * w * w) / (w * w)
         self._phase = self._spin = self._coned = 0.0
@@ -142,11 +149,11 @@ class Pointing:
             length: of the tether [m].
             yaw_error: of the yaw rate, by the gyro's bias [rad/s].
             spin: of the rover against the turn already [rad/s].
-            mass: of the rover, and its inertia, over what is known: it tilts and turns less.
+            mass: of the rover, and its inertia, over what is known.
             share: of the largest rate that is counted on.
         """
         p = self.parameters
-        rate, step = share * self.largest_rate / mass**2, 1.0
+        rate, step = share * (self._momentum_share(mass) / mass) ** 2 * self.largest_rate, 1.0
         inertia, torsion = mass * self.hanging.inertia_about_z, self.hanging.torsion(length)
         slips = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
@@ -166,6 +173,10 @@ class Pointing:
             held, limit = max(known, 0.0), "gyro bias"
         return Forecast(time, held, limit)
 
+    def _momentum_share(self, mass: float) -> float:
+        """Momentum over that for a rover of the mass that is known, so that it tilts as much."""
+        return min(mass, self.parameters.coning_reserve)
+
     def _known_for(self, yaw_error: float) -> float:
         """How long a heading is known to within the tolerance [s], by the yaw rate's error."""
         return self.parameters.tolerance / (_SURE * yaw_error) if yaw_error > 0.0 else math.inf
@@ -183,6 +194,7 @@ class Pointing:
         yaw_error: float,
         twist: float,
         mass: float = 1.0,
+        spin: float = 0.0,
     ) -> Forecast:
         """Turn by so much, and hold the heading then.
 
@@ -192,8 +204,9 @@ class Pointing:
             length: of the tether [m].
             yaw_error: standard deviation of the yaw rate [rad/s].
             twist: of the tether [rad].
-            mass: of the rover over what is known, as it is weighed. What is promised does not
-                count on it, what is foretold does.
+            mass: of the rover over what is known, as it is weighed.
+            spin: about +z that it will have beside the coning's [rad/s]. What is promised does
+                not count on mass and spin, what is foretold does.
 
         Raises:
             Refusal: it cannot be reached, or not be held.
@@ -225,11 +238,14 @@ class Pointing:
                 f"{degrees:.0f} deg would be held for {promise.holding:.0f} s on {length:.3g} m of "
                 f"tether, limited by {promise.limit}; it must be {p.least_hold:.0f} s",
             )
-        self._target = heading + turn
+        self._target, self._mass = heading + turn, mass
         self._coned, self._learnt = 0.0, _Learnt()
         self._time, self._reached, self._begun = 0.0, False, yaw_error
         self._arrived = 0.0
-        self.forecast = self.foretell(turn, twist, length, yaw_error=yaw_error, mass=mass)
+        against = -math.copysign(spin, spin * turn)
+        self.forecast = self.foretell(
+            turn, twist, length, yaw_error=yaw_error, spin=against, mass=mass
+        )
         return self.forecast
 
     def stop(self) -> None:
@@ -298,7 +314,7 @@ class Pointing:
         self._coned = min(max(wanted, self._coned - change), self._coned + change)
         if self._coned == 0.0:
             return NO_PUMPING
-        amplitude = math.sqrt(abs(self._coned) / self._gain)
+        amplitude = self._momentum_share(self._mass) * math.sqrt(abs(self._coned) / self._gain)
         sense = -math.copysign(1.0, self._coned)
         self._phase = math.remainder(self._phase + w * h, math.tau)
         along = amplitude * math.cos(self._phase)
@@ -342,7 +358,7 @@ class Pointing:
 
     def own_tilt_rates(self, momenta: Pumping) -> tuple[float, float]:
         """Tilt rates along x and y [rad/s] that the coning itself causes."""
-        return self._own[0] * momenta.x, self._own[1] * momenta.y
+        return self._own[0] * momenta.x / self._mass, self._own[1] * momenta.y / self._mass
 
 
 class _Learnt:
