@@ -62,7 +62,8 @@ def turn(seed: int, index: int) -> Turn:
         try:
             asked = flight.rover.point(wanted, flight.now_ns)
         except Refusal as refusal:
-            if asks == _ASKS:
+            # What a longer look at the swing cannot mend is refused for good.
+            if asks == _ASKS or "gyro bias" not in refusal.reason:
                 nan = math.nan
                 return Turn(length, refusal.reason, nan, nan, nan, None, None, "", asks)
             flight.run(_PATIENCE)

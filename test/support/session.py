@@ -31,8 +31,9 @@ NEAR_THE_FLOOR = "{tether.length: 7.1}"
 # A machine that is busy elsewhere must not brake the winch.
 PATIENT = {"winch_node": {"latest_step": 5.0, "command_timeout": 30.0}}
 NEVER_ENDS = {"watch"}
-# On a busy machine sensors may seem old for a moment: an order refused for it is given again.
-OLD, TRIALS = "[stale]", 5
+# On a busy machine sensors may seem old for a moment: an order refused for it is given again, and a
+# descent that is held for it is resumed first.
+OLD, HELD, TRIALS = "[stale]", "it goes on when it is resumed", 5
 # Nothing damps a swing of the null plant, which has no mechanics: a descent is taken there and does
 # not end, so what is to wait for that does not, and what is refused until then is left out.
 UNTIL_ITS_END, AFTER_ITS_END = "--wait", {"release"}
@@ -74,8 +75,10 @@ class Session:
                 process.stop()
                 return
             code = process.wait()
-            if code == 0 or OLD not in process.output:
+            if code == 0 or not (OLD in process.output or HELD in process.output):
                 break
+            if HELD in process.output:
+                self.observer.call(topics.DESCENT_RESUME)
         assert code == 0, process.output
 
     # --- what is typed to a shell -----------------------------------------------------------------
