@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import importlib.util
 from pathlib import Path
@@ -22,6 +21,7 @@ from rover_launch.plan import (
 )
 from rover_sim.null_plant_node import NullPlantParameters
 from rover_sim.sim_node import SimParameters
+from rover_verify.checks.launches import described
 
 ROOT = Path(__file__).parents[1]
 CONFIG = str(ROOT / "config")
@@ -31,12 +31,7 @@ MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_nod
 
 def controllers_of(path: Path) -> tuple[str, ...]:
     """What a launch file gives to `describe`."""
-    (call,) = [
-        node
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "describe"
-    ]
-    return tuple(str(ast.literal_eval(each)) for each in call.args)
+    return described(path)[0]
 
 
 def planned(

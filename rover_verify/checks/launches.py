@@ -6,11 +6,14 @@ executables, their parameter files and parameters, the namespace and its clock.
 
 from __future__ import annotations
 
-import ast
+import runpy
 import signal
+import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
+from unittest.mock import patch
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
@@ -56,25 +59,21 @@ def launches(batch: Batch) -> Measured:
     return Measured(len(troubles), f"{len(_STARTED)} launches, and two rovers at once", troubles)
 
 
+def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Controllers and other defaults of a launch file, which is run without ROS 2's `launch`."""
+    launch, description = ModuleType("launch"), ModuleType("rover_launch.description")
+    vars(launch)["LaunchDescription"] = object
+    vars(description)["describe"] = lambda *controllers, **defaults: (controllers, defaults)
+    with patch.dict(sys.modules, {each.__name__: each for each in (launch, description)}):
+        controllers, defaults = runpy.run_path(str(path))["generate_launch_description"]()
+    return controllers, defaults
+
+
 def _planned(stage: Stage, file: str, values: Mapping[str, str]) -> Plan:
     path = _ROOT / "launch" / f"{file}.launch.py"
     if not path.is_file():
         raise NotPossible(f"launch/{path.name} comes with the source tree only")
-    (call,) = [
-        node
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "describe"
-    ]
-    controllers = [str(ast.literal_eval(each)) for each in call.args]
-    defaults: dict[str, str] = {}
-    for keyword in call.keywords:
-        if keyword.arg is None:
-            assert isinstance(keyword.value, ast.Name)
-            defaults |= getattr(launching, keyword.value.id)
-        elif isinstance(keyword.value, ast.Name):
-            defaults[keyword.arg] = str(getattr(launching, keyword.value.id))
-        else:
-            defaults[keyword.arg] = str(ast.literal_eval(keyword.value))
+    controllers, defaults = described(path)
     arguments = arguments_of(controllers, str(_ROOT / "config"), defaults)
     given = {each.name: each.default for each in arguments} | dict(values)
     if given["plant"] == launching.HIL:

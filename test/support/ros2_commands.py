@@ -9,14 +9,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import runpy
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
-from unittest.mock import patch
 
 import architecture
 import yaml
@@ -29,6 +25,7 @@ from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.row_kinds import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
 from rover_launch.plan import PACKAGE, Plan, arguments_of, plan
+from rover_verify.checks.launches import described
 
 OPERATOR = "operator"
 _ROS_ARGUMENTS = "--ros-args"
@@ -110,16 +107,6 @@ def row_of(rows: Mapping[str, Any], given: str, namespace: str = "") -> Any:
 
 
 # -------------------------------------------------------------------------------------- commands
-
-
-def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Controllers and other defaults of a launch file, which is run without ROS 2's `launch`."""
-    launch, description = ModuleType("launch"), ModuleType("rover_launch.description")
-    vars(launch)["LaunchDescription"] = object
-    vars(description)["describe"] = lambda *controllers, **defaults: (controllers, defaults)
-    with patch.dict(sys.modules, {each.__name__: each for each in (launch, description)}):
-        controllers, defaults = runpy.run_path(str(path))["generate_launch_description"]()
-    return controllers, defaults
 
 
 @dataclass(frozen=True)
