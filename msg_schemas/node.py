@@ -549,11 +549,14 @@ class ContractNode(LifecycleNode):
         for made in (*self._opened, self._events, self._diagnostics):
             made.wait_until_taken(max(0.0, deadline - time.monotonic()))
 
-    def shut_down(self) -> None:
-        """Stop acting and give everything back; safe to call twice."""
+    def stop_acting(self) -> None:
+        """Leave everything safe, and say so; safe to call twice."""
         self._deactivate()
         self._publish_health()
         self.wait_until_taken()
+
+    def give_back(self) -> None:
+        """Give back what was made, once no executor looks at it any more."""
         self._clean_up()
         self._jump_handle.unregister()
 

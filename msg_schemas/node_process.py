@@ -6,6 +6,7 @@ Clean Ctrl-C, exit codes that mean something, ``--help``.
 from __future__ import annotations
 
 import faulthandler
+import gc
 import signal
 import sys
 import traceback
@@ -90,6 +91,10 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
         return ExitCode.CRASH
     finally:
         try_shutdown()
+        # The node is part of a ring, and the collector passes over what it has frozen. Were the
+        # node left to the process's end, the middleware's threads would outlive what they look at.
+        gc.unfreeze()
+        gc.collect()
         stop.take_no_more()
         faulthandler.cancel_dump_traceback_later()
 
@@ -125,8 +130,13 @@ def _run_until(node_class: type[N], stop: _StopRequest) -> int:
                 break
         return ExitCode.OK if node.exit_code is None else node.exit_code
     finally:
-        node.shut_down()
+        node.stop_acting()
         # All is said and safe. Should rclpy or the middleware not let go, its stacks tell where.
         faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
+        # First of all: the executor of events hears from the middleware's threads, and what is
+        # destroyed under it may be looked at once more (rclpy issue 1644).
         executor.shutdown()
+        faulthandler.cancel_dump_traceback_later()  # to close a bag takes the time it takes
+        node.give_back()
+        faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
         node.destroy_node()

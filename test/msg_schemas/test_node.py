@@ -336,6 +336,8 @@ def test_a_signal_ends_it_cleanly(
     end(process)
     assert process.wait() == 0
     assert "Traceback" not in process.output
+    # Their threads would look at what the process's end destroys.
+    assert "0 participants are left" in process.output
     assert process.group_is_gone()
     observer.wait_for_event("inactive")
 
