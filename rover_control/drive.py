@@ -34,7 +34,7 @@ from rover_control.drive_follower import (
     Sensed,
 )
 from rover_control.drive_odometry import DriveOdometry, OdometryParameters, Tether
-from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters, plan
+from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters
 from rover_control.drive_tether import TetherCare, TetherParameters, TetherRequest
 from rover_control.drive_watch import DriveWatch, WatchParameters
 from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
@@ -268,17 +268,7 @@ class Drive:
         self._check_ready(subject, now_ns)
         for goal in goals:
             self._check_reach(subject, goal)
-        if len(goals) == 1:
-            self._check_near(subject, goals[0])
         self.follower.drive_to(goals, now_ns / _NANO)
-
-    def _check_near(self, subject: str, goal: Goal) -> None:
-        if self.follower.planner.is_there(self.odometry.pose, goal):
-            return
-        try:
-            plan(self.kinematics, self.odometry.pose, goal)
-        except Refusal as refusal:
-            raise Refusal(subject, refusal.code, refusal.reason) from None
 
     def steer(self, sample: TwistSample, now_ns: int) -> None:
         """Drive as a twist says, until it is not renewed.

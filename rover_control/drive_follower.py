@@ -15,7 +15,6 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from msg_schemas.parameters import parameter
-from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level
 from msg_schemas.transition import Transition
 from rover_control.drive_odometry import DriveOdometry
@@ -23,7 +22,6 @@ from rover_control.drive_planner import DrivePlanner, Goal, Piece
 from rover_control.drive_watch import DriveWatch
 
 _CREEP = 0.15  # part of the full speed at which a motion ends
-_AWAY = 0.6  # from where every near goal can be turned to [m]
 _AT_REST = 0.02  # rate below which a wheel rests [rad/s]
 
 
@@ -150,13 +148,20 @@ class DriveFollower:
         self._end(DrivePhase.FAILED, "drive_failed", reason, now, Level.WARN)
 
     def _end(
-        self, phase: DrivePhase, name: str, reason: str, now: float, level: Level = Level.OK
+        self,
+        phase: DrivePhase,
+        name: str,
+        reason: str,
+        now: float,
+        level: Level = Level.OK,
+        **values: object,
     ) -> None:
         left = len(self.goals)
         self.goals.clear()
         self._begin(phase, now)
         pose = self.odometry.pose
-        self._tell(name, reason, level, goals_left=left, x=pose.x, y=pose.y, heading=pose.heading)
+        place = {"x": pose.x, "y": pose.y, "heading": pose.heading}
+        self._tell(name, reason, level, goals_left=left, **place, **values)
 
     # --- stepped by time -------------------------------------------------------------------------
 
@@ -213,11 +218,7 @@ class DriveFollower:
         if self._pieces >= p.most_pieces:
             self.fail(f"the goal is not reached in {self._pieces} pieces", now)
             return
-        try:
-            piece = self.planner.next_piece(pose, goal)
-        except Refusal:
-            # Too near to turn to: on, and back from farther away.
-            piece = Piece(0.0, _AWAY, pose.heading, False)
+        piece = self.planner.next_piece(pose, goal)
         self._pieces += 1
         self._start(piece, now)
 
@@ -314,7 +315,8 @@ class DriveFollower:
             expected = way * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
             reason = reason or watch.tether(way, expected, odometry.tether_range)
         if reason:
-            self._end(DrivePhase.STUCK, "drive_stuck", reason, now, Level.WARN)
+            turning = int(self.rate < 0.0)
+            self._end(DrivePhase.STUCK, "drive_stuck", reason, now, Level.WARN, turning=turning)
         return bool(reason)
 
     def _tell(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:

@@ -2,7 +2,8 @@
 
 In the pivot's coordinates (module `ratchet_kinematics`) the two turns stand still, so a goal pose
 takes exactly one straight way, from pivot to pivot; a goal that leaves the heading open takes the
-straight way on which base_link comes there, which is beside the pivot's.
+straight way on which base_link comes there, which is beside the pivot's. Where that goal is under
+the pivot no turn points at it: the rover drives on, and comes back from farther away.
 
 No turn goes right, so a heading that has come out a little too far left costs a full turn. Three
 things keep that rare: a straight way is aimed a little to the right of its goal, so that the next
@@ -16,9 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_schemas import topics
 from msg_schemas.parameters import parameter
-from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.ratchet_kinematics import GroundPose, RatchetKinematics, left_turn, wrapped
 
 
@@ -67,25 +66,32 @@ class Segment(NamedTuple):
 
 
 TURN, STRAIGHT = "turn", "straight"
+_AWAY = 0.6  # way from a goal that is too near to be turned to [m]
 
 
 def plan(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[Segment, ...]:
-    """The ideal motions from a pose to a goal: at most turn, straight, turn.
-
-    Raises:
-        Refusal: the goal leaves its heading open and lies where the turn about the right wheel
-            cannot point at it.
-    """
+    """The ideal motions from a pose to a goal: at most straight, turn, straight, turn."""
+    segments = []
+    if _is_too_near(kinematics, start, goal):
+        segments.append(Segment(STRAIGHT, _AWAY, start.heading))
+        start = kinematics.driven(start, _AWAY)
     heading, way = _course(kinematics, start, goal)
-    segments = [Segment(TURN, left_turn(start.heading, heading), heading)]
+    segments.append(Segment(TURN, left_turn(start.heading, heading), heading))
     segments.append(Segment(STRAIGHT, way, heading))
     if goal.wants_heading:
         segments.append(Segment(TURN, left_turn(heading, goal.heading), wrapped(goal.heading)))
     return tuple(each for each in segments if each.amount > 1e-9)
 
 
+def _is_too_near(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> bool:
+    """Whether no turn about the right wheel points at a goal that leaves its heading open."""
+    px, py = kinematics.pivot_of(start)
+    distance = math.hypot(goal.x - px, goal.y - py)
+    return not goal.wants_heading and distance <= abs(kinematics.pivot[1])
+
+
 def _course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
-    """Heading [rad] and length [m] of the straight way."""
+    """Heading [rad] and length [m] of the straight way to a goal that is not too near."""
     px, py = kinematics.pivot_of(start)
     if goal.wants_heading:
         gx, gy = kinematics.pivot_of(GroundPose(goal.x, goal.y, goal.heading))
@@ -93,13 +99,6 @@ def _course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tup
         return (math.atan2(gy - py, gx - px) if way > 1e-9 else start.heading), way
     distance = math.hypot(goal.x - px, goal.y - py)
     ahead, left = kinematics.pivot
-    if distance <= abs(left):
-        raise Refusal(
-            topics.DRIVE_GOAL,
-            RefusalCode.NOT_SUPPORTED,
-            f"the goal is {distance:.3g} m from the right wheel, about which the rover turns; one "
-            f"that leaves its heading open must be more than {abs(left):.3g} m from there",
-        )
     heading = math.atan2(goal.y - py, goal.x - px) - math.asin(-left / distance)
     return wrapped(heading), math.sqrt(distance**2 - left**2) + ahead
 
@@ -154,12 +153,10 @@ class DrivePlanner:
         return left_turn(pose.heading, goal.heading)
 
     def next_piece(self, pose: GroundPose, goal: Goal) -> Piece:
-        """The next turn and straight way.
-
-        Raises:
-            Refusal: see `plan`.
-        """
+        """The next turn and straight way."""
         p = self.parameters
+        if _is_too_near(self.kinematics, pose, goal):
+            return Piece(0.0, _AWAY, pose.heading, False)
         course, left = _course(self.kinematics, pose, goal)
         is_last = left <= p.last_piece
         way = left

@@ -79,6 +79,7 @@ class Way(Conduct):
         self._detours = 0
         self._stuck = self._jumped = 0  # times at this place, as `locomotion` counts them
         self._stuck_at = math.inf  # distance to the goal [m]
+        self._cannot_turn = False  # where it was stuck last
         self._tried: Means | None = None  # last, at this place
         self._stroke = plan.jumps.stroke
         self._aside: Place | None = None  # where a detour leads by
@@ -163,6 +164,7 @@ class Way(Conduct):
             return End(Verdict.FAILED, event.message)
         if event.name == "drive_stuck":
             self._count(sight)
+            self._cannot_turn = number_of(event, "turning") > 0.0
             spent = self._jumps >= self.plan.jumps.most
             if spent and self._detours >= self.plan.jumps.detours:
                 return End(Verdict.FAILED, event.message)
@@ -245,7 +247,8 @@ class Way(Conduct):
             return None
         self._detours += 1
         if place is not None:
-            towards = place.heading + _BEND * self._detours
+            # What cannot turn may still drive ahead, and turns there.
+            towards = place.heading + (0.0 if self._cannot_turn else _BEND * self._detours)
             x, y = place.x + _ASIDE * math.cos(towards), place.y + _ASIDE * math.sin(towards)
             self._aside = Place(x, y, math.nan)
         self._enter(_Stage.DRIVE, now)

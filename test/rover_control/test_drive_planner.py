@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msg_schemas.refusal import Refusal
 from rover_control.drive_planner import (
     STRAIGHT,
     TURN,
@@ -50,18 +49,27 @@ def test_two_turns_and_a_straight_way_reach_every_pose(start: GroundPose, end: G
 
 @settings(deadline=None)
 @given(poses, places, places)
-def test_a_turn_and_a_straight_way_reach_every_place_that_is_not_under_the_wheel(
-    start: GroundPose, x: float, y: float
-):
-    pivot = RATCHETS.pivot_of(start)
-    if math.hypot(x - pivot[0], y - pivot[1]) <= 0.22:
-        with pytest.raises(Refusal, match=r"more than 0\.22 m"):
-            plan(RATCHETS, start, Goal(x, y))
-        return
+def test_a_turn_and_a_straight_way_reach_every_place(start: GroundPose, x: float, y: float):
     segments = plan(RATCHETS, start, Goal(x, y))
     assert [each.kind for each in segments] in ([TURN, STRAIGHT], [STRAIGHT])
     pose = carried_out(start, Goal(x, y))
     assert (pose.x, pose.y) == pytest.approx((x, y), abs=1e-7)
+
+
+@settings(deadline=None)
+@given(poses, angles, st.floats(0.0, 0.22))
+def test_a_place_under_the_wheel_is_reached_from_farther_away(
+    start: GroundPose, towards: float, distance: float
+):
+    px, py = RATCHETS.pivot_of(start)
+    goal = Goal(px + distance * math.cos(towards), py + distance * math.sin(towards))
+    kinds = [each.kind for each in plan(RATCHETS, start, goal)]
+    assert kinds in ([STRAIGHT, TURN, STRAIGHT], [TURN, STRAIGHT])  # the last where it just is not
+    pose = carried_out(start, goal)
+    assert (pose.x, pose.y) == pytest.approx((goal.x, goal.y), abs=1e-7)
+    first = planner().next_piece(start, goal)
+    assert first.turn == 0.0 or distance > 0.2199
+    assert not first.is_last or distance > 0.2199
 
 
 def test_a_goal_ahead_of_the_rover_is_straight_ahead():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -135,6 +136,16 @@ def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: 
     assert machine.mission.notes.jumps == 0
     assert [choice.values["way"] for choice in machine.choices] == ["wheels"]
     assert advice in machine.choices[0].reason
+
+
+@pytest.mark.parametrize("cannot_turn", [False, True])
+def test_a_detour_leads_straight_on_where_the_rover_cannot_turn(cannot_turn: bool):
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck, machine.upright, machine.cannot_turn = 1, 0.5, cannot_turn
+    assert finished(machine)
+    _, (x, y), *_ = machine.goals
+    ahead = 0.6 if cannot_turn else 0.6 * math.cos(0.8)
+    assert (x, y) == pytest.approx((ahead, math.sqrt(0.36 - ahead**2)), abs=1e-9)
 
 
 def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():

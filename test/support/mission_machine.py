@@ -65,11 +65,13 @@ class MissionMachine:
         self.place = (0.0, 0.0, 0.0)
         self.slope = 0.0
         self.stuck = 0
+        self.cannot_turn = False  # where it is stuck
         self.jump_fails = False  # the next one does not leave the ground
         self.upright, self.advice = 1.0, ""  # of jumps, as they are foretold; advice against
         self.refuses: dict[str, str] = {}
         self.silent: set[str] = set()
         self.asked: list[str] = []
+        self.goals: list[tuple[float, float]] = []
         self.story: list[str] = []
         self.choices: list[Transition] = []
         self._goal: tuple[float, float] | None = None
@@ -178,7 +180,12 @@ class MissionMachine:
             if self.stuck > 0:
                 self.stuck -= 1
                 self.drive = "stuck"
-                self.tell("drive_node", "drive_stuck", "the wheels turn and nothing else")
+                self.tell(
+                    "drive_node",
+                    "drive_stuck",
+                    "the wheels turn and nothing else",
+                    turning=int(self.cannot_turn),
+                )
             else:
                 way = math.dist(self._goal, self.place[:2])
                 share = min(0.2 / way, 1.0) if way > 0.0 else 1.0
@@ -209,6 +216,7 @@ class MissionMachine:
                 self.place = (x, y, 2.0 * math.atan2(qz, qw))
             else:
                 self._goal, self.drive, self._busy = (x, y), "driving", 0.5
+                self.goals.append((x, y))
         else:
             assert isinstance(ask.sample, JointSample)
             ((name, value),) = ask.sample.joints.items()
