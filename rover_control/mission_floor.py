@@ -80,6 +80,7 @@ class Way(Conduct):
         self._stuck = self._jumped = 0  # times at this place, as `locomotion` counts them
         self._stuck_at = math.inf  # distance to the goal [m]
         self._cannot_turn = False  # where it was stuck last
+        self._drove_on: Place | None = None  # from where, as it could not turn
         self._tried: Means | None = None  # last, at this place
         self._stroke = plan.jumps.stroke
         self._aside: Place | None = None  # where a detour leads by
@@ -228,7 +229,8 @@ class Way(Conduct):
         place = sight.place
         value = math.nan if place is None else slack_value(place.x, place.y, sight.drop)
         stiffness = self.locomotion.tether_stiffness
-        around = Surroundings(value, stiffness, sight.slope, self._stuck, self._jumped, outlook)
+        stuck = 0 if self._may_drive_on(place) else self._stuck
+        around = Surroundings(value, stiffness, sight.slope, stuck, self._jumped, outlook)
         choice = choose(self.locomotion, around)
         means = choice.way
         if means is Means.JUMP and self._jumps >= self.plan.jumps.most:
@@ -247,12 +249,20 @@ class Way(Conduct):
             return None
         self._detours += 1
         if place is not None:
-            # What cannot turn may still drive ahead, and turns there.
-            towards = place.heading + (0.0 if self._cannot_turn else _BEND * self._detours)
+            bend = 0.0 if self._cannot_turn else _BEND * self._detours
+            self._drove_on = place if self._cannot_turn else None
+            towards = place.heading + bend
             x, y = place.x + _ASIDE * math.cos(towards), place.y + _ASIDE * math.sin(towards)
             self._aside = Place(x, y, math.nan)
         self._enter(_Stage.DRIVE, now)
         return None
+
+    def _may_drive_on(self, place: Place | None) -> bool:
+        """Whether the rover cannot turn here, and has not tried to drive on from here."""
+        if place is None or not self._cannot_turn:
+            return False
+        tried = self._drove_on
+        return tried is None or math.hypot(place.x - tried.x, place.y - tried.y) > 0.5 * _ASIDE
 
     # --- jumping ---------------------------------------------------------------------------------
 

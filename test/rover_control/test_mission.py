@@ -148,6 +148,15 @@ def test_a_detour_leads_straight_on_where_the_rover_cannot_turn(cannot_turn: boo
     assert (x, y) == pytest.approx((ahead, math.sqrt(0.36 - ahead**2)), abs=1e-9)
 
 
+def test_a_rover_that_cannot_turn_drives_on_before_it_jumps():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck, machine.cannot_turn = 2, True  # it does not get away from there
+    assert finished(machine)
+    assert [choice.values["way"] for choice in machine.choices] == ["wheels", "jump"]
+    assert machine.choices[0].values["wheels_risk"] == pytest.approx(0.05)
+    assert machine.mission.notes.jumps == 1
+
+
 def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
     machine = begun(MissionPhase.DRIVING)
     # So likely to topple, a jump is worse than wheels that got stuck once on level ground.
