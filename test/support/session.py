@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rover_verify.stage import Observer, Process, Stage
 
 ASKER = "the document"
-FACTOR = 0.4
+FACTOR = 0.15
 # The way down would take half a minute.
 NEAR_THE_FLOOR = "{tether.length: 7.1}"
 # A machine that is busy elsewhere must not brake the winch.
