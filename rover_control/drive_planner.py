@@ -57,30 +57,7 @@ class Goal(NamedTuple):
         return not math.isnan(self.heading)
 
 
-class Segment(NamedTuple):
-    """One motion of the mechanism."""
-
-    kind: str  # TURN or STRAIGHT
-    amount: float  # to turn left [rad], or to drive [m]
-    heading: float  # at its end [rad]
-
-
-TURN, STRAIGHT = "turn", "straight"
 _AWAY = 0.6  # way from a goal that is too near to be turned to [m]
-
-
-def plan(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[Segment, ...]:
-    """The ideal motions from a pose to a goal: at most straight, turn, straight, turn."""
-    segments = []
-    if _is_too_near(kinematics, start, goal):
-        segments.append(Segment(STRAIGHT, _AWAY, start.heading))
-        start = kinematics.driven(start, _AWAY)
-    heading, way = _course(kinematics, start, goal)
-    segments.append(Segment(TURN, left_turn(start.heading, heading), heading))
-    segments.append(Segment(STRAIGHT, way, heading))
-    if goal.wants_heading:
-        segments.append(Segment(TURN, left_turn(heading, goal.heading), wrapped(goal.heading)))
-    return tuple(each for each in segments if each.amount > 1e-9)
 
 
 def _is_too_near(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> bool:
@@ -90,7 +67,7 @@ def _is_too_near(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -
     return not goal.wants_heading and distance <= abs(kinematics.pivot[1])
 
 
-def _course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
+def course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
     """Heading [rad] and length [m] of the straight way to a goal that is not too near."""
     px, py = kinematics.pivot_of(start)
     if goal.wants_heading:
@@ -157,14 +134,14 @@ class DrivePlanner:
         p = self.parameters
         if _is_too_near(self.kinematics, pose, goal):
             return Piece(0.0, _AWAY, pose.heading, False)
-        course, left = _course(self.kinematics, pose, goal)
+        heading, left = course(self.kinematics, pose, goal)
         is_last = left <= p.last_piece
         way = left
         if not is_last:
             way = min(p.first_piece, left) if self._pieces == 0 else p.piece_share * left
         self._pieces += 1
         # The chord of an arc lies half its bend off its first tangent.
-        aim = course - 0.5 * self.bend * way - (0.0 if is_last else p.aim_right)
+        aim = heading - 0.5 * self.bend * way - (0.0 if is_last else p.aim_right)
         turn = left_turn(pose.heading, aim)
         if self._may_stay(wrapped(pose.heading - aim), left, is_last=is_last):
             turn = 0.0

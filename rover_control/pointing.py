@@ -43,11 +43,11 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
 from rover_control.rotor_pump import NO_PUMPING, Pumping
 from rover_control.swing_estimator import SwingEstimate
+from rover_control.weighing import HEAVIEST
 
 SUBJECT = "pointing"  # of refusals
 _LEARNT = 15.0  # of full coning, from which on its rate is known [s]
 _SURE = 2.0  # standard deviations of the yaw rate within which a heading counts as known
-_HEAVIEST = 1.5  # part of the mass that is known, that is believed, and its inverse
 _SPIN_TIME = 8.0  # over which the spin that is not the coning's is smoothed [s]
 
 
@@ -389,4 +389,4 @@ class _Learnt:
         if self._time < _LEARNT or self._swept == 0.0:
             return 1.0
         found = self._leaning / (self._swept * weighs)
-        return min(max(found, 1.0 / _HEAVIEST), _HEAVIEST)
+        return min(max(found, 1.0 / HEAVIEST), HEAVIEST)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from rover_control.hanging_rover import HangingParameters
 
 _TIME = 15.0  # over which the tension is averaged [s]
-_HEAVIEST = 1.5  # part of the mass that is known, that is believed, and its inverse
+HEAVIEST = 1.5  # part of the mass that is known, that is believed, and its inverse
 
 
 class Weighing:
@@ -49,5 +49,5 @@ class Weighing:
         What no rover that hangs weighs, as one that stands, is not believed.
         """
         ratio = self._mass / self.hanging.rover_mass
-        believed = self._weighed >= _TIME and 1.0 / _HEAVIEST <= ratio <= _HEAVIEST
+        believed = self._weighed >= _TIME and 1.0 / HEAVIEST <= ratio <= HEAVIEST
         return ratio if believed else 1.0

@@ -89,15 +89,20 @@ def _module_of(executable: str) -> str:
 
 
 def _start(stage: Stage, planned: Plan) -> list[Process]:
-    return [_started(stage, each, planned.namespace) for each in planned.started]
+    # All are looked for before the first is started.
+    modules = [_module_of(each.executable) for each in planned.started]
+    return [
+        _started(stage, module, each, planned.namespace)
+        for module, each in zip(modules, planned.started, strict=True)
+    ]
 
 
-def _started(stage: Stage, started: Started, namespace: str) -> Process:
+def _started(stage: Stage, module: str, started: Started, namespace: str) -> Process:
     files: Sequence[str] = [
         part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
     ]
     return stage.processes.start(
-        _module_of(started.executable),
+        module,
         started.parameters,
         *started.arguments,
         *files,

@@ -47,13 +47,12 @@ def test_the_swing_is_known_again_soon_after_a_kick_between_two_readings():
     assert math.degrees(kicked(1, 0)) < 0.1
 
 
-@pytest.mark.parametrize("index", [24, 40])  # 14 % heavier at 15 m, 19 % lighter at 30 m
+@pytest.mark.parametrize("index", [24, 49])  # 14 % heavier at 15 m, 18 % lighter at 30 m
 def test_a_turn_takes_as_long_as_the_rover_s_weight_and_swing_foretell(index: int):
     flown = turn(3, index)
     assert flown.asked is not None
-    # By the model's mass and without the spin that the swing leaves, 92 and 90 s.
+    # By the mass that is known, and without the spin that the swing leaves, it were 92 s for both.
     assert flown.turning == pytest.approx(flown.asked.turning, rel=0.12)
-    assert flown.turning > 120.0 or flown.turning < 88.0
 
 
 def test_a_kick_is_the_swing_that_it_says():
