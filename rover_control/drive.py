@@ -60,6 +60,9 @@ class DriveParameters:
     sensor_steps: int = parameter(
         25, "-", "steps on end with a silent sensor after which the rover stops", 1, 10000
     )
+    lying_tilt: float = parameter(
+        1.05, "rad", "from which on the rover lies on its side and does not drive", 0.1, 3.2
+    )
     lost_floor: float = parameter(
         1.0, "s", "without touching the floor, after which the rover stops", 0.0, 60.0
     )
@@ -161,7 +164,7 @@ class Drive:
             (sample.stamp_ns or now_ns) / _NANO,
             at_rest=self.follower.is_at_rest and self.is_on_floor,
         )
-        self._forward = sample.linear_acceleration[0] - gravity * odometry.up[0]
+        self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
 
     def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take angles and rates of the wheels."""
@@ -330,6 +333,14 @@ class Drive:
                 subject,
                 RefusalCode.WRONG_PHASE,
                 "the rover does not stand on the floor, it must before it drives",
+            )
+        tilt, lying = self.odometry.attitude.inclination, self.settings.drive.lying_tilt
+        if tilt > lying:
+            raise Refusal(
+                subject,
+                RefusalCode.WRONG_PHASE,
+                f"the rover lies on its side, tilted by {math.degrees(tilt):.3g} deg; it must be "
+                f"set upright to less than {math.degrees(lying):.3g} deg",
             )
         other = self._other_user()
         if other:

@@ -302,7 +302,7 @@ class DriveFollower:
         """Whether the watch has ended the motion."""
         odometry, watch = self.odometry, self.watch
         rate = sensed.rates[0]
-        reason = watch.common(self.rate, rate, sensed.torque, odometry.inclination, h)
+        reason = watch.common(self.rate, rate, sensed.torque, odometry.attitude.inclination, h)
         turned, way = odometry.turned - self._last[0], odometry.way - self._last[1]
         self._last = (odometry.turned, odometry.way)
         if not reason and self.rate < 0.0:

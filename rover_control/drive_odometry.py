@@ -15,8 +15,7 @@ At rest the gyro tells its bias (a zero-rate update) and the pose stands still. 
 taut tells the distance from the fairlead, with its sag taken off; one that is slack tells at least
 that the rover is not farther away than it reaches. The tether says nothing of the heading.
 
-The rate of the heading is the gyro's about the vertical, for which gravity in the accelerometer,
-carried along by the gyro, shows where up is.
+How the heading turns and where up is, `drive_attitude` tells; the bias is the gyro's about z.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas.parameters import parameter
+from rover_control.drive_attitude import DriveAttitude, Vector
 from rover_control.ratchet_kinematics import GroundPose, RatchetKinematics, wrapped
 
 Floats = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 _PX, _PY, _HEADING, _BIAS, _SLIP, _DROP = range(6)
 _STATES = 6
@@ -44,6 +43,9 @@ _PULL_SHARE = 0.02  # that a reading of the tension has in its mean
 _REST_TIME = 1.0  # of the mean rate at rest [s]
 _CREEP = 2.5e-4  # mean rate at which a rover does not rest [rad/s]
 _LEVEL_MEMORY = 10.0  # of the biases about the level axes [s]
+_ROCKS = 0.05  # rate about a level axis at which a rover does not rest [rad/s]
+_JOLT = 7.0  # standard deviations of the noise between two readings at rest, at most
+_QUIET = 0.5  # without rocking and jolts, after which the rover rests [s]
 
 
 @dataclass(frozen=True)
@@ -117,13 +119,15 @@ class DriveOdometry:
         self.parameters = parameters
         self.way = 0.0  # driven, without sign of turns [m]
         self.speed = 0.0  # along base_link x [m/s]
-        self.yaw_rate = 0.0  # about the vertical [rad/s]
-        self.up = (0.0, 0.0, 1.0)  # in base_link
+        self.yaw_rate = 0.0  # of the heading [rad/s]
+        self.attitude = DriveAttitude()
         self._level_bias = (0.0, 0.0)  # of the gyro about base_link x and y [rad/s]
         self._rested = 0.0  # by which that is known [s]
         self.tether_range = 0.0  # distance by the taut tether as last taken; 0 = none yet [m]
         self._seen_at = -math.inf  # way at the last look at the tether [m]
         self._rest_rate = 0.0  # over the bias, as a mean [rad/s]
+        self._last_rate = 0.0  # about z, of the last reading [rad/s]
+        self._moved_at = -math.inf  # [s]
         self._pull = 0.0  # of the tether on the rover, as a mean [N]
         self._is_driven = False  # both wheels, straight ahead
         self._x = np.zeros(_STATES)
@@ -150,7 +154,7 @@ class DriveOdometry:
 
     @property
     def bias(self) -> float:
-        """Of the gyro about the vertical [rad/s]."""
+        """Of the gyro about base_link z [rad/s]."""
         return float(self._x[_BIAS])
 
     @property
@@ -169,21 +173,6 @@ class DriveOdometry:
     def drop(self) -> float:
         """Height of the fairlead above the tether's attachment [m]; 0 = not known yet."""
         return float(self._x[_DROP]) if self._knows_drop else 0.0
-
-    @property
-    def pitch(self) -> float:
-        """Nose down positive [rad]."""
-        return math.atan2(-self.up[0], math.hypot(self.up[1], self.up[2]))
-
-    @property
-    def roll(self) -> float:
-        """Right side down positive [rad]."""
-        return math.atan2(self.up[1], self.up[2])
-
-    @property
-    def inclination(self) -> float:
-        """Of base_link's z against the vertical [rad]."""
-        return math.acos(min(max(self.up[2], -1.0), 1.0))
 
     def covariance(self) -> Floats:
         """Of x, y and heading of base_link, (3, 3)."""
@@ -225,53 +214,41 @@ class DriveOdometry:
         if before is None or not 0.0 < now - before <= _LONGEST_STEP:
             return
         h = now - before
-        if at_rest:
-            self._learn_level(rate, h)
-        self._carry_up(rate, force, h, at_rest=at_rest)
-        about_up = sum(u * w for u, w in zip(self.up, rate, strict=True))
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.yaw_bias_walk**2 * h
+        left = rate[2] - self.bias
         # A rover that creeps under the tether's pull does not rest, whatever its encoders say.
-        rate_left = about_up - self.bias
-        self._rest_rate += min(h / _REST_TIME, 1.0) * (rate_left - self._rest_rate)
+        self._rest_rate += min(h / _REST_TIME, 1.0) * (left - self._rest_rate)
         creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
-        if at_rest and not creeps:
+        jolt = abs(rate[2] - self._last_rate) > _JOLT * p.yaw_noise / math.sqrt(h) + _CREEP
+        self._last_rate = rate[2]
+        if jolt or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKS:
+            self._moved_at = now
+        rests = now - self._moved_at > _QUIET
+        if rests:
+            self._learn_level(rate, h)
+        bx, by = self._level_bias
+        share = min(h / (p.gravity_time if rests else p.gravity_time_moving), 1.0)
+        turned = self.attitude.turn((rate[0] - bx, rate[1] - by, left), force, h, share)
+        if rests and not creeps:
             self.yaw_rate = 0.0
             row = np.zeros(_STATES)
             row[_BIAS] = 1.0
-            self._update(row, about_up - self.bias, p.yaw_noise**2 / h)
+            self._update(row, left, p.yaw_noise**2 / h)
             return
-        self.yaw_rate = rate_left
-        self._x[_HEADING] += self.yaw_rate * h
-        self._follow(_HEADING, _BIAS, -h)
+        self.yaw_rate = turned / h
+        self._x[_HEADING] += turned
+        self._follow(_HEADING, _BIAS, -h * self.attitude.up[2])
         self._p[_HEADING, _HEADING] += p.yaw_noise**2 * h
         if self._is_driven:
             # Half of what the sides differ by belongs to the right one.
-            self._advance_pivot(0.5 * self.kinematics.parameters.track * self.yaw_rate * h)
+            self._advance_pivot(0.5 * self.kinematics.parameters.track * turned)
 
     def _learn_level(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)
         share = h / self._rested
         x, y = self._level_bias
         self._level_bias = (x + share * (rate[0] - x), y + share * (rate[1] - y))
-
-    def _carry_up(self, rate: Vector, force: Vector, h: float, *, at_rest: bool) -> None:
-        wx, wy, wz = rate[0] - self._level_bias[0], rate[1] - self._level_bias[1], rate[2]
-        x, y, z = self.up
-        x, y, z = (
-            x - (wy * z - wz * y) * h,
-            y - (wz * x - wx * z) * h,
-            z - (wx * y - wy * x) * h,
-        )
-        size = math.hypot(*force)
-        if size > 0.0:
-            p = self.parameters
-            share = min(h / (p.gravity_time if at_rest else p.gravity_time_moving), 1.0)
-            x += share * (force[0] / size - x)
-            y += share * (force[1] / size - y)
-            z += share * (force[2] / size - z)
-        size = math.hypot(x, y, z)
-        self.up = (x / size, y / size, z / size)
 
     def hear_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
         """Take how far the wheels have turned.

@@ -58,8 +58,8 @@ def state_sample(drive: Drive, stamp_ns: int) -> JointSample:
         {
             FORWARD: JointValue(odometry.way, odometry.speed),
             YAW: JointValue(pose.heading, odometry.yaw_rate),
-            PITCH: JointValue(odometry.pitch),
-            ROLL: JointValue(odometry.roll),
+            PITCH: JointValue(odometry.attitude.pitch),
+            ROLL: JointValue(odometry.attitude.roll),
             SLIP: JointValue(odometry.slip),
             GYRO_BIAS: JointValue(velocity=odometry.bias),
             POSITION_ERROR: JointValue(math.sqrt(float(cov[0, 0] + cov[1, 1]))),

@@ -10,8 +10,9 @@ aborted      the same, and what was planned is forgotten; `go` leads home from w
 ===========  ================================================================================
 
 Each trial of a leg has a time limit; a leg that fails is tried again, and after `tries` of them
-left out or held at, as `_AFTER` says. What interlocks forbid is not asked for. Every change is
-told with its reason.
+left out or held at, as `_AFTER` says. On the floor the winch helps first: it hauls the rover below
+the fairlead, and sets it down there to try once more, or takes it home. What interlocks forbid is
+not asked for. Every change is told with its reason.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from rover_control.mission_legs import (
     Verdict,
     Wish,
 )
-from rover_control.mission_plan import Leg, LegKind, MissionPlan, itinerary, way_home
+from rover_control.mission_plan import Leg, LegKind, MissionPlan, itinerary, rescue, way_home
 from rover_control.mission_sight import MissionSight, Place
 
 _NANO = 1e9
@@ -92,6 +93,7 @@ _AFTER: Mapping[LegKind, _After] = {
     LegKind.LOOK: _After.NEXT,
     LegKind.TURN: _After.NEXT,
     LegKind.APPROACH: _After.NEXT,
+    LegKind.CALM: _After.NEXT,
     LegKind.LAND: _After.HOLD,
     LegKind.VISIT: _After.NEXT,
     LegKind.HOP: _After.NEXT,
@@ -104,6 +106,7 @@ _CONDUCTS: Mapping[LegKind, type[Conduct]] = {
     LegKind.LOOK: Stop,
     LegKind.TURN: Turn,
     LegKind.APPROACH: Stop,
+    LegKind.CALM: Stop,
     LegKind.LAND: Land,
     LegKind.VISIT: Way,
     LegKind.HOP: Hop,
@@ -112,7 +115,7 @@ _CONDUCTS: Mapping[LegKind, type[Conduct]] = {
     LegKind.ASCEND: Stop,
     LegKind.STOW: Stow,
 }
-_HANGING = (LegKind.LOOK, LegKind.APPROACH, LegKind.ASCEND)
+_HANGING = (LegKind.LOOK, LegKind.APPROACH, LegKind.CALM, LegKind.ASCEND)
 _CANNOT_BE_SKIPPED = (LegKind.LIFT, LegKind.ASCEND, LegKind.STOW)
 
 
@@ -142,6 +145,7 @@ class Mission:
         self.reason = ""  # of the present phase
         self.waits_for = ""  # what keeps the leg from going on
         self._home: bool | None = None  # whether the way home began on the floor; None: no way home
+        self._rescues: list[int] = []  # where in `legs` they were put in
         self._index = 0
         self._tries = 0
         self._rearms = 0
@@ -203,6 +207,7 @@ class Mission:
             raise _refused(topics.MISSION_GO, f"a mission is {self.phase}; see {other}")
         self._check_heard(topics.MISSION_GO, now)
         stands = self.sight.stands
+        self._rescues = []
         if self._still is MissionPhase.ABORTED:
             self._home = stands
             self.legs = way_home(self.plan, stands=stands)
@@ -212,6 +217,8 @@ class Mission:
             self._home = None
             self.legs = itinerary(self.plan)
             self.record, self.notes = [], Notes()
+            if not stands:
+                self.sight.place = None
             self._index = self._first_leg() if stands else 0
             text = f"{len(self.legs)} legs" + (", the rover stands already" if stands else "")
         self._tell("mission_begun", text)
@@ -291,8 +298,12 @@ class Mission:
             raise Refusal(subject, RefusalCode.STALE, "the winch is not heard")
 
     def _may_lift(self) -> bool:
+        return self._is_within(self.plan.lift.radius)
+
+    def _is_within(self, radius: float) -> bool:
+        """Whether the rover is known to be so near to the plumb line."""
         place = self.sight.place
-        return place is not None and math.hypot(place.x, place.y) <= self.plan.lift.radius
+        return place is not None and math.hypot(place.x, place.y) <= radius
 
     # --- stepped by time -------------------------------------------------------------------------
 
@@ -322,7 +333,8 @@ class Mission:
         limit = limits.of(conduct.leg.kind)
         why = f", waiting: {self.waits_for}" if self.waits_for else ""
         if now - conduct.begun > limit:
-            return End(Verdict.FAILED, f"not over within {limit:g} s{why}")
+            text = f"not over within {limit:g} s{why}"
+            return End(Verdict.FAILED, text, by_others=bool(why))
         if isinstance(conduct, Way) and now - conduct.jumping_for > limits.jump_limit:
             return End(Verdict.FAILED, f"no jump within {limits.jump_limit:g} s{why}")
         return None
@@ -421,6 +433,9 @@ class Mission:
                 pause = p.pause if leg.kind in _HANGING else p.node_silence
                 self._pauses_until = now + pause
                 return
+        if end.verdict is not Verdict.DONE and self._rescue(leg, end, now):
+            return
+        if end.verdict is Verdict.FAILED:
             goes_on = leg.kind is LegKind.RETURN and self._may_lift()
             if _AFTER[leg.kind] is _After.HOLD and not goes_on:
                 self._note(leg, end.verdict, end.reason)
@@ -438,6 +453,32 @@ class Mission:
         text = f"{len(self.record)} legs" + (f", without {', '.join(missed)}" if missed else "")
         values = {"pictures": self.notes.pictures, "jumps": self.notes.jumps, "missed": len(missed)}
         self._tell("mission_done", text, values=values)
+
+    def _rescue(self, leg: Leg, end: End, now: float) -> bool:
+        """Let the winch help a rover that cannot go on; whether it may."""
+        most, reason = self.plan.rescue.most, end.reason
+        if most == 0 or not self._is_within(self.plan.rescue.radius):
+            return False
+        if leg.kind is LegKind.RETURN:
+            self._note(leg, Verdict.DONE, f"left to the winch: {reason}")
+            self._advance(leg)
+        elif leg.kind is LegKind.VISIT and not end.by_others and len(self._rescues) < most:
+            if self.plan.landing is None:
+                return False
+            self._put_in(self._index)
+            self._tries = 0
+            values = {"leg": leg.name, "number": len(self._rescues), "of": most}
+            self._tell("mission_rescue", f"{leg.name}: {reason}", Level.WARN, values)
+        else:
+            return False
+        self._begin(now, reason)
+        return True
+
+    def _put_in(self, index: int) -> None:
+        """Put a rescue before a leg."""
+        self._rescues.append(index)
+        legs = rescue(self.plan, len(self._rescues))
+        self.legs = (*self.legs[:index], *legs, *self.legs[index:])
 
     def _advance(self, leg: Leg) -> None:
         """To the next leg; without a landing nothing is done on the floor."""
@@ -475,6 +516,7 @@ class Mission:
             "phase": self.phase.value,
             "is_active": self.is_active,
             "home": self._home,
+            "rescues": list(self._rescues),
             "leg": self._index,
             "tries": self._tries,
             "notes": notes,
@@ -495,6 +537,8 @@ class Mission:
         self._home = kept["home"]
         if self._home is not None:
             self.legs = way_home(self.plan, stands=self._home)
+        for index in kept["rescues"]:
+            self._put_in(int(index))
         self._index, self._tries = int(kept["leg"]), int(kept["tries"])
         self.notes = Notes(**{name: _known(value) for name, value in kept["notes"].items()})
         self.record = [Done(leg, Verdict[name], why) for leg, name, why in kept["record"]]

@@ -6,6 +6,8 @@ visit   the rover drives; stuck, it chooses between a way around and slack and a
 hop     it gets slack and jumps where it stands
 return  as a visit, to below the fairlead
 ======  =====================================================================================
+
+A rover that lies on its side neither drives nor jumps.
 """
 
 from __future__ import annotations
@@ -104,6 +106,9 @@ class Way(Conduct):
 
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
         """Drive; or, stuck, choose: a detour, or slacken, jump and settle."""
+        if self._stage in (_Stage.DRIVE, _Stage.SLACKEN) and sight.stands and sight.lies(now):
+            text = f"the rover lies on its side, tilted by {math.degrees(sight.slope):.0f} deg"
+            return End(Verdict.GIVEN_UP, text)
         if self._stage is _Stage.DRIVE:
             return self._drive(sight, news, now)
         if self._stage is _Stage.FORETELL:
@@ -142,7 +147,7 @@ class Way(Conduct):
                     return ended
             refused = refusal_of(news, topics.DRIVE_GOAL)
             if refused:
-                return End(Verdict.FAILED, refused)
+                return End(Verdict.FAILED, refused, by_others=True)
         if sight.place is not None and not sight.knows_place:
             return Wish(Act.DRIVE, Ask(topics.DRIVE_START, _pose(sight.place)))
         lost = not sight.drives and (self._taken or self._unanswered(now))
@@ -294,6 +299,8 @@ class Way(Conduct):
         for event in news:
             if event.name == "jump_landed" and event.level is not Level.OK:
                 return End(Verdict.FAILED, event.message)
+        if sight.jump == "fault" and self.asked is not None and self._left_ground:
+            return End(Verdict.FAILED, "the jump ended in a fault")
         self._left_ground |= sight.flies
         if sight.jump == "letting_down" and self.asked is not None:
             return End(Verdict.FAILED, "the jump was broken off")

@@ -7,6 +7,7 @@ restart of the mission, or because the first trial failed.
 look       a stop of the descent with pictures
 turn       a heading that the descent turns to
 approach   a stop of the descent without pictures
+calm       the same after a rescue, where what is left of the swing is no reason to go on
 land       the winch pays out until the floor carries the rover
 lift       the winch reels in until the rover hangs
 ascend     a stop of the descent at the stow
@@ -41,14 +42,16 @@ from msg_schemas.samples import (
 )
 from rover_control.mission_interlocks import Act
 from rover_control.mission_plan import Leg, LegKind, MissionPlan
-from rover_control.mission_sight import MissionSight, Place
+from rover_control.mission_sight import MissionSight
 
 ANSWER = 3.0
 """In which a node shows that it does what it was asked [s]."""
 _RENEWAL = 0.25  # of a length that is gone to while it is renewed [s]
 _NEAR = 0.03  # at a length [m]
 _STEADY = 2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
-_AT_STOW, _STOW_PATIENCE = 0.1, 60.0  # so near, and so long for the swing there [m], [s]
+_THERE = 0.1  # at a depth where what is left of the swing does not keep the mission [m]
+_PATIENCE = {LegKind.ASCEND: 60.0, LegKind.CALM: 240.0}
+"""How long the swing is damped there [s]."""
 
 
 class MissionPhase(StrEnum):
@@ -77,6 +80,7 @@ class LegLimits:
     look_limit: float = parameter(900.0, "s", "for a stop with pictures", 10.0, 1e5)
     turn_limit: float = parameter(300.0, "s", "for a turn about the plumb line", 10.0, 1e5)
     approach_limit: float = parameter(900.0, "s", "for the approach to the floor", 10.0, 1e5)
+    calm_limit: float = parameter(600.0, "s", "to take the swing of a rescue away", 10.0, 1e5)
     land_limit: float = parameter(300.0, "s", "for the landing", 10.0, 1e5)
     visit_limit: float = parameter(900.0, "s", "for the way to a waypoint", 10.0, 1e5)
     hop_limit: float = parameter(120.0, "s", "for slack and jump at a waypoint", 10.0, 1e5)
@@ -122,6 +126,7 @@ class End(NamedTuple):
 
     verdict: Verdict
     reason: str
+    by_others: bool = False  # refused, or waited for; wherever the rover stands
 
 
 @dataclass
@@ -169,6 +174,14 @@ class Conduct(ABC):
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
         """What is wanted now, or how it has ended; None = nothing but to wait."""
 
+    def _taken_by(self, news: Sequence[Status]) -> str:
+        """Who holds the winch that this leg has moved; empty = nobody."""
+        for event in news:
+            held = event.name == "winch_hold" and event.message == "asked to hold"
+            if held and self.asked is not None:
+                return "somebody holds the winch"
+        return ""
+
     def _unanswered(self, now: float) -> bool:
         """Whether what was asked for should have shown by now."""
         return self.asked is not None and now - self.asked > ANSWER
@@ -206,6 +219,7 @@ class Stop(Conduct):
         self.phase = {
             LegKind.LOOK: MissionPhase.LOOKING,
             LegKind.APPROACH: MissionPhase.APPROACHING,
+            LegKind.CALM: MissionPhase.APPROACHING,
             LegKind.ASCEND: MissionPhase.ASCENDING,
         }[leg.kind]
         self._there_since = math.inf
@@ -230,11 +244,11 @@ class Stop(Conduct):
             if refused and sight.descent == "holding":
                 # It was held before it was asked: that is cleared first.
                 self.asked, self._is_cleared = None, False
-        if self.leg.kind is LegKind.ASCEND and self.asked is not None:
-            # What is left of the swing is no reason to stay out of the stow.
-            there = abs(sight.length - self.leg.depth) < _AT_STOW
+        patience = _PATIENCE.get(self.leg.kind, math.inf)
+        if patience < math.inf and self.asked is not None:
+            there = abs(sight.length - self.leg.depth) < _THERE
             self._there_since = min(self._there_since, now) if there else math.inf
-            if now - self._there_since > _STOW_PATIENCE:
+            if now - self._there_since > patience:
                 return End(Verdict.DONE, f"at {sight.length:.2f} m, still swinging")
         if sight.descent == "holding" and self.asked is not None:
             if not self._was_interrupted:
@@ -304,10 +318,9 @@ class Land(Conduct):
             if now - sight.stands_since < _STEADY:
                 return None
             self.notes.floor = sight.length
-            if sight.place is None:
-                sight.place = Place(0.0, 0.0, self._heading(sight))
+            sight.set_down(self._heading(sight))
             return End(Verdict.DONE, f"the floor carries the rover at {sight.length:.2f} m")
-        taken = _held_by_others(news)
+        taken = self._taken_by(news)
         if taken:
             return End(Verdict.TAKEN, taken)
         if sight.length > self.leg.depth - _NEAR and not sight.winch_moves:
@@ -326,7 +339,7 @@ class Land(Conduct):
 
 
 class Lift(Conduct):
-    """The winch reels in until the rover hangs."""
+    """The winch reels in until the rover hangs; far from the plumb line it hauls it there first."""
 
     phase = MissionPhase.LIFTING
 
@@ -345,15 +358,19 @@ class Lift(Conduct):
             return End(Verdict.DONE, f"the rover hangs at {sight.length:.2f} m")
         if there and now - self.begun > 2.0 * _STEADY and sight.stands:
             return End(Verdict.FAILED, f"the rover is still carried at {sight.length:.2f} m")
-        taken = _held_by_others(news)
+        taken = self._taken_by(news)
         if taken:
             return End(Verdict.TAKEN, taken)
+        lift = self.plan.lift
+        hauls = sight.place is None or math.hypot(sight.place.x, sight.place.y) > lift.radius
         for event in news:
-            if event.name == "alarm_snag":
+            # The winch holds by itself; what it hauls over rubble comes free again, or in time not.
+            if event.name == "alarm_snag" and not hauls:
                 return End(Verdict.FAILED, f"the tether is held: {event.message}")
         if there:
             return None
-        return _length(Act.LIFT, self._goal, self.plan.lift.rate)
+        rate = min(lift.rate, self.plan.rescue.rate) if hauls else lift.rate
+        return _length(Act.LIFT, self._goal, rate)
 
 
 class Hoist(Conduct):
@@ -363,7 +380,7 @@ class Hoist(Conduct):
 
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
         """Renew the length on the way."""
-        taken = _held_by_others(news)
+        taken = self._taken_by(news)
         if taken:
             return End(Verdict.TAKEN, taken)
         snag = next((event for event in news if event.name == "alarm_snag"), None)
@@ -398,10 +415,3 @@ class Stow(Conduct):
 def _length(act: Act, length: float, rate: float) -> Wish:
     ask = Ask(topics.WINCH_REQUEST, joint_of(WINCH_WHILE_RENEWED, length, rate))
     return Wish(act, ask, _RENEWAL, reels=True)
-
-
-def _held_by_others(news: Sequence[Status]) -> str:
-    for event in news:
-        if event.name == "winch_hold" and event.message == "asked to hold":
-            return "somebody holds the winch"
-    return ""

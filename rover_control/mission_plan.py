@@ -128,6 +128,26 @@ class Lift(Configuration):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rescue(Configuration):
+    """How a rover that cannot go on, or lies on its side, is taken below the fairlead.
+
+    The winch hauls it over the floor and up by the tether, which sets it upright, too.
+    """
+
+    most: int = quantity(
+        "-", "times in a mission that it is taken up and set down again; 0: never", 2, kind=int,
+        minimum=0, maximum=20,
+    )  # fmt: skip
+    radius: float = quantity(
+        "m", "from the plumb line within which it may be hauled: that far it swings at most", 3.0,
+        minimum=0.1, maximum=20.0,
+    )  # fmt: skip
+    rate: float = quantity(
+        "m/s", "at which the tether is reeled in", 0.05, minimum=0.01, maximum=0.2
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class MissionPlan(Configuration):
     """A whole mission, from the stow below the fairlead to the floor and back."""
 
@@ -146,6 +166,7 @@ class MissionPlan(Configuration):
     survey: tuple[Waypoint, ...] = sections(Waypoint, "a list of waypoints on the floor", ())
     jumps: Jumps = section(Jumps, "for a rover that is stuck", Jumps())
     lift: Lift = section(Lift, "off the floor", Lift())
+    rescue: Rescue = section(Rescue, "of a rover that cannot go on", Rescue())
 
     def check(self) -> None:
         """Refuse what no single key can show."""
@@ -204,6 +225,7 @@ class LegKind(StrEnum):
     LOOK = "look"
     TURN = "turn"
     APPROACH = "approach"
+    CALM = "calm"
     LAND = "land"
     VISIT = "visit"
     HOP = "hop"
@@ -254,6 +276,23 @@ def way_home(plan: MissionPlan, *, stands: bool) -> tuple[Leg, ...]:
         return up
     back = (Leg(LegKind.RETURN, "return", x=0.0, y=0.0), Leg(LegKind.LIFT, "lift off"))
     return (*back, *up)
+
+
+def rescue(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
+    """The legs that take the rover off the floor and set it down below the fairlead.
+
+    Args:
+        plan: one with a landing.
+        number: of the rescue, from 1.
+    """
+    landing = plan.landing
+    assert landing is not None
+    name = f"rescue {number}: "
+    return (
+        Leg(LegKind.LIFT, name + "lift off"),
+        Leg(LegKind.CALM, f"{name}calm at {landing.approach:g} m", depth=landing.approach),
+        Leg(LegKind.LAND, name + "land", depth=landing.deepest),
+    )
 
 
 def _way_down(plan: MissionPlan) -> Iterator[Leg]:

@@ -34,6 +34,9 @@ _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
 """Compression [m] up to which the nut counts as clear of the spring."""
+LYING = math.radians(60.0)
+"""Tilt [rad] from which on a rover lies on its side."""
+_LIES = 3.0  # so long, before that is believed [s]
 _STEP, _TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
 
 HEARD = (
@@ -59,6 +62,9 @@ class Place:
     heading: float
 
 
+_ORIGIN = Place(0.0, 0.0, 0.0)
+
+
 class MissionSight:
     """The last that was heard of everybody.
 
@@ -77,6 +83,7 @@ class MissionSight:
         self.nut = math.nan  # compression at which the nut stands [m]
         self.heading = math.nan  # of the hanging rover since its controller's start [rad]
         self.slope = math.nan  # of what the rover stands on, by its tilt [rad]
+        self._tilted_since = math.inf  # as if it lay on its side [s]
         self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # where the rover is, as the mission goes by it
         self.place_told: Place | None = None  # where drive_node says it is
@@ -121,6 +128,7 @@ class MissionSight:
         elif topic == topics.DRIVE_STATE:
             upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
             self.slope = math.acos(upright)
+            self._tilted_since = min(self._tilted_since, now) if self.slope > LYING else math.inf
 
     def _hear_place(self, sample: OdometrySample) -> None:
         x, y, z, w = sample.orientation
@@ -128,8 +136,10 @@ class MissionSight:
         told = Place(sample.position[0], sample.position[1], heading)
         before, self.place_told = self.place_told, told
         self.drop = -sample.position[2] if sample.position[2] < 0.0 else math.nan
-        # An odometry that begins anew leaps; where it was is remembered.
-        if before is not None and near(before, told) and self.knows_place:
+        followed = before is not None and self.place is not None and near(before, self.place)
+        # An odometry that begins anew leaps to where maps begin; where it was is remembered.
+        begins_anew = before is not None and not near(before, told) and near(told, _ORIGIN)
+        if followed and not begins_anew:
             self.place = told
 
     @property
@@ -148,6 +158,18 @@ class MissionSight:
     def silent(self, topic: str, now: float) -> bool:
         """Whether a topic that is told all the time was not heard for too long."""
         return now - self._heard.get(topic, -math.inf) > self.silence
+
+    def lies(self, now: float) -> bool:
+        """Whether the rover lies on its side, or on its back."""
+        return now - self._tilted_since > _LIES
+
+    def set_down(self, heading: float) -> None:
+        """The rover stands below the fairlead.
+
+        Args:
+            heading: in map, where the odometry has not followed it from a place before [rad].
+        """
+        self.place = Place(0.0, 0.0, heading if self.place is None else self.place.heading)
 
     @property
     def winch(self) -> str:

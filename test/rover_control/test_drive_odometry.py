@@ -115,11 +115,11 @@ def test_gravity_shows_the_pitch_and_the_gyro_carries_it_on():
     force = (-1.62 * math.sin(0.1), 0.0, 1.62 * math.cos(0.1))
     for k in range(200):
         reckoning.hear_gyro((0.0, 0.0, 0.0), force, H * k, at_rest=True)
-    assert reckoning.pitch == pytest.approx(0.1, abs=1e-3)
+    assert reckoning.attitude.pitch == pytest.approx(0.1, abs=1e-3)
     # Standing nose down, the body's x is ahead and down: gravity's reaction pulls along -x.
     for k in range(200, 250):
         reckoning.hear_gyro((0.0, 0.1, 0.0), G, H * k, at_rest=False)
-    assert reckoning.pitch > 0.18
+    assert reckoning.attitude.pitch > 0.18
 
 
 def taut(x: float, y: float, drop: float = 10.0) -> Tether:
