@@ -212,6 +212,7 @@ class DriveOdometry:
         """
         before, self._gyro_at = self._gyro_at, now
         if before is None or not 0.0 < now - before <= _LONGEST_STEP:
+            self._moved_at = now
             return
         h = now - before
         p = self.parameters

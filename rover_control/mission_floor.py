@@ -106,7 +106,8 @@ class Way(Conduct):
 
     def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
         """Drive; or, stuck, choose: a detour, or slacken, jump and settle."""
-        if self._stage in (_Stage.DRIVE, _Stage.SLACKEN) and sight.stands and sight.lies(now):
+        leaves = self._stage in (_Stage.JUMP, _Stage.SETTLE)
+        if not leaves and sight.stands and sight.lies(now):
             text = f"the rover lies on its side, tilted by {math.degrees(sight.slope):.0f} deg"
             return End(Verdict.GIVEN_UP, text)
         if self._stage is _Stage.DRIVE:

@@ -319,6 +319,17 @@ def test_a_rover_that_is_not_free_does_not_drive(change: Any, code: RefusalCode,
     refused(code, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
 
 
+def test_a_rover_on_its_side_does_not_drive():
+    rover = RollingRover(roll=1.7)
+    drive = ready(rover)
+    for _ in range(300):
+        rover.step(drive)
+    text = "on its side, tilted by 97.4 deg"
+    refused(RefusalCode.WRONG_PHASE, text, drive.request, pose(2.0, 0.0), rover.now_ns)
+    refused(RefusalCode.WRONG_PHASE, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
+    assert not drive.is_busy
+
+
 def test_silent_sensors_are_named_and_stop_the_rover():
     drive = Drive(QUICK)
     refused(RefusalCode.STALE, topics.IMU, drive.request, pose(2.0, 0.0), 0)

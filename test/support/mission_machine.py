@@ -158,6 +158,8 @@ class MissionMachine:
         if self._length_goal is not None and self.winch == "length":
             way = self._length_goal - self.length
             self.length += math.copysign(min(abs(way), 0.1 * STEP * 10), way)
+            if way < 0.0:
+                self.slope = 0.0  # a rover that hangs is upright
             if self.length >= FLOOR and way > 0.0:
                 self.length, self._on_floor = FLOOR, True
                 self._end_length(f"touchdown at {FLOOR} m")

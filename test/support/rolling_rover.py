@@ -47,6 +47,7 @@ class RollingRover:
         stuck: the wheels turn, the rover does not move.
         blocked: the wheels do not turn.
         obeys: the winch takes requests.
+        roll: of what it stands on [rad].
     """
 
     slip: tuple[float, float] = (0.256, 0.256)
@@ -58,6 +59,7 @@ class RollingRover:
     blocked: bool = False
     obeys: bool = True
     on_floor: bool = True
+    roll: float = 0.0
     x: float = 0.0
     y: float = 0.0
     heading: float = 0.0
@@ -130,7 +132,8 @@ class RollingRover:
         drive.hear_contact(
             JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
         )
-        drive.hear_imu(ImuSample(stamp, gyro, (forward, 0.0, GRAVITY)), stamp)
+        force = (forward, GRAVITY * math.sin(self.roll), GRAVITY * math.cos(self.roll))
+        drive.hear_imu(ImuSample(stamp, gyro, force), stamp)
         wheels = {
             name: JointValue(angle, rate)
             for name, angle, rate in zip(
