@@ -47,7 +47,8 @@ from rover_control.mission_legs import (
     Verdict,
     Wish,
 )
-from rover_control.mission_plan import Leg, LegKind, MissionPlan, itinerary, rescue, way_home
+from rover_control.mission_plan import MissionPlan
+from rover_control.mission_route import Leg, LegKind, Route
 from rover_control.mission_sight import MissionSight, Place
 
 _NANO = 1e9
@@ -139,14 +140,11 @@ class Mission:
         self.plan = plan
         self.settings = settings or MissionSettings()
         self.sight = MissionSight(self.settings.mission.node_silence)
-        self.legs: tuple[Leg, ...] = itinerary(plan)
+        self.route = Route(plan)
         self.record: list[Done] = []
         self.notes = Notes()
         self.reason = ""  # of the present phase
         self.waits_for = ""  # what keeps the leg from going on
-        self._home: bool | None = None  # whether the way home began on the floor; None: no way home
-        self._rescues: list[int] = []  # where in `legs` they were put in
-        self._index = 0
         self._tries = 0
         self._rearms = 0
         self._conduct: Conduct | None = None
@@ -172,12 +170,7 @@ class Mission:
     @property
     def leg(self) -> Leg | None:
         """The leg that is done or comes next; None = none is left."""
-        return self.legs[self._index] if self._index < len(self.legs) else None
-
-    @property
-    def leg_number(self) -> int:
-        """Of the leg, from 1; 0 where none is left."""
-        return self._index + 1 if self.leg is not None else 0
+        return self.route.leg
 
     @property
     def tries(self) -> int:
@@ -207,31 +200,21 @@ class Mission:
             raise _refused(topics.MISSION_GO, f"a mission is {self.phase}; see {other}")
         self._check_heard(topics.MISSION_GO, now)
         stands = self.sight.stands
-        self._rescues = []
         if self._still is MissionPhase.ABORTED:
-            self._home = stands
-            self.legs = way_home(self.plan, stands=stands)
-            self._index = 0
+            self.route.begin_home(stands=stands)
             text = "home from " + ("the floor" if stands else f"{self.sight.length:.2f} m")
         else:
-            self._home = None
-            self.legs = itinerary(self.plan)
+            self.route.begin(stands=stands)
             self.record, self.notes = [], Notes()
             if not stands:
                 self.sight.place = None
-            self._index = self._first_leg() if stands else 0
-            text = f"{len(self.legs)} legs" + (", the rover stands already" if stands else "")
+            elif self.sight.place is None:
+                self.sight.place = Place(0.0, 0.0, math.radians(self.plan.heading))
+            text = f"{len(self.route.legs)} legs" + (", the rover stands already" if stands else "")
         self._tell("mission_begun", text)
         self._tries = 0
         self._begin(now, text)
         return text
-
-    def _first_leg(self) -> int:
-        """The first leg of a rover that stands on the floor."""
-        if self.sight.place is None:
-            self.sight.place = Place(0.0, 0.0, math.radians(self.plan.heading))
-        kinds = [leg.kind.is_on_floor for leg in self.legs]
-        return kinds.index(True) if True in kinds else 0
 
     def hold(self, _now_ns: int) -> str:
         """Bring all to rest; the leg waits.
@@ -411,7 +394,7 @@ class Mission:
         self._sent.clear()
         self.waits_for = ""
         self.reason = reason
-        values = {"leg": leg.name, "number": self.leg_number, "of": len(self.legs)}
+        values = {"leg": leg.name, "number": self.route.number, "of": len(self.route.legs)}
         self._tell("mission_leg", f"{leg.name}: {reason}", values=values)
 
     def _over(self, end: End, now: float) -> None:
@@ -447,7 +430,8 @@ class Mission:
             self._begin(now, f"after {leg.name}: {end.reason}")
             return
         self._conduct = None
-        self._still, self._index, self._home = MissionPhase.STANDBY, 0, None
+        self._still = MissionPhase.STANDBY
+        self.route.rewind()
         self.reason = end.reason
         missed = [done.leg for done in self.record if done.verdict is not Verdict.DONE]
         text = f"{len(self.record)} legs" + (f", without {', '.join(missed)}" if missed else "")
@@ -459,34 +443,26 @@ class Mission:
         most, reason = self.plan.rescue.most, end.reason
         if most == 0 or not self._is_within(self.plan.rescue.radius):
             return False
+        may_try_again = self.plan.landing is not None and self.route.rescues < most
         if leg.kind is LegKind.RETURN:
             self._note(leg, Verdict.DONE, f"left to the winch: {reason}")
             self._advance(leg)
-        elif leg.kind is LegKind.VISIT and not end.by_others and len(self._rescues) < most:
-            if self.plan.landing is None:
-                return False
-            self._put_in(self._index)
+        elif leg.kind is LegKind.VISIT and may_try_again and not end.by_others:
+            self.route.put_rescue()
             self._tries = 0
-            values = {"leg": leg.name, "number": len(self._rescues), "of": most}
+            values = {"leg": leg.name, "number": self.route.rescues, "of": most}
             self._tell("mission_rescue", f"{leg.name}: {reason}", Level.WARN, values)
         else:
             return False
         self._begin(now, reason)
         return True
 
-    def _put_in(self, index: int) -> None:
-        """Put a rescue before a leg."""
-        self._rescues.append(index)
-        legs = rescue(self.plan, len(self._rescues))
-        self.legs = (*self.legs[:index], *legs, *self.legs[index:])
-
     def _advance(self, leg: Leg) -> None:
         """To the next leg; without a landing nothing is done on the floor."""
-        self._index += 1
+        self.route.go_on()
         self._tries = 0
         if leg.kind is LegKind.LAND and self.record[-1].verdict is not Verdict.DONE:
-            while self.legs[self._index].kind.is_on_floor:
-                self._index += 1
+            self.route.leave_floor()
 
     def _note(self, leg: Leg, verdict: Verdict, reason: str) -> None:
         self.record.append(Done(leg.name, verdict, reason))
@@ -515,9 +491,7 @@ class Mission:
             "stamp_ns": now_ns,
             "phase": self.phase.value,
             "is_active": self.is_active,
-            "home": self._home,
-            "rescues": list(self._rescues),
-            "leg": self._index,
+            "route": self.route.checkpoint(),
             "tries": self._tries,
             "notes": notes,
             "place": None if place is None else [place.x, place.y, place.heading],
@@ -534,12 +508,8 @@ class Mission:
         still = MissionPhase(kept["phase"])
         if still is MissionPhase.STANDBY:
             return
-        self._home = kept["home"]
-        if self._home is not None:
-            self.legs = way_home(self.plan, stands=self._home)
-        for index in kept["rescues"]:
-            self._put_in(int(index))
-        self._index, self._tries = int(kept["leg"]), int(kept["tries"])
+        self.route.restore(kept["route"])
+        self._tries = int(kept["tries"])
         self.notes = Notes(**{name: _known(value) for name, value in kept["notes"].items()})
         self.record = [Done(leg, Verdict[name], why) for leg, name, why in kept["record"]]
         if kept["place"] is not None:

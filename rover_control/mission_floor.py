@@ -42,7 +42,8 @@ from rover_control.mission_legs import (
     number_of,
     refusal_of,
 )
-from rover_control.mission_plan import Leg, LegKind, MissionPlan
+from rover_control.mission_plan import MissionPlan
+from rover_control.mission_route import Leg, LegKind
 from rover_control.mission_sight import MissionSight, Place
 
 _SETTLES = 3.0  # after a jump [s]

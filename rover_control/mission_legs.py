@@ -41,7 +41,8 @@ from msg_schemas.samples import (
     Status,
 )
 from rover_control.mission_interlocks import Act
-from rover_control.mission_plan import Leg, LegKind, MissionPlan
+from rover_control.mission_plan import MissionPlan
+from rover_control.mission_route import Leg, LegKind
 from rover_control.mission_sight import MissionSight
 
 ANSWER = 3.0

@@ -1,17 +1,14 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """A mission as it is planned: depths to look from, where to land, what to visit. Pure.
 
-A plan is a YAML file, judged before anything moves; `itinerary` makes the mission's legs of it.
+A plan is a YAML file, judged before anything moves; `mission_route` makes the mission's legs of it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -214,103 +211,3 @@ def load_plan(name_or_path: str) -> MissionPlan:
         return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]
     except ShippedError as error:
         raise PlanError(str(error)) from None
-
-
-# --- legs ----------------------------------------------------------------------------------------
-
-
-class LegKind(StrEnum):
-    """What a leg of the mission does."""
-
-    LOOK = "look"
-    TURN = "turn"
-    APPROACH = "approach"
-    CALM = "calm"
-    LAND = "land"
-    VISIT = "visit"
-    HOP = "hop"
-    RETURN = "return"
-    LIFT = "lift"
-    ASCEND = "ascend"
-    STOW = "stow"
-
-    @property
-    def is_on_floor(self) -> bool:
-        """Whether the rover stands when it begins."""
-        return self in (LegKind.VISIT, LegKind.HOP, LegKind.RETURN, LegKind.LIFT)
-
-
-@dataclass(frozen=True)
-class Leg:
-    """One leg of a mission.
-
-    Attributes:
-        depth: that it leads to, as length at the drum [m].
-        angle: to turn by [rad].
-        x, y, heading: where it leads to on the floor [m, rad]; a heading of NaN is left open.
-        height: of a jump [m].
-    """
-
-    kind: LegKind
-    name: str
-    depth: float = math.nan
-    angle: float = math.nan
-    x: float = math.nan
-    y: float = math.nan
-    heading: float = math.nan
-    height: float = math.nan
-
-
-def itinerary(plan: MissionPlan) -> tuple[Leg, ...]:
-    """The legs of a mission, in their order."""
-    return (*_way_down(plan), *way_home(plan, stands=plan.landing is not None))
-
-
-def way_home(plan: MissionPlan, *, stands: bool) -> tuple[Leg, ...]:
-    """The legs that lead back to the stow, from the floor or from where the rover hangs."""
-    up = (
-        Leg(LegKind.ASCEND, f"ascend to {plan.stow:g} m", depth=plan.stow),
-        Leg(LegKind.STOW, "stow"),
-    )
-    if not stands:
-        return up
-    back = (Leg(LegKind.RETURN, "return", x=0.0, y=0.0), Leg(LegKind.LIFT, "lift off"))
-    return (*back, *up)
-
-
-def rescue(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
-    """The legs that take the rover off the floor and set it down below the fairlead.
-
-    Args:
-        plan: one with a landing.
-        number: of the rescue, from 1.
-    """
-    landing = plan.landing
-    assert landing is not None
-    name = f"rescue {number}: "
-    return (
-        Leg(LegKind.LIFT, name + "lift off"),
-        Leg(LegKind.CALM, f"{name}calm at {landing.approach:g} m", depth=landing.approach),
-        Leg(LegKind.LAND, name + "land", depth=landing.deepest),
-    )
-
-
-def _way_down(plan: MissionPlan) -> Iterator[Leg]:
-    for look in plan.looks:
-        at = f"look from {look.depth:g} m"
-        yield Leg(LegKind.LOOK, at, depth=look.depth)
-        for turn in look.turns:
-            yield Leg(LegKind.TURN, f"turn by {turn:g} deg", angle=math.radians(turn))
-            yield Leg(LegKind.LOOK, f"{at} after {turn:g} deg", depth=look.depth)
-    landing = plan.landing
-    if landing is None:
-        return
-    depth = landing.approach
-    yield Leg(LegKind.APPROACH, f"approach to {depth:g} m", depth=depth)
-    yield Leg(LegKind.LAND, "land", depth=landing.deepest)
-    for number, point in enumerate(plan.survey, 1):
-        heading = math.nan if point.heading is None else math.radians(point.heading)
-        name = f"waypoint {number} at ({point.x:g}, {point.y:g}) m"
-        yield Leg(LegKind.VISIT, name, x=point.x, y=point.y, heading=heading)
-        if point.hop is not None:
-            yield Leg(LegKind.HOP, f"hop at waypoint {number}", height=point.hop)

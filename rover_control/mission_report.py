@@ -15,10 +15,10 @@ from rover_control.mission import Mission
 
 def state_sample(mission: Mission, now_ns: int) -> JointSample:
     """How far the mission is."""
-    number = mission.leg_number
+    number = mission.route.number
     values = {
         MISSION_LEG: number,
-        LEGS_LEFT: len(mission.legs) - number if number else 0,
+        LEGS_LEFT: len(mission.route.legs) - number if number else 0,
         FAILED_TRIALS: mission.tries,
         PICTURES_TAKEN: mission.notes.pictures,
         JUMPS_FLOWN: mission.notes.jumps,

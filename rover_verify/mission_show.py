@@ -20,7 +20,8 @@ from tqdm import tqdm
 from msg_schemas import topics
 from msg_schemas.samples import TextSample
 from rover_control.mission_legs import Verdict
-from rover_control.mission_plan import LegKind, load_plan
+from rover_control.mission_plan import load_plan
+from rover_control.mission_route import LegKind
 from rover_sim import compile_ahead, load_spatial
 from rover_verify.checks.mission_rig import MissionFlight
 from rover_verify.show import write_report
@@ -102,11 +103,11 @@ def _fly(flight: MissionFlight, bar: Any) -> str:
     """Fly until the mission is over; returns why it could not go on, empty: it could."""
     began = time.monotonic()
     mission = flight.mission
-    legs = bar.total = len(mission.legs)
 
     def is_over() -> bool:
         if flight.ticks % _TOLD_EVERY == 0:
-            bar.n = mission.leg_number - 1 if mission.is_active else legs
+            bar.total = len(mission.route.legs)
+            bar.n = mission.route.number - 1 if mission.is_active else bar.total
             factor = flight.time / max(time.monotonic() - began, 1e-3)
             depth = -float(flight.state.G1[2])
             bar.set_description_str(f"{mission.phase.value:11}", refresh=False)
@@ -150,7 +151,7 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
         "deepest_m": flight.deepest,
         "pictures": mission.notes.pictures,
         "jumps": mission.notes.jumps,
-        "jumps_planned": sum(leg.kind is LegKind.HOP for leg in mission.legs),
+        "jumps_planned": sum(leg.kind is LegKind.HOP for leg in mission.route.legs),
         "peak_tension_N": flight.peak_tension,
         "breaking_load_N": scenario.tether.section.breaking_load,
         "energy_J": weight * flight.deepest,

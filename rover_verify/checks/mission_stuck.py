@@ -14,7 +14,8 @@ import numpy as np
 
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import MissionParameters, MissionSettings
-from rover_control.mission_plan import Jumps, Landing, LegKind, MissionPlan, Waypoint
+from rover_control.mission_plan import Jumps, Landing, MissionPlan, Waypoint
+from rover_control.mission_route import LegKind
 from rover_sim import SettlingError
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch

@@ -13,7 +13,8 @@ from msg_schemas.refusal import Refusal
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import Mission, MissionParameters, MissionSettings
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
-from rover_control.mission_plan import LegKind, Lift, Rescue, Waypoint
+from rover_control.mission_plan import Lift, Rescue, Waypoint
+from rover_control.mission_route import LegKind
 
 
 def begun(until: MissionPhase | None = None, **settings: object) -> MissionMachine:
@@ -40,7 +41,7 @@ def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
     assert finished(machine)
     assert machine.mission.phase is MissionPhase.STANDBY
     assert verdicts(machine) == {Verdict.DONE}
-    assert len(machine.mission.record) == len(machine.mission.legs)
+    assert len(machine.mission.record) == len(machine.mission.route.legs)
     assert machine.length == pytest.approx(PLAN.stow)
     assert machine.descent == "released"
     assert machine.mission.notes.pictures == 3
@@ -222,7 +223,7 @@ def test_a_rover_that_cannot_go_on_is_set_down_below_the_fairlead_and_tries_agai
     assert done[begin + 1 : begin + 4] == [
         "rescue 1: calm at 7 m", "rescue 1: land", "waypoint 1 at (2, 0) m",
     ]  # fmt: skip
-    assert len(done) == len(machine.mission.legs)
+    assert len(done) == len(machine.mission.route.legs)
 
 
 def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
@@ -281,7 +282,7 @@ def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
     machine.restart_mission()
     assert finished(machine)
     assert missed(machine) == []
-    assert len(machine.mission.record) == len(machine.mission.legs)
+    assert len(machine.mission.record) == len(machine.mission.route.legs)
 
 
 def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not():
@@ -486,7 +487,7 @@ def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPh
     machine.restart_mission()
     assert machine.mission.is_active
     assert finished(machine)
-    assert len(machine.mission.record) == len(machine.mission.legs)
+    assert len(machine.mission.record) == len(machine.mission.route.legs)
     assert verdicts(machine) == {Verdict.DONE}
 
 

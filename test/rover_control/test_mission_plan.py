@@ -1,4 +1,4 @@
-"""Plans of missions: what is read, what is refused and how, and the legs that are made of one."""
+"""Plans of missions: what is read, and what is refused and how."""
 
 from __future__ import annotations
 
@@ -6,14 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rover_control.mission_plan import (
-    LegKind,
-    PlanError,
-    itinerary,
-    load_plan,
-    shipped,
-    way_home,
-)
+from rover_control.mission_plan import PlanError, load_plan, shipped
+from rover_control.mission_route import LegKind, itinerary
 
 GOOD = """
 stow: 2.0
@@ -34,25 +28,6 @@ def test_every_plan_of_the_package_can_be_followed(name: str):
     legs = itinerary(load_plan(name))
     assert legs[-1].kind is LegKind.STOW
     assert LegKind.LAND in [leg.kind for leg in legs]
-
-
-def test_legs_follow_from_the_plan(tmp_path: Path):
-    legs = itinerary(load_plan(written(tmp_path, GOOD)))
-    assert [leg.kind.value for leg in legs] == [
-        "look", "turn", "look", "turn", "look", "approach", "land", "visit", "visit", "return",
-        "lift", "ascend", "stow",
-    ]  # fmt: skip
-    assert legs[1].angle == pytest.approx(0.5236, abs=1e-4)
-    assert legs[8].heading == pytest.approx(1.5708, abs=1e-4)
-    assert len({leg.name for leg in legs}) == len(legs)
-
-
-def test_the_way_home_begins_where_the_rover_is():
-    plan = load_plan("shallow")
-    assert [leg.kind.value for leg in way_home(plan, stands=True)] == [
-        "return", "lift", "ascend", "stow",
-    ]  # fmt: skip
-    assert [leg.kind.value for leg in way_home(plan, stands=False)] == ["ascend", "stow"]
 
 
 @pytest.mark.parametrize(

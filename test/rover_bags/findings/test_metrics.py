@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -173,15 +174,19 @@ def test_the_plants_own_events_date_take_off_and_touchdown(tmp_path: Path):
     assert [entry.name for entry in found.events] == ["take_off", "touchdown"]
 
 
-def test_rates_and_gaps_are_told(tmp_path: Path):
+def with_rows(path: Path, until: float, is_kept: Callable[[float, str], bool]) -> Metrics:
+    """A jump of which only some rows were recorded, by their time [s] and topic."""
     made = MadeUp()
-    made.jumps([Parabola()], until=2.0)
-    made.rows = [
-        row
-        for row in made.rows
-        if not ((row[1] == topics.LOAD_CELL and 0.5 < row[0] < 0.8) or row[0] == 1.5)
-    ]
-    rows = measured(made, tmp_path).topics
+    made.jumps([Parabola()], until=until)
+    made.rows = [row for row in made.rows if is_kept(row[0], row[1])]
+    return measured(made, path)
+
+
+def test_rates_and_gaps_are_told(tmp_path: Path):
+    def is_kept(time: float, topic: str) -> bool:
+        return not ((topic == topics.LOAD_CELL and 0.5 < time < 0.8) or time == 1.5)
+
+    rows = with_rows(tmp_path, 2.0, is_kept).topics
     load = rows[topics.LOAD_CELL]
     assert load.expected_hz == 100.0
     assert load.count == 201 - 29 - 1
@@ -196,27 +201,20 @@ def test_rates_and_gaps_are_told(tmp_path: Path):
 
 
 def test_gaps_of_a_thinned_record_are_judged_by_its_own_rate(tmp_path: Path):
-    made = MadeUp()
-    made.jumps([Parabola()], until=2.0)
-    made.rows = [
-        row
-        for row in made.rows
-        if row[1] != topics.LOAD_CELL or (round(row[0] * 100) % 8 == 0 and not 0.5 < row[0] < 0.8)
-    ]
-    load = measured(made, tmp_path).topics[topics.LOAD_CELL]
+    def is_kept(time: float, topic: str) -> bool:
+        thinned = round(time * 100) % 8 == 0 and not 0.5 < time < 0.8
+        return topic != topics.LOAD_CELL or thinned
+
+    load = with_rows(tmp_path, 2.0, is_kept).topics[topics.LOAD_CELL]
     assert load.slow_hz == pytest.approx(12.5)
     assert load.gaps == 1
 
 
 def test_a_topic_that_was_slow_at_first_alone_has_gaps(tmp_path: Path):
-    made = MadeUp()
-    made.jumps([Parabola()], until=4.0)
-    made.rows = [
-        row
-        for row in made.rows
-        if row[1] != topics.LOAD_CELL or row[0] > 1.4 or round(row[0] * 100) % 2 == 0
-    ]
-    load = measured(made, tmp_path).topics[topics.LOAD_CELL]
+    def is_kept(time: float, topic: str) -> bool:
+        return topic != topics.LOAD_CELL or time > 1.4 or round(time * 100) % 2 == 0
+
+    load = with_rows(tmp_path, 4.0, is_kept).topics[topics.LOAD_CELL]
     assert load.slow_hz is None
     assert load.gaps == 70
 

@@ -1,0 +1,98 @@
+"""The legs of a mission, from a plan, and how far it is."""
+
+from __future__ import annotations
+
+import pytest
+
+from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
+from rover_control.mission_route import LegKind, Route, itinerary, way_home
+
+PLAN = MissionPlan(
+    stow=2.0,
+    looks=(Look(depth=4.0, turns=(30.0, -60.0)),),
+    landing=Landing(approach=6.0, deepest=9.0),
+    survey=(Waypoint(x=1.0, y=0.5), Waypoint(x=2.0, y=0.0, heading=90.0)),
+)
+
+
+def test_legs_follow_from_the_plan():
+    legs = itinerary(PLAN)
+    assert [leg.kind.value for leg in legs] == [
+        "look", "turn", "look", "turn", "look", "approach", "land", "visit", "visit", "return",
+        "lift", "ascend", "stow",
+    ]  # fmt: skip
+    assert legs[1].angle == pytest.approx(0.5236, abs=1e-4)
+    assert legs[8].heading == pytest.approx(1.5708, abs=1e-4)
+    assert len({leg.name for leg in legs}) == len(legs)
+
+
+def test_the_way_home_begins_where_the_rover_is():
+    plan = load_plan("shallow")
+    assert [leg.kind.value for leg in way_home(plan, stands=True)] == [
+        "return", "lift", "ascend", "stow",
+    ]  # fmt: skip
+    assert [leg.kind.value for leg in way_home(plan, stands=False)] == ["ascend", "stow"]
+
+
+def names(route: Route) -> list[str]:
+    return [leg.name for leg in route.legs]
+
+
+def at(kind: LegKind) -> Route:
+    route = Route(PLAN)
+    while route.leg is not None and route.leg.kind is not kind:
+        route.go_on()
+    return route
+
+
+def test_a_route_ends_after_its_last_leg_and_can_be_rewound():
+    route = at(LegKind.STOW)
+    assert route.number == len(route.legs) == 13
+    route.go_on()
+    assert (route.leg, route.number) == (None, 0)
+    route.rewind()
+    assert route.number == 1
+
+
+def test_who_stands_already_begins_on_the_floor():
+    route = Route(PLAN)
+    route.begin(stands=True)
+    assert route.leg is not None
+    assert route.leg.kind is LegKind.VISIT
+
+
+def test_without_a_landing_the_next_leg_is_the_ascent():
+    route = at(LegKind.LAND)
+    route.go_on()
+    route.leave_floor()
+    assert route.leg is not None
+    assert route.leg.kind is LegKind.ASCEND
+
+
+def test_a_rescue_is_done_before_the_leg_that_needs_it():
+    route = at(LegKind.VISIT)
+    number = route.number
+    route.put_rescue()
+    assert route.number == number
+    assert [leg.kind.value for leg in route.legs[number - 1 : number + 3]] == [
+        "lift", "calm", "land", "visit",
+    ]  # fmt: skip
+    for _ in range(4):
+        route.go_on()
+    route.put_rescue()
+    assert route.rescues == 2
+    assert len(set(names(route))) == len(names(route))
+
+
+@pytest.mark.parametrize("home", [None, True, False])
+def test_a_route_goes_on_from_its_checkpoint(home: bool | None):
+    route = at(LegKind.VISIT)
+    if home is None:
+        route.put_rescue()
+    else:
+        route.begin_home(stands=home)
+    route.go_on()
+    other = Route(PLAN)
+    other.restore(route.checkpoint())
+    assert names(other) == names(route)
+    assert (other.number, other.rescues) == (route.number, route.rescues)
