@@ -24,9 +24,9 @@ from rover_bags.identification.fit import TIED, WIDE, Fit, Fitted
 from rover_bags.identification.parameters import PARAMETERS, IdentifyError, value_of
 from rover_bags.identification.rehearsal import rehearse
 from rover_bags.identification.runs import Experiment, read_experiments
-from rover_bags.identification.workers import available_cores, simulations
+from rover_bags.identification.workers import simulations
 from rover_bags.read import ReadError
-from rover_sim import ScenarioError, parse_override
+from rover_sim import ScenarioError, available_cores, parse_override
 
 CONFIDENCE: Final = 0.95
 _LOUD: Final = 1.5

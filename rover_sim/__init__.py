@@ -88,6 +88,7 @@ from rover_sim.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
 from rover_sim.telling import Teller, TruthRates, ready_simulation, totals
+from rover_sim.worker_processes import available_cores, worker_processes
 
 __all__ = [
     "COMMANDS",
@@ -123,6 +124,7 @@ __all__ = [
     "WheelRateCommand",
     "WheelTorqueCommand",
     "WinchCommand",
+    "available_cores",
     "build_interface",
     "build_plant",
     "compile_ahead",
@@ -144,4 +146,5 @@ __all__ = [
     "scenario_from_mapping",
     "static_equilibrium",
     "totals",
+    "worker_processes",
 ]

@@ -26,14 +26,13 @@ import numpy as np
 import yaml
 from tqdm import tqdm
 
-from rover_sim import RunError, ScenarioError, StaticsError, parse_override
+from rover_sim import RunError, ScenarioError, StaticsError, available_cores, parse_override
 from rover_studies.experiments import EXPERIMENTS, Value, results_of
 from rover_studies.sweep_plan import Plan, PlanError, load_plan
 from rover_studies.sweep_store import REASON, STATUS, StoreError, SweepStore, write_csv
 from rover_studies.workers import (
     Workers,
     WorkersError,
-    available_cores,
     dask_cluster,
     local_processes,
     package_version,

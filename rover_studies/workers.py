@@ -1,27 +1,19 @@
 """Who does the work: processes of this machine, or a dask.distributed cluster.
 
-Both take batches and give `concurrent.futures.Future`s. The statics of a scenario hold Python's
-lock, so threads would not help.
+Both take batches and give `concurrent.futures.Future`s.
 """
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from rover_sim import AnyScenario, compile_ahead
+from rover_sim import AnyScenario, compile_ahead, worker_processes
 
-_SINGLE_THREADED = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
 _CONNECT_TIMEOUT = 20.0
 
 
@@ -52,72 +44,17 @@ def compile_all(scenarios: Iterable[AnyScenario]) -> None:
         compile_ahead(scenario)
 
 
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 @contextlib.contextmanager
 def local_processes(count: int, scenarios: Iterable[AnyScenario] = ()) -> Iterator[Workers]:
-    """Processes of this machine, one thread each; they end with this process, however it ends.
+    """Processes of this machine, as `worker_processes` starts them.
 
     Args:
         count: how many.
         scenarios: compiled beforehand.
     """
     compile_all(scenarios)
-    # The child reads its environment when it starts, before numpy is imported.
-    kept = {name: os.environ.get(name) for name in _SINGLE_THREADED}
-    os.environ.update(_SINGLE_THREADED)
-    pool = ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-    )
-    try:
-        with _ctrl_c_ignored():
-            for _ in range(count):
-                pool.submit(_nothing)  # starts one, as none has come to rest yet
+    with worker_processes(count) as pool:
         yield Workers(pool, count, f"{count} process{'es' if count > 1 else ''}")
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        _restore(kept)
-
-
-def _restore(kept: Mapping[str, str | None]) -> None:
-    for name, value in kept.items():
-        if value is None:
-            os.environ.pop(name, None)
-        else:
-            os.environ[name] = value
-
-
-@contextlib.contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """What starts meanwhile never hears Ctrl-C: it is the parent's to end it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    kept = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, kept)
-
-
-def _nothing() -> None:
-    """A task that starts a worker."""
-
-
-def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 @contextlib.contextmanager

@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from rover_sim import available_cores
 from rover_studies.sweep import run_sweep
 from rover_studies.sweep_plan import Plan, make_plan
 from rover_studies.sweep_store import SweepStore
-from rover_studies.workers import available_cores, local_processes, package_version
+from rover_studies.workers import local_processes, package_version
 from rover_verify.bench_row import Row, bench_row
 
 ELEMENTS: Final = 10

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -13,15 +11,10 @@ from tqdm import tqdm
 
 from rover_bags.identification.noise import Floats
 from rover_bags.identification.runs import Experiment, Task, predict
-from rover_sim import compile_ahead
+from rover_sim import compile_ahead, worker_processes
 
 _experiments: list[Experiment] = []
 """Of a worker process."""
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 class Simulations:
@@ -68,11 +61,7 @@ def simulations(
     with ExitStack() as closing:
         executor = None
         if jobs > 1:
-            executor = closing.enter_context(
-                ProcessPoolExecutor(
-                    jobs, multiprocessing.get_context("spawn"), _remember, (list(experiments),)
-                )
-            )
+            executor = closing.enter_context(worker_processes(jobs, _remember, list(experiments)))
         bar = closing.enter_context(
             tqdm(unit=" simulations", desc="identifying", disable=not show_progress)
         )

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import shutil
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
 from itertools import repeat
 from pathlib import Path
@@ -17,9 +16,8 @@ import numpy as np
 
 from rover_bags.identification.parameters import PARAMETERS, value_of, with_stiffness, with_values
 from rover_bags.identification.rehearsal import PROCEDURE, Manoeuvre, record
-from rover_bags.identification.workers import available_cores
 from rover_bags.identify import Estimate, identify
-from rover_sim import SpatialScenario, load_spatial
+from rover_sim import SpatialScenario, available_cores, load_spatial, worker_processes
 from rover_verify.checks import Batch, Measured
 
 SOUGHT: Final = (
@@ -139,8 +137,7 @@ def _trials(batch: Batch) -> list[Trial]:
     """
     runs = max(batch.runs, _LEAST_TRIALS)
     made: dict[int, Trial] = {}
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(available_cores(), runs), mp_context=context) as pool:
+    with worker_processes(min(available_cores(), runs)) as pool:
         jobs = {
             pool.submit(_kept_trial, batch.folder, batch.kept, batch.seed, index): index
             for index in range(runs)
@@ -212,8 +209,7 @@ def lacking(batch: Batch) -> Measured:
     cases = [case for case in range(len(_LACKING)) for _ in range(min(batch.runs, _MOST_LACKING))]
     wrong: dict[str, float | str] = {}
     claims = shown = held = done = 0
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(available_cores(), len(cases)), mp_context=context) as pool:
+    with worker_processes(min(available_cores(), len(cases))) as pool:
         numbers = [cases[:place].count(case) for place, case in enumerate(cases)]
         made = pool.map(_lacking, repeat(batch.folder), repeat(batch.seed), numbers, cases)
         for number, case, one in zip(numbers, cases, made, strict=True):

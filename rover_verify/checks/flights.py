@@ -6,18 +6,17 @@ stopped goes on where it was, and one with more runs flies those that are new.
 
 from __future__ import annotations
 
-import multiprocessing
 import pickle
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import TypeVar
 
+from rover_sim import available_cores, worker_processes
 from rover_verify.checks import Batch
 
 T = TypeVar("T")
 
-_WORKERS = 2
 _FLOWN: dict[tuple[object, ...], Sequence[object]] = {}
 
 
@@ -38,8 +37,7 @@ def fly_batch(batch: Batch, runs: int, task: Callable[..., T], *arguments: objec
 
 def _spread(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> list[T]:
     flown: dict[int, T] = {}
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(_WORKERS, runs), mp_context=context) as pool:
+    with worker_processes(min(available_cores(), runs)) as pool:
         jobs = {
             pool.submit(fly_kept, batch.kept, task, batch.seed, index, *arguments): index
             for index in range(runs)

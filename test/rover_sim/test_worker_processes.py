@@ -1,0 +1,87 @@
+"""Processes that simulate side by side: how they begin, and that none is left."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rover_sim import worker_processes
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 60.0
+ORPHANS = """
+import os, time
+from rover_sim import worker_processes
+if __name__ == "__main__":
+    with worker_processes(2) as pool:
+        pids = {pool.submit(os.getpid).result() for _ in range(20)}
+        jobs = [pool.submit(time.sleep, 600.0) for _ in range(4)]
+        print(*pids, flush=True)
+        time.sleep(600.0)
+"""
+
+
+def lives(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    ends = time.monotonic() + PATIENCE
+    while any(map(lives, pids)):
+        assert time.monotonic() < ends, f"{pids} live on"
+        time.sleep(0.05)
+
+
+def test_each_is_prepared_and_works_with_one_thread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    with worker_processes(1, os.chdir, tmp_path) as pool:
+        assert pool.submit(os.getcwd).result() == str(tmp_path)
+        assert pool.submit(os.getenv, "OMP_NUM_THREADS").result() == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert Path.cwd() != tmp_path
+
+
+def test_an_error_ends_what_is_begun_and_drops_the_rest():
+    begin = time.monotonic()
+    children: list[int] = []
+
+    def interrupted() -> None:
+        with worker_processes(2) as pool:
+            for _ in range(5):
+                pool.submit(time.sleep, 10.0 * PATIENCE)
+            children.extend(child.pid or 0 for child in multiprocessing.active_children())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.monotonic() - begin < PATIENCE
+    wait_until_gone(children)
+
+
+def test_they_end_with_the_process_that_started_them_however_that_ends(tmp_path: Path):
+    script = tmp_path / "orphans.py"
+    script.write_text(ORPHANS, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert parent.stdout is not None
+    pids = [int(word) for word in parent.stdout.readline().split()]
+    assert pids
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    wait_until_gone(pids)
+    parent.stdout.close()
