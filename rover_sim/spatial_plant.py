@@ -16,6 +16,7 @@ from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.parts import parts, whole
+from rover_sim.physics.rover_contact import anchor_rows
 from rover_sim.physics.spatial import Machines, Orders
 from rover_sim.physics.spatial_step import Model, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
@@ -210,7 +211,7 @@ class SpatialPlant:
             node_rates=pose.node_rates,
             mouth=pose.mouth,
             body=body,
-            feet_anchors=np.zeros((self._corners + 4, 3)),
+            feet_anchors=np.zeros((anchor_rows(self._corners), 3)),
             tether_anchors=np.zeros((2 * elements, 3)),
             machines=machines,
             book=book,

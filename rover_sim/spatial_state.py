@@ -47,7 +47,7 @@ class SpatialState:
     node_rates: Array  # the same per second
     mouth: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
     body: Array  # of the rover, as in `rover_sim.physics.spatial_rover`, (20,)
-    feet_anchors: Array  # of corners, then [wheel, floor or rock] [m], (c + 4, 3)
+    feet_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
     machines: Machines  # states of jump drive, drum and wheel drive
     book: Array  # what else is remembered, as in `rover_sim.physics.spatial`, (BOOK_SIZE,)

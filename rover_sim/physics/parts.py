@@ -46,7 +46,7 @@ def parts(model: Model, solver: Solver, machines: Machines) -> list[tuple[Any, t
     zero = (0.0, 0.0, 0.0)
     pose = Pose((zero, zero, zero), zero, zero, zero, zero, zero, zero, zero, 0.0, 0.0, 0.0)
     return [
-        (begin_feet, (feet, terrain, pose, body, solver.feet)),
+        (begin_feet, (feet, terrain, pose, body, feet_anchors, solver.feet)),
         (
             add_feet,
             (feet, terrain, p, h, pose, body, zero, feet_anchors, solver.rover, solver.feet),

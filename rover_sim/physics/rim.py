@@ -1,9 +1,9 @@
 """Where a wheel touches the ground.
 
 A wheel is a thin disc of radius r (the rim, without grousers) about an axle. It touches the floor,
-where that is regolith it rolls on, and rock (boulders, wall) apart, each at the point that lies
-deepest: a wheel that drives against a boulder has two contacts at once, and each of them is smooth,
-which their union would not be.
+where that is regolith it rolls on, and up to two rocks (boulders, wall) apart, each at the point
+that lies deepest: a wheel that drives against a boulder has two contacts at once, and so has one
+that is wedged between two boulders; each of them is smooth, which their union would not be.
 """
 
 import math
@@ -28,7 +28,11 @@ class RimContact(NamedTuple):
     arm: Vector  # from the wheel's centre to the point [m]
 
 
-_CLEAR = -1.0  # depth reported where nothing is near [m]
+CLEAR = -1.0
+"""Depth [m] that is told where nothing is near."""
+NO_ROCK = 0.0
+WALL = -1.0
+_TOLD_FROM = 1.0e4  # so that no boulder is told by 0 or -1 [m]
 
 
 @inner
@@ -76,42 +80,106 @@ def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) 
 
 
 @inner
-def rim_on_rock(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
-    """The disc's deepest point in a boulder, the hole's wall or the ground around it.
+def _disc_in_boulder(
+    terrain: Terrain, k: int, centre: Vector, axle: Vector, radius: float
+) -> tuple[float, Vector, Vector]:
+    """Depth [m], normal and arm of the disc's deepest point in the boulder at k in the table."""
+    table = terrain.table
+    dx, dy, dz = table[k] - centre[0], table[k + 1] - centre[1], table[k + 2] - centre[2]
+    # the disc's nearest point to the sphere's centre: at the rim, or inside it
+    along = dx * axle[0] + dy * axle[1] + dz * axle[2]
+    px, py, pz = dx - along * axle[0], dy - along * axle[1], dz - along * axle[2]
+    length = math.sqrt(px * px + py * py + pz * pz)
+    scale = radius / length if length > radius else 1.0
+    px, py, pz = scale * px, scale * py, scale * pz
+    ox, oy, oz = px - dx, py - dy, pz - dz
+    distance = math.sqrt(ox * ox + oy * oy + oz * oz)
+    if distance <= 1.0e-9:
+        return CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
+    return table[k + 3] - distance, (ox / distance, oy / distance, oz / distance), (px, py, pz)
+
+
+@inner
+def _rim_in_wall(
+    terrain: Terrain, centre: Vector, axle: Vector, radius: float
+) -> tuple[float, Vector, Vector]:
+    """Depth [m], normal and arm of the rim's deepest point in the hole's wall or around it."""
+    x, y, z = centre
+    clear = (CLEAR, (0.0, 0.0, 1.0), NO_VECTOR)
+    reach = math.sqrt(terrain.inner_squared) - radius
+    if not terrain.has_hole or (x - terrain.axis_x) ** 2 + y * y <= max(reach, 0.0) ** 2:
+        return clear
+    wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x, y, z)
+    if wall + radius <= -0.1:
+        return clear
+    arm = _arm(axle, radius, (-wx, -wy, -wz))
+    wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x + arm[0], y + arm[1], z + arm[2])
+    return wall, (wx, wy, wz), arm
+
+
+@inner
+def _boulder(terrain: Terrain, k: int) -> float:
+    """What a boulder is told by, in whichever cell's list it stands: its centre."""
+    return _TOLD_FROM + terrain.table[k]
+
+
+@inner
+def deepest_rocks(
+    terrain: Terrain, centre: Vector, axle: Vector, radius: float
+) -> tuple[float, float, float, float]:
+    """The two rocks that a disc lies deepest in.
 
     Boulders are exact spheres here, without the fillet at their foot; wheels up to 0.3 m of radius
     find them. The arguments are those of `rim_on_floor`.
+
+    Returns:
+        Depth [m] and rock of the deepest and of the next; above -0.1 m none need be told, which is
+        `NO_ROCK`.
     """
     x, y, z = centre
-    depth = _CLEAR
-    nx, ny, nz = 0.0, 0.0, 1.0
-    arm = NO_VECTOR
+    first, second = CLEAR, CLEAR
+    rock1, rock2 = NO_ROCK, NO_ROCK
     table = terrain.table
     start, stop = cell_boulders(terrain, x, y)
     for k in range(start, stop, 5):
         dx, dy, dz = table[k] - x, table[k + 1] - y, table[k + 2] - z
-        reach = table[k + 3] + radius - max(depth, -0.1)
+        reach = table[k + 3] + radius - max(second, -0.1)
         if dx * dx + dy * dy + dz * dz >= reach * reach:
             continue
-        # the disc's nearest point to the sphere's centre: at the rim, or inside it
-        along = dx * axle[0] + dy * axle[1] + dz * axle[2]
-        px, py, pz = dx - along * axle[0], dy - along * axle[1], dz - along * axle[2]
-        length = math.sqrt(px * px + py * py + pz * pz)
-        scale = radius / length if length > radius else 1.0
-        px, py, pz = scale * px - dx, scale * py - dy, scale * pz - dz
-        distance = math.sqrt(px * px + py * py + pz * pz)
-        if distance > 1.0e-9 and table[k + 3] - distance > depth:
-            depth = table[k + 3] - distance
-            nx, ny, nz = px / distance, py / distance, pz / distance
-            arm = (px + dx, py + dy, pz + dz)
-    reach = math.sqrt(terrain.inner_squared) - radius
-    if terrain.has_hole and (x - terrain.axis_x) ** 2 + y * y > max(reach, 0.0) ** 2:
-        wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x, y, z)
-        if wall + radius > -0.1:
-            px, py, pz = _arm(axle, radius, (-wx, -wy, -wz))
-            wall, wx, wy, wz, _ = wall_depth_and_normal(terrain, x + px, y + py, z + pz)
-            if wall > depth:
-                depth, nx, ny, nz = wall, wx, wy, wz
-                arm = (px, py, pz)
-    normal = (nx, ny, nz)
+        depth = _disc_in_boulder(terrain, k, centre, axle, radius)[0]
+        if depth > first:
+            second, rock2 = first, rock1
+            first, rock1 = depth, _boulder(terrain, k)
+        elif depth > second:
+            second, rock2 = depth, _boulder(terrain, k)
+    depth = _rim_in_wall(terrain, centre, axle, radius)[0]
+    if depth > first:
+        second, rock2 = first, rock1
+        first, rock1 = depth, WALL
+    elif depth > second:
+        second, rock2 = depth, WALL
+    return first, rock1, second, rock2
+
+
+@inner
+def rim_on_rock(
+    terrain: Terrain, centre: Vector, axle: Vector, radius: float, rock: float
+) -> RimContact:
+    """The disc's deepest point in one rock.
+
+    Args:
+        terrain: the ground.
+        centre: of the wheel [m].
+        axle: unit vector, to the wheel's left.
+        radius: r [m].
+        rock: of `deepest_rocks`.
+    """
+    depth, normal, arm = CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
+    if rock == WALL:
+        depth, normal, arm = _rim_in_wall(terrain, centre, axle, radius)
+    elif rock != NO_ROCK:
+        start, stop = cell_boulders(terrain, centre[0], centre[1])
+        for k in range(start, stop, 5):
+            if _boulder(terrain, k) == rock:
+                depth, normal, arm = _disc_in_boulder(terrain, k, centre, axle, radius)
     return RimContact(depth, normal, _forward(axle, normal), arm)

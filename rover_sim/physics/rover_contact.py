@@ -1,7 +1,9 @@
 """The rover on the ground: corners of both bodies and two wheels, inside an implicit step.
 
-A corner is a point of contact (module `contact`). A wheel meets the floor and rock apart (modules
-`rim` and `wheel_contact`). Its force acts on the body at the wheel's centre plus the arm to the
+A corner is a point of contact (module `contact`). A wheel meets the floor and up to two rocks apart
+(modules `rim` and `wheel_contact`), each rock in a place of its own for as long as it is one of the
+two: so its anchor stays its own. The last two rows of the anchors remember which rock that is. The
+wheel's force acts on the body at the wheel's centre plus the arm to the
 touching point; about the axle the ground's torque is -M, which the wheel's own spin takes through
 the wheel drive and which the rotors' momentum carries to the body. Forces are averages over the
 step; the places where they act, normals and axles are those at its end.
@@ -25,7 +27,13 @@ from rover_sim.physics.contact import (
     contact_energy,
     contact_force,
 )
-from rover_sim.physics.rim import RimContact, rim_on_floor, rim_on_rock
+from rover_sim.physics.rim import (
+    NO_ROCK,
+    RimContact,
+    deepest_rocks,
+    rim_on_floor,
+    rim_on_rock,
+)
 from rover_sim.physics.spatial_rover import (
     POSITION,
     Pose,
@@ -49,7 +57,9 @@ from rover_sim.physics.wheel_contact import (
 
 # A corner or rim farther from the ground than this at a step's start cannot reach it in the step.
 _NEAR = 0.05
-_FLOOR, _ROCK = 0, 1
+_FLOOR = 0  # of a wheel's kinds of contact; the others are its rocks
+KINDS = 3
+"""Contacts of a wheel: the floor and two rocks."""
 
 
 class Feet(NamedTuple):
@@ -69,34 +79,44 @@ class Feet(NamedTuple):
 class FeetStep(NamedTuple):
     """Arrays of one step's contacts."""
 
-    near: Array  # 1 where a contact is looked at: corners, then [wheel, floor or rock], (c + 4,)
-    depth0: Array  # at the step's start [m], (c + 4,)
+    near: Array  # 1 where a contact is looked at: corners, then [wheel, kind], (c + 6,)
+    depth0: Array  # at the step's start [m], (c + 6,)
     depth1: Array  # at its end
-    rock: Array  # 0 regolith .. 1 rock, (c + 4,)
-    normal: Array  # (c + 4, 3)
-    forward: Array  # of the wheels' contacts, (4, 3)
-    arm: Array  # of the wheels' contacts [m], (4, 3)
-    travel: Array  # of corners and wheels' centres [m], (c + 4, 3)
-    force: Array  # on the rover [N], (c + 4, 3)
-    torque: Array  # M against the spin [N m] and dM/dw [N m s], (4, 2)
+    rock: Array  # 0 regolith .. 1 rock, of the corners, (c,)
+    normal: Array  # (c + 6, 3)
+    forward: Array  # of the wheels' contacts, (6, 3)
+    arm: Array  # of the wheels' contacts [m], (6, 3)
+    travel: Array  # of corners and wheels' centres [m], (c + 6, 3)
+    force: Array  # on the rover [N], (c + 6, 3)
+    torque: Array  # M against the spin [N m] and dM/dw [N m s], (6, 2)
     spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
+    boulder: Array  # which rock each contact of a wheel is with, see `rim`, (2, KINDS)
+    left: Array  # energy that rocks store which are looked at no more, or anew [J], (1,)
+
+
+def anchor_rows(corners: int) -> int:
+    """Rows of the anchors of a rover with so many corners."""
+    return corners + 2 * KINDS + 2
 
 
 def make_feet_step(corners: int) -> FeetStep:
     """Allocate the arrays."""
-    c = corners + 4
+    wheels = 2 * KINDS
+    c = corners + wheels
     return FeetStep(
-        np.zeros(c),
-        np.zeros(c),
-        np.zeros(c),
-        np.zeros(c),
-        np.zeros((c, 3)),
-        np.zeros((4, 3)),
-        np.zeros((4, 3)),
-        np.zeros((c, 3)),
-        np.zeros((c, 3)),
-        np.zeros((4, 2)),
-        np.zeros(2),
+        near=np.zeros(c),
+        depth0=np.zeros(c),
+        depth1=np.zeros(c),
+        rock=np.zeros(corners),
+        normal=np.zeros((c, 3)),
+        forward=np.zeros((wheels, 3)),
+        arm=np.zeros((wheels, 3)),
+        travel=np.zeros((c, 3)),
+        force=np.zeros((c, 3)),
+        torque=np.zeros((wheels, 2)),
+        spin=np.zeros(2),
+        boulder=np.zeros((2, KINDS)),
+        left=np.zeros(1),
     )
 
 
@@ -107,10 +127,12 @@ def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float
 
 
 @inner
-def _rim(feet: Feet, terrain: Terrain, kind: int, centre: Vector, axle: Vector) -> RimContact:
-    """Deepest point of a rim in the floor or in rock."""
-    if kind == _ROCK:
-        return rim_on_rock(terrain, centre, axle, feet.tip_radius)
+def _rim(
+    feet: Feet, terrain: Terrain, kind: int, boulder: float, centre: Vector, axle: Vector
+) -> RimContact:
+    """Deepest point of a rim in the floor or in a rock."""
+    if kind != _FLOOR:
+        return rim_on_rock(terrain, centre, axle, feet.tip_radius, boulder)
     radius = feet.tip_radius if terrain.floor_rock > 0.5 else feet.radius
     return rim_on_floor(terrain, centre, axle, radius)
 
@@ -121,7 +143,47 @@ def _wheel_centre(feet: Feet, wheel: int) -> Vector:
 
 
 @inner
-def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: FeetStep) -> bool:
+def _find_rocks(
+    feet: Feet, terrain: Terrain, wheel: int, hub: Vector, axle: Vector, anchors: Array,
+    step: FeetStep,
+) -> None:  # fmt: skip
+    """Give each of the two rocks that a wheel lies deepest in its place; it keeps one it had."""
+    corners = feet.corners.shape[0]
+    first, rock1, second, rock2 = deepest_rocks(terrain, hub, axle, feet.tip_radius)
+    were = anchors[corners + 2 * KINDS + wheel]
+    swap = (rock1 != NO_ROCK and rock1 == were[2]) or (rock2 != NO_ROCK and rock2 == were[1])
+    if swap:
+        first, rock1, second, rock2 = second, rock2, first, rock1
+    for kind in range(1, KINDS):
+        k = corners + KINDS * wheel + kind
+        rock, depth = (rock1, first) if kind == 1 else (rock2, second)
+        step.boulder[wheel, kind] = rock
+        step.depth0[k] = depth
+        if rock != were[kind]:
+            # Three in contact at once: what the one stores is not got back, the other's comes new.
+            before = rim_on_rock(terrain, hub, axle, feet.tip_radius, were[kind]).depth
+            if before > 0.0:
+                step.left[0] += contact_energy(feet.rock, before, vector_at(anchors[k], 0))
+            if depth > 0.0:
+                step.left[0] -= contact_energy(feet.rock, depth, NO_VECTOR)
+
+
+@inner
+def _anchor(corners: int, k: int, anchors: Array, step: FeetStep) -> Vector:
+    """Deflection of a contact's anchor at the step's start [m]; zero for a rock that is new."""
+    w = k - corners
+    if w >= 0:
+        wheel, kind = w // KINDS, w % KINDS
+        were = anchors[corners + 2 * KINDS + wheel]
+        if kind != _FLOOR and step.boulder[wheel, kind] != were[kind]:
+            return NO_VECTOR
+    return vector_at(anchors[k], 0)
+
+
+@inner
+def begin_feet(
+    feet: Feet, terrain: Terrain, pose: Pose, body: Array, anchors: Array, step: FeetStep
+) -> bool:
     """Find the depths at the step's start; returns whether anything is near the ground.
 
     Args:
@@ -129,14 +191,16 @@ def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: Feet
         terrain: the ground.
         pose: of the step, of which the start is used.
         body: the rover's state.
+        anchors: at the step's start [m], (anchor_rows, 3).
         step: filled.
     """
     centre = vector_at(body, POSITION)
     corners = feet.corners.shape[0]
     found = False
-    for k in range(corners + 4):
+    step.left[0] = 0.0
+    for k in range(corners + 2 * KINDS):
         put(step.force[k], 0, NO_VECTOR)
-    for w in range(4):
+    for w in range(2 * KINDS):
         step.torque[w, 0], step.torque[w, 1] = 0.0, 0.0
     for k in range(corners):
         lever = rotate(pose.start, vector_at(feet.corners[k], 0))
@@ -148,10 +212,11 @@ def begin_feet(feet: Feet, terrain: Terrain, pose: Pose, body: Array, step: Feet
         found = found or depth > -_NEAR
     for wheel in range(2):
         hub = add(centre, rotate(pose.start, _wheel_centre(feet, wheel)))
-        for kind in range(2):
-            k = corners + 2 * wheel + kind
-            depth = _rim(feet, terrain, kind, hub, pose.start[1]).depth
-            step.depth0[k] = depth
+        floor = corners + KINDS * wheel
+        step.depth0[floor] = _rim(feet, terrain, _FLOOR, NO_ROCK, hub, pose.start[1]).depth
+        _find_rocks(feet, terrain, wheel, hub, pose.start[1], anchors, step)
+        for k in range(floor, floor + KINDS):
+            depth = step.depth0[k]
             step.near[k] = 1.0 if depth > -_NEAR else 0.0
             found = found or depth > -_NEAR
     return found
@@ -203,7 +268,7 @@ def add_feet(
         pose: of the step.
         body: the rover's state at the step's start.
         dr: travel of the last node [m].
-        anchors: deflections at the step's start [m], (c + 4, 3).
+        anchors: deflections at the step's start [m], (anchor_rows, 3).
         rover_step: added to.
         step: from `begin_feet`, filled.
     """
@@ -239,19 +304,20 @@ def add_feet(
         lever, travel = point_travel(pose, dr, point, attachment, False)
         hub = add(add(add(centre0, pose.attachment0), dr), lever)
         spin = step.spin[wheel] + pose.th[1] / h
-        for kind in range(2):
-            w = 2 * wheel + kind
+        for kind in range(KINDS):
+            w = KINDS * wheel + kind
             k = corners + w
             if step.near[k] == 0.0:
                 continue
-            touch = _rim(feet, terrain, kind, hub, axle)
+            touch = _rim(feet, terrain, kind, step.boulder[wheel, kind], hub, axle)
             step.depth1[k] = touch.depth
             put(step.normal[k], 0, touch.normal)
             put(step.forward[w], 0, touch.forward)
             put(step.arm[w], 0, touch.arm)
             put(step.travel[k], 0, travel)
             on_soil = kind == _FLOOR and terrain.floor_rock <= 0.5
-            result = _wheel_force(feet, on_soil, k, w, spin, h, vector_at(anchors[k], 0), step)
+            anchor = _anchor(corners, k, anchors, step)
+            result = _wheel_force(feet, on_soil, k, w, spin, h, anchor, step)
             put(step.force[k], 0, result.force)
             step.torque[w, 0], step.torque[w, 1] = result.torque, result.torque_slope
             if step.depth0[k] > 0.0 or touch.depth > 0.0:
@@ -297,7 +363,7 @@ def end_feet(
         terrain: the ground.
         h: length of the step [s].
         pose: of the step.
-        anchors: at the step's start [m], (c + 4, 3).
+        anchors: at the step's start [m], (anchor_rows, 3).
         step: of the last iteration.
         after: anchors at the step's end, filled.
 
@@ -306,11 +372,13 @@ def end_feet(
         contacts store [J]; what the ground dissipates is minus their sum.
     """
     corners = feet.corners.shape[0]
-    work, stored = 0.0, 0.0
+    work, stored = 0.0, -step.left[0]
     turn = rotate(pose.start, pose.th)
     axle = rotate(pose.start, _turned_axle(pose))
-    for k in range(corners + 4):
-        before = vector_at(anchors[k], 0)
+    for wheel in range(2):
+        put(after[corners + 2 * KINDS + wheel], 0, vector_at(step.boulder[wheel], 0))
+    for k in range(corners + 2 * KINDS):
+        before = _anchor(corners, k, anchors, step)
         anchor = NO_VECTOR
         touched = step.near[k] != 0.0 and (step.depth0[k] > 0.0 or step.depth1[k] > 0.0)
         if touched:
@@ -325,12 +393,12 @@ def end_feet(
                 stored += contact_energy(law, depth1, anchor) - contact_energy(law, depth0, before)
             else:
                 w = k - corners
-                wheel = w // 2
+                wheel = w // KINDS
                 spin = step.spin[wheel] + pose.th[1] / h
                 forward = vector_at(step.forward[w], 0)
                 moment = wheel_moment(vector_at(step.arm[w], 0), axle, force, step.torque[w, 0])
                 work += dot(moment, turn) - step.torque[w, 0] * step.spin[wheel] * h
-                if w % 2 == _FLOOR and terrain.floor_rock <= 0.5:
+                if w % KINDS == _FLOOR and terrain.floor_rock <= 0.5:
                     anchor = advance_soil_bristle(
                         feet.wheel, depth0, depth1, normal, forward, travel, spin, h, before
                     )

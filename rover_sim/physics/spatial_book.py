@@ -8,7 +8,7 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import inner
-from rover_sim.physics.rover_contact import Feet, FeetStep
+from rover_sim.physics.rover_contact import KINDS, Feet, FeetStep
 from rover_sim.physics.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
 from rover_sim.physics.spatial_step import Losses
 from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
@@ -135,13 +135,13 @@ def report_loads(corners: int, feet: FeetStep, near: bool, report: Array) -> flo
     report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
     if not near:
         return 0.0
-    for k in range(corners + 4):
+    for k in range(corners + 2 * KINDS):
         if feet.near[k] == 0.0:
             continue
         load = dot(vector_at(feet.force[k], 0), vector_at(feet.normal[k], 0))
         if k < corners:
             report[BODY_LOAD] += load
-        elif k < corners + 2:
+        elif k < corners + KINDS:
             report[LEFT_LOAD] += load
         else:
             report[RIGHT_LOAD] += load
@@ -167,8 +167,7 @@ def remember_torques(feet: Feet, step: FeetStep, before: Array, after: Array, bo
         hub = feet.left_wheel if wheel == 0 else feet.right_wheel
         change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
         torque, slope = 0.0, 0.0
-        for kind in range(2):
-            w = 2 * wheel + kind
+        for w in range(KINDS * wheel, KINDS * (wheel + 1)):
             steep = max(step.torque[w, 1], 0.0)
             rolled = dot(vector_at(step.forward[w], 0), change) / feet.tip_radius
             torque -= step.torque[w, 0] + steep * (swung - rolled)

@@ -36,6 +36,7 @@ from rover_sim.physics.rover_contact import (
     Feet,
     FeetStep,
     add_feet,
+    anchor_rows,
     begin_feet,
     end_feet,
     make_feet_step,
@@ -113,7 +114,7 @@ class Motion(NamedTuple):
     v: Array  # (6, width)
     mouth: Array  # slope and slope rate at the fairlead, (2, 3)
     body: Array  # (BODY_SIZE,)
-    feet_anchors: Array  # (corners + 4, 3)
+    feet_anchors: Array  # (anchor_rows(corners), 3)
     tether_anchors: Array  # (points, 3)
 
 
@@ -173,7 +174,7 @@ def make_solver(capacity: int, corners: int) -> Solver:
             np.zeros((6, width)),
             np.zeros((2, 3)),
             np.zeros(BODY_SIZE),
-            np.zeros((corners + 4, 3)),
+            np.zeros((anchor_rows(corners), 3)),
             np.zeros((0, 3)),
         ),
         np.zeros(3),
@@ -330,7 +331,9 @@ def attempt_step(
         )
         if model.has_rover:
             pose = pose_of(model.rover, motion.body, step.turn)
-            near_feet = begin_feet(model.feet, model.terrain, pose, motion.body, solver.feet)
+            near_feet = begin_feet(
+                model.feet, model.terrain, pose, motion.body, motion.feet_anchors, solver.feet
+            )
 
     previous = np.inf
     judged = GO_ON

@@ -11,7 +11,7 @@ from rover_sim.physics.places import (
     ReliefParameters,
     TerrainParameters,
 )
-from rover_sim.physics.rim import RimContact, rim_on_floor, rim_on_rock
+from rover_sim.physics.rim import NO_ROCK, RimContact, deepest_rocks, rim_on_floor, rim_on_rock
 from rover_sim.physics.terrain import (
     Terrain,
     boulder_list,
@@ -35,6 +35,14 @@ def rim_depths(terrain: Terrain, centre: np.ndarray, axle: Vector) -> np.ndarray
     angle = np.linspace(0.0, 2 * math.pi, 721)[:, None]
     points = centre + RADIUS * (np.cos(angle) * first + np.sin(angle) * second)
     return np.array([depth_and_normal(terrain, *point)[0] for point in points])
+
+
+def in_rock(terrain: Terrain, centre: Vector, axle: Vector) -> RimContact:
+    """In the rock that a disc lies deepest in."""
+    depth, rock, _, _ = deepest_rocks(terrain, centre, axle, RADIUS)
+    found: RimContact = rim_on_rock(terrain, centre, axle, RADIUS, rock)
+    assert found.depth == pytest.approx(depth, abs=1e-12)
+    return found
 
 
 def test_an_upright_wheel_touches_below_its_axle():
@@ -62,7 +70,7 @@ def test_a_wheel_that_lies_flat_has_no_forward():
 
 def test_a_wheel_in_the_air_is_clear():
     assert rim_on_floor(FLAT, (0.0, 0.0, 3.0), LEFT, RADIUS).depth == pytest.approx(-2.85)
-    assert rim_on_rock(FLAT, (0.0, 0.0, 0.1), LEFT, RADIUS).depth < -0.1
+    assert in_rock(FLAT, (0.0, 0.0, 0.1), LEFT).depth < -0.1
 
 
 def test_relief_is_met_at_the_rim():
@@ -92,7 +100,7 @@ def touching(terrain: Terrain, axle: Vector, side: np.ndarray) -> tuple[np.ndarr
     x, y, _, diameter, _ = boulder_list(terrain)[0]
     distance = 0.5 * diameter + RADIUS - 0.005
     centre = np.array([x, y, 0.0]) - distance * side
-    return centre, rim_on_rock(terrain, tuple(centre), axle, RADIUS)
+    return centre, in_rock(terrain, tuple(centre), axle)
 
 
 @pytest.mark.parametrize("degrees", [20.0, 45.0, 80.0])
@@ -111,16 +119,16 @@ def test_a_boulder_ahead_is_touched_by_the_rim(rubble: Terrain, degrees: float):
 def test_a_boulder_beside_the_wheel_is_touched_by_the_disc(rubble: Terrain):
     x, y, _, diameter, _ = boulder_list(rubble)[0]
     centre = (x, y - 0.5 * diameter + 0.003, 0.2)
-    found = rim_on_rock(rubble, centre, LEFT, RADIUS)
+    found = in_rock(rubble, centre, LEFT)
     gap = math.hypot(0.5 * diameter - 0.003, 0.2 - RADIUS)
     assert found.depth == pytest.approx(0.5 * diameter - gap, abs=1e-9)
     assert found.normal[1] < -0.9
 
 
-def test_only_the_nearest_boulder_counts_and_none_is_missed(rubble: Terrain):
+def test_the_two_deepest_boulders_are_found_and_none_is_missed(rubble: Terrain):
     rng = np.random.default_rng(5)
     boulders = boulder_list(rubble)
-    hits = 0
+    hits = pairs = 0
     for _ in range(3000):
         k = rng.integers(len(boulders))
         way = rng.normal(size=3)
@@ -134,14 +142,22 @@ def test_only_the_nearest_boulder_counts_and_none_is_missed(rubble: Terrain):
         flat = to - np.outer(to @ axle, axle)
         length = np.linalg.norm(flat, axis=1, keepdims=True)
         points = flat * np.minimum(1.0, RADIUS / length)
-        deepest = np.max(0.5 * boulders[:, 3] - np.linalg.norm(points - to, axis=1))
-        found = rim_on_rock(rubble, tuple(centre), tuple(axle), RADIUS)
+        depths = np.sort(0.5 * boulders[:, 3] - np.linalg.norm(points - to, axis=1))
+        deepest = depths[-1]
+        found = in_rock(rubble, tuple(centre), tuple(axle))
         if deepest > -0.05:
             hits += 1
             assert found.depth == pytest.approx(deepest, abs=1e-9)
         else:
             assert found.depth < -0.05 + 1e-9
+        first, rock, second, other = deepest_rocks(rubble, tuple(centre), tuple(axle), RADIUS)
+        if depths[-2] > -0.05:
+            pairs += 1
+            assert second == pytest.approx(depths[-2], abs=1e-9)
+            assert other not in (rock, NO_ROCK)
+            assert first >= second
     assert hits > 1000
+    assert pairs > 20
 
 
 def test_the_wall_is_met_with_the_rim():
@@ -149,9 +165,9 @@ def test_the_wall_is_met_with_the_rim():
     terrain = build_terrain(TerrainParameters(hole=hole))
     z = -31.0
     x = terrain.axis_x - wall_radius(terrain, z)[0] + RADIUS - 0.004
-    found = rim_on_rock(terrain, (x, 0.0, z), LEFT, RADIUS)
+    found = in_rock(terrain, (x, 0.0, z), LEFT)
     assert found.depth == pytest.approx(0.004, abs=1e-9)
     np.testing.assert_allclose(found.normal, (1.0, 0.0, 0.0), atol=1e-9)
     np.testing.assert_allclose(found.arm, (-RADIUS, 0.0, 0.0), atol=1e-9)
     np.testing.assert_allclose(found.forward, (0.0, 0.0, -1.0), atol=1e-9)
-    assert rim_on_rock(terrain, (x + 1.0, 0.0, z), LEFT, RADIUS).depth < -0.1
+    assert in_rock(terrain, (x + 1.0, 0.0, z), LEFT).depth < -0.1

@@ -1,0 +1,142 @@
+"""The rocks that a wheel is in contact with: two at a time, each in a place of its own."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_sim.physics.boulders import BoulderParameters
+from rover_sim.physics.contact import REGOLITH, ROCK, contact_energy
+from rover_sim.physics.places import TerrainParameters
+from rover_sim.physics.rim import NO_ROCK, deepest_rocks, rim_on_rock
+from rover_sim.physics.rover_contact import (
+    KINDS,
+    Feet,
+    FeetStep,
+    anchor_rows,
+    begin_feet,
+    make_feet_step,
+)
+from rover_sim.physics.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
+from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain
+from rover_sim.physics.wheel_contact import WheelLaw
+from rover_sim.physics.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
+
+RADIUS = 0.16
+AXLE = (0.0, 1.0, 0.0)
+WAY = np.array([1.0, 0.0, 0.0])
+CORNERS = 1
+FEET = Feet(
+    corners=np.array([[0.0, 0.0, 9.0]]),
+    first_of_body2=1,
+    left_wheel=(0.0, 0.0, 0.0),
+    right_wheel=(0.0, 0.0, 9.0),
+    radius=0.15,
+    tip_radius=RADIUS,
+    regolith=REGOLITH.law(),
+    rock=ROCK.law(),
+    wheel=WheelLaw(wheel_table(wheel_on_soil(Wheel(), Soil()))),
+)
+ANCHOR = np.array([1e-5, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def rubble() -> Terrain:
+    boulders = BoulderParameters(density=2.0, smallest=0.3, largest=0.6)
+    return build_terrain(TerrainParameters(floor_height=0.0, boulders=boulders), 3)
+
+
+def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> FeetStep:
+    """What a step begins with whose left wheel is at a place."""
+    body = np.zeros(BODY_SIZE)
+    body[POSITION : POSITION + 3] = hub
+    body[ORIENTATION] = 1.0
+    level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    none = (0.0, 0.0, 0.0)
+    pose = Pose(level, none, none, none, level[2], level[2], none, none, 0.0, 0.0, 0.0)
+    step = make_feet_step(CORNERS)
+    assert begin_feet(FEET, terrain, pose, body, anchors, step)
+    return step
+
+
+def remembered(step: FeetStep) -> np.ndarray:
+    """Anchors after a step, each rock's deflected."""
+    anchors = np.zeros((anchor_rows(CORNERS), 3))
+    anchors[CORNERS + 1 : CORNERS + KINDS] = ANCHOR
+    anchors[CORNERS + 2 * KINDS :] = step.boulder
+    return anchors
+
+
+def wedge(terrain: Terrain) -> np.ndarray:
+    """A hub between two boulders, one ahead and one behind, equally deep in both."""
+    boulders = boulder_list(terrain)
+    for i, one in enumerate(boulders):
+        for other in boulders[:i]:
+            way = other[:2] - one[:2]
+            gap = math.hypot(*way)
+            reach = 0.5 * (one[3] + other[3])
+            if abs(way[1]) > 0.3 * gap or not reach < gap < reach + RADIUS:
+                continue
+            hub = np.array([*0.5 * (one[:2] + other[:2]), 0.0])
+            for _ in range(200):  # up until both are just touched, each time evenly
+                hub[2] += 3e-3
+                first, rock1, second, rock2 = deepest_rocks(terrain, tuple(hub), AXLE, RADIUS)
+                if NO_ROCK in (rock1, rock2) or first > 5e-3:
+                    continue
+                low, high = -0.1, 0.1
+                for _ in range(60):
+                    middle = 0.5 * (low + high)
+                    place = tuple(hub + middle * WAY)
+                    depths = [
+                        rim_on_rock(terrain, place, AXLE, RADIUS, rock).depth
+                        for rock in sorted((rock1, rock2))
+                    ]
+                    low, high = (middle, high) if depths[0] > depths[1] else (low, middle)
+                found = hub + middle * WAY
+                second = deepest_rocks(terrain, tuple(found), AXLE, RADIUS)[2]
+                sides = [
+                    float(rim_on_rock(terrain, tuple(found), AXLE, RADIUS, rock).normal[0])
+                    for rock in (rock1, rock2)
+                ]
+                if second > 1e-4 and min(sides) < -0.1 and max(sides) > 0.1:
+                    return found
+    raise AssertionError("no wedge in this rubble")
+
+
+def test_a_wheel_between_two_boulders_is_in_contact_with_both(rubble: Terrain):
+    hub = wedge(rubble)
+    step = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3)))
+    wheel = slice(CORNERS + 1, CORNERS + KINDS)
+    depths = step.depth0[wheel]
+    assert depths[0] == pytest.approx(depths[1], abs=1e-9)
+    assert np.all(step.near[wheel] == 1.0)
+
+
+def test_a_rock_keeps_its_place_when_the_other_one_becomes_the_deepest(rubble: Terrain):
+    hub = wedge(rubble)
+    before = begun(rubble, hub - 2e-4 * WAY, np.zeros((anchor_rows(CORNERS), 3)))
+    after = begun(rubble, hub + 2e-4 * WAY, remembered(before))
+    np.testing.assert_array_equal(after.boulder, before.boulder)
+    wheel = slice(CORNERS + 1, CORNERS + KINDS)
+    turned = np.sign(np.diff(after.depth0[wheel])), np.sign(np.diff(before.depth0[wheel]))
+    assert turned[0] == -turned[1]
+    assert np.all(after.depth0[wheel] > 0.0)
+    assert after.left[0] == 0.0
+
+
+def test_what_a_third_rock_stores_is_not_lost_from_the_books(rubble: Terrain):
+    hub = wedge(rubble)
+    step = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3)))
+    depths = step.depth0[CORNERS + 1 : CORNERS + KINDS]
+    assert step.left[0] == pytest.approx(
+        -sum(contact_energy(FEET.rock, float(depth), (0.0, 0.0, 0.0)) for depth in depths)
+    )
+    # The first one's place is taken by another: what it stores goes, what that one stores comes.
+    anchors = remembered(step)
+    first, second = step.boulder[0, 1:]
+    anchors[CORNERS + 2 * KINDS, 1:] = [NO_ROCK, second]
+    again = begun(rubble, hub, anchors)
+    assert again.left[0] == pytest.approx(
+        -contact_energy(FEET.rock, float(depths[0]), (0.0, 0.0, 0.0))
+    )
+    assert first in again.boulder[0, 1:]
