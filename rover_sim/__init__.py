@@ -68,6 +68,7 @@ from rover_sim.plant import (
     WinchCommand,
 )
 from rover_sim.plants import build_plant
+from rover_sim.process_pool import available_cores, worker_processes
 from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
 from rover_sim.scenario import (
     AnyScenario,
@@ -88,7 +89,6 @@ from rover_sim.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
 from rover_sim.telling import Teller, TruthRates, ready_simulation, totals
-from rover_sim.worker_processes import available_cores, worker_processes
 
 __all__ = [
     "COMMANDS",

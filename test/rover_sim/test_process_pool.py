@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -17,30 +18,22 @@ from rover_sim import worker_processes
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 60.0
 ORPHANS = """
-import os, time
+import multiprocessing, signal
 from rover_sim import worker_processes
 if __name__ == "__main__":
     with worker_processes(2) as pool:
-        pids = {pool.submit(os.getpid).result() for _ in range(20)}
-        jobs = [pool.submit(time.sleep, 600.0) for _ in range(4)]
-        print(*pids, flush=True)
-        time.sleep(600.0)
+        jobs = [pool.submit(signal.pause) for _ in range(4)]
+        print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+        signal.pause()
 """
 
 
-def lives(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"
-
-
-def wait_until_gone(pids: list[int]) -> None:
-    ends = time.monotonic() + PATIENCE
-    while any(map(lives, pids)):
-        assert time.monotonic() < ends, f"{pids} live on"
-        time.sleep(0.05)
+def wait_until_gone(watched: list[int]) -> None:
+    """Until all have ended whose descriptors (pidfd) these are."""
+    for one in watched:
+        ended, _, _ = select.select([one], [], [], PATIENCE)
+        assert ended, "a process lives on"
+        os.close(one)
 
 
 def test_each_is_prepared_and_works_with_one_thread(
@@ -61,8 +54,10 @@ def test_an_error_ends_what_is_begun_and_drops_the_rest():
     def interrupted() -> None:
         with worker_processes(2) as pool:
             for _ in range(5):
-                pool.submit(time.sleep, 10.0 * PATIENCE)
-            children.extend(child.pid or 0 for child in multiprocessing.active_children())
+                pool.submit(signal.pause)
+            children.extend(
+                os.pidfd_open(child.pid or 0) for child in multiprocessing.active_children()
+            )
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -79,9 +74,9 @@ def test_they_end_with_the_process_that_started_them_however_that_ends(tmp_path:
         [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=environment
     )
     assert parent.stdout is not None
-    pids = [int(word) for word in parent.stdout.readline().split()]
-    assert pids
+    workers = [os.pidfd_open(int(word)) for word in parent.stdout.readline().split()]
+    assert len(workers) == 2
     parent.send_signal(signal.SIGKILL)
     parent.wait()
-    wait_until_gone(pids)
+    wait_until_gone(workers)
     parent.stdout.close()
