@@ -109,7 +109,7 @@ _STROKE: Final = 0.35
 _UNDONE: Final = 2.2
 """A stroke over the one that undoes it; the first and the last are half as long as others."""
 _TURNS: Final = (0.5, 0.3)
-"""Rest between two strokes: no longer than so much [s], and that share of the longer one."""
+"""Rest between two strokes: no longer than so much [s], and that share of the shorter one."""
 _PAUSE: Final = 0.3
 """A shorter rest does not end a motion, a shorter motion is none [s]."""
 _BOUNCE: Final = 0.12
@@ -283,7 +283,7 @@ def _strokes(
         ways = [abs(float(length[end] - length[begin])) for begin, end, _ in (one, other)]
         spans = [float(time[end] - time[begin]) for begin, end, _ in (one, other)]
         rest, share = _TURNS
-        if time[other[0]] - time[one[1]] > rest + share * max(spans):
+        if time[other[0]] - time[one[1]] > rest + share * min(spans):
             continue
         for motion, way, opposite in zip((one, other), ways, ways[::-1], strict=True):
             if way <= min(_UNDONE * opposite, _STROKE * float(length[motion[0]])):

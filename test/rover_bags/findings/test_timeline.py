@@ -173,6 +173,24 @@ def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(
     ]  # fmt: skip
 
 
+def test_a_short_ascent_after_a_rest_is_a_travel_though_a_longer_descent_undoes_it(
+    tmp_path: Path,
+):
+    legs = (
+        Leg("hanging", 2.0),
+        Leg("descending", 11.0, 0.2),
+        Leg("hanging", 3.0),
+        Leg("ascending", 5.0, -0.2),
+        Leg("hanging", 2.8),
+        Leg("descending", 6.0, 0.2),
+        Leg("hanging", 2.0),
+    )
+    bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
+    assert [phase.what.value for phase in measure(bag).timeline.phases] == [
+        leg.what for leg in legs
+    ]
+
+
 def test_a_bag_without_switches_or_phase_has_no_activities(tmp_path: Path):
     made = MadeUp()
     absent = (topics.TRUTH_PHASE, topics.CONTACT)
