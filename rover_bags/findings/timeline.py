@@ -8,6 +8,7 @@ phase stands in where the sensors are not in the bag.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -106,6 +107,9 @@ _LEAST_WAY: Final = 0.03
 """A drum that moves on by less has not gone anywhere [m]: it only damps a swing."""
 _STROKE: Final = 0.35
 """Of the length: a stroke that damps a swing is no longer."""
+_QUARTER: Final = 1.5 * 0.5 * math.pi / math.sqrt(1.62)
+"""A stroke lasts a quarter of the swing's period, on the Moon as long as anywhere: with a margin no
+longer than this times the root of the length [s/m^0.5]."""
 _UNDONE: Final = 2.2
 """A stroke over the one that undoes it; the first and the last are half as long as others."""
 _TURNS: Final = (0.5, 0.3)
@@ -285,8 +289,10 @@ def _strokes(
         rest, share = _TURNS
         if time[other[0]] - time[one[1]] > rest + share * min(spans):
             continue
-        for motion, way, opposite in zip((one, other), ways, ways[::-1], strict=True):
-            if way <= min(_UNDONE * opposite, _STROKE * float(length[motion[0]])):
+        for motion, way, span, opposite in zip((one, other), ways, spans, ways[::-1], strict=True):
+            out = float(length[motion[0]])
+            short = way <= min(_UNDONE * opposite, _STROKE * out)
+            if short and span <= _QUARTER * math.sqrt(max(out, 0.0)):
                 found.add(motion)
     return found
 

@@ -173,14 +173,18 @@ def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(
     ]  # fmt: skip
 
 
-def test_a_short_ascent_after_a_rest_is_a_travel_though_a_longer_descent_undoes_it(
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    ("down", "rest", "up"),
+    [pytest.param(11.0, 3.0, 5.0, id="after a rest"), pytest.param(8.0, 2.1, 7.7, id="long")],
+)
+def test_an_ascent_that_descents_undo_is_a_travel_where_no_swing_asks_for_it(
+    tmp_path: Path, down: float, rest: float, up: float
 ):
     legs = (
         Leg("hanging", 2.0),
-        Leg("descending", 11.0, 0.2),
-        Leg("hanging", 3.0),
-        Leg("ascending", 5.0, -0.2),
+        Leg("descending", down, 0.2),
+        Leg("hanging", rest),
+        Leg("ascending", up, -0.1),
         Leg("hanging", 2.8),
         Leg("descending", 6.0, 0.2),
         Leg("hanging", 2.0),
