@@ -27,6 +27,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, PathSample, PoseSample, TwistSample
 from msg_schemas.table import TOPICS
 from msg_schemas.transition import Transition
+from rover_control.drive_attitude import LYING
 from rover_control.drive_follower import (
     DriveFollower,
     DrivePhase,
@@ -61,7 +62,7 @@ class DriveParameters:
         25, "-", "steps on end with a silent sensor after which the rover stops", 1, 10000
     )
     lying_tilt: float = parameter(
-        1.05, "rad", "from which on the rover lies on its side and does not drive", 0.1, 3.2
+        LYING, "rad", "from which on the rover lies on its side and does not drive", 0.1, 3.2
     )
     lost_floor: float = parameter(
         1.0, "s", "without touching the floor, after which the rover stops", 0.0, 60.0

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import math
 
-Vector = tuple[float, float, float]
+from msg_schemas.samples import Vector
+
+LYING = 1.05
+"""Tilt [rad] from which on a rover lies on its side."""
 
 
 class DriveAttitude:

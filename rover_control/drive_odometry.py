@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas.parameters import parameter
-from rover_control.drive_attitude import DriveAttitude, Vector
+from msg_schemas.samples import Vector
+from rover_control.drive_attitude import DriveAttitude
 from rover_control.ratchet_kinematics import GroundPose, RatchetKinematics, wrapped
 
 Floats = NDArray[np.float64]

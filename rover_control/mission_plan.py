@@ -136,7 +136,7 @@ class Rescue(Configuration):
         minimum=0, maximum=20,
     )  # fmt: skip
     radius: float = quantity(
-        "m", "from the plumb line within which it may be hauled: that far it swings at most", 3.0,
+        "m", "from the plumb line within which it may be hauled; it swings about as wide", 3.0,
         minimum=0.1, maximum=20.0,
     )  # fmt: skip
     rate: float = quantity(

@@ -23,6 +23,7 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
+from rover_control.drive_attitude import LYING
 
 _NANO = 1e9
 _TOUCHDOWN = "touchdown"
@@ -34,8 +35,6 @@ _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
 """Compression [m] up to which the nut counts as clear of the spring."""
-LYING = math.radians(60.0)
-"""Tilt [rad] from which on a rover lies on its side."""
 _LIES = 3.0  # so long, before that is believed [s]
 _STEP, _TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
 

@@ -13,6 +13,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 _SINGLE_THREADED = dict.fromkeys(
@@ -43,16 +44,17 @@ def worker_processes(
     os.environ.update(_SINGLE_THREADED)
     others = multiprocessing.active_children()
     context = multiprocessing.get_context("spawn")
+    workers: list[BaseProcess] = []
     pool = ProcessPoolExecutor(count, context, _start, (prepare, arguments))
     try:
         with _ctrl_c_ignored():
             for _ in range(count):
                 pool.submit(_nothing)  # starts one, as none has come to rest yet
+        workers = [each for each in multiprocessing.active_children() if each not in others]
         yield pool
     except BaseException:
-        for process in multiprocessing.active_children():
-            if process not in others:
-                process.terminate()
+        for worker in workers:
+            worker.terminate()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

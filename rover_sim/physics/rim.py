@@ -28,10 +28,10 @@ class RimContact(NamedTuple):
     arm: Vector  # from the wheel's centre to the point [m]
 
 
-CLEAR = -1.0
-"""Depth [m] that is told where nothing is near."""
+_CLEAR = -1.0  # depth told where nothing is near [m]
 NO_ROCK = 0.0
-WALL = -1.0
+"""In place of a rock where there is none."""
+_WALL = -1.0  # in place of a boulder
 _TOLD_FROM = 1.0e4  # so that no boulder is told by 0 or -1 [m]
 
 
@@ -95,7 +95,7 @@ def _disc_in_boulder(
     ox, oy, oz = px - dx, py - dy, pz - dz
     distance = math.sqrt(ox * ox + oy * oy + oz * oz)
     if distance <= 1.0e-9:
-        return CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
+        return _CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
     return table[k + 3] - distance, (ox / distance, oy / distance, oz / distance), (px, py, pz)
 
 
@@ -105,7 +105,7 @@ def _rim_in_wall(
 ) -> tuple[float, Vector, Vector]:
     """Depth [m], normal and arm of the rim's deepest point in the hole's wall or around it."""
     x, y, z = centre
-    clear = (CLEAR, (0.0, 0.0, 1.0), NO_VECTOR)
+    clear = (_CLEAR, (0.0, 0.0, 1.0), NO_VECTOR)
     reach = math.sqrt(terrain.inner_squared) - radius
     if not terrain.has_hole or (x - terrain.axis_x) ** 2 + y * y <= max(reach, 0.0) ** 2:
         return clear
@@ -133,11 +133,11 @@ def deepest_rocks(
     find them. The arguments are those of `rim_on_floor`.
 
     Returns:
-        Depth [m] and rock of the deepest and of the next; above -0.1 m none need be told, which is
-        `NO_ROCK`.
+        Depth [m] and rock of the deepest and of the next. Rocks farther off than 0.1 m may be left
+        out; where there is none the rock is `NO_ROCK`.
     """
     x, y, z = centre
-    first, second = CLEAR, CLEAR
+    first, second = _CLEAR, _CLEAR
     rock1, rock2 = NO_ROCK, NO_ROCK
     table = terrain.table
     start, stop = cell_boulders(terrain, x, y)
@@ -155,9 +155,9 @@ def deepest_rocks(
     depth = _rim_in_wall(terrain, centre, axle, radius)[0]
     if depth > first:
         second, rock2 = first, rock1
-        first, rock1 = depth, WALL
+        first, rock1 = depth, _WALL
     elif depth > second:
-        second, rock2 = depth, WALL
+        second, rock2 = depth, _WALL
     return first, rock1, second, rock2
 
 
@@ -174,8 +174,8 @@ def rim_on_rock(
         radius: r [m].
         rock: of `deepest_rocks`.
     """
-    depth, normal, arm = CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
-    if rock == WALL:
+    depth, normal, arm = _CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
+    if rock == _WALL:
         depth, normal, arm = _rim_in_wall(terrain, centre, axle, radius)
     elif rock != NO_ROCK:
         start, stop = cell_boulders(terrain, centre[0], centre[1])

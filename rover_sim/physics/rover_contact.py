@@ -3,10 +3,10 @@
 A corner is a point of contact (module `contact`). A wheel meets the floor and up to two rocks apart
 (modules `rim` and `wheel_contact`), each rock in a place of its own for as long as it is one of the
 two: so its anchor stays its own. The last two rows of the anchors remember which rock that is. The
-wheel's force acts on the body at the wheel's centre plus the arm to the
-touching point; about the axle the ground's torque is -M, which the wheel's own spin takes through
-the wheel drive and which the rotors' momentum carries to the body. Forces are averages over the
-step; the places where they act, normals and axles are those at its end.
+wheel's force acts on the body at the wheel's centre plus the arm to the touching point; about the
+axle the ground's torque is -M, which the wheel's own spin takes through the wheel drive and which
+the rotors' momentum carries to the body. Forces are averages over the step; the places where they
+act, normals and axles are those at its end.
 
 A wheel's tangent takes the touching point as fixed to the body, which is exact for a wheel that is
 held and a good guess for one that rolls.
