@@ -159,7 +159,7 @@ def _find_rocks(
         rock, depth = (rock1, first) if kind == 1 else (rock2, second)
         step.boulder[wheel, kind] = rock
         step.depth0[k] = depth
-        if rock != were[kind]:
+        if were[kind] not in (NO_ROCK, rock):
             # Three in contact at once: what the one stores is not got back, the other's comes new.
             before = rim_on_rock(terrain, hub, axle, feet.tip_radius, were[kind]).depth
             if before > 0.0:

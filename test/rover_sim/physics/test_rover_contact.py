@@ -18,7 +18,7 @@ from rover_sim.physics.rover_contact import (
     make_feet_step,
 )
 from rover_sim.physics.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
-from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain
+from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain, cell_boulders
 from rover_sim.physics.wheel_contact import WheelLaw
 from rover_sim.physics.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
 
@@ -124,19 +124,39 @@ def test_a_rock_keeps_its_place_when_the_other_one_becomes_the_deepest(rubble: T
     assert after.left[0] == 0.0
 
 
+def with_third(terrain: Terrain, hub: np.ndarray) -> tuple[Terrain, float]:
+    """The same rubble with a boulder beside the deepest one, a little smaller; and its rock."""
+    _, rock, _, other = deepest_rocks(terrain, tuple(hub), AXLE, RADIUS)
+    table = terrain.table.copy()
+    start, stop = cell_boulders(terrain, hub[0], hub[1])
+    entries = {k: 1e4 + table[k] for k in range(start, stop, 5)}
+    (deepest,) = (k for k, told in entries.items() if told == rock)
+    spare = next(k for k, told in entries.items() if told not in (rock, other))
+    table[spare : spare + 5] = table[deepest : deepest + 5]
+    table[spare] += 1e-7
+    table[spare + 3] -= 1e-5
+    return terrain._replace(table=table), 1e4 + table[spare]
+
+
 def test_what_a_third_rock_stores_is_not_lost_from_the_books(rubble: Terrain):
     hub = wedge(rubble)
-    step = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3)))
-    depths = step.depth0[CORNERS + 1 : CORNERS + KINDS]
-    assert step.left[0] == pytest.approx(
-        -sum(contact_energy(FEET.rock, float(depth), (0.0, 0.0, 0.0)) for depth in depths)
-    )
-    # The first one's place is taken by another: what it stores goes, what that one stores comes.
+    first, second = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3))).boulder[0, 1:]
+    crowded, third = with_third(rubble, hub)
+    step = begun(crowded, hub, np.zeros((anchor_rows(CORNERS), 3)))
+    assert {first, second} == set(step.boulder[0, 1:])
+    # The third one had the first one's place: what it stores goes, what that one stores comes.
     anchors = remembered(step)
-    first, second = step.boulder[0, 1:]
-    anchors[CORNERS + 2 * KINDS, 1:] = [NO_ROCK, second]
-    again = begun(rubble, hub, anchors)
-    assert again.left[0] == pytest.approx(
-        -contact_energy(FEET.rock, float(depths[0]), (0.0, 0.0, 0.0))
-    )
-    assert first in again.boulder[0, 1:]
+    anchors[CORNERS + 2 * KINDS, 1:] = [third, second]
+    again = begun(crowded, hub, anchors)
+    depth = rim_on_rock(crowded, tuple(hub), AXLE, RADIUS, third).depth
+    gone = contact_energy(FEET.rock, depth, tuple(ANCHOR))
+    come = contact_energy(FEET.rock, float(again.depth0[CORNERS + 1]), (0.0, 0.0, 0.0))
+    assert again.boulder[0, 1] == first
+    assert gone > 0.0
+    assert again.left[0] == pytest.approx(gone - come)
+
+
+def test_a_rover_that_stands_between_rocks_at_the_start_has_no_books_yet(rubble: Terrain):
+    step = begun(rubble, wedge(rubble), np.zeros((anchor_rows(CORNERS), 3)))
+    assert np.all(step.depth0[CORNERS + 1 : CORNERS + KINDS] > 0.0)
+    assert step.left[0] == 0.0
