@@ -6,34 +6,15 @@ import math
 from dataclasses import replace
 
 import pytest
-from mission_machine import PLAN, MissionMachine
+from mission_machine import PLAN, MissionMachine, begun, finished, verdicts
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from rover_control.locomotion import LocomotionParameters
-from rover_control.mission import Mission, MissionParameters, MissionSettings
+from rover_control.mission import Mission, MissionParameters
 from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
-from rover_control.mission_plan import Lift, Rescue, Waypoint
+from rover_control.mission_plan import Lift, Waypoint
 from rover_control.mission_route import LegKind
-
-
-def begun(until: MissionPhase | None = None, **settings: object) -> MissionMachine:
-    machine = MissionMachine(settings=MissionSettings(**settings))  # type: ignore[arg-type]
-    machine.say()
-    machine.mission.go(machine.now_ns)
-    if until is not None:
-        machine.run(until=until)
-        assert machine.mission.phase is until
-    return machine
-
-
-def finished(machine: MissionMachine) -> bool:
-    machine.run()
-    return machine.story[-3:].count("mission_done") == 1
-
-
-def verdicts(machine: MissionMachine) -> set[Verdict]:
-    return {done.verdict for done in machine.mission.record}
 
 
 def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
@@ -185,117 +166,27 @@ def test_where_no_detour_is_left_the_rover_jumps_and_where_neither_is_the_leg_fa
     assert "mission_trial_failed" in machine.story
 
 
+def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
+    machine = begun(MissionPhase.DRIVING)
+    machine.stuck = 1
+    machine.run(until=MissionPhase.JUMPING)
+    while machine.jump != "flight":
+        machine.tick()
+    machine.tick()
+    machine.jump = "fault"  # as of one that has toppled
+    machine.run(1.0, until=MissionPhase.STANDBY)
+    assert machine.mission.tries == 1
+    assert finished(machine)
+    assert topics.JUMP_ABORT in machine.asked
+    assert machine.mission.notes.jumps == 0
+
+
 def test_a_jump_that_does_not_leave_the_ground_is_no_jump():
     machine = begun(MissionPhase.DRIVING)
     machine.stuck, machine.jump_fails = 1, True
     machine.run(60.0, until=MissionPhase.RETURNING)
     assert machine.mission.notes.jumps == 0
     assert "mission_trial_failed" in machine.story
-
-
-TRIALS = 15  # of being stuck: three trials of a way with two jumps and two detours each
-
-
-def missed(machine: MissionMachine) -> list[str]:
-    return [done.leg for done in machine.mission.record if done.verdict is not Verdict.DONE]
-
-
-def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
-    machine = begun(MissionPhase.DRIVING)
-    machine.stuck = 3 * TRIALS  # before both rescues, and after them
-    assert finished(machine)
-    assert missed(machine) == ["waypoint 1 at (2, 0) m"]
-    (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
-    assert "wheels turn" in reason
-    assert machine.story.count("mission_rescue") == PLAN.rescue.most
-
-
-# --- rescues -------------------------------------------------------------------------------------
-
-
-def test_a_rover_that_cannot_go_on_is_set_down_below_the_fairlead_and_tries_again():
-    machine = begun(MissionPhase.DRIVING)
-    machine.stuck = TRIALS
-    assert finished(machine)
-    assert missed(machine) == []
-    done = [one.leg for one in machine.mission.record]
-    begin = done.index("rescue 1: lift off")
-    assert done[begin + 1 : begin + 4] == [
-        "rescue 1: calm at 7 m", "rescue 1: land", "waypoint 1 at (2, 0) m",
-    ]  # fmt: skip
-    assert len(done) == len(machine.mission.route.legs)
-
-
-def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
-    machine = begun(MissionPhase.DRIVING)
-    machine.run(1.0)
-    machine.slope, machine.stuck, machine.advice = 1.8, TRIALS, "too steep"
-    machine.run(5.0, until=MissionPhase.LIFTING)
-    assert machine.mission.phase is MissionPhase.LIFTING
-    machine.stuck = 0
-    assert finished(machine)
-    assert missed(machine) == []
-    assert machine.mission.notes.jumps == 0
-
-
-def test_a_way_home_that_does_not_go_is_left_to_the_winch():
-    machine = begun(MissionPhase.RETURNING)
-    machine.stuck = TRIALS
-    assert finished(machine)
-    assert missed(machine) == []
-    (back,) = [done for done in machine.mission.record if done.leg == "return"]
-    assert "left to the winch" in back.reason
-    assert "mission_rescue" not in machine.story
-
-
-@pytest.mark.parametrize("rescue", [Rescue(most=0), Rescue(radius=1.0)])
-def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(rescue: Rescue):
-    machine = MissionMachine(replace(PLAN, rescue=rescue))
-    machine.say()
-    machine.mission.go(machine.now_ns)
-    machine.run(until=MissionPhase.RETURNING)
-    machine.stuck = TRIALS
-    machine.run()
-    assert machine.mission.phase is MissionPhase.HOLDING
-    assert "return" in machine.mission.reason
-
-
-def test_a_goal_that_is_refused_is_not_sought_from_elsewhere():
-    machine = begun(MissionPhase.DRIVING)
-    machine.run(0.3)
-    machine.refuses[topics.DRIVE_GOAL] = "the tether does not reach"
-    machine.drive = "failed"
-    machine.tell("drive_node", "drive_failed", "let go")
-    machine.run(60.0, until=MissionPhase.RETURNING)
-    machine.refuses.clear()
-    assert finished(machine)
-    assert "mission_rescue" not in machine.story
-
-
-@pytest.mark.parametrize("leg", ["rescue 1: lift off", "rescue 1: calm at 7 m", "rescue 1: land"])
-def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
-    machine = begun(MissionPhase.DRIVING)
-    machine.stuck = TRIALS
-    while machine.mission.leg is not None and machine.mission.leg.name != leg:
-        machine.tick()
-    machine.run(0.5)
-    machine.restart_mission()
-    assert finished(machine)
-    assert missed(machine) == []
-    assert len(machine.mission.record) == len(machine.mission.route.legs)
-
-
-def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not():
-    machine = begun(MissionPhase.RETURNING)
-    sight = machine.mission.sight
-    x, y, heading = machine.place
-    machine.place = (x - 0.5, y, heading + 2.0)
-    machine.say()
-    assert sight.place is not None
-    assert sight.place.heading == pytest.approx(heading + 2.0)
-    machine.place = (0.0, 0.0, 0.0)
-    machine.say()
-    assert sight.place.heading == pytest.approx(heading + 2.0)
 
 
 # --- operators -----------------------------------------------------------------------------------
@@ -419,6 +310,29 @@ def test_what_others_hold_is_not_taken_from_them():
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "somebody holds the winch" in machine.mission.reason
+
+
+def test_a_hold_that_was_told_before_the_leg_moved_anything_is_nobody_s():
+    machine = begun(MissionPhase.APPROACHING)
+    while machine.mission.phase is not MissionPhase.LANDING:
+        machine.tick()
+    # As the descent has let the winch be held, while it gave it back.
+    machine.tell("winch_node", "winch_hold", "asked to hold")
+    assert finished(machine)
+    assert verdicts(machine) == {Verdict.DONE}
+
+
+def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
+    machine = begun()
+    assert finished(machine)
+    machine.place, machine._on_floor = (0.0, 0.0, 0.7), False
+    machine.mission.go(machine.now_ns)
+    machine.run(1.0, until=MissionPhase.STANDBY)
+    machine.turned = 0.3
+    machine.run(until=MissionPhase.DRIVING)
+    place = machine.mission.sight.place
+    assert place is not None
+    assert place.heading == pytest.approx(0.3)
 
 
 def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():

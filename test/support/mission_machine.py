@@ -6,6 +6,7 @@ import math
 
 from msg_schemas import topics
 from msg_schemas.machine import (
+    HEADING,
     JUMP_OUTLOOK,
     JUMP_SCREW,
     OBSERVATION_STOP,
@@ -29,7 +30,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.transition import Transition
 from rover_control.mission import Mission, MissionSettings
-from rover_control.mission_legs import Ask, MissionPhase
+from rover_control.mission_legs import Ask, MissionPhase, Verdict
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
 
 STEP = 0.1  # [s]
@@ -49,6 +50,9 @@ class MissionMachine:
         stuck: how often the driving gets stuck from now on.
         upright: probability of landing so that is foretold.
         advice: against jumps.
+        turned: by the descent's gyro, since its start [rad].
+        swings: so much that no stop is reached.
+        rate: of the last length that the winch was asked for [m/s].
         choices: reasons of what the mission has chosen.
         refuses: topics and services that are refused, with the reason.
         asked: names of all that was asked for.
@@ -68,6 +72,9 @@ class MissionMachine:
         self.cannot_turn = False  # where it is stuck
         self.jump_fails = False  # the next one does not leave the ground
         self.upright, self.advice = 1.0, ""  # of jumps, as they are foretold; advice against
+        self.turned = 0.0
+        self.swings = False
+        self.rate = math.nan
         self.refuses: dict[str, str] = {}
         self.silent: set[str] = set()
         self.asked: list[str] = []
@@ -130,6 +137,7 @@ class MissionMachine:
                 TETHER_OUT: JointValue(),
             }
             hear(topics.WINCH_ESTIMATE, JointSample(now, joints), now)
+        hear(topics.DESCENT_STATE, JointSample(now, {HEADING: JointValue(self.turned)}), now)
         hear(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
         x, y, heading = self.place
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
@@ -150,7 +158,7 @@ class MissionMachine:
             self.length += math.copysign(
                 min(abs(depth - self.length), 0.3 * STEP * 10), depth - self.length
             )
-            if abs(depth - self.length) < 1e-6:
+            if abs(depth - self.length) < 1e-6 and not self.swings:
                 self._stop, self.descent = None, "standby"
                 pictures = 3 if joint == OBSERVATION_STOP else 0
                 reason = "3 pictures" if pictures else "reached"
@@ -222,16 +230,16 @@ class MissionMachine:
         else:
             assert isinstance(ask.sample, JointSample)
             ((name, value),) = ask.sample.joints.items()
-            self._request(ask.name, name, value.position)
+            self._request(ask.name, name, value.position, value.velocity)
 
-    def _request(self, topic: str, name: str, amount: float) -> None:
+    def _request(self, topic: str, name: str, amount: float, rate: float) -> None:
         if topic == topics.DESCENT_REQUEST and name in (OBSERVATION_STOP, PLAIN_STOP):
             self._stop, self.descent = (name, amount), "travelling"
         elif topic == topics.WINCH_REQUEST and name == WINCH_SLACK:
             self.slack, self.winch = amount, "slack"
             self.length += amount
         elif topic == topics.WINCH_REQUEST:
-            self._length_goal, self.winch = amount, "length"
+            self._length_goal, self.winch, self.rate = amount, "length", rate
         elif name == JUMP_OUTLOOK:
             self._foretell()
         elif topic == topics.JUMP_REQUEST:
@@ -270,3 +278,32 @@ class MissionMachine:
         self.mission = Mission(self.plan, self.settings)
         self.say()
         self.mission.restore(kept, self.now_ns)
+
+
+def begun(
+    until: MissionPhase | None = None, plan: MissionPlan = PLAN, **settings: object
+) -> MissionMachine:
+    """One whose mission is under way, or in a phase."""
+    machine = MissionMachine(plan, MissionSettings(**settings))  # type: ignore[arg-type]
+    machine.say()
+    machine.mission.go(machine.now_ns)
+    if until is not None:
+        machine.run(until=until)
+        assert machine.mission.phase is until
+    return machine
+
+
+def finished(machine: MissionMachine) -> bool:
+    """Whether the mission goes on to its end."""
+    machine.run()
+    return machine.story[-3:].count("mission_done") == 1
+
+
+def verdicts(machine: MissionMachine) -> set[Verdict]:
+    """Of the legs that are over."""
+    return {done.verdict for done in machine.mission.record}
+
+
+def missed(machine: MissionMachine) -> list[str]:
+    """Legs that were not done."""
+    return [done.leg for done in machine.mission.record if done.verdict is not Verdict.DONE]
