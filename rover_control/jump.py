@@ -26,8 +26,6 @@ from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
 
 _HOLD = "hold"  # mode of a winch that holds a length
 
-NINETY = 1.645  # standard deviations either side of the mean that hold 90 %
-
 
 @dataclass(frozen=True)
 class FlightParameters:
@@ -366,8 +364,7 @@ class Jump:
         ratio, spread = (1.0, 0.0) if forecast is None else (forecast.ratio, forecast.spread)
         expected = None
         if stroke > self.spring.shortest_stroke:
-            expected = self.spring.expected(stroke, self._tilt, ratio)
-            expected = expected._replace(spread=math.hypot(expected.spread, spread))
+            expected = self.spring.expected(stroke, self._tilt, ratio).spread_by(spread)
         learnt = self.spring.learn(stroke, flown.height, self._tilt, ratio)
         self._records.append(
             JumpRecord(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,6 @@ from rover_control.jump_forecast import (
 )
 from rover_control.jump_spring import SpringEstimate
 
-_NINETY = 1.645  # standard deviations either side of the mean that hold 90 %
 _TICK = 0.05  # of the plant [s]
 _RELEASE = 0.15  # from the release to the take-off [s]
 _AFTER = 1.0  # watched from the touchdown on [s]
@@ -101,7 +99,7 @@ class JumpPredictor:
             self._aim(question, spring, ratio, spread), situation.tilt, ratio
         )
         height = spring.expected(stroke, situation.tilt, ratio)
-        deviation = math.hypot(height.spread, spread)
+        low, high = height.spread_by(spread).interval()
         growth = float(np.quantile([leap.growth for leap in leaps], 0.95))
         peak = _band([leap.peak_tension for leap in leaps])
         upright = float(np.mean([leap.upright for leap in leaps]))
@@ -127,11 +125,7 @@ class JumpPredictor:
             stroke=stroke,
             slack=slack,
             gives_slack=given,
-            height=Band(
-                height.mean,
-                height.mean * math.exp(-_NINETY * deviation),
-                height.mean * math.exp(_NINETY * deviation),
-            ),
+            height=Band(height.mean, low, high),
             range=_band([leap.range for leap in leaps]),
             turn=_band([leap.turn for leap in leaps]),
             peak_tension=peak,
@@ -160,10 +154,8 @@ class JumpPredictor:
             return question.height
         tilt = question.situation.tilt
         stroke = spring.stroke_for(question.height, tilt, ratio)
-        deviation = math.hypot(spring.expected(stroke, tilt, ratio).spread, spread)
-        return question.height * math.exp(
-            -NormalDist().inv_cdf(self.parameters.clearance_risk) * deviation
-        )
+        height = spring.expected(stroke, tilt, ratio).spread_by(spread)
+        return question.height * height.mean / height.quantile(self.parameters.clearance_risk)
 
     def _too_high(self, question: Question, spring: SpringEstimate, ratio: float) -> str:
         longest, tilt = self.parameters.longest_stroke, question.situation.tilt

@@ -20,7 +20,7 @@ from msg_schemas.machine import (
     UPRIGHT,
 )
 from msg_schemas.samples import JointSample, JointValue
-from rover_control.jump import NINETY, JumpRecord
+from rover_control.jump import JumpRecord
 from rover_control.jump_forecast import NO_BAND, Forecast
 
 
@@ -44,7 +44,7 @@ def flown_sample(record: JumpRecord) -> JointSample:
     flown, expected, forecast = record.flown, record.expected, record.forecast
     low, high = 0.0, 0.0
     if expected is not None:
-        low, high = expected.quantile(-NINETY), expected.quantile(NINETY)
+        low, high = expected.interval()
     way = turn = tension = NO_BAND
     if forecast is not None:
         way, turn, tension = forecast.range, forecast.turn, forecast.peak_tension

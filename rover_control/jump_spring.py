@@ -10,7 +10,8 @@ are not known well: a, by which log H is off (spring rate, losses), and b, by wh
 off (zero of the nut). A ratio by which a place makes jumps higher than the formula has them, as the
 slack of the tether or the attitude may, is known from elsewhere or 1. Each jump tells
 log H(x + b) + a with an error; a and b follow as the two-state Kalman filter has them. The stroke's
-own scatter counts as a part of that error.
+own error counts as a part of that error: any up to its tolerance is equally likely, so that the
+heights that are expected are less peaked than a normal distribution, and not as wide in the tails.
 """
 
 from __future__ import annotations
@@ -21,10 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from msg_schemas.parameters import parameter
 
 _OUTLIER = 4.0  # a jump further off than so many standard deviations teaches nothing
+_TAIL = 9.0  # standard deviations beyond which nothing is expected
+_NARROW = 1.0e-3  # part of the other error up to which one does not change the quantiles
+_ROOT_3 = math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
@@ -44,9 +50,10 @@ class SpringParameters:
     zero_spread: float = parameter(
         1.0e-3, "m", "standard deviation of the nut's zero before the first jump", 0.0, 0.02
     )
-    stroke_spread: float = parameter(
-        1.2e-3, "m", "standard deviation of the stroke from jump to jump", 0.0, 0.02
-    )
+    stroke_tolerance: float = parameter(
+        2.0e-3, "m", "largest error of the stroke from jump to jump, any up to it equally likely",
+        0.0, 0.02,
+    )  # fmt: skip
     height_error: float = parameter(
         2.0e-3, "m", "standard deviation of a flown height as measured", 1e-4, 0.1
     )
@@ -56,14 +63,53 @@ class SpringParameters:
 
 
 class Height(NamedTuple):
-    """A height that is expected."""
+    """A height that is expected.
+
+    The logarithm of the true one over `mean` is the sum of a normally distributed error and of one
+    of which each value up to a tolerance is equally likely.
+    """
 
     mean: float  # [m]
-    spread: float  # standard deviation of its logarithm
+    spread: float  # standard deviation of the normally distributed one
+    tolerance: float = 0.0  # of the other one
 
-    def quantile(self, deviations: float) -> float:
-        """The height so many standard deviations above the mean [m]."""
-        return self.mean * math.exp(deviations * self.spread)
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the logarithm."""
+        return math.hypot(self.spread, self.tolerance / _ROOT_3)
+
+    def quantile(self, probability: float) -> float:
+        """The height that the true one stays below with so large a probability [m]."""
+        most = self.tolerance + _TAIL * self.spread
+        if most == 0.0:
+            return self.mean
+        error = brentq(lambda e: self._below(e) - probability, -most, most)
+        return self.mean * math.exp(error)
+
+    def interval(self, share: float = 0.9) -> tuple[float, float]:
+        """The heights between which the true one lies with so large a probability [m]."""
+        outside = 0.5 * (1.0 - share)
+        return self.quantile(outside), self.quantile(1.0 - outside)
+
+    def spread_by(self, spread: float) -> Height:
+        """The same with a further normally distributed error of its logarithm."""
+        return self._replace(spread=math.hypot(self.spread, spread))
+
+    def _below(self, error: float) -> float:
+        """Probability that the logarithm is off by less than this."""
+        if self.tolerance < _NARROW * self.spread:
+            return float(ndtr(error / self.deviation))
+        if self.spread < _NARROW * self.tolerance:
+            return min(max(0.5 + 0.5 * error / self.tolerance, 0.0), 1.0)
+        high = (error + self.tolerance) / self.spread
+        low = (error - self.tolerance) / self.spread
+        return 0.5 * self.spread / self.tolerance * (_summed(high) - _summed(low))
+
+
+def _summed(deviations: float) -> float:
+    """The integral of the standard normal distribution up to here."""
+    density = math.exp(-0.5 * deviations**2) / math.sqrt(math.tau)
+    return float(deviations * ndtr(deviations)) + density
 
 
 class SpringEstimate:
@@ -111,8 +157,8 @@ class SpringEstimate:
         """
         mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
-        spread = float(row @ self._cov @ row) + (row[1] * p.stroke_spread) ** 2
-        return Height(mean, math.sqrt(spread + p.height_scatter**2))
+        spread = float(row @ self._cov @ row) + p.height_scatter**2
+        return Height(mean, math.sqrt(spread), float(row[1]) * p.stroke_tolerance)
 
     def stroke_for(self, height: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
         """The stroke [m] that reaches a height [m] in the mean; tilt [rad] and ratio as above.
@@ -142,7 +188,7 @@ class SpringEstimate:
         mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
         error = (p.height_error / mean) ** 2 + p.height_scatter**2
-        error += (row[1] * p.stroke_spread) ** 2
+        error += (row[1] * p.stroke_tolerance) ** 2 / 3.0
         surprise = math.log(height / mean)
         spread = float(row @ self._cov @ row) + error
         if surprise**2 > _OUTLIER**2 * spread:
@@ -159,7 +205,7 @@ class SpringEstimate:
         p = self.parameters
         drawn = generator.multivariate_normal(self._mean, self._cov, count)
         drawn[:, 0] = np.exp(drawn[:, 0] + p.height_scatter * generator.standard_normal(count))
-        drawn[:, 1] += p.stroke_spread * generator.standard_normal(count)
+        drawn[:, 1] += p.stroke_tolerance * generator.uniform(-1.0, 1.0, count)
         return np.asarray(drawn)
 
     def same_as(self, stroke: float, gain: float, zero: float) -> float:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
 
 PARAMETERS = SpringParameters()
 
@@ -58,22 +58,23 @@ def test_it_learns_a_spring_that_is_off(gain: float, zero: float, seed: int):
 def test_what_it_expects_becomes_surer_and_stays_honest():
     generator = np.random.default_rng(5)
     inside, count = 0, 0
-    for _ in range(200):
+    for _ in range(400):
         spring = SpringEstimate(PARAMETERS)
         gain = math.exp(PARAMETERS.gain_spread * generator.standard_normal())
         zero = PARAMETERS.zero_spread * generator.standard_normal()
         before = spring.expected(0.15).spread
         for _ in range(5):
             stroke = float(generator.uniform(0.1, 0.2))
-            scatter = PARAMETERS.stroke_spread * generator.standard_normal()
+            scatter = PARAMETERS.stroke_tolerance * generator.uniform(-1.0, 1.0)
             flown = true_height(stroke + scatter, gain, zero)
             flown *= math.exp(PARAMETERS.height_scatter * generator.standard_normal())
             height = spring.expected(stroke)
-            inside += height.quantile(-1.645) <= flown <= height.quantile(1.645)
+            low, high = height.interval(0.9)
+            inside += low <= flown <= high
             count += 1
             spring.learn(stroke, flown + PARAMETERS.height_error * generator.standard_normal())
         assert spring.expected(0.15).spread < before
-    assert 0.87 <= inside / count <= 0.93
+    assert 0.88 <= inside / count <= 0.92
 
 
 def test_a_jump_that_was_hindered_teaches_nothing():
@@ -89,8 +90,26 @@ def test_draws_are_as_scattered_as_what_is_expected():
     drawn = spring.draw(np.random.default_rng(1), 4000)
     heights = [true_height(0.15, float(gain), float(zero)) for gain, zero in drawn]
     expected = spring.expected(0.15)
-    assert np.std(np.log(heights)) == pytest.approx(expected.spread, rel=0.05)
+    assert np.std(np.log(heights)) == pytest.approx(expected.deviation, rel=0.05)
     assert np.median(heights) == pytest.approx(expected.mean, rel=0.01)
+
+
+def test_quantiles_are_those_of_a_normal_and_an_even_error():
+    assert Height(0.2, 0.0, 0.04).interval(0.9) == pytest.approx(
+        (0.2 * math.exp(-0.036), 0.2 * math.exp(0.036))
+    )
+    assert Height(0.2, 0.02).interval(0.9) == pytest.approx(
+        (0.2 * math.exp(-1.644854 * 0.02), 0.2 * math.exp(1.644854 * 0.02)), rel=1e-6
+    )
+    assert Height(0.2, 0.0).interval(0.9) == (0.2, 0.2)
+    # Where both are alike, by drawing.
+    generator = np.random.default_rng(2)
+    drawn = 0.03 * generator.standard_normal(400_000) + 0.05 * generator.uniform(-1, 1, 400_000)
+    height = Height(0.2, 0.03, 0.05)
+    for probability in (0.02, 0.1, 0.5, 0.95):
+        expected = 0.2 * math.exp(float(np.quantile(drawn, probability)))
+        assert height.quantile(probability) == pytest.approx(expected, rel=6e-4)
+    assert np.std(drawn) == pytest.approx(height.deviation, rel=5e-3)
 
 
 def test_what_lifts_nothing_and_what_is_no_height_is_refused():
