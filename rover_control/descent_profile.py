@@ -234,7 +234,9 @@ class DescentProfile:
                 RefusalCode.WRONG_PHASE,
                 f"the descent is in {self.phase}, only a hold is resumed",
             )
-        if self._stop is not None:
+        if self._has_pictures:
+            self._end_observation()
+        elif self._stop is not None:
             self.stops.appendleft(self._stop)
             self._stop = None
         self._enter(DescentPhase.STANDBY, "resumed", now)
@@ -242,6 +244,8 @@ class DescentProfile:
 
     def abort(self, length: float, now: float) -> str:
         """Forget what was to be done, and stay where it is [m]."""
+        if self._has_pictures:
+            self._end_observation()
         dropped = len(self.stops) + (self._stop is not None)
         self.stops.clear()
         if self._stop is not None:
@@ -421,9 +425,11 @@ class DescentProfile:
 
     def _expose(self, now: float) -> bool:
         p = self.parameters
-        if self._stop is None:
-            # The last picture is still being taken.
+        assert self._stop is not None
+        if self._has_pictures:
+            # The last one may still be exposed: who hears of the end may move the rover.
             if now - self._last_exposure >= p.exposure_time:
+                self._end_observation()
                 self._enter(DescentPhase.STANDBY, "pictures taken", now)
             return False
         if not self._is_steady:
@@ -435,8 +441,6 @@ class DescentProfile:
             return False
         self._last_exposure = now
         self._taken += 1
-        if self._taken >= p.exposures:
-            self._end_stop(f"{self._taken} pictures", Level.OK, self._stop.depth)
         return True
 
     # --- judgement -------------------------------------------------------------------------------
@@ -559,6 +563,16 @@ class DescentProfile:
     def _give_up(self, reason: str, length: float, now: float) -> None:
         self._end_stop(reason, Level.WARN, length)
         self._enter(DescentPhase.STANDBY, "given up", now, Level.WARN)
+
+    @property
+    def _has_pictures(self) -> bool:
+        """Whether all pictures of the present stop are taken."""
+        stop = self._stop
+        return stop is not None and stop.observes and self._taken >= self.parameters.exposures
+
+    def _end_observation(self) -> None:
+        assert self._stop is not None
+        self._end_stop(f"{self._taken} pictures", Level.OK, self._stop.depth)
 
     def _end_stop(self, reason: str, level: Level, length: float) -> None:
         stop, self._stop = self._stop, None

@@ -49,6 +49,7 @@ ANSWER = 3.0
 """In which a node shows that it does what it was asked [s]."""
 _RENEWAL = 0.25  # of a length that is gone to while it is renewed [s]
 _NEAR = 0.03  # at a length [m]
+_LATCHED = 0.5  # within which the phase is heard of a descent that has ended a stop [s]
 _STEADY = 2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
 _THERE = 0.1  # at a depth where what is left of the swing does not keep the mission [m]
 _PATIENCE = {LegKind.ASCEND: 60.0, LegKind.CALM: 240.0}
@@ -256,6 +257,8 @@ class Stop(Conduct):
                 return End(Verdict.TAKEN, "somebody holds the descent")
             return Wish(Act.DESCEND, Ask(topics.DESCENT_RESUME))
         if not self._is_cleared and self.asked is None:
+            if sight.descent_busy and now - self.begun < _LATCHED:
+                return None
             if sight.descent_busy or sight.descent == "holding":
                 return Wish(Act.DESCEND, Ask(topics.DESCENT_ABORT))
             self._is_cleared = True

@@ -292,3 +292,37 @@ def test_a_stop_that_is_left_on_the_way_has_none_of_the_last_ones_pictures():
     world.profile.abort(world.length, world.now)
     ended = [each for each in world.profile.take_changes() if each.name == "stop_ended"]
     assert [each.values["pictures"] for each in ended] == [PROFILE.exposures, 0]
+
+
+def last_picture(world: World) -> None:
+    """Until the last picture of the first stop is ordered."""
+    world.ask(6.0)
+    while world.pictures < PROFILE.exposures:
+        world.step()
+
+
+def test_a_stop_ends_when_its_last_picture_is_exposed():
+    world = World(5.0, 0.05)
+    last_picture(world)
+    ordered = world.now
+    assert world.ended() == []
+    while not (ended := world.ended()):
+        world.step()
+    assert ended == [f"{PROFILE.exposures} pictures"]
+    assert world.now - ordered == pytest.approx(PROFILE.exposure_time, abs=2 * H)
+    assert world.profile.is_idle
+
+
+def test_pictures_that_are_all_taken_are_not_taken_again_after_a_hold_and_not_lost_by_an_abort():
+    world = World(5.0, 0.05)
+    last_picture(world)
+    world.profile.hold(world.length, world.now)
+    assert world.profile.resume(world.now) == "0 stops are left"
+    world.run(30.0)
+    assert world.pictures == PROFILE.exposures
+    assert world.ended() == [f"{PROFILE.exposures} pictures"]
+
+    world = World(5.0, 0.05)
+    last_picture(world)
+    assert world.profile.abort(world.length, world.now) == "0 stops are dropped"
+    assert world.ended() == [f"{PROFILE.exposures} pictures"]

@@ -222,6 +222,24 @@ def test_while_held_an_operator_is_left_alone():
     assert len(machine.asked) == count
 
 
+def test_a_stop_that_has_just_ended_is_not_aborted_though_its_phase_is_not_heard_yet():
+    machine = begun(MissionPhase.LOOKING)
+    while machine.mission.phase is not MissionPhase.APPROACHING:
+        machine.tick()
+    machine.descent = "exposing"  # the last word heard
+    machine.run(0.3, until=MissionPhase.STANDBY)
+    machine.descent = "standby"
+    assert finished(machine)
+    assert topics.DESCENT_ABORT not in machine.asked
+
+    machine = begun(MissionPhase.LOOKING)
+    while machine.mission.phase is not MissionPhase.APPROACHING:
+        machine.tick()
+    machine.descent = "exposing"  # and somebody has asked for another one
+    assert finished(machine)
+    assert topics.DESCENT_ABORT in machine.asked
+
+
 def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
     machine = begun(MissionPhase.DRIVING)
     assert "waypoint 2" in machine.mission.skip(machine.now_ns)
