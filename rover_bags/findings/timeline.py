@@ -122,6 +122,8 @@ _WHEELS_TURN: Final = 0.08
 """Wheels that are slower stand [rad/s]."""
 _LEAST_DRIVE: Final = 0.7
 """Wheels that turn for less are not driven [s]."""
+_NOISE: Final = 6.0
+"""Four standard deviations of a normal error over the median of its size."""
 _NO_PULL: Final = 0.3
 """A tether that carries less of the rover's weight does not hold it."""
 _CHARGED: Final = 2.0
@@ -323,7 +325,7 @@ def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activit
         if not turning[begin]:
             continue
         part = slice(begin, end + 1)
-        if current is not None and np.abs(current[part]).max() < 2.0 * _idle(signals, current):
+        if current is not None and np.abs(current[part]).max() < _idle(signals, stands):
             continue
         # Backward the left wheel turns alone and the rover on the spot; a forward wheel that coasts
         # longer than the other is none of the motor's doing.
@@ -336,12 +338,16 @@ def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activit
                 yield begin + first, begin + last, what
 
 
-def _idle(signals: Signals, current: Floats) -> float:
-    """Size of the current [A] while the wheels rest."""
-    left, right = signals.numbers["left"], signals.numbers["right"]
-    rest = (np.abs(left) <= _WHEELS_TURN) & (np.abs(right) <= _WHEELS_TURN)
+def _idle(signals: Signals, stands: Flags) -> float:
+    """Current [A] that a motor which does nothing does not reach: four times its noise.
+
+    By the rover that stands with its wheels at rest, as they hold a hanging one's attitude; in the
+    median, as the motor tries for a moment before they turn.
+    """
+    left, right, current = (signals.numbers[name] for name in ("left", "right", "wheel_current"))
+    rest = stands & (np.abs(left) <= _WHEELS_TURN) & (np.abs(right) <= _WHEELS_TURN)
     rest &= np.isfinite(current)
-    return float(np.percentile(np.abs(current[rest]), 95)) if rest.any() else 0.0
+    return _NOISE * float(np.median(np.abs(current[rest]))) if rest.any() else 0.0
 
 
 # --- phases and instants ------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from msg_schemas.table import (
     ENERGY_NAMES,
     FLOOR_SWITCH,
     FLYWHEEL,
+    JUMP_MOTOR,
     JUMP_SCREW,
     REFERENCE,
     SMEAR,
@@ -29,9 +30,11 @@ from msg_schemas.table import (
     TETHER_OUT,
     WALL_DISTANCE,
     WHEEL_LEFT,
+    WHEEL_MOTOR,
     WHEEL_RIGHT,
     WINCH_BRAKE,
     WINCH_DRUM,
+    WINCH_MOTOR,
 )
 from msg_schemas.table import PAYOUT as PAYOUT_JOINT
 
@@ -96,6 +99,7 @@ SHORT = (
     Leg("standing", 2.0),
 )
 SLIP = 0.1
+_HOLDING, _DRIVING, _NOISE = 0.4, 0.3, 0.01  # currents of the wheel motor [A]
 UP = 0.5 * GRAVITY * 1.2  # so that the flight is level
 FORWARD = 0.3
 
@@ -157,6 +161,13 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
                 for name, a, w in zip((WHEEL_LEFT, WHEEL_RIGHT), angle, wheels, strict=True)
             }
             made.add(time, topics.WHEEL_STATE, JointSample(ns(time), joints))
+            # A hanging rover's attitude is held by wheels that do not turn; the rest is noise.
+            current = _HOLDING if hangs else _NOISE * math.sin(40.0 * time)
+            if leg.what in {"driving", "turning"}:
+                current = math.copysign(_DRIVING, leg.rate)
+            drawn = {name: JointValue() for name in (JUMP_MOTOR, WINCH_MOTOR)}
+            drawn[WHEEL_MOTOR] = JointValue(0.0, 0.0, current)
+            made.add(time, topics.MOTOR_CURRENTS, JointSample(ns(time), drawn))
             length += drum / RATE
             heading += spin / RATE
             x += vx / RATE
