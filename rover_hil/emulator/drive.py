@@ -168,7 +168,8 @@ class EmulatedDrive(EmulatedDevice):
 
     def _take(self, counts: dict[str, int]) -> None:
         """Execute a complete set, unless it is old."""
-        now_ns = self._clock()
+        # A drive takes its frames as they come: it does not wait for a plant to be computed.
+        now_ns = self._clock() - self._line.waited_ns
         sequence = counts["sequence"]
         age = ((upon_count(now_ns) - counts["upon"]) & 0xFFFF) * self.device.by_key["upon"].scale
         is_newer = self._executed is None or 0 < ((sequence - self._executed) & 0xFFFF) < 0x8000

@@ -14,6 +14,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+import can
+
 from msg_schemas import topics
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
@@ -246,7 +248,10 @@ class EmulatorNode(ContractNode):
             wait = _LISTENING if self._follows_sync() else self._pace.wait(time.monotonic())
             frame = link.receive(min(wait, _LISTENING, machine.wait()))
             if frame is not None:
-                machine.hear([frame] if lockstep else link.waiting(frame))
+                if lockstep:
+                    machine.hear([frame])
+                else:
+                    machine.hear(link.waiting(frame), _waited_ns)
                 if lockstep and frame.arbitration_id == SYNC_ID:
                     link.send(CYCLE_OVER_ID, bytes(frame.data[:1]))
                 if frame.arbitration_id == SYNC_ID:
@@ -380,6 +385,17 @@ class EmulatorNode(ContractNode):
             level = Level.WARN
             message = f"NOT real time: it reaches {measured}, {pace.given_up:.3g} s were given up"
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
+
+
+def _waited_ns(frame: can.Message) -> int:
+    """How long ago a frame has come by the bus [ns], by the system's stamp, where it bears one.
+
+    No longer than a period: an emulator that hangs is a drive that hangs.
+    """
+    if not frame.timestamp:
+        return 0
+    waited = time.time_ns() - round(frame.timestamp * 1e9)
+    return min(max(waited, 0), round(SYNC_PERIOD * 1e9))
 
 
 def main() -> int:

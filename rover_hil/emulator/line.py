@@ -100,6 +100,11 @@ class Way:
         self._late: deque[_Late] = deque()
         self._held: list[_Held] = []
 
+    @property
+    def is_impaired(self) -> bool:
+        """Whether frames may suffer, or some still come late."""
+        return bool(self._standing or self._late or self._held)
+
     def begin(self, impairment: Impairment) -> Suffering:
         """Frames suffer from now on."""
         made = Suffering(impairment, self._name)
@@ -112,7 +117,7 @@ class Way:
 
     def take(self, can_id: int, data: bytes) -> None:
         """Take a frame."""
-        if not (self._standing or self._late or self._held):
+        if not self.is_impaired:
             self._deliver(can_id, data)
             return
         for frame in self._through(Frame(can_id, data)):
@@ -256,6 +261,7 @@ class Line:
     Attributes:
         network: of the `canopen` library, as the device sees it.
         strange: frames that the device could make nothing of.
+        waited_ns: how long ago the frame that it is given now has come by the bus.
     """
 
     def __init__(self, device: Device, send: Deliver, clock: Callable[[], int]) -> None:
@@ -264,6 +270,7 @@ class Line:
         self._in = Way(f"{device.name} {TO_DEVICES}", self._notify, clock)
         self.network = _Network(self.send)
         self.strange = 0
+        self.waited_ns = 0
 
     def send(self, can_id: int, data: bytes) -> None:
         """The device sends a frame."""
@@ -273,11 +280,19 @@ class Line:
         """The device sends a heartbeat; state 0 is the boot-up message."""
         self.send(HEARTBEAT_ID + node_id, bytes([state]))
 
-    def hear(self, can_id: int, data: bytes) -> None:
-        """A frame has come by the bus; what is not for the device passes it."""
+    def hear(self, can_id: int, data: bytes, waited_ns: int = 0) -> None:
+        """A frame has come by the bus; what is not for the device passes it.
+
+        Args:
+            can_id: identifier of the frame.
+            data: its bytes.
+            waited_ns: how long ago it came [ns]; held back on its way, it comes when it is let go.
+        """
         for_all = can_id in (_NMT_ID, SYNC_ID, HEARTBEAT_ID + BRIDGE_NODE)
         if for_all or (can_id & _NODES == self._node_id and can_id <= _STANDARD):
+            self.waited_ns = 0 if self._in.is_impaired else waited_ns
             self._in.take(can_id, data)
+            self.waited_ns = 0
 
     def step(self) -> None:
         """Let go frames that are due."""

@@ -152,16 +152,26 @@ class EmulatedMachine:
         self.let_go_frames()
         return tick
 
-    def hear(self, frames: Iterable[can.Message]) -> None:
-        """Take frames that have come by the bus."""
+    def hear(
+        self,
+        frames: Iterable[can.Message],
+        waited_ns: Callable[[can.Message], int] = lambda _: 0,
+    ) -> None:
+        """Take frames that have come by the bus.
+
+        Args:
+            frames: in their order.
+            waited_ns: how long ago each has come [ns].
+        """
         with self.lock:
             for frame in frames:
+                waited = waited_ns(frame)
                 if frame.arbitration_id == SYNC_ID:
                     self.synchronised += 1
                     self.on_sync()
                 data = bytes(frame.data)
                 for line in self.lines.values():
-                    line.hear(frame.arbitration_id, data)
+                    line.hear(frame.arbitration_id, data, waited)
 
     def let_go_frames(self) -> None:
         """Hand on what impaired lines have held back, and is due."""

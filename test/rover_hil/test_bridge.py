@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -419,6 +420,25 @@ def test_a_command_is_executed_within_its_cycle_and_the_round_trip_says_so(bench
     assert found.number >= 90
     assert found.largest == 0.0  # nothing takes time here but the plant
     assert bench.bridge.overdue == bench.bridge.late == 0
+
+
+def test_a_set_that_waited_for_the_plant_was_executed_when_it_came(bench: HilBench):
+    bench.arm()
+    bench.cycles(0.1, winch(rate=0.0))
+    # Upon the last state, but heard after the tick only.
+    (joints,) = (sample.joints for sample in winch(rate=0.0).values())
+    told = bench.told[topics.WINCH_STATE]
+    assert isinstance(told, JointSample)
+    command = JointSample(told.stamp_ns, joints)
+    bench.bridge.take(topics.WINCH_COMMAND, command, bench.simulation.stamp_ns)
+    at_once = bench.machine.hear
+    bench.machine.hear = partial(at_once, waited_ns=lambda _: 2_000_000)  # type: ignore[method-assign]
+    bench.settle()
+    bench.machine.hear = at_once  # type: ignore[method-assign]
+    bench.cycle()
+    found = bench.bridge.round_trip.percentiles()
+    assert found is not None
+    assert found.largest == pytest.approx(SYNC_PERIOD - 0.002, abs=1e-5)
 
 
 def test_a_delay_of_the_drives_delays_the_motion(compiled_in_space: None):

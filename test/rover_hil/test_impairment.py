@@ -124,6 +124,18 @@ def test_a_line_that_is_well_hands_on_at_once_what_is_for_its_device():
     assert wire.line.due_ns is None
 
 
+def test_how_long_a_frame_has_waited_is_known_where_nothing_held_it_back():
+    wire = Wire()
+    waited: list[int] = []
+    wire.line.network.subscribe(RPDO, lambda *_: waited.append(wire.line.waited_ns))
+    wire.line.hear(RPDO, b"\x01", 700)
+    wire.begin("[{what: delay, strength: 0.5}]")
+    wire.line.hear(RPDO, b"\x02", 700)
+    wire.time = 0.6
+    wire.line.step()
+    assert waited == [700, 0]
+
+
 def test_frames_are_lost_by_their_share_and_the_same_ones_each_time():
     lost = "{what: loss, strength: 0.3, seed: %d}"
     first = survivors(lost % 1)
