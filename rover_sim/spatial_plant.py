@@ -49,6 +49,7 @@ _AS_THEY_ARE = ("hanging", "straight")  # starts that are not settled
 # by what, and the speeds below which all is at rest [m/s].
 _SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
 _SETTLING_TICK, _SETTLING_SCALE = 0.02, 0.97
+_SETTLING_SLOW = 20.0  # after which only soft motions of the tether are left [s]
 _AT_REST = 1.0e-6
 
 
@@ -279,6 +280,7 @@ class SpatialPlant:
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling
         while state.time < longest:
+            before = _tether_speed(state)
             state, result = self._advance(model, state, orders, _SETTLING_TICK)
             if state.phase.final:
                 raise SettlingError(
@@ -288,7 +290,11 @@ class SpatialPlant:
             speed = _fastest(state)
             if speed < _AT_REST:
                 break
-            state = _slowed(state, _SETTLING_SCALE)
+            # A slack tether hardly minds how its loop lies about the line of its ends: it is let go
+            # that way while it gains speed, as slowed it would take many minutes.
+            gains = state.time > _SETTLING_SLOW and _tether_speed(state) > before
+            tether = 1.0 if gains else _SETTLING_SCALE
+            state = _slowed(state, _SETTLING_SCALE, tether)
         else:
             raise SettlingError(
                 f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
@@ -482,14 +488,26 @@ def _fastest(state: SpatialState) -> float:
     return max(speeds)
 
 
-def _slowed(state: SpatialState, factor: float) -> SpatialState:
-    """The state with all velocities scaled down; the drives' are left to their friction."""
+def _tether_speed(state: SpatialState) -> float:
+    """Mean square of the nodes' speeds [m^2/s^2]."""
+    return float(np.mean(state.node_rates[:, 0] ** 2))
+
+
+def _slowed(state: SpatialState, factor: float, tether: float | None = None) -> SpatialState:
+    """The state with all velocities scaled down; the drives' are left to their friction.
+
+    Args:
+        state: as it is.
+        factor: of the velocities.
+        tether: factor of the tether's; None: the same.
+    """
     body = state.body.copy()
     for first in (spatial_rover.SPIN, spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
         body[first : first + 3] *= factor
     mouth = state.mouth.copy()
     mouth[1] *= factor
-    return replace(state, node_rates=factor * state.node_rates, body=body, mouth=mouth)
+    rates = (factor if tether is None else tether) * state.node_rates
+    return replace(state, node_rates=rates, body=body, mouth=mouth)
 
 
 def _energies_of(report: Array, book: Array) -> Energies:

@@ -73,7 +73,7 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
             },
             "start.position": [0.0, 0.0],
             "start.heading": 0.0,
-            "start.settling": 40.0,
+            "start.settling": 300.0,
             "tether.length": _DEPTH + 0.2,
             "tether.element_length": 0.9,
             "winch.min_length": 1.4,
