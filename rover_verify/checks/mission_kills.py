@@ -21,6 +21,7 @@ from msg_schemas import topics
 from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.samples import JointSample
 from rover_verify.checks import Batch, Measured
+from rover_verify.checks.flights import fly_kept
 from rover_verify.stage import Observer, Process, Stage, open_stage
 
 _PLANT = "rover_sim.null_plant_node"
@@ -225,17 +226,14 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     return kills
 
 
-_FOUND: dict[tuple[int, int], list[Kill]] = {}
-
-
 def _kills(batch: Batch) -> list[Kill]:
+    def killed(seed: int, index: int) -> list[Kill]:
+        return kill_each(batch.folder, seed, index)
+
     runs = max(batch.runs, 1)
     found: list[Kill] = []
     for index in range(runs):
-        key = (batch.seed, index)
-        if key not in _FOUND:
-            _FOUND[key] = kill_each(batch.folder, batch.seed, index)
-        found += _FOUND[key]
+        found += fly_kept(batch.kept, killed, batch.seed, index)
         batch.progress(index + 1, runs)
     return found
 
