@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rover_sim import Command, PlanarPlant, ScenarioError, WinchCommand, load_planar, load_spatial
+from rover_sim import (
+    Command,
+    PlanarPlant,
+    ScenarioError,
+    SpatialPlant,
+    WinchCommand,
+    load_planar,
+    load_spatial,
+)
 from rover_sim.physics import rep103
 from rover_verify.checks import Batch, Check, spatial_body, spatial_tether
 from rover_verify.checks.spatial_cases import (
@@ -138,3 +146,23 @@ def test_the_books_know_that_stretched_tether_passes_the_fairlead(rate: float):
     assert state.length == pytest.approx(length + 20.0 * rate, abs=1e-3)
     # 16.2 N along 10 m, at a stretch of 0.8 %: 1.3 J would be missing.
     assert abs(result.energies.drift) < 0.02
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(seed: int):
+    # The tether's loop may lie any way about the vertical, nearly: that it lies still takes long.
+    start = {"position": [0.0, 0.0], "settling": 150.0}
+    changes = {
+        "place.seed": seed,
+        "place.floor": {"height": -5.0},
+        "start": {"kind": "standing", "heading": 0.0, **start},
+        "tether.length": 5.2,
+        "tether.element_length": 0.9,
+        "integration.h": 2e-3,
+    }
+    plant = SpatialPlant(load_spatial("floor_rubble", changes))
+    began = plant.initial_state()
+    np.testing.assert_allclose(began.G1[:2], 0.0, atol=0.03)
+    after, _ = plant.step(began, Command(), 1.0)
+    moved = np.linalg.norm(after.nodes[:, 0] - began.nodes[:, 0], axis=1)
+    assert float(moved.max()) < 1e-4
