@@ -7,7 +7,7 @@ hop     it gets slack and jumps where it stands
 return  as a visit, to below the fairlead
 ======  =====================================================================================
 
-A rover that lies on its side neither drives nor jumps.
+A rover that lies on its side, or hangs, neither drives nor jumps.
 """
 
 from __future__ import annotations
@@ -111,6 +111,8 @@ class Way(Conduct):
         if not leaves and sight.stands and sight.lies(now):
             text = f"the rover lies on its side, tilted by {math.degrees(sight.slope):.0f} deg"
             return End(Verdict.GIVEN_UP, text)
+        if not leaves and sight.hangs(now, self._staged):
+            return End(Verdict.GIVEN_UP, "the rover hangs: the tether has taken it off the floor")
         if self._stage is _Stage.DRIVE:
             return self._drive(sight, news, now)
         if self._stage is _Stage.FORETELL:

@@ -35,6 +35,8 @@ _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
 """Compression [m] up to which the nut counts as clear of the spring."""
+_UNSURE = frozenset({"", "disarmed", "fault"})  # modes of a winch that does not feel for the floor
+_HANGS = 15.0  # so long: a winch that was started again has to find that the rover stands [s]
 _LIES = 3.0  # so long, before that is believed [s]
 _STEP, _TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
 
@@ -161,6 +163,13 @@ class MissionSight:
     def lies(self, now: float) -> bool:
         """Whether the rover lies on its side, or on its back."""
         return now - self._tilted_since > _LIES
+
+    def hangs(self, now: float, begun: float) -> bool:
+        """Whether a rover that should stand since a time [s] has hung for a while."""
+        if self.stands or topics.WINCH_ALARMS not in self._heard:
+            return False
+        known = not self.silent(topics.WINCH_ESTIMATE, now) and self.winch not in _UNSURE
+        return known and now - max(self.stands_since, begun) > _HANGS
 
     def set_down(self, heading: float) -> None:
         """The rover stands below the fairlead.

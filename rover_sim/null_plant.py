@@ -10,8 +10,9 @@ It has the machine of a spatial scenario and the same drives, and it needs no co
 - the nut goes to its setpoint at the commanded rate; when the latch trips the rover flies straight
   up, as high as the spring's energy brings it without losses, and comes down where it stood.
 
-The tether is inextensible and straight. It carries the rover and its own weight, on the floor its
-own alone; it never breaks. Boulders, relief, slopes and walls are not there.
+The tether is inextensible and straight. It carries the rover and its own weight; where the rover
+stands, it lets go of the rover's weight over the first centimetres of slack, as one that stretches
+does, so that a tension can be held. It never breaks. Boulders, relief, slopes and walls are not there.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from rover_sim.plant import (
 from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 
 _ARRIVED = 1e-12  # [m], of rounding
+_GIVE = 0.05  # slack with which a tether of a standing rover carries nothing of it any more [m]
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -121,9 +123,16 @@ class NullPlant:
     def tension(self, state: NullState) -> tuple[float, float]:
         """At the fairlead and at the rover [N]."""
         scenario = self.scenario
-        below = self.rover.mass * scenario.gravity if state.phase is Phase.HANGING else 0.0
+        below = self._carried(state) * self.rover.mass * scenario.gravity
         own = scenario.gravity * scenario.tether.section.line_density * state.length
         return below + own, below
+
+    def _carried(self, state: NullState) -> float:
+        """Share of the rover's weight that the tether carries."""
+        if state.phase is Phase.HANGING:
+            return 1.0
+        chord = math.hypot(state.x, state.y, self.drop(state))
+        return min(max(1.0 - (state.length - chord) / _GIVE, 0.0), 1.0)
 
     def slide(self, state: NullState) -> float:
         """Of Body 2 above Body 1 [m]."""

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_control.locomotion import LocomotionParameters
-from rover_control.mission import MissionParameters, MissionSettings
+from rover_control.mission import MissionSettings
+from rover_control.mission_legs import Verdict
 from rover_control.mission_plan import Jumps, Landing, MissionPlan, Waypoint
 from rover_control.mission_route import LegKind
 from rover_sim import SettlingError
@@ -32,10 +33,7 @@ _PLAN = MissionPlan(
     survey=(Waypoint(x=_AHEAD, y=0.0),),
     jumps=Jumps(most=6, detours=0, stroke=0.15, slack=1.0),
 )
-_SETTINGS = MissionSettings(
-    mission=MissionParameters(tries=1),
-    locomotion=LocomotionParameters(locomotion_rule="slack"),
-)
+_SETTINGS = MissionSettings(locomotion=LocomotionParameters(locomotion_rule="slack"))
 
 
 class Freed(NamedTuple):
@@ -45,6 +43,7 @@ class Freed(NamedTuple):
         stuck: times that the wheels got no farther.
         jumps: that were flown.
         way: from where it was stuck first to where the way has ended [m].
+        arrived: whether that is where it was to go.
         end: of the way, in words.
         duration: [s].
     """
@@ -52,13 +51,14 @@ class Freed(NamedTuple):
     stuck: int
     jumps: int
     way: float
+    arrived: bool
     end: str
     duration: float
 
     @property
     def is_free(self) -> bool:
-        """Whether it got away from where it was stuck."""
-        return self.way >= _MOVED
+        """Whether it got away from where it was stuck, or, close to its goal, there."""
+        return self.arrived or self.way >= _MOVED
 
 
 def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
@@ -68,7 +68,7 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
             "place.seed": int(rng.integers(1, 2**31)),
             "place.floor": {"height": -_DEPTH},
             "place.boulders": {
-                "density": 1.2, "smallest": 0.12, "largest": 0.6, "exponent": 2.5,
+                "density": 2.0, "smallest": 0.12, "largest": 0.6, "exponent": 2.5,
                 "height_ratio": 0.5, "clear_radius": 0.3,
             },
             "start.position": [0.0, 0.0],
@@ -112,7 +112,8 @@ def fly_stuck(seed: int, index: int) -> Freed:
     way = math.dist(stuck_at[0], now) if stuck_at else 0.0
     told = end or (f"{done[0].verdict.name}: {done[0].reason}" if done else flight.mission.reason)
     jumps = flight.mission.notes.jumps
-    return Freed(len(flight.told("drive_stuck")), jumps, way, told, flight.time)
+    arrived = bool(done) and done[0].verdict is Verdict.DONE
+    return Freed(len(flight.told("drive_stuck")), jumps, way, arrived, told, flight.time)
 
 
 def not_freed(batch: Batch) -> Measured:

@@ -51,6 +51,29 @@ def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
     assert machine.mission.notes.jumps == 0
 
 
+@pytest.mark.parametrize("phase", [MissionPhase.DRIVING, MissionPhase.RETURNING])
+def test_one_that_its_tether_has_taken_off_the_floor_is_set_down_again(phase: MissionPhase):
+    machine = begun(phase)
+    machine.run(1.0, until=MissionPhase.STANDBY)
+    machine._on_floor, machine.length = False, machine.length - 0.1
+    machine.drive = "stuck"
+    machine.run(25.0, until=MissionPhase.LIFTING)
+    assert machine.mission.phase is MissionPhase.LIFTING
+    assert finished(machine)
+    assert missed(machine) == []
+
+
+def test_a_winch_that_is_started_again_may_look_for_the_floor_a_while():
+    machine = begun(MissionPhase.DRIVING)
+    machine.run(1.0, until=MissionPhase.STANDBY)
+    length = machine.length
+    machine._on_floor, machine.length = False, length - 0.1  # as it tells at first
+    machine.run(10.0, until=MissionPhase.LIFTING)
+    machine._on_floor, machine.length = True, length
+    assert finished(machine)
+    assert "mission_rescue" not in machine.story
+
+
 def test_a_way_home_that_does_not_go_is_left_to_the_winch():
     machine = begun(MissionPhase.RETURNING)
     machine.stuck = TRIALS

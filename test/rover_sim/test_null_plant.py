@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,6 +116,17 @@ def test_it_comes_down_on_the_floor_and_leaves_it_again():
     state, up = follow(plant, state, out(-0.5), 2.0)
     assert state.phase is Phase.HANGING
     assert [event.name for event in up] == ["take_off"]
+
+
+def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
+    plant = build(overrides='{"tether.length": 50.0}')
+    state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
+    weight = plant.rover.mass * plant.scenario.gravity
+    for slack, share in ((0.0, 1.0), (0.0125, 0.75), (0.05, 0.0), (0.5, 0.0)):
+        stands = replace(state, length=plant.floor_drop + slack)
+        assert plant.tension(stands)[1] == pytest.approx(share * weight, abs=1e-9)
+    aside = replace(state, x=3.0, length=math.hypot(3.0, plant.floor_drop) + 0.025)
+    assert plant.tension(aside)[1] == pytest.approx(0.5 * weight)
 
 
 # ---------------------------------------------------------------------------------------- wheels
