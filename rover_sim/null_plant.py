@@ -12,7 +12,8 @@ It has the machine of a spatial scenario and the same drives, and it needs no co
 
 The tether is inextensible and straight. It carries the rover and its own weight; where the rover
 stands, it lets go of the rover's weight over the first centimetres of slack, as one that stretches
-does, so that a tension can be held. It never breaks. Boulders, relief, slopes and walls are not there.
+does, so that a tension can be held. It never breaks. Boulders, relief, slopes and walls are not
+there.
 """
 
 from __future__ import annotations
