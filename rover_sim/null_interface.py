@@ -193,7 +193,8 @@ class NullInterface:
 
     def _imu(self, state: NullState, stamp_ns: int) -> Sample:
         weight = 0.0 if state.phase is Phase.FLIGHT else self._scenario.gravity
-        return ImuSample(stamp_ns, (0.0, 0.0, state.yaw_rate), (0.0, 0.0, weight))
+        force = (state.acceleration, 0.0, weight)
+        return ImuSample(stamp_ns, (0.0, 0.0, state.yaw_rate), force)
 
     def _contact(self, state: NullState, stamp_ns: int) -> Sample:
         stands = JointValue(float(state.phase is Phase.GROUNDED))

@@ -56,6 +56,7 @@ class NullState:
     payout_rate: float = 0.0  # [m/s]
     brake_released: bool = False
     speed: float = 0.0  # forward [m/s]
+    acceleration: float = 0.0  # forward, over the last tick [m/s^2]
     yaw_rate: float = 0.0  # [rad/s]
     height: float = 0.0  # over where it took off, in flight [m]
     climb: float = 0.0  # in flight [m/s]
@@ -231,7 +232,7 @@ class NullPlant:
         events.append(Event("take_off", when, {"speed": climb}))
         return replace(
             released, phase=Phase.FLIGHT, climb=climb, height=0.0, top=height, speed=0.0,
-            yaw_rate=0.0,
+            acceleration=0.0, yaw_rate=0.0,
         )  # fmt: skip
 
     def _flown(self, state: NullState, dt: float, events: list[Event]) -> NullState:
@@ -266,7 +267,8 @@ class NullPlant:
             speed=speed,
             yaw_rate=yaw_rate,
         )
-        after = self._held(moved)
+        held = self._held(moved)
+        after = replace(held, acceleration=(held.speed - state.speed) / dt)
         when, rate = state.time + dt, abs(state.payout_rate)
         if state.phase is Phase.HANGING and after.phase is Phase.GROUNDED:
             load = self.rover.mass * self.scenario.gravity

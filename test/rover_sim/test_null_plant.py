@@ -12,7 +12,7 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.codecs import decode, encode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import ImuSample, JointSample, JointValue
 from msg_schemas.table import (
     FLOOR_SWITCH,
     FLYWHEEL,
@@ -138,6 +138,19 @@ def test_forward_it_rolls_straight_ahead():
     assert state.wheel_angles == pytest.approx((6.0, 6.0))
     assert state.x == pytest.approx(6.0 * plant.rover.wheels.tip_radius)
     assert state.y == 0.0
+
+
+def test_its_imu_feels_it_start_and_stop_to_the_speed_it_goes():
+    plant, state = standing(60.0)
+    interface, gained = NullInterface(plant), []
+    for number, rate in enumerate((0.5, 1.0, 1.0, 0.0)):
+        state, result = plant.step(state, Command(wheel=WheelRateCommand(rate)), DT)
+        interface.measure(state, number, result)
+        ((_, sample),) = interface.samples([topics.IMU])
+        assert isinstance(sample, ImuSample)
+        gained.append(sample.linear_acceleration[0] * DT)
+    radius = plant.rover.wheels.tip_radius
+    assert gained == pytest.approx([0.5 * radius, 0.5 * radius, 0.0, -radius])
 
 
 def test_backward_it_turns_left_about_its_right_wheel():
