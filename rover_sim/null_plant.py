@@ -11,9 +11,8 @@ It has the machine of a spatial scenario and the same drives, and it needs no co
   up, as high as the spring's energy brings it without losses, and comes down where it stood.
 
 The tether is inextensible and straight. It carries the rover and its own weight; where the rover
-stands, it lets go of the rover's weight over the first centimetres of slack, as one that stretches
-does, so that a tension can be held. It never breaks. Boulders, relief, slopes and walls are not
-there.
+stands, it lets go of the rover's weight over the first decimetres of slack, as one that sags does,
+so that a tension can be held. It never breaks. Boulders, relief, slopes and walls are not there.
 """
 
 from __future__ import annotations
@@ -38,7 +37,8 @@ from rover_sim.plant import (
 from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 
 _ARRIVED = 1e-12  # [m], of rounding
-_GIVE = 0.05  # slack with which a tether of a standing rover carries nothing of it any more [m]
+_GIVE = 0.3  # slack with which a tether of a standing rover carries nothing of it any more [m]
+_FELT = 0.1  # in which an IMU feels a sudden change of speed, so that nobody misses it [s]
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -56,7 +56,7 @@ class NullState:
     payout_rate: float = 0.0  # [m/s]
     brake_released: bool = False
     speed: float = 0.0  # forward [m/s]
-    acceleration: float = 0.0  # forward, over the last tick [m/s^2]
+    acceleration: float = 0.0  # forward, as an IMU feels it [m/s^2]
     yaw_rate: float = 0.0  # [rad/s]
     height: float = 0.0  # over where it took off, in flight [m]
     climb: float = 0.0  # in flight [m/s]
@@ -268,7 +268,9 @@ class NullPlant:
             yaw_rate=yaw_rate,
         )
         held = self._held(moved)
-        after = replace(held, acceleration=(held.speed - state.speed) / dt)
+        change = (held.speed - state.speed) / dt - state.acceleration
+        share = -math.expm1(-dt / _FELT)
+        after = replace(held, acceleration=state.acceleration + share * change)
         when, rate = state.time + dt, abs(state.payout_rate)
         if state.phase is Phase.HANGING and after.phase is Phase.GROUNDED:
             load = self.rover.mass * self.scenario.gravity

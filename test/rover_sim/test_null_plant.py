@@ -122,10 +122,10 @@ def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
     plant = build(overrides='{"tether.length": 50.0}')
     state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
     weight = plant.rover.mass * plant.scenario.gravity
-    for slack, share in ((0.0, 1.0), (0.0125, 0.75), (0.05, 0.0), (0.5, 0.0)):
+    for slack, share in ((0.0, 1.0), (0.075, 0.75), (0.3, 0.0), (0.5, 0.0)):
         stands = replace(state, length=plant.floor_drop + slack)
         assert plant.tension(stands)[1] == pytest.approx(share * weight, abs=1e-9)
-    aside = replace(state, x=3.0, length=math.hypot(3.0, plant.floor_drop) + 0.025)
+    aside = replace(state, x=3.0, length=math.hypot(3.0, plant.floor_drop) + 0.15)
     assert plant.tension(aside)[1] == pytest.approx(0.5 * weight)
 
 
@@ -142,15 +142,16 @@ def test_forward_it_rolls_straight_ahead():
 
 def test_its_imu_feels_it_start_and_stop_to_the_speed_it_goes():
     plant, state = standing(60.0)
-    interface, gained = NullInterface(plant), []
-    for number, rate in enumerate((0.5, 1.0, 1.0, 0.0)):
-        state, result = plant.step(state, Command(wheel=WheelRateCommand(rate)), DT)
-        interface.measure(state, number, result)
-        ((_, sample),) = interface.samples([topics.IMU])
-        assert isinstance(sample, ImuSample)
-        gained.append(sample.linear_acceleration[0] * DT)
-    radius = plant.rover.wheels.tip_radius
-    assert gained == pytest.approx([0.5 * radius, 0.5 * radius, 0.0, -radius])
+    interface, gained = NullInterface(plant), 0.0
+    for rate in (0.5, 1.0, 0.0):
+        for number in range(round(2.0 / DT)):
+            state, result = plant.step(state, Command(wheel=WheelRateCommand(rate)), DT)
+            interface.measure(state, number, result)
+            ((_, sample),) = interface.samples([topics.IMU])
+            assert isinstance(sample, ImuSample)
+            assert abs(sample.linear_acceleration[0]) < 2.0
+            gained += sample.linear_acceleration[0] * DT
+        assert gained == pytest.approx(rate * plant.rover.wheels.tip_radius, abs=1e-6)
 
 
 def test_backward_it_turns_left_about_its_right_wheel():
