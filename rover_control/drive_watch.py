@@ -6,7 +6,8 @@ No sensor tells the speed over ground, so several witnesses are heard, each wher
 * the gyro in a turn: the left wheel turns, the heading does not;
 * the accelerometer at the start of a way: integrated over a few seconds it must show the speed;
 * the tether, held taut: the winch must pay out or take in as the way says, where the way leads
-  away from the fairlead or towards it;
+  away from the fairlead or towards it; twice in a row, as its tension and with it the distance that
+  it tells change where the winch takes slack up;
 * the motor's current: on soft ground the torque rises with the slip, to the soil's strength.
 
 Slip and sinkage cannot be measured apart; both show in the torque. It bounds the speed: the rover
@@ -19,6 +20,8 @@ import math
 from dataclasses import dataclass
 
 from msg_schemas.parameters import parameter
+
+_DOUBTS = 2  # ways in a row over which the tether does not follow
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class DriveWatch:
         self._range_from: float | None = None
         self._range_expected = 0.0
         self._way = 0.0
+        self._doubts = 0  # of the tether, one after the other
 
     def speed_share(self, torque: float) -> float:
         """What part of its speed the rover may use at a torque [N m]."""
@@ -177,7 +181,9 @@ class DriveWatch:
             return ""
         moved, wanted = distance - self._range_from, self._range_expected
         self._range_from, self._range_expected, self._way = distance, 0.0, 0.0
-        if moved * math.copysign(1.0, wanted) < p.stuck_share * abs(wanted):
+        doubted = moved * math.copysign(1.0, wanted) < p.stuck_share * abs(wanted)
+        self._doubts = self._doubts + 1 if doubted else 0
+        if self._doubts >= _DOUBTS:
             return (
                 f"the wheels turn and the tether does not follow: {moved:.3g} m of {wanted:.3g} m"
             )

@@ -18,6 +18,7 @@ from rover_control.drive import Drive, DriveSettings
 from rover_control.drive_follower import DrivePhase, FollowerParameters
 from rover_control.drive_odometry import OdometryParameters
 from rover_control.drive_tether import TetherParameters
+from rover_control.drive_watch import DriveWatch, WatchParameters
 
 # The gyro is known sooner, and less well.
 QUICK = DriveSettings(
@@ -203,6 +204,19 @@ def test_a_rover_that_gets_stuck_on_its_way_is_noticed_by_the_tether():
     reason, rolled = stuck_after(rover, drive, 60.0)
     assert "the tether does not follow" in reason
     assert rolled < 1.6
+
+
+def test_a_distance_that_the_tether_tells_wrongly_once_stops_nobody():
+    watch = DriveWatch(WatchParameters())
+    told, distance = [], 8.0
+    for step in range(400):
+        distance -= 0.01
+        # The winch takes slack up from 0.6 to 1.1 m of the way: for so long it seems farther.
+        seen = distance + (0.6 if 60 < step < 110 else 0.0)
+        told.append(watch.tether(0.01, -0.01, seen))
+    assert not any(told)
+    told = [watch.tether(0.01, -0.01, distance) for _ in range(160)]
+    assert any("the tether does not follow" in reason for reason in told)
 
 
 def test_a_turn_that_does_not_turn_is_noticed_by_the_gyro():
