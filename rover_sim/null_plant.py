@@ -2,7 +2,9 @@
 
 It has the machine of a spatial scenario and the same drives, and it needs no compiled code:
 
-- the drum pays out at the commanded rate while its brake is released, between its two stops;
+- the drum pays out at the commanded rate while its brake is released, between its two stops; it
+  reels nothing in that pulls more than its motor may, and gives way to the tether of a rover that
+  stands;
 - the rover hangs straight below the fairlead, at rest and level, and stands on a level floor once
   the tether reaches that far; reeled in from aside it is dragged to below the fairlead first;
 - wheels turn at the commanded rate, or as their torque says, and roll without slip while the rover
@@ -33,11 +35,13 @@ from rover_sim.plant import (
     StepResult,
     WheelRateCommand,
     WheelTorqueCommand,
+    WinchCommand,
 )
 from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 
 _ARRIVED = 1e-12  # [m], of rounding
 _GIVE = 0.3  # slack with which a tether of a standing rover carries nothing of it any more [m]
+_GIVES_WAY = 0.5  # rate at which the drum gives way to the tether, at most [m/s]
 _FELT = 0.1  # in which an IMU feels a sudden change of speed, so that nobody misses it [s]
 _FULL_TURN = 2.0 * math.pi
 
@@ -125,7 +129,7 @@ class NullPlant:
     def tension(self, state: NullState) -> tuple[float, float]:
         """At the fairlead and at the rover [N]."""
         scenario = self.scenario
-        below = self._carried(state) * self.rover.mass * scenario.gravity
+        below = self._carried(state) * self._weight
         own = scenario.gravity * scenario.tether.section.line_density * state.length
         return below + own, below
 
@@ -133,8 +137,16 @@ class NullPlant:
         """Share of the rover's weight that the tether carries."""
         if state.phase is Phase.HANGING:
             return 1.0
-        chord = math.hypot(state.x, state.y, self.drop(state))
-        return min(max(1.0 - (state.length - chord) / _GIVE, 0.0), 1.0)
+        return min(max(1.0 - (state.length - self._chord(state)) / _GIVE, 0.0), 1.0)
+
+    @property
+    def _weight(self) -> float:
+        """Of the rover [N]."""
+        return self.rover.mass * self.scenario.gravity
+
+    def _chord(self, state: NullState) -> float:
+        """From the fairlead to the attachment [m]."""
+        return math.hypot(state.x, state.y, self.drop(state))
 
     def slide(self, state: NullState) -> float:
         """Of Body 2 above Body 1 [m]."""
@@ -176,16 +188,28 @@ class NullPlant:
         if winch is None or wanted is None or not wanted.brake_released:
             return replace(state, payout_rate=0.0, brake_released=False)
         whole = self.scenario.tether.whole_length
-        free = state.length + wanted.rate * dt
+        rate = self._yielding(state, wanted, dt)
+        free = state.length + rate * dt
         length = min(max(free, winch.min_length), whole)
-        rate = wanted.rate
         if length != free:
             rate = (length - state.length) / dt
             if length != state.length:
-                side = math.copysign(1.0, wanted.rate)
+                side = math.copysign(1.0, rate)
                 values = {"side": side, "tension": self.tension(state)[0]}
                 events.append(Event("drum_stop", state.time + dt, values))
         return replace(state, length=length, payout_rate=rate, brake_released=True)
+
+    def _yielding(self, state: NullState, wanted: WinchCommand, dt: float) -> float:
+        """Rate of a drum whose motor gives no more than it may [m/s]."""
+        fairlead, rover = self.tension(state)
+        if wanted.rate > 0.0 or wanted.largest_tension >= fairlead - rover + self._weight:
+            return wanted.rate
+        if state.phase is Phase.HANGING:
+            return 0.0
+        # To where the tether pulls so.
+        share = max(wanted.largest_tension - (fairlead - rover), 0.0) / self._weight
+        balanced = self._chord(state) + (1.0 - share) * _GIVE
+        return min(max((balanced - state.length) / dt, wanted.rate), _GIVES_WAY)
 
     def _turned(self, state: NullState, command: Command, dt: float) -> NullState:
         """The wheels, as the ratchets let them."""

@@ -129,6 +129,27 @@ def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
     assert plant.tension(aside)[1] == pytest.approx(0.5 * weight)
 
 
+def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
+    plant = build(overrides='{"tether.length": 50.0}')
+    state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
+    holds = Command(winch=WinchCommand(0.0, -0.1, 0.0, True, 1.5))
+    held, _ = follow(plant, state, holds, 20.0)
+    assert plant.tension(held)[0] == pytest.approx(1.5, rel=1e-6)
+    assert held.payout_rate == pytest.approx(0.0, abs=1e-6)
+    # Driven away it draws tether out of the drum, and back the drum follows.
+    away, _ = follow(plant, held, replace(holds, wheel=WheelRateCommand(1.0)), 60.0)
+    assert away.x == pytest.approx(60.0 * plant.rover.wheels.tip_radius)
+    assert away.length > held.length + 0.5
+    assert plant.tension(away)[0] == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_drum_that_may_pull_less_than_hangs_does_not_lift_it():
+    plant = build()
+    weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 10.0))
+    state, _ = follow(plant, plant.initial_state(), weak, 1.0)
+    assert (state.length, state.payout_rate) == (10.0, 0.0)
+
+
 # ---------------------------------------------------------------------------------------- wheels
 
 
