@@ -32,6 +32,8 @@ _TICK = 0.05  # of the plant [s]
 _RELEASE = 0.15  # from the release to the take-off [s]
 _AFTER = 1.0  # watched from the touchdown on [s]
 _NUT_SPEED = 0.05  # [m/s]
+_SETTLES = 45.0  # longest, of the model [s]
+_CREEP = 5.0e-3  # with which it may go on rolling down a slope, or its tether to its place [m/s]
 _ROUNDED = 3  # decimals of what a place is kept by
 
 
@@ -212,7 +214,8 @@ class JumpPredictor:
                 "start.kind": "standing",
                 "start.position": [x, y],
                 "start.heading": math.degrees(heading),
-                "start.settling": 300.0,
+                "start.settling": _SETTLES,
+                "start.creep": _CREEP,
                 "tether.length": length,
                 "tether.max_length": max(length + 1.0, 60.0),
                 "tether.elements": None,

@@ -279,6 +279,7 @@ class SpatialPlant:
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling
+        speed = math.inf
         while state.time < longest:
             before = _tether_speed(state)
             state, result = self._advance(model, state, orders, _SETTLING_TICK)
@@ -295,7 +296,7 @@ class SpatialPlant:
             gains = state.time > _SETTLING_SLOW and _tether_speed(state) > before
             tether = 1.0 if gains else _SETTLING_SCALE
             state = _slowed(state, _SETTLING_SCALE, tether)
-        else:
+        if speed > max(self.scenario.start.creep, _AT_REST):
             raise SettlingError(
                 f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
                 " settling; give start.settling more, or another start.position"

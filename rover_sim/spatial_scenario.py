@@ -100,7 +100,8 @@ class Start(Configuration):
         `twist`, and already being paid out at `payout_rate`, the brake open.
     ``standing``
         on the floor at `position`, facing `heading`, the tether slack: from the fairlead down and
-        along the floor. Rover and tether are settled by simulating them for up to `settling`.
+        along the floor. Rover and tether are settled by simulating them for up to `settling`;
+        what moves faster than `creep` then is refused.
     ``straight``
         straight and unstretched along `direction`, the tip moving with `tip_velocity` and the
         rest linearly with arc length; `attitude` is the rover's rotation vector, body to map, and
@@ -126,6 +127,10 @@ class Start(Configuration):
     settling: float = quantity(
         "s", "longest simulated time of settling", 60.0, above=0.0, maximum=600.0
     )
+    creep: float = quantity(
+        "m/s", "speed of rover and tether that is borne when that is over, as of wheels that roll "
+        "down a slope", 1.0e-6, above=0.0, maximum=0.1,
+    )  # fmt: skip
     direction: Vector | None = quantity(
         "-", "of the straight tether, any length", None, length=3, optional=True
     )
@@ -157,7 +162,7 @@ _USED_BY: dict[str, set[str]] = {
         "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
         "body_rate", "twist", "payout_rate",
     },
-    "standing": {"kind", "position", "heading", "settling"},
+    "standing": {"kind", "position", "heading", "settling", "creep"},
     "straight": {"kind", "direction", "tip_velocity", "attitude", "angular_velocity"},
 }  # fmt: skip
 

@@ -54,6 +54,16 @@ def test_the_same_question_has_the_same_answer(usual: Forecast):
     assert foretold()._replace(took=0.0) == usual._replace(took=0.0)
 
 
+@pytest.mark.parametrize("ahead", [-0.16, 0.16])
+def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_foretold(ahead: float):
+    # One way its ratchets let it roll: it finds no rest.
+    slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
+    question = Question(slope, 0.15, False, 1)
+    found = JumpPredictor(FEW).foretell(question, SpringEstimate(SpringParameters()))
+    assert "cannot be foretold" not in found.refused
+    assert found.rollouts == 8
+
+
 def test_a_clearance_is_reached_with_more_than_the_median(usual: Forecast):
     safe = foretold(clearance=True)
     assert safe.stroke > usual.stroke

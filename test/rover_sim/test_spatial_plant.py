@@ -11,8 +11,10 @@ import pytest
 
 from rover_sim import (
     Command,
+    Phase,
     PlanarPlant,
     ScenarioError,
+    SettlingError,
     SpatialPlant,
     WinchCommand,
     load_planar,
@@ -166,3 +168,20 @@ def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(s
     after, _ = plant.step(began, Command(), 1.0)
     moved = np.linalg.norm(after.nodes[:, 0] - began.nodes[:, 0], axis=1)
     assert float(moved.max()) < 1e-4
+
+
+def test_what_rolls_on_down_its_slope_is_refused_unless_a_creep_is_borne():
+    changes: dict[str, Any] = {
+        "place.relief": None,
+        "place.boulders": None,
+        "place.floor": {"height": -6.0, "slope": 9.0, "downhill": 0.0},
+        "start": {"kind": "standing", "position": [1.0, 0.0], "heading": 0.0, "settling": 30.0},
+        "tether.length": 7.0,
+        "integration.h": 2e-3,
+    }
+    with pytest.raises(SettlingError, match="still moving"):
+        SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
+    changes["start"]["creep"] = 0.1
+    began = SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
+    assert began.phase is Phase.GROUNDED
+    assert not began.G1_rate.any()
