@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from rover_sim.machine import Rover, jump_height
+from rover_sim.machine import Rover, Winch, jump_height
 from rover_sim.plant import (
     Command,
     Energies,
@@ -188,7 +188,7 @@ class NullPlant:
         if winch is None or wanted is None or not wanted.brake_released:
             return replace(state, payout_rate=0.0, brake_released=False)
         whole = self.scenario.tether.whole_length
-        rate = self._yielding(state, wanted, dt)
+        rate = self._yielding(state, winch, wanted, dt)
         free = state.length + rate * dt
         length = min(max(free, winch.min_length), whole)
         if length != free:
@@ -199,15 +199,21 @@ class NullPlant:
                 events.append(Event("drum_stop", state.time + dt, values))
         return replace(state, length=length, payout_rate=rate, brake_released=True)
 
-    def _yielding(self, state: NullState, wanted: WinchCommand, dt: float) -> float:
-        """Rate of a drum whose motor gives no more than it may [m/s]."""
+    def _yielding(self, state: NullState, winch: Winch, wanted: WinchCommand, dt: float) -> float:
+        """Rate of a drum whose motor gives no more than it may, and that has dry friction [m/s]."""
         fairlead, rover = self.tension(state)
-        if wanted.rate > 0.0 or wanted.largest_tension >= fairlead - rover + self._weight:
+        friction, most = winch.friction.breakaway / winch.radius, wanted.largest_tension
+        if most - friction >= fairlead - rover + self._weight:
             return wanted.rate
-        if state.phase is Phase.HANGING:
+        if state.phase is not Phase.GROUNDED:
+            return max(wanted.rate, 0.0)
+        if wanted.rate > 0.0:
+            return wanted.rate if fairlead + most > friction else 0.0
+        # Reeled in until the tether pulls so much more, drawn out until it pulls so much less.
+        pull = min(max(fairlead, most - friction), most + friction)
+        if pull == fairlead:
             return 0.0
-        # To where the tether pulls so.
-        share = max(wanted.largest_tension - (fairlead - rover), 0.0) / self._weight
+        share = max(pull - (fairlead - rover), 0.0) / self._weight
         balanced = self._chord(state) + (1.0 - share) * _GIVE
         return min(max((balanced - state.length) / dt, wanted.rate), _GIVES_WAY)
 

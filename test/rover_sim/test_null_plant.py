@@ -132,15 +132,22 @@ def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
 def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
     plant = build(overrides='{"tether.length": 50.0}')
     state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
-    holds = Command(winch=WinchCommand(0.0, -0.1, 0.0, True, 1.5))
+    winch = plant.scenario.winch
+    assert winch is not None
+    friction = winch.friction.breakaway / winch.radius
+    holds = Command(winch=WinchCommand(0.0, -0.1, 0.0, True, 4.0))
     held, _ = follow(plant, state, holds, 20.0)
-    assert plant.tension(held)[0] == pytest.approx(1.5, rel=1e-6)
-    assert held.payout_rate == pytest.approx(0.0, abs=1e-6)
-    # Driven away it draws tether out of the drum, and back the drum follows.
+    assert plant.tension(held)[0] == pytest.approx(4.0 - friction, rel=1e-6)
+    assert held.payout_rate == 0.0
+    # Driven away it draws tether out of the drum.
     away, _ = follow(plant, held, replace(holds, wheel=WheelRateCommand(1.0)), 60.0)
     assert away.x == pytest.approx(60.0 * plant.rover.wheels.tip_radius)
     assert away.length > held.length + 0.5
-    assert plant.tension(away)[0] == pytest.approx(1.5, rel=0.05)
+    assert plant.tension(away)[0] == pytest.approx(4.0 + friction, rel=0.05)
+    # A motor that pushes less than the friction is does not turn it.
+    weak = Command(winch=WinchCommand(0.0, 0.1, 0.0, True, 0.1))
+    slack = replace(held, length=held.length + 1.0)
+    assert follow(plant, slack, weak, 1.0)[0].length == slack.length
 
 
 def test_a_drum_that_may_pull_less_than_hangs_does_not_lift_it():
