@@ -33,7 +33,7 @@ _RELEASE = 0.15  # from the release to the take-off [s]
 _AFTER = 1.0  # watched from the touchdown on [s]
 _NUT_SPEED = 0.05  # [m/s]
 _SETTLES = 45.0  # longest, of the model [s]
-_CREEP = 5.0e-3  # with which it may go on rolling down a slope, or its tether to its place [m/s]
+_CREEP = 0.05  # with which it may go on rolling down a slope, or its tether to its place [m/s]
 _ROUNDED = 3  # decimals of what a place is kept by
 
 
