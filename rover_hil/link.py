@@ -7,11 +7,13 @@ other, and a process that hangs sends nothing, its heartbeat included.
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Mapping
 
 import can
 import canopen
 
+from rover_hil.devices import SYNC_PERIOD
 from rover_hil.objects import Pdo
 from rover_hil.serial_bus import CobsSerialBus
 
@@ -112,6 +114,17 @@ class Link:
     def close(self) -> None:
         """Close the bus."""
         self.bus.shutdown()
+
+
+def waited_ns(frame: can.Message) -> int:
+    """How long ago a frame has come by the bus [ns], by the system's stamp, where it bears one.
+
+    No longer than a period of SYNC: an end that hangs has not taken it.
+    """
+    if not frame.timestamp:
+        return 0
+    waited = time.time_ns() - round(frame.timestamp * 1e9)
+    return min(max(waited, 0), round(SYNC_PERIOD * 1e9))
 
 
 def pack(pdo: Pdo, counts: Mapping[str, int]) -> bytes:

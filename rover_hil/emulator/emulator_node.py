@@ -14,8 +14,6 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-import can
-
 from msg_schemas import topics
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
@@ -27,7 +25,7 @@ from rover_hil.emulator.killing import kill_process
 from rover_hil.emulator.machine import EmulatedMachine, played_beside
 from rover_hil.emulator.pace import SyncPace
 from rover_hil.impairment import read_impairments
-from rover_hil.link import SYNC_ID, Link
+from rover_hil.link import SYNC_ID, Link, waited_ns
 from rover_hil.transport import open_bus
 from rover_hil.wiring import TOLD
 from rover_sim import Teller, Tick, TruthRates, load_overridden, ready_simulation, totals
@@ -251,7 +249,7 @@ class EmulatorNode(ContractNode):
                 if lockstep:
                     machine.hear([frame])
                 else:
-                    machine.hear(link.waiting(frame), _waited_ns)
+                    machine.hear(link.waiting(frame), waited_ns)
                 if lockstep and frame.arbitration_id == SYNC_ID:
                     link.send(CYCLE_OVER_ID, bytes(frame.data[:1]))
                 if frame.arbitration_id == SYNC_ID:
@@ -385,17 +383,6 @@ class EmulatorNode(ContractNode):
             level = Level.WARN
             message = f"NOT real time: it reaches {measured}, {pace.given_up:.3g} s were given up"
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
-
-
-def _waited_ns(frame: can.Message) -> int:
-    """How long ago a frame has come by the bus [ns], by the system's stamp, where it bears one.
-
-    No longer than a period: an emulator that hangs is a drive that hangs.
-    """
-    if not frame.timestamp:
-        return 0
-    waited = time.time_ns() - round(frame.timestamp * 1e9)
-    return min(max(waited, 0), round(SYNC_PERIOD * 1e9))
 
 
 def main() -> int:
