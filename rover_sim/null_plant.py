@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from msg_schemas.machine import MAX_PAYOUT_RATE
 from rover_sim.machine import Rover, Winch, jump_height
 from rover_sim.plant import (
     Command,
@@ -41,7 +42,6 @@ from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 
 _ARRIVED = 1e-12  # [m], of rounding
 _GIVE = 0.3  # slack with which a tether of a standing rover carries nothing of it any more [m]
-_GIVES_WAY = 0.5  # rate at which the drum gives way to the tether, at most [m/s]
 _FELT = 0.1  # in which an IMU feels a sudden change of speed, so that nobody misses it [s]
 _FULL_TURN = 2.0 * math.pi
 
@@ -203,19 +203,19 @@ class NullPlant:
         """Rate of a drum whose motor gives no more than it may, and that has dry friction [m/s]."""
         fairlead, rover = self.tension(state)
         friction, most = winch.friction.breakaway / winch.radius, wanted.largest_tension
-        if most - friction >= fairlead - rover + self._weight:
+        if self._weight == 0.0 or most - friction >= fairlead - rover + self._weight:
             return wanted.rate
         if state.phase is not Phase.GROUNDED:
             return max(wanted.rate, 0.0)
         if wanted.rate > 0.0:
             return wanted.rate if fairlead + most > friction else 0.0
-        # Reeled in until the tether pulls so much more, drawn out until it pulls so much less.
+        # The drum stands where the tether's pull is the motor's, within what the friction holds.
         pull = min(max(fairlead, most - friction), most + friction)
         if pull == fairlead:
             return 0.0
         share = max(pull - (fairlead - rover), 0.0) / self._weight
         balanced = self._chord(state) + (1.0 - share) * _GIVE
-        return min(max((balanced - state.length) / dt, wanted.rate), _GIVES_WAY)
+        return min(max((balanced - state.length) / dt, wanted.rate), MAX_PAYOUT_RATE)
 
     def _turned(self, state: NullState, command: Command, dt: float) -> NullState:
         """The wheels, as the ratchets let them."""

@@ -150,6 +150,13 @@ def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
     assert follow(plant, slack, weak, 1.0)[0].length == slack.length
 
 
+def test_without_weight_a_drum_follows_however_little_its_motor_may():
+    plant = build(overrides='{"place.gravity": 0.0}')
+    weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 0.1))
+    state, _ = follow(plant, plant.initial_state(), weak, 1.0)
+    assert state.length == pytest.approx(9.7)
+
+
 def test_a_drum_that_may_pull_less_than_hangs_does_not_lift_it():
     plant = build()
     weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 10.0))
