@@ -58,6 +58,7 @@ setup(
     packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
     package_data={
         "": ["py.typed"],
+        "msg_schemas": ["loopback.xml", "network.xml"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
         "rover_control": ["missions/*.yaml"],
         "rover_hil": ["eds/*.eds", "procedures/*.yaml"],

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from msg_schemas import transport
+
 if TYPE_CHECKING:
     from rover_verify.stage import Observer, Processes, Stage
 
@@ -20,10 +22,11 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, print_b
 settings.register_profile("exploring", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# Both are read when ROS is imported, which is why the fixtures import late: publishing a wrong type
-# is an error, and other machines on the network stay out.
+# Read when ROS is imported, which is why the fixtures import late: publishing a wrong type is an
+# error, and other machines on the network stay out.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+transport.choose()
 # Nodes that only tests run are started by their module's name, as all others are.
 os.environ["PYTHONPATH"] = os.pathsep.join(
     [str(Path(__file__).parent / "support"), *filter(None, [os.environ.get("PYTHONPATH")])]
