@@ -61,7 +61,10 @@ def test_help_lists_every_command_and_exit_code():
 @pytest.mark.ros
 def test_an_operator_is_told_what_became_of_each_order(stage: Stage):
     # Slow simulated time, and patience: a machine that is busy elsewhere must not brake the winch.
-    patient = {"use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0}
+    patient = {
+        "use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0, "encoder_silence": 1.0,
+        "load_cell_silence": 10.0,
+    }  # fmt: skip
     slow = {"scenario": "free_hang", "real_time_factor": 0.5}
 
     def rover(*given: str) -> Process:

@@ -12,7 +12,7 @@ import time
 
 from hanging_machine import HangingMachine
 from winch_hoist import Hoist
-from winch_mother import Mother
+from winch_mother import AGAIN, Mother
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
@@ -73,7 +73,7 @@ class DescentMother(Mother):
 
     def _await_answer(self, heard: int) -> None:
         super()._await_answer(heard)
-        begun = time.monotonic()
+        begun = told = time.monotonic()
         pause = threading.Event()
         patience = _ANSWER if self._unanswered < _MANY else _LOST
         if not self._unanswered:
@@ -85,6 +85,9 @@ class DescentMother(Mother):
             if time.monotonic() - begun > patience:
                 self._unanswered += 1
                 return
+            if time.monotonic() - told > AGAIN:
+                self._tell_time()
+                told = time.monotonic()
             pause.wait(_LOOK)
 
     def _keeps_up(self) -> bool:

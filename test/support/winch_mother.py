@@ -34,6 +34,7 @@ _PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
 _ANSWER = 0.05  # the same of one that did not answer the last tick [s]
 _LOST = 0.002  # the same of one that is known to be dead [s]
 _LOOK = 0.002  # [s]
+AGAIN = 0.5  # after which the time is told again: nodes hear it by best effort, it may be lost [s]
 
 
 class Mother:
@@ -142,10 +143,13 @@ class Mother:
             if message is not None:
                 self._outlets[name].publish(message)
 
+    def _tell_time(self) -> None:
+        self._outlets[topics.CLOCK].publish(encode(topics.CLOCK, ClockSample(self.now_ns)))
+
     def _await_answer(self, heard: int) -> None:
         """Wait for the command of this tick, where so many have been heard before it."""
         pause = threading.Event()
-        begun = time.monotonic()
+        begun = told = time.monotonic()
         while not self._ended.is_set():
             last = self._commands.last
             if len(self._commands) > heard and last.stamp_ns >= self.now_ns:
@@ -155,4 +159,7 @@ class Mother:
             if time.monotonic() - begun > (_LOST if self.is_alone else patience):
                 self._is_answered = False
                 return
+            if time.monotonic() - told > AGAIN:
+                self._tell_time()
+                told = time.monotonic()
             pause.wait(_LOOK)
