@@ -288,11 +288,15 @@ class Way(Conduct):
         if math.isnan(self._slack_from):
             self._slack_from = sight.length
         slack = self.plan.jumps.slack
-        if sight.length - self._slack_from > _GIVEN * slack and self.asked is not None:
+        asked_for = -math.inf if self.asked is None else now - self.asked
+        given = asked_for >= 0.0 and sight.length - self._slack_from > _GIVEN * slack
+        # A mission that was killed since had it given: the winch counts from the taut length.
+        had = asked_for >= _SLACKENS and sight.winch == "slack"
+        if given or had:
             self._slack_from = math.nan
             self._enter(_Stage.JUMP, now)
             return None
-        if self.asked is not None and now - self.asked < _SLACKENS:
+        if 0.0 <= asked_for < _SLACKENS:
             return None
         return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, joint_of(WINCH_SLACK, slack)))
 

@@ -61,7 +61,8 @@ _MOVED: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
         (topics.WINCH_STATE, topics.WHEEL_STATE),
         frozenset({"driving", "returning"}),
     ),
-    "jump_node": ((topics.JUMP_MOTOR_STATE,), frozenset()),
+    # The screw turns with the flywheel, by which the descent holds the rover's attitude.
+    "jump_node": ((topics.JUMP_MOTOR_STATE,), frozenset({"driving", "jumping", "returning"})),
     "mission_node": ((topics.WINCH_STATE,), frozenset({"landing", "lifting"})),
 }
 _JOINTS = {

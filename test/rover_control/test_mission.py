@@ -442,6 +442,19 @@ def test_one_that_is_started_again_late_waits_to_be_resumed():
     assert finished(machine)
 
 
+def test_killed_after_slack_was_given_it_jumps_from_what_is_there():
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
+    machine = begun(MissionPhase.JUMPING, plan)
+    while not machine.slack:
+        machine.tick()
+    machine.restart_mission()
+    killed = machine.now
+    machine.run(until=MissionPhase.RETURNING)
+    assert verdicts(machine) == {Verdict.DONE}
+    assert machine.asked.count(topics.JUMP_REQUEST) == 1
+    assert machine.now - killed < 30.0
+
+
 def test_a_checkpoint_of_another_plan_or_run_is_left():
     machine = begun(MissionPhase.DRIVING)
     kept = machine.mission.checkpoint(machine.now_ns)

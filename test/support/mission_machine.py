@@ -236,8 +236,8 @@ class MissionMachine:
         if topic == topics.DESCENT_REQUEST and name in (OBSERVATION_STOP, PLAIN_STOP):
             self._stop, self.descent = (name, amount), "travelling"
         elif topic == topics.WINCH_REQUEST and name == WINCH_SLACK:
+            self.length += amount - self.slack  # beyond the taut length
             self.slack, self.winch = amount, "slack"
-            self.length += amount
         elif topic == topics.WINCH_REQUEST:
             self._length_goal, self.winch, self.rate = amount, "length", rate
         elif name == JUMP_OUTLOOK:
