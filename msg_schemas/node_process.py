@@ -17,7 +17,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from msg_schemas import transport
+from msg_schemas import middleware
 from msg_schemas.node import ContractNode, ExitCode, parameter_classes
 from msg_schemas.parameters import ParameterError
 from msg_schemas.ros_parameters import described_parameters
@@ -101,7 +101,7 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
 
 
 def _init_ros(arguments: list[str]) -> None:
-    transport.choose()
+    middleware.choose()
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         rest = remove_ros_args(arguments)

@@ -19,7 +19,7 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from msg_schemas import qos, topics, transport
+from msg_schemas import middleware, qos, topics
 from msg_schemas.acquaintance import Acquaintance, listeners
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -541,7 +541,7 @@ def open_link(
         who: asks; by default the name.
     """
     context = Context()
-    transport.choose()
+    middleware.choose()
     rclpy.init(args=list(arguments), context=context)
     node = rclpy.create_node(
         f"{name}_{secrets.token_hex(4)}", namespace=namespace, context=context,

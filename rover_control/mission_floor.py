@@ -288,16 +288,16 @@ class Way(Conduct):
         if math.isnan(self._slack_from):
             self._slack_from = sight.length
         slack = self.plan.jumps.slack
-        asked_for = -math.inf if self.asked is None else now - self.asked
-        given = asked_for >= 0.0 and sight.length - self._slack_from > _GIVEN * slack
-        # A mission that was killed since had it given: the winch counts from the taut length.
-        had = asked_for >= _SLACKENS and sight.winch == "slack"
-        if given or had:
-            self._slack_from = math.nan
-            self._enter(_Stage.JUMP, now)
-            return None
-        if 0.0 <= asked_for < _SLACKENS:
-            return None
+        if self.asked is not None:
+            waits = now - self.asked < _SLACKENS
+            given = sight.length - self._slack_from > _GIVEN * slack
+            # A mission that was killed since had it given: the winch counts from the taut length.
+            if given or (not waits and sight.winch == "slack"):
+                self._slack_from = math.nan
+                self._enter(_Stage.JUMP, now)
+                return None
+            if waits:
+                return None
         return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, joint_of(WINCH_SLACK, slack)))
 
     def _jump(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:

@@ -24,7 +24,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
-from msg_schemas import qos, topics, transport
+from msg_schemas import middleware, qos, topics
 from msg_schemas.access import ACCESS, ALL
 from msg_schemas.acquaintance import Acquaintance, listeners
 from msg_schemas.codecs import decode, encode, message_class, topic_row
@@ -121,7 +121,7 @@ class Observer:
         self, domain: int, namespace: str = "", remap: Mapping[str, str] | None = None
     ) -> None:
         self._context = Context()
-        transport.choose()
+        middleware.choose()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self.node = rclpy.create_node(
             f"observer_{next(_number)}",

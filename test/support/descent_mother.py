@@ -7,12 +7,10 @@ not wrong.
 from __future__ import annotations
 
 import math
-import threading
-import time
 
 from hanging_machine import HangingMachine
 from winch_hoist import Hoist
-from winch_mother import AGAIN, Mother
+from winch_mother import ANSWER, LOST, PATIENCE, Mother
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
@@ -24,11 +22,7 @@ from rover_verify.stage.observer import Feed
 
 _LAG_NS = 60_000_000  # by which the descent's commands may be behind
 _ESTIMATE_LAG_NS = 200_000_000  # by which its estimates may be, that it tells ten times a second
-_PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
-_ANSWER = 0.05  # the same of one that did not answer the last tick [s]
-_LOST = 0.002  # the same of one that has not answered for many ticks [s]
-_MANY = 40
-_LOOK = 0.002  # [s]
+_MANY = 40  # ticks without an answer, after which the descent is taken for dead
 _COASTING = 3.0  # of a wheel without commands, by its friction [rad/s^2]
 
 
@@ -73,22 +67,11 @@ class DescentMother(Mother):
 
     def _await_answer(self, heard: int) -> None:
         super()._await_answer(heard)
-        begun = told = time.monotonic()
-        pause = threading.Event()
-        patience = _ANSWER if self._unanswered < _MANY else _LOST
+        patience = ANSWER if self._unanswered < _MANY else LOST
         if not self._unanswered:
-            patience = _PATIENCE
-        while not self._ended.is_set():
-            if self._keeps_up():
-                self._unanswered = 0
-                return
-            if time.monotonic() - begun > patience:
-                self._unanswered += 1
-                return
-            if time.monotonic() - told > AGAIN:
-                self._tell_time()
-                told = time.monotonic()
-            pause.wait(_LOOK)
+            patience = PATIENCE
+        keeps_up = self._await(self._keeps_up, lambda: patience)
+        self._unanswered = 0 if keeps_up else self._unanswered + 1
 
     def _keeps_up(self) -> bool:
         """Whether the descent has heard what it was told but a moment ago."""

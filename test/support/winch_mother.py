@@ -30,11 +30,11 @@ from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
 from rover_verify.stage import Observer
 from tether_winch.servo import DriveCommand
 
-_PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
-_ANSWER = 0.05  # the same of one that did not answer the last tick [s]
-_LOST = 0.002  # the same of one that is known to be dead [s]
+PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
+ANSWER = 0.05  # the same of one that did not answer the last tick [s]
+LOST = 0.002  # the same of one that is known to be dead [s]
 _LOOK = 0.002  # [s]
-AGAIN = 0.5  # after which the time is told again: nodes hear it by best effort, it may be lost [s]
+_AGAIN = 0.5  # after which time is told again: it is heard by best effort and may be lost [s]
 
 
 class Mother:
@@ -143,23 +143,28 @@ class Mother:
             if message is not None:
                 self._outlets[name].publish(message)
 
-    def _tell_time(self) -> None:
-        self._outlets[topics.CLOCK].publish(encode(topics.CLOCK, ClockSample(self.now_ns)))
-
     def _await_answer(self, heard: int) -> None:
         """Wait for the command of this tick, where so many have been heard before it."""
+
+        def has_come() -> bool:
+            last = self._commands.last
+            return len(self._commands) > heard and last.stamp_ns >= self.now_ns
+
+        patience = PATIENCE if self._is_answered else ANSWER
+        self._is_answered = self._await(has_come, lambda: LOST if self.is_alone else patience)
+
+    def _await(self, has_come: Callable[[], bool], patience: Callable[[], float]) -> bool:
+        """Wait until an answer has come, telling the time again, or patience has ended [s]."""
         pause = threading.Event()
         begun = told = time.monotonic()
         while not self._ended.is_set():
-            last = self._commands.last
-            if len(self._commands) > heard and last.stamp_ns >= self.now_ns:
-                self._is_answered = True
-                return
-            patience = _PATIENCE if self._is_answered else _ANSWER
-            if time.monotonic() - begun > (_LOST if self.is_alone else patience):
-                self._is_answered = False
-                return
-            if time.monotonic() - told > AGAIN:
-                self._tell_time()
-                told = time.monotonic()
+            if has_come():
+                return True
+            now = time.monotonic()
+            if now - begun > patience():
+                return False
+            if now - told > _AGAIN:
+                self._outlets[topics.CLOCK].publish(encode(topics.CLOCK, ClockSample(self.now_ns)))
+                told = now
             pause.wait(_LOOK)
+        return False

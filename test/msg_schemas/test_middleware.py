@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from msg_schemas.transport import LOOPBACK, NETWORK, settings
+from msg_schemas.middleware import LOOPBACK, NETWORK, settings
 from rover_verify.stage import Stage
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
