@@ -45,6 +45,7 @@ from msg_schemas.ros_parameters import (
     declare_parameters,
 )
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
+from msg_schemas.scheduling import take_realtime_priority
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
 
 if TYPE_CHECKING:
@@ -91,6 +92,14 @@ class ShellParameters:
         True,
         "-",
         "configure and activate by itself; false waits for a lifecycle manager",
+        read_only=True,
+    )
+    realtime_priority: int = parameter(
+        0,
+        "-",
+        "of the process from its activation on, by SCHED_RR of Linux; 0: scheduled as any other",
+        0,
+        49,  # the kernel's own interrupts stand at 50
         read_only=True,
     )
 
@@ -483,10 +492,24 @@ class ContractNode(LifecycleNode):
         gc.collect()
         gc.freeze()
         self.active, self._is_caught_up = True, False
+        self._take_priority()
         self.start()
         self._catch_up()
         self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
         self.event("active", f"{self.NAME} is active")
+
+    def _take_priority(self) -> None:
+        priority = self.parameters_of(ShellParameters).realtime_priority
+        if not priority:
+            return
+        try:
+            take_realtime_priority(priority)
+        except OSError as error:
+            message = (
+                f"realtime_priority {priority} is not had ({error}), the process is scheduled as "
+                f"any other: whoever runs it should be permitted rtprio {priority}"
+            )
+            self.event("no_realtime_priority", message, Level.WARN)
 
     def _deactivate(self) -> None:
         for timer in self._timers_while_active:

@@ -23,6 +23,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
+from msg_schemas.scheduling import give_priority_up
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_forecast import (
@@ -121,7 +122,9 @@ class JumpNode(ContractNode):
         self._jump = Jump(JumpSettings(**values))
         self._jump.hear_winch_mode(self._heard_mode)  # what is latched is not said again
         self._model = _Model(self.parameters_of(ForecastParameters))
-        self._foreteller = ThreadPoolExecutor(1, thread_name_prefix="foretell")
+        self._foreteller = ThreadPoolExecutor(
+            1, thread_name_prefix="foretell", initializer=give_priority_up
+        )
         self._answer: tuple[Question, Future[Forecast]] | None = None
 
     # --- what is heard ---------------------------------------------------------------------------

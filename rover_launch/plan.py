@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 PACKAGE = "mother_rover"
@@ -43,6 +43,9 @@ PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
 
 EMULATOR_HAS = ("scenario", "overrides", "seed")
 """Those of them that emulated drives have as well: they keep to the wall clock."""
+
+PRIORITY = "realtime_priority"
+"""Parameter of every node; plant and controllers are given it, as the loop goes through them."""
 
 CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
     "winch_node": ("winch_node",),
@@ -163,6 +166,11 @@ def arguments_of(
             "",
             "of plant:=hil to emulated drives, each rover its own; empty = as the files",
         ),
+        Argument(
+            PRIORITY,
+            "",
+            "of plant and controllers, by SCHED_RR, from 1; empty = scheduled as any process",
+        ),
         Argument("namespace", "", "of all nodes; each namespace has a clock of its own"),
         Argument("record", "", "folder to create for a bag; empty = no recorder"),
         Argument("rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)),
@@ -222,6 +230,9 @@ def plan(
             parameters={"use_sim_time": simulated_time},
         )
         for name in controllers
+    ]
+    started = [
+        replace(each, parameters={**each.parameters, **_priority(given)}) for each in started
     ]
     if given["record"]:
         started.append(Started("bag_record", arguments=("--output", given["record"])))
@@ -311,6 +322,13 @@ def _typed(name: str, text: str) -> Value:
     except (ValueError, KeyError):
         wanted = "true or false" if kind is bool else f"of type {kind.__name__}"
         raise PlanError(f"{name} is {text!r}, it must be {wanted}") from None
+
+
+def _priority(given: Mapping[str, str]) -> dict[str, Value]:
+    text = given[PRIORITY]
+    if text and not text.isdecimal():
+        raise PlanError(f"{PRIORITY} is {text!r}, it must be a whole number from 1")
+    return {PRIORITY: int(text)} if text else {}
 
 
 def _argument_of(file: str) -> str:

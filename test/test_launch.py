@@ -122,6 +122,17 @@ def test_emulated_drives_and_bridge_share_the_link_of_a_rover():
     assert started["drive_emulator"].parameters == {"scenario": "free_hang", "link": link}
 
 
+def test_the_loop_s_processes_have_the_priority_that_is_asked_for():
+    _, started = planned(
+        *MISSION, plant="hil", realtime_priority="20", record="bag", console="true"
+    )
+    having = {name for name, each in started.items() if "realtime_priority" in each.parameters}
+    assert having == {"drive_emulator", "hil_bridge", *MISSION}
+    assert started["winch_node"].parameters["realtime_priority"] == 20
+    _, without = planned(*MISSION)
+    assert not any("realtime_priority" in each.parameters for each in without.values())
+
+
 def test_without_rviz_that_is_said_and_everything_else_is_started():
     without, started = planned(*MISSION, rviz="true")
     assert "rviz2" not in started
@@ -149,6 +160,7 @@ def test_the_operators_page_is_started_on_request():
         ({"start_paused": "maybe"}, "start_paused is 'maybe', it must be true or false"),
         ({"plant": "hil", "real_time_factor": "2"}, "real_time_factor is '2': with plant:=hil"),
         ({"plant": "hil", "model": "planar"}, "emulated drives play a spatial scenario"),
+        ({"realtime_priority": "high"}, "is 'high', it must be a whole number from 1"),
         ({"drives": "socketcan:can0"}, "plant is sim: nothing would speak to them"),
     ],
 )

@@ -1,10 +1,14 @@
 """A node that does next to nothing: the shell of every node, to be tested from outside."""
 
 import contextlib
+import os
+import resource
 import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from msg_schemas import topics
 from msg_schemas.node import ContractNode
@@ -14,6 +18,8 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
 
+_NOBODY = 65534
+
 
 @dataclass(frozen=True)
 class ShellNodeParameters:
@@ -22,7 +28,10 @@ class ShellNodeParameters:
     rate: float = parameter(10.0, "Hz", "how often it speaks", 1.0, 100.0)
     count: int = parameter(3, "-", "how many", 1, 9, read_only=True)
     trouble: str = parameter(
-        "none", "-", "what goes wrong", choices=("none", "value", "bug", "slow", "timer")
+        "none",
+        "-",
+        "what goes wrong",
+        choices=("none", "value", "bug", "slow", "timer", "no_rights"),
     )
 
 
@@ -48,6 +57,12 @@ class ShellNode(ContractNode):
             while True:
                 self.heed_stop()
                 threading.Event().wait(0.02)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if self.parameters_of(ShellNodeParameters).trouble == "no_rights" and os.geteuid() == 0:
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+            os.seteuid(_NOBODY)
+        return super().on_activate(state)
 
     def start(self) -> None:
         self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)

@@ -1,0 +1,94 @@
+"""The scheduling of a node's process, as the kernel tells it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from msg_schemas.samples import Level
+from msg_schemas.scheduling import give_priority_up
+
+if TYPE_CHECKING:
+    from rover_verify.stage import Observer, Processes
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.process,
+    pytest.mark.skipif(sys.platform != "linux", reason="only Linux has this scheduling"),
+]
+
+PRIORITY = 7
+
+
+def in_a_thread(act: Callable[[], int]) -> int:
+    """What something gives that is done in a thread of its own, with its own scheduling."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(act).result()
+
+
+def is_permitted() -> bool:
+    """Whether this test's processes may have a real-time priority."""
+    try:
+        return in_a_thread(take) == os.SCHED_RR
+    except PermissionError:
+        return False
+
+
+def take() -> int:
+    """A real-time priority for this thread alone; its policy then."""
+    os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(PRIORITY))
+    return os.sched_getscheduler(0)
+
+
+permitted = pytest.mark.skipif(
+    not is_permitted(), reason="a real-time priority is not permitted here"
+)
+
+
+def scheduling(pid: int) -> set[tuple[int, int]]:
+    """Policies and priorities of the threads of a process."""
+    threads = [int(thread.name) for thread in Path(f"/proc/{pid}/task").iterdir()]
+    return {
+        (os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority)
+        for thread in threads
+    }
+
+
+def test_a_process_is_scheduled_as_any_other(processes: Processes, observer: Observer):
+    process = processes.start("shell_node")
+    observer.wait_for_event("active")
+    assert scheduling(process.pid) == {(os.sched_getscheduler(0), 0)}
+
+
+@permitted
+def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, observer: Observer):
+    process = processes.start("shell_node", {"realtime_priority": PRIORITY})
+    observer.wait_for_event("active")
+    assert scheduling(process.pid) == {(os.SCHED_RR, PRIORITY)}
+
+
+def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
+    processes: Processes, observer: Observer
+):
+    process = processes.start("shell_node", {"realtime_priority": PRIORITY, "trouble": "no_rights"})
+    event = observer.wait_for_event("no_realtime_priority")
+    assert event.level is Level.WARN
+    assert f"should be permitted rtprio {PRIORITY}" in event.message
+    observer.wait_for_event("active")
+    assert scheduling(process.pid) == {(os.sched_getscheduler(0), 0)}
+
+
+@permitted
+def test_what_computes_long_gives_the_priority_up():
+    def computes() -> int:
+        take()
+        give_priority_up()
+        return in_a_thread(lambda: os.sched_getscheduler(0))
+
+    assert in_a_thread(computes) == os.SCHED_OTHER
