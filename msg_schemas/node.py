@@ -24,7 +24,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, JumpThreshold, ROSClock
+from rclpy.clock import Clock, JumpThreshold, ROSClock, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import Executor
@@ -37,6 +37,7 @@ from msg_schemas.access import Act, check_access
 from msg_schemas.admission import Admission, asker_of
 from msg_schemas.codecs import message_class, topic_row
 from msg_schemas.parameters import P, ParameterError, parameter
+from msg_schemas.periodic_calls import PeriodicCalls
 from msg_schemas.publisher import ContractPublisher
 from msg_schemas.refusal import REQUEST_ACCEPTED, Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
@@ -61,6 +62,12 @@ _READINESS_PERIOD = 0.1
 _SPIN_SLICE = 0.1
 _MOST_AT_ONCE = 50
 _LAST_WORDS = 0.5
+_SIMULATED = "use_sim_time"
+_ANY_TIME = JumpThreshold(
+    min_forward=Duration(nanoseconds=1),
+    min_backward=Duration(nanoseconds=-1),
+    on_clock_change=False,  # it keeps the clock that it started with
+)
 
 
 class ToldToStop(Exception):
@@ -114,8 +121,7 @@ class ContractNode(LifecycleNode):
 
     NAME: ClassVar[str] = ""
     PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
-    # For each message it takes less than half of the time of rclpy's others, which wait for sets,
-    # and of timers by simulated time it misses fewer.
+    # For each message it takes less than half of the time of rclpy's others, which wait for sets.
     EXECUTOR: ClassVar[Callable[[], Executor]] = EventsExecutor
 
     def __init__(self, **node_options: Any) -> None:
@@ -140,6 +146,7 @@ class ContractNode(LifecycleNode):
         self._served: list[Any] = []
         self._callers: dict[str, Any] = {}
         self._timers_while_active: list[Any] = []
+        self._calls_while_active = PeriodicCalls()  # by simulated time
         self._groups = declare_parameters(self, parameter_classes(type(self)))
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = ContractPublisher(self, topics.DIAGNOSTICS, self.refuse)
@@ -147,11 +154,8 @@ class ContractNode(LifecycleNode):
         self._config = ContractPublisher(self, topics.CONFIG, self.refuse)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_health, clock=self._steady)
-        threshold = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
-        )
         self._jump_handle = self.get_clock().create_jump_callback(
-            threshold, post_callback=self._on_clock_jump
+            _ANY_TIME, post_callback=self._on_clock_jump
         )
 
     # --- what subclasses override --------------------------------------------------------------
@@ -181,7 +185,7 @@ class ContractNode(LifecycleNode):
         return {}
 
     def clock_jumped(self) -> None:
-        """React to a clock that jumped back or changed its source."""
+        """React to a clock that jumped back."""
 
     def parameters_changed(self) -> None:
         """React to parameters that were changed while the node runs."""
@@ -194,6 +198,9 @@ class ContractNode(LifecycleNode):
         return found
 
     def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        if any(change.name == _SIMULATED for change in changes):
+            reason = f"{_SIMULATED} is read when the node starts: it should be given then"
+            return SetParametersResult(successful=False, reason=reason)
         try:
             renewed = changed_groups(self._groups, changes)
         except ParameterError as error:
@@ -289,6 +296,9 @@ class ContractNode(LifecycleNode):
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
     ) -> None:
         """Call back every ``period`` seconds of the node's clock while active."""
+        if self._is_simulated and not by_wall_clock:
+            self._calls_while_active.add(round(period * 1e9), callback, self.now_ns())
+            return
         clock = self._steady if by_wall_clock else None
         self._timers_while_active.append(self.create_timer(period, callback, clock=clock))
 
@@ -301,9 +311,12 @@ class ContractNode(LifecycleNode):
 
         A sample that is heard before would seem as old as the clock's first reading.
         """
+        return not self._is_simulated or self.now_ns() > 0
+
+    @property
+    def _is_simulated(self) -> bool:
         clock = self.get_clock()
-        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
-        return not is_simulated or clock.now().nanoseconds > 0
+        return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
     def event(
         self,
@@ -387,7 +400,11 @@ class ContractNode(LifecycleNode):
         """Forget the stamps of past commands: the clock that they follow has gone back."""
         self._admission.forget()
 
-    def _on_clock_jump(self, _jump: Any) -> None:
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        if jump.delta.nanoseconds > 0:
+            self._calls_while_active.go_on(self.now_ns())
+            return
+        self._calls_while_active.begin_anew(self.now_ns())
         self.accept_earlier_stamps()
         self.clock_jumped()
 
@@ -492,29 +509,19 @@ class ContractNode(LifecycleNode):
         gc.collect()
         gc.freeze()
         self.active, self._is_caught_up = True, False
-        self._take_priority()
+        refused = take_realtime_priority(self.parameters_of(ShellParameters).realtime_priority)
+        if refused:
+            self.event("no_realtime_priority", refused, Level.WARN)
         self.start()
         self._catch_up()
         self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
         self.event("active", f"{self.NAME} is active")
 
-    def _take_priority(self) -> None:
-        priority = self.parameters_of(ShellParameters).realtime_priority
-        if not priority:
-            return
-        try:
-            take_realtime_priority(priority)
-        except OSError as error:
-            message = (
-                f"realtime_priority {priority} is not had ({error}), the process is scheduled as "
-                f"any other: whoever runs it should be permitted rtprio {priority}"
-            )
-            self.event("no_realtime_priority", message, Level.WARN)
-
     def _deactivate(self) -> None:
         for timer in self._timers_while_active:
             self.destroy_timer(timer)
         self._timers_while_active.clear()
+        self._calls_while_active.clear()
         if self.active:
             self.stop()
             self.active = False

@@ -11,15 +11,28 @@ _THREADS = Path("/proc/self/task")
 _THIS_THREAD = 0
 
 
-def take_realtime_priority(priority: int) -> None:
+def take_realtime_priority(priority: int) -> str:
     """Have the kernel run all threads of this process by SCHED_RR, and those that they start.
 
     Args:
-        priority: from 1; a higher one goes first.
+        priority: from 1, a higher one goes first; 0: none is wanted.
 
-    Raises:
-        OSError: it is not permitted, or this is not Linux.
+    Returns:
+        Why it is not had, and what would help; empty: it is.
     """
+    if not priority:
+        return ""
+    try:
+        _schedule_all(priority)
+    except OSError as error:
+        return (
+            f"realtime_priority {priority} is not had ({error}), the process is scheduled as any "
+            f"other: whoever runs it should be permitted rtprio {priority}"
+        )
+    return ""
+
+
+def _schedule_all(priority: int) -> None:
     if sys.platform != "linux":
         raise OSError("only Linux has it")
     done: set[int] = set()

@@ -199,6 +199,7 @@ def test_parameters_are_described_with_unit_and_range(shell: Shell):
     ("name", "value", "reason"),
     [
         ("rate", math.nan, "rate"),
+        ("use_sim_time", True, "it should be given then"),
         ("rate", 1e6, "rate"),
         ("rate", "fast", "rate"),
         ("count", 4, "read-only"),
@@ -433,3 +434,29 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
     observer.send(COMMAND, command(0.13, stamp_ns=100 * SECOND))
     observer.wait_for_refusal(COMMAND, "from_the_future")
+
+
+def test_a_timer_by_simulated_time_is_called_once_in_each_period(
+    processes: Processes, observer: Observer
+):
+    """However close together the readings of the clock come."""
+    processes.start("shell_node", {"use_sim_time": True, "rate": 10.0})
+    is_active(observer)
+    states = observer.listen(topics.JUMP_MOTOR_STATE)
+    since = 0
+
+    def tell(*stamps_ns: int) -> None:
+        for stamp_ns in stamps_ns:
+            observer.send(topics.CLOCK, ClockSample(stamp_ns))
+
+    def is_called() -> bool:
+        tell(now_ns)  # again, as what is told once may not be heard
+        return len(states) > since
+
+    for tenth in range(1, 200):
+        now_ns, since = tenth * SECOND // 10, len(states)
+        tell(now_ns, now_ns + 1, now_ns + 2)
+        now_ns += 2
+        observer.wait_until(is_called, f"nothing is told at {now_ns * 1e-9:g} s")
+    periods = [sample.stamp_ns * 10 // SECOND for sample in states.samples]
+    assert periods == list(range(1, 200))
