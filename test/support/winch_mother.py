@@ -34,7 +34,6 @@ PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
 ANSWER = 0.05  # the same of one that did not answer the last tick [s]
 LOST = 0.002  # the same of one that is known to be dead [s]
 _LOOK = 0.002  # [s]
-_AGAIN = 0.5  # after which time is told again: it is heard by best effort and may be lost [s]
 
 
 class Mother:
@@ -154,17 +153,13 @@ class Mother:
         self._is_answered = self._await(has_come, lambda: LOST if self.is_alone else patience)
 
     def _await(self, has_come: Callable[[], bool], patience: Callable[[], float]) -> bool:
-        """Wait until an answer has come, telling the time again, or patience has ended [s]."""
+        """Wait until an answer has come, or patience has ended [s]."""
         pause = threading.Event()
-        begun = told = time.monotonic()
+        begun = time.monotonic()
         while not self._ended.is_set():
             if has_come():
                 return True
-            now = time.monotonic()
-            if now - begun > patience():
+            if time.monotonic() - begun > patience():
                 return False
-            if now - told > _AGAIN:
-                self._outlets[topics.CLOCK].publish(encode(topics.CLOCK, ClockSample(self.now_ns)))
-                told = now
             pause.wait(_LOOK)
         return False
