@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from msg_schemas import topics
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import JointValue, Level
 from rover_hil.rehearsal.actions import (
     Action,
@@ -125,6 +126,8 @@ class Conductor:
                 wall_ns = stand.wall_ns()
                 attempt = self._attempt(step)
                 failed = any(each.verdict is Verdict.FAIL for each in attempt.findings)
+                if failed:
+                    self._check_alone(step, attempt)
                 judged = failed or Rule(step.rule) in TIMED
                 why = self._disturbance(attempt) if judged else ""
                 if why:
@@ -172,6 +175,18 @@ class Conductor:
                 self._motion = False
         if step.moves and not self._motion:
             raise CannotDoError("motion was not confirmed")
+
+    def _check_alone(self, step: Step, attempt: _Attempt) -> None:
+        """What failed says nothing where somebody else had the topic that it commands on."""
+        window = Window(self._stand.history, attempt.begin_ns)
+        for topic in step.published:
+            refusals = window.statuses(
+                topics.DIAGNOSTICS,
+                attempt.begin_ns,
+                lambda status, topic=topic: is_refusal(status, topic, RefusalCode.OWNED),  # type: ignore[misc]
+            )
+            for _, refusal in refusals:
+                raise CannotDoError(f"another commander should be ended first: {refusal.message}")
 
     def _attempt(self, step: Step) -> _Attempt:
         stand = self._stand

@@ -23,6 +23,7 @@ class Machine:
     rate: float = 200.0  # of the winch's state [Hz]
     silence: float = 0.5  # after which the bridge's watchdog acts [s]; inf: it has none
     refuses: bool = True  # commands while disarmed, and those beyond the limits
+    owner: str = ""  # who commands already
     real_time: bool = True
     is_emulated: bool = True
     age: float = 0.001  # of messages on arrival [s]
@@ -175,6 +176,9 @@ class MadeUpStand:
 
     def send(self, topic: str, message: Outgoing) -> None:
         self.sent.append((topic, message))
+        if self.machine.owner:
+            self.refuse(topic, "owned", f"{self.machine.owner} owns it")
+            return
         fields = TOPICS[topic].by_path
         for name, value in message.joints.items():
             for part, number in zip(value._fields, value, strict=True):

@@ -89,6 +89,19 @@ def test_a_broken_machine_fails_with_what_was_measured(
     assert any(measured in each.measured for each in failed), failed
 
 
+@pytest.mark.parametrize("step", [NOT_ARMED, WATCHDOG])
+def test_beside_another_commander_a_failure_is_none_of_the_machine_s(step: dict[str, Any]):
+    found, _ = conducted(Machine(owner="winch_node-7"), step=step)
+    assert found["step"].verdict is Verdict.NOT_RUN
+    assert "another commander should be ended first: winch_node-7" in found["step"].reason
+
+
+def test_that_another_commander_is_refused_can_be_what_is_wanted():
+    owned = {"refused": {"subject": topics.WINCH_COMMAND, "code": "owned"}}
+    found, _ = conducted(Machine(owner="winch_node-7"), step={**NOT_ARMED, "expect": [owned]})
+    assert found["step"].verdict is Verdict.PASS
+
+
 def test_a_late_reaction_is_told_with_its_time():
     found, _ = conducted(Machine(silence=0.9), step=WATCHDOG)
     assert any(each.measured.startswith("0.9") for each in found["step"].findings)
