@@ -36,7 +36,7 @@ class PeriodicCalls:
                 call.callback()
 
     def begin_anew(self, now_ns: int) -> None:
-        """The clock has been put back, or is another one: periods begin now."""
+        """The clock has been put back: periods begin now."""
         for call in self._calls:
             call.due_ns = now_ns + call.period_ns
 

@@ -18,7 +18,7 @@ def take_realtime_priority(priority: int) -> str:
         priority: from 1, a higher one goes first; 0: none is wanted.
 
     Returns:
-        Why it is not had, and what would help; empty: it is.
+        Why it is not had, and what would help; empty: it is, or none is wanted.
     """
     if not priority:
         return ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from msg_schemas import topics
 from msg_schemas.refusal import RefusalCode
@@ -180,13 +181,10 @@ class Conductor:
         """What failed says nothing where somebody else had the topic that it commands on."""
         window = Window(self._stand.history, attempt.begin_ns)
         for topic in step.published:
-            refusals = window.statuses(
-                topics.DIAGNOSTICS,
-                attempt.begin_ns,
-                lambda status, topic=topic: is_refusal(status, topic, RefusalCode.OWNED),  # type: ignore[misc]
-            )
-            for _, refusal in refusals:
-                raise CannotDoError(f"another commander should be ended first: {refusal.message}")
+            owned = partial(is_refusal, subject=topic, code=RefusalCode.OWNED)
+            told = next(window.statuses(topics.DIAGNOSTICS, attempt.begin_ns, owned), None)
+            if told is not None:
+                raise CannotDoError(f"another commander should be ended first: {told[1].message}")
 
     def _attempt(self, step: Step) -> _Attempt:
         stand = self._stand

@@ -60,10 +60,15 @@ def scheduling(pid: int) -> set[tuple[int, int]]:
     }
 
 
+def own() -> tuple[int, int]:
+    """Policy and priority of the test itself, which what it starts inherits."""
+    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+
+
 def test_a_process_is_scheduled_as_any_other(processes: Processes, observer: Observer):
     process = processes.start("shell_node")
     observer.wait_for_event("active")
-    assert scheduling(process.pid) == {(os.sched_getscheduler(0), 0)}
+    assert scheduling(process.pid) == {own()}
 
 
 @permitted
@@ -71,6 +76,15 @@ def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, o
     process = processes.start("shell_node", {"realtime_priority": PRIORITY})
     observer.wait_for_event("active")
     assert scheduling(process.pid) == {(os.SCHED_RR, PRIORITY)}
+
+
+@permitted
+def test_the_foretelling_of_jumps_stays_behind(processes: Processes, observer: Observer):
+    given = {"realtime_priority": PRIORITY, "foretell_ready": True}
+    process = processes.start("rover_control.jump_node", given)
+    observer.wait_for_event("active")
+    others = scheduling(process.pid) - {(os.SCHED_RR, PRIORITY)}
+    assert others == {(os.SCHED_OTHER, 0)}
 
 
 def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
@@ -81,7 +95,7 @@ def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
     assert event.level is Level.WARN
     assert f"should be permitted rtprio {PRIORITY}" in event.message
     observer.wait_for_event("active")
-    assert scheduling(process.pid) == {(os.sched_getscheduler(0), 0)}
+    assert scheduling(process.pid) == {own()}
 
 
 @permitted
