@@ -8,7 +8,7 @@ PACKAGE = "mother_rover"
 # scripts/<name> makes it known to `ros2 run` (the tests hold both together).
 EXECUTABLES = {
     "sim_node": "rover_sim.sim_node:main",
-    "null_plant": "rover_sim.null_plant_node:main",
+    "mock_plant": "rover_sim.mock_plant_node:main",
     "jump_node": "rover_control.jump_node:main",
     "descent_node": "rover_control.descent_node:main",
     "drive_node": "rover_control.drive_node:main",

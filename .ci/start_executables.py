@@ -19,7 +19,7 @@ from rclpy.node import Node
 HELP_SECONDS = 120
 JOIN_SECONDS = 120
 STOP_SECONDS = 20
-NAMED_OTHERWISE = ("drive_emulator", "hil_bridge", "null_plant")  # nodes too
+NAMED_OTHERWISE = ("drive_emulator", "hil_bridge", "mock_plant")  # nodes too
 
 
 def prints_help(path: Path) -> str:

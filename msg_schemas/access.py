@@ -81,7 +81,7 @@ _PLANT = Access(
 
 ACCESS: dict[str, Access] = {
     "sim_node": _PLANT,
-    "null_plant": _PLANT,
+    "mock_plant": _PLANT,
     "drive_emulator": Access(publishes=_SEEN, subscribes=(topics.CONFIG,), serves=_RESETS),
     "hil_bridge": Access(
         publishes=(*_SENSED, topics.LINK_STATUS),
@@ -140,7 +140,7 @@ ACCESS: dict[str, Access] = {
             topics.JUMP_MOTOR_COMMAND,
             topics.WINCH_REQUEST,
             topics.JUMP_PHASE,
-            topics.JUMP_FORECAST,
+            topics.JUMP_PREDICTION,
             topics.JUMP_FLOWN,
         ),
         subscribes=(
@@ -219,11 +219,11 @@ ACCESS: dict[str, Access] = {
         ),
     ),
     "view_node": Access(
-        publishes=(topics.OBSERVED_WALL, topics.FORETOLD_JUMP),
+        publishes=(topics.OBSERVED_WALL, topics.PREDICTED_JUMP),
         subscribes=(
             topics.ROBOT_DESCRIPTION,
             topics.DESCENT_OBSERVATION,
-            topics.JUMP_FORECAST,
+            topics.JUMP_PREDICTION,
             topics.TRUTH_BODY1,
             topics.TRUTH_BODY2,
             topics.WHEEL_STATE,

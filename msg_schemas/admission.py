@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from msg_schemas.codecs import decode
 from msg_schemas.message_parts import from_time
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.row_kinds import Intent, Topic
+from msg_schemas.specifications import Intent, Topic
 
 UNNAMED = "a commander that does not say who it is"
 
@@ -33,7 +33,7 @@ def asker_of(row: Topic, message: Any) -> str:
     if not row.frame:
         return str(message.header.frame_id)
     stamp_ns = from_time(message.header.stamp)
-    return f"{stamp_ns} ns" if stamp_ns and isinf(row.stale.silence) else ""
+    return f"{stamp_ns} ns" if stamp_ns and isinf(row.stale.timeout) else ""
 
 
 class _Owner(NamedTuple):
@@ -71,7 +71,7 @@ class Admission:
     def accepted(self, row: Topic, message: Any, now_ns: int) -> None:
         """What was admitted was done as well: its commander owns the topic."""
         if row.one_owner:
-            until_ns = now_ns + round(row.stale.silence * 1e9)
+            until_ns = now_ns + round(row.stale.timeout * 1e9)
             self._owners[row.name] = _Owner(commander_of(message), until_ns)
 
     def owners(self, now_ns: int) -> Mapping[str, str]:
@@ -93,7 +93,7 @@ class Admission:
             row.name,
             RefusalCode.OWNED,
             f"commanded by {who}, but {owner.name} owns it, until it is silent for "
-            f"{row.stale.silence:g} s ({left:.3f} s from now at the earliest)",
+            f"{row.stale.timeout:g} s ({left:.3f} s from now at the earliest)",
         )
 
     def _check_order(self, name: str, stamp_ns: int) -> None:

@@ -135,12 +135,12 @@ def _stale(policy: StalePolicy) -> list[str]:
             f"{policy.max_lead:g} s ahead of the receiver's clock; "
             f"without a stamp: {policy.unstamped.value}"
         )
-    if math.isfinite(policy.silence):
-        rules.append(f"after {policy.silence:g} s of silence {policy.on_silence}")
-    if math.isfinite(policy.moving_silence):
+    if math.isfinite(policy.timeout):
+        rules.append(f"after {policy.timeout:g} s of silence {policy.on_timeout}")
+    if math.isfinite(policy.timeout_moving):
         rules.append(
-            f"after {policy.moving_silence:g} s of silence while it moves "
-            f"{policy.on_moving_silence}"
+            f"after {policy.timeout_moving:g} s of silence while it moves "
+            f"{policy.on_timeout_moving}"
         )
     return rules
 

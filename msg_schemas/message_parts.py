@@ -7,8 +7,8 @@ from importlib import import_module
 from typing import Any
 
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.row_kinds import Topic
 from msg_schemas.samples import Quaternion, Vector
+from msg_schemas.specifications import Topic
 
 Message = Any
 

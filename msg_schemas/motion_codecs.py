@@ -15,8 +15,8 @@ from msg_schemas.message_parts import (
     to_time,
     vector_of,
 )
-from msg_schemas.row_kinds import Topic
 from msg_schemas.samples import OdometrySample, PathSample, PoseSample, TwistSample
+from msg_schemas.specifications import Topic
 
 
 def encode_odometry(topic: Topic, sample: OdometrySample) -> Message:

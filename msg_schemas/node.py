@@ -70,7 +70,7 @@ _ANY_TIME = JumpThreshold(
 )
 
 
-class ToldToStop(Exception):
+class ShutdownRequested(Exception):
     """Raised in a transition that gives up because its node is told to stop."""
 
 
@@ -132,7 +132,7 @@ class ContractNode(LifecycleNode):
         """
         super().__init__(self.NAME, **node_options)
         self.exit_code: ExitCode | None = None
-        self.told_to_stop: Callable[[], bool] = lambda: False
+        self.shutdown_requested: Callable[[], bool] = lambda: False
         self.active = False
         self._failure: Exception | None = None
         self._accepted: Counter[str] = Counter()
@@ -434,7 +434,7 @@ class ContractNode(LifecycleNode):
         own = Status(f"{self.NAME}: node", condition, level, self.NAME, values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
-    def _tell_new_condition(self) -> None:
+    def _publish_new_condition(self) -> None:
         """Tell at once what who waits for this node waits for."""
         self._catch_up()
         if self._condition() != self._told_condition:
@@ -487,7 +487,7 @@ class ContractNode(LifecycleNode):
     ) -> TransitionCallbackReturn:
         try:
             act()
-        except ToldToStop:
+        except ShutdownRequested:
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # noqa: BLE001 - a transition must answer, whatever went wrong
             self._failure = error
@@ -514,7 +514,7 @@ class ContractNode(LifecycleNode):
             self.event("no_realtime_priority", refused, Level.WARN)
         self.start()
         self._catch_up()
-        self.every(_READINESS_PERIOD, self._tell_new_condition, by_wall_clock=True)
+        self.every(_READINESS_PERIOD, self._publish_new_condition, by_wall_clock=True)
         self.event("active", f"{self.NAME} is active")
 
     def _deactivate(self) -> None:
@@ -552,10 +552,10 @@ class ContractNode(LifecycleNode):
         """Leave a transition that takes long, if the node is told to stop meanwhile.
 
         Raises:
-            ToldToStop: it is.
+            ShutdownRequested: it is.
         """
-        if self.told_to_stop():
-            raise ToldToStop
+        if self.shutdown_requested():
+            raise ShutdownRequested
 
     def bring_up(self) -> ExitCode | None:
         """Configure and activate when ``autostart`` says so; returns why it could not.
@@ -565,9 +565,10 @@ class ContractNode(LifecycleNode):
         if not self.parameters_of(ShellParameters).autostart:
             return None
         for transition in (self.trigger_configure, self.trigger_activate):
-            if self.told_to_stop():
+            if self.shutdown_requested():
                 return None
-            if transition() is not TransitionCallbackReturn.SUCCESS and not self.told_to_stop():
+            done = transition() is TransitionCallbackReturn.SUCCESS
+            if not done and not self.shutdown_requested():
                 failed = self._failure
                 expected = isinstance(failed, (ValueError, OSError))
                 return ExitCode.BAD_CONFIGURATION if expected else ExitCode.CRASH

@@ -118,7 +118,7 @@ def _init_ros(arguments: list[str]) -> None:
 
 def _run_until(node_class: type[N], stop: _StopRequest) -> int:
     node = node_class()
-    node.told_to_stop = stop.is_made
+    node.shutdown_requested = stop.is_made
     executor = node_class.EXECUTOR()
     executor.add_node(node)
     try:

@@ -5,9 +5,9 @@ and units, within which limits, and what happens when it falls silent or comes
 late. Nodes, recorder, reports and the generated document all read this table;
 no topic name stands anywhere else.
 
-The rows stand in ``rows_of_plant``, ``rows_of_link``, ``rows_of_descent``, ``rows_of_drive``,
-``rows_of_mission`` and ``rows_of_nodes``; what a row can say in ``row_kinds``; frames, joints and
-largest values in ``machine``.
+The rows stand in ``plant_topics``, ``link_topics``, ``descent_topics``, ``drive_topics``,
+``mission_topics`` and ``node_topics``; the kinds of specification in ``specifications``; frames,
+joints and largest values in ``machine``.
 Others import all of it from here.
 """
 
@@ -16,6 +16,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from msg_schemas.descent_topics import DESCENT_SERVICES, DESCENT_TOPICS
+from msg_schemas.drive_topics import DRIVE_SERVICES, DRIVE_TOPICS
+from msg_schemas.jump_topics import JUMP_SERVICES, JUMP_TOPICS
+from msg_schemas.link_topics import LINK_SERVICES, LINK_TOPICS
 from msg_schemas.machine import (
     ALARM_NAMES,
     BODY1_FRAME,
@@ -107,7 +111,10 @@ from msg_schemas.machine import (
     YAW,
     YAW_ERROR,
 )
-from msg_schemas.row_kinds import (
+from msg_schemas.mission_topics import MISSION_SERVICES, MISSION_TOPICS
+from msg_schemas.node_topics import NODE_SERVICES, NODE_TOPICS
+from msg_schemas.plant_topics import PLANT_SERVICES, PLANT_TOPICS
+from msg_schemas.specifications import (
     Audience,
     Field,
     Intent,
@@ -116,13 +123,6 @@ from msg_schemas.row_kinds import (
     Topic,
     Unstamped,
 )
-from msg_schemas.rows_of_descent import DESCENT_SERVICES, DESCENT_TOPICS
-from msg_schemas.rows_of_drive import DRIVE_SERVICES, DRIVE_TOPICS
-from msg_schemas.rows_of_jump import JUMP_SERVICES, JUMP_TOPICS
-from msg_schemas.rows_of_link import LINK_SERVICES, LINK_TOPICS
-from msg_schemas.rows_of_mission import MISSION_SERVICES, MISSION_TOPICS
-from msg_schemas.rows_of_nodes import NODE_SERVICES, NODE_TOPICS
-from msg_schemas.rows_of_plant import PLANT_SERVICES, PLANT_TOPICS
 
 __all__ = [
     "ALARM_NAMES",

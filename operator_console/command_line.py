@@ -22,7 +22,7 @@ from operator_console.commands import COMMANDS, MISSION, Command, Order
 from operator_console.exchange import Outcome, Verdict
 
 if TYPE_CHECKING:
-    from operator_console.endings import Ending
+    from operator_console.completion import Completion
     from operator_console.operator_link import OperatorLink, Sent
 
 _ROS_ARGUMENTS = "--ros-args"
@@ -218,7 +218,7 @@ class Session:
         if outcome.verdict is Verdict.GIVEN_UP:
             return self._interrupted(link, sent)
         exit_code = _EXITS[outcome.verdict]
-        ending: Ending | None = None
+        ending: Completion | None = None
         if outcome.is_accepted and self._is_followed(command):
             exit_code, ending = self._follow(link, sent)
         self._hint(outcome)
@@ -228,11 +228,11 @@ class Session:
     def _is_followed(self, command: Command) -> bool:
         return getattr(self._options, "wait", False) or _is_renewed(command)
 
-    def _follow(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Ending | None]:
+    def _follow(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Completion | None]:
         if _is_renewed(sent.order.command):
             return self._renew(link, sent)
         limit = math.inf if self._timeout is None else self._timeout
-        ending = link.follow(sent, limit, self._stop.is_set, self._tell_on)
+        ending = link.follow(sent, limit, self._stop.is_set, self._publish_on)
         if ending is None and self._stop.is_set():
             return self._interrupted(link, sent), None
         if ending is None:
@@ -241,11 +241,11 @@ class Session:
         self._terminal.say(f"{'done' if ending.is_done else 'NOT done'}: {ending.reason}")
         return (Exit.DONE if ending.is_done else Exit.ENDED_OTHERWISE), ending
 
-    def _renew(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Ending | None]:
+    def _renew(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Completion | None]:
         duration: float = self._options.duration
         told = "until Ctrl-C" if math.isinf(duration) else f"for {duration:g} s"
         self._terminal.say(f"renewed {told}, then hold")
-        ending = link.follow(sent, duration, self._stop.is_set, self._tell_on)
+        ending = link.follow(sent, duration, self._stop.is_set, self._publish_on)
         if ending is not None:
             self._terminal.say(f"NOT done: {ending.reason}")
             return Exit.ENDED_OTHERWISE, ending
@@ -275,7 +275,7 @@ class Session:
         self._terminal.say(f"{told}; {self._state(link)}")
         return rests
 
-    def _tell_on(self, line: str) -> None:
+    def _publish_on(self, line: str) -> None:
         self._terminal.say(f"  {line}")
 
     def _state(self, link: OperatorLink) -> str:
@@ -360,7 +360,7 @@ def _is_renewed(command: Command) -> bool:
 
 
 def _as_json(
-    order: Order, outcome: Outcome, ending: Ending | None, exit_code: Exit
+    order: Order, outcome: Outcome, ending: Completion | None, exit_code: Exit
 ) -> dict[str, object]:
     return {
         "order": order.command.name,

@@ -24,7 +24,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseSample
 from msg_schemas.table import SERVICES, TOPICS
-from operator_console.endings import EndsWith
+from operator_console.completion import CompletionCriterion
 
 _DEGREE = math.pi / 180.0
 MISSION = "mission"
@@ -119,7 +119,7 @@ class Command:
     request: Request | None = None
     calls: tuple[Call, ...] = ()
     needs_all: bool = False
-    ends: EndsWith | None = None
+    ends: CompletionCriterion | None = None
     rests: bool = False
     undo: str = ""
     heads: int = 0
@@ -236,16 +236,20 @@ _JUMP = _taken_by(topics.JUMP_PHASE)
 _DRIVE = _taken_by(topics.DRIVE_PHASE)
 
 _ELSEWHERE = ("descent_interrupted", "descent_holding", "descent_released")
-_STOP = EndsWith("stop_ended", of={"depth": "depth"}, lost=_ELSEWHERE)
-_TURN = EndsWith("pointing_reached", lost=("pointing_ended", *_ELSEWHERE))
+_STOP = CompletionCriterion("stop_ended", of={"depth": "depth"}, lost=_ELSEWHERE)
+_TURN = CompletionCriterion("pointing_reached", lost=("pointing_ended", *_ELSEWHERE))
 _NO_MOTION = ("winch_stop", "winch_fault", "winch_disarmed")
 _MOTIONS = ("winch_length", "winch_rate", "winch_tension", "winch_slack", "winch_relax")
-_LENGTH = EndsWith("winch_hold", near={"length": ("length", 0.05)}, lost=_NO_MOTION + _MOTIONS)
-_SLACK = EndsWith("winch_hold", lost=_NO_MOTION + _MOTIONS)
-_UNTIL_LEFT = EndsWith("", lost=("winch_hold", *_NO_MOTION, *_MOTIONS))
-_LEAP = EndsWith("jump_standby", lost=("jump_letting_down", "jump_fault"))
+_LENGTH = CompletionCriterion(
+    "winch_hold", near={"length": ("length", 0.05)}, lost=_NO_MOTION + _MOTIONS
+)
+_SLACK = CompletionCriterion("winch_hold", lost=_NO_MOTION + _MOTIONS)
+_UNTIL_LEFT = CompletionCriterion("", lost=("winch_hold", *_NO_MOTION, *_MOTIONS))
+_LEAP = CompletionCriterion("jump_standby", lost=("jump_letting_down", "jump_fault"))
 
-_WAY = EndsWith("drive_done", lost=("drive_stopped", "drive_failed", "drive_stuck", "drive_begun"))
+_WAY = CompletionCriterion(
+    "drive_done", lost=("drive_stopped", "drive_failed", "drive_stuck", "drive_begun")
+)
 
 _RENEWAL = 5.0  # [Hz]
 _OWN = "; left out: the node's own"
@@ -271,7 +275,12 @@ def _stop(name: str, about: str, joint: str, heads: int = 0) -> Command:
 
 
 def _winch(
-    name: str, about: str, joint: str, ends: EndsWith, *arguments: Argument, renew: float = 0.0
+    name: str,
+    about: str,
+    joint: str,
+    ends: CompletionCriterion,
+    *arguments: Argument,
+    renew: float = 0.0,
 ) -> Command:
     return Command(
         name, about, "winch", arguments, moves=True,

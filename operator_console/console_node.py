@@ -18,10 +18,10 @@ from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from operator_console.bag_shelf import BagShelf
 from operator_console.commands import COMMANDS, Command
-from operator_console.held_orders import HeldOrders
+from operator_console.deadman import DeadmanCommands
 from operator_console.operator_link import OperatorLink
 from operator_console.page_access import open_access
-from operator_console.picture import SEEN, Entry, History, Onlooker, frame
+from operator_console.page_state import SEEN, Entry, History, PageState, frame
 from operator_console.scene import USUAL_MACHINE
 from operator_console.server import Content, Server, ServerSettings
 
@@ -91,7 +91,7 @@ class OperatorConsole(ContractNode):
         if folder is not None and not folder.is_dir():
             raise ValueError(f"bag_folder {given.bag_folder!r} is no folder")
         self._seeing = threading.Lock()
-        self._onlooker = Onlooker()
+        self._page_state = PageState()
         self._history = History(given.history, _HISTORY_PERIOD)
         # What lets things move may have to wait for its like; what stops them never waits for it.
         self._workers = {
@@ -109,7 +109,7 @@ class OperatorConsole(ContractNode):
         server.keep("commands", {"commands": command_rows()})
         server.keep("machine", {"machine": dict(USUAL_MACHINE)})
         self._link = OperatorLink(self, self.NAME, self._on_sample)
-        self._held = HeldOrders(self._link.renew)
+        self._held = DeadmanCommands(self._link.renew)
         self._link.listen(*SEEN)
         self._link.prepare()
         self._server = server
@@ -135,29 +135,29 @@ class OperatorConsole(ContractNode):
 
     def _machine_time(self) -> float:
         """The machine's time [s]: simulated where a clock is heard."""
-        clock_ns = self._onlooker.clock_ns
+        clock_ns = self._page_state.clock_ns
         return time.time() if clock_ns is None else clock_ns * 1e-9
 
     def _on_sample(self, topic: str, sample: Any) -> None:
         with self._seeing:
-            news = self._onlooker.see(topic, sample, time.monotonic(), self._machine_time())
+            news = self._page_state.see(topic, sample, time.monotonic(), self._machine_time())
         server = self._server
         if server is not None and topic == topics.PLACE:
-            server.keep("place", {"place": self._onlooker.place})
-        elif server is not None and topic == topics.CONFIG and self._onlooker.machine is not None:
-            server.keep("machine", {"machine": self._onlooker.machine})
-        self._tell_journal(news)
+            server.keep("place", {"place": self._page_state.place})
+        elif server is not None and topic == topics.CONFIG and self._page_state.machine is not None:
+            server.keep("machine", {"machine": self._page_state.machine})
+        self._publish_journal(news)
 
     def _tell(self) -> None:
         with self._seeing:
             made = frame(
-                self._link.snapshot(), self._onlooker, time.monotonic(), self._machine_time()
+                self._link.snapshot(), self._page_state, time.monotonic(), self._machine_time()
             )
             self._history.add(made)
         if self._server is not None:
             self._server.tell("frame", made, may_drop=True)
 
-    def _tell_journal(self, news: list[Entry]) -> None:
+    def _publish_journal(self, news: list[Entry]) -> None:
         if news and self._server is not None:
             self._server.tell("journal", {"entries": [entry.as_dict() for entry in news]})
 
@@ -165,7 +165,7 @@ class OperatorConsole(ContractNode):
         with self._seeing:
             return {
                 "frames": self._history.frames(),
-                "journal": [entry.as_dict() for entry in self._onlooker.journal],
+                "journal": [entry.as_dict() for entry in self._page_state.journal],
             }
 
     # --- what operators ask for ------------------------------------------------------------------
@@ -189,7 +189,7 @@ class OperatorConsole(ContractNode):
             order = COMMANDS[name].order(given)
         except FieldError as error:
             return refused(str(error))
-        sent = self._link.send(order, _ANSWER_PATIENCE, self.told_to_stop)
+        sent = self._link.send(order, _ANSWER_PATIENCE, self.shutdown_requested)
         outcome = sent.outcome
         told = f"{outcome.verdict.value}: {outcome.reason}"
         if outcome.code:
@@ -197,8 +197,8 @@ class OperatorConsole(ContractNode):
         with self._seeing:
             level = "ok" if outcome.is_accepted else "warn"
             entry = Entry(self._machine_time(), level, "this console", order.text, told)
-            self._onlooker.journal.append(entry)
-        self._tell_journal([entry])
+            self._page_state.journal.append(entry)
+        self._publish_journal([entry])
         must_be_held = outcome.is_accepted and renewal_of(order.command) > 0.0
         held = {"held": self._held.begin(sent)} if must_be_held else {}
         return {

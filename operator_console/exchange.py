@@ -16,7 +16,7 @@ from msg_schemas import topics
 from msg_schemas.refusal import REQUEST_ACCEPTED, RefusalCode
 from msg_schemas.samples import PoseSample, Status, StatusSample
 from operator_console.commands import Order
-from operator_console.endings import Ending
+from operator_console.completion import Completion
 
 
 class Verdict(StrEnum):
@@ -87,7 +87,7 @@ class Exchange:
         self.commander = commander
         self.goal: PoseSample | None = None
         self.outcome: Outcome | None = None
-        self.ending: Ending | None = None
+        self.ending: Completion | None = None
         self.story: list[Status] = []
 
     def hear(self, topic: str, sample: StatusSample) -> None:
@@ -96,11 +96,11 @@ class Exchange:
             if status.hardware_id != self.request.taker:
                 continue
             if topic == topics.EVENTS:
-                self._hear_event(status)
+                self._on_event(status)
             elif topic == topics.DIAGNOSTICS:
-                self._hear_refusal(status)
+                self._on_refusal(status)
 
-    def _hear_event(self, status: Status) -> None:
+    def _on_event(self, status: Status) -> None:
         if status.name == REQUEST_ACCEPTED:
             if status.values.get("commander") == self.commander and self.outcome is None:
                 self.outcome = Outcome(Verdict.ACCEPTED, self.request.topic, "accepted")
@@ -112,7 +112,7 @@ class Exchange:
         if ends is not None:
             self.ending = ends.judge(status, self.order.told)
 
-    def _hear_refusal(self, status: Status) -> None:
+    def _on_refusal(self, status: Status) -> None:
         taker, topic = self.request.taker, self.request.topic
         if status.name == f"{taker}: refused {topic}":
             if status.values.get("commander") != self.commander:
@@ -121,7 +121,7 @@ class Exchange:
             if self.outcome is None:
                 self.outcome = Outcome(Verdict.REFUSED, topic, status.message, code)
             elif self.ending is None:  # of what was said again
-                self.ending = Ending(False, f"refused: {status.message} [{code}]")
+                self.ending = Completion(False, f"refused: {status.message} [{code}]")
 
 
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)

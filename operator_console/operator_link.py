@@ -20,14 +20,14 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import middleware, qos, topics
-from msg_schemas.acquaintance import Acquaintance, listeners
 from msg_schemas.codecs import decode, encode, message_class, topic_row
+from msg_schemas.endpoint_matching import EndpointMatching, listeners
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.row_kinds import Intent
 from msg_schemas.samples import OdometrySample, StatusSample
+from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES
 from operator_console.commands import COMMANDS, Call, Command, Order
-from operator_console.endings import Ending
+from operator_console.completion import Completion
 from operator_console.exchange import Exchange, Outcome, Verdict, answer_of, joined
 from operator_console.telemetry import HEARD, Snapshot, Telemetry
 
@@ -101,7 +101,7 @@ class OperatorLink:
         self._everyone_is_met = time.monotonic() + _MET
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
-        self._acquaintances: dict[str, Acquaintance] = {}  # by service
+        self._acquaintances: dict[str, EndpointMatching] = {}  # by service
         self._found: dict[str, float] = {}  # when each service was seen to be there [s]
         self.listen(topics.EVENTS, topics.DIAGNOSTICS)
 
@@ -114,8 +114,8 @@ class OperatorLink:
                 self._node.destroy_publisher(publisher)
             for client in self._clients.values():
                 self._node.destroy_client(client)
-            for acquaintance in self._acquaintances.values():
-                acquaintance.close()
+            for discovery in self._acquaintances.values():
+                discovery.close()
             self._acquaintances.clear()
             self._found.clear()
             self._heard.clear()
@@ -257,7 +257,7 @@ class OperatorLink:
         timeout: float,
         cancelled: Callable[[], bool] = never,
         tell: Callable[[str], None] = lambda _line: None,
-    ) -> Ending | None:
+    ) -> Completion | None:
         """Wait until what was accepted is over; what must be renewed is, meanwhile.
 
         Args:
@@ -288,7 +288,7 @@ class OperatorLink:
             if renew:
                 self._publish(exchange)
 
-    def renew(self, sent: Sent) -> Ending | None:
+    def renew(self, sent: Sent) -> Completion | None:
         """Say a request again that must be renewed; returns how it ended, and says nothing then."""
         assert sent.exchange is not None
         with self._changed:
@@ -409,14 +409,14 @@ class OperatorLink:
         for service in new:
             self._client(service)
         if new:
-            self._acquaintances |= dict.fromkeys(new, Acquaintance(self._node, self._wake))
+            self._acquaintances |= dict.fromkeys(new, EndpointMatching(self._node, self._wake))
 
     def _is_ready(self, call: Call) -> bool:
         """Whether it would be done and answered; nobody is waited for long who is there."""
         if not self._client(call.service).service_is_ready():
             return False
-        acquaintance = self._acquaintances.get(call.service)
-        if acquaintance is None or acquaintance.is_with(call.server):
+        discovery = self._acquaintances.get(call.service)
+        if discovery is None or discovery.is_with(call.server):
             return True
         now = time.monotonic()
         return now > self._found.setdefault(call.service, now) + _KNOWN
@@ -520,12 +520,12 @@ class OperatorLink:
 
     def _follow_calls(
         self, sent: Sent, timeout: float, cancelled: Callable[[], bool]
-    ) -> Ending | None:
+    ) -> Completion | None:
         if not sent.order.command.rests:
-            return Ending(True, sent.outcome.reason)
+            return Completion(True, sent.outcome.reason)
         self.listen_to_all()
         rests = self.wait_until(lambda known: known.is_at_rest(sent.answered), timeout, cancelled)
-        return Ending(True, "at rest") if rests else None
+        return Completion(True, "at rest") if rests else None
 
 
 @contextmanager

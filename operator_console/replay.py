@@ -1,6 +1,6 @@
 """A bag as the page replays it: the frames that a live page would have shown, and the journal.
 
-The same telemetry and the same onlooker are fed as live, with what the bag holds.
+The same telemetry and the same page_state are fed as live, with what the bag holds.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import TOPICS
-from operator_console.picture import SEEN, Entry, Onlooker, frame
+from operator_console.page_state import SEEN, Entry, PageState, frame
 from operator_console.scene import USUAL_MACHINE
 from operator_console.telemetry import Telemetry
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Bag, Floats, Track, arrivals, read_bag
+from rover_bags.read import Bag, Floats, TimeSeries, arrivals, read_bag
 
 PERIOD: Final = 0.1
 """Of the frames of a short bag [s]."""
@@ -82,9 +82,9 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
     axes = {name: _axis(bag, track) for name, track in bag.tracks.items() if len(track)}
     if not axes:
         raise ValueError(f"the bag {path.name} holds nothing that can be shown")
-    onlooker, telemetry = Onlooker(), Telemetry()
+    page_state, telemetry = PageState(), Telemetry()
     if topics.PLACE in bag.full_names:
-        _see_place(bag, onlooker)
+        _see_place(bag, page_state)
     begin = min(float(axis.min()) for axis in axes.values())
     end = max(float(axis.max()) for axis in axes.values())
     period = max(PERIOD, (end - begin) / max(1, most_frames - 1))
@@ -102,8 +102,8 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         for at, name, row in sorted(told, key=lambda item: item[0]):
             sample = sample_at(bag.tracks[name], row)
             telemetry.hear(name, sample, at)
-            journal += onlooker.see(name, sample, at, at)
-        made = frame(telemetry.snapshot(now), onlooker, now, now)
+            journal += page_state.see(name, sample, at, at)
+        made = frame(telemetry.snapshot(now), page_state, now, now)
         told_now = {key: made[key] for key in ("parts", "health")}
         for key, value in told_now.items():
             if before.get(key) == value:
@@ -114,8 +114,8 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         path.name,
         tuple(frames),
         tuple(entry.as_dict() for entry in journal[-_MOST_ENTRIES:]),
-        onlooker.place,
-        onlooker.machine or dict(USUAL_MACHINE),
+        page_state.place,
+        page_state.machine or dict(USUAL_MACHINE),
         tuple(_remarks(bag, period)),
     )
 
@@ -131,7 +131,7 @@ def _read(path: Path) -> Bag:
     return replace(coarse, tracks={**coarse.tracks, **read_bag(path, said).tracks})
 
 
-def _axis(bag: Bag, track: Track) -> Floats:
+def _axis(bag: Bag, track: TimeSeries) -> Floats:
     """Times of a track's messages on the replay's axis [s], which never goes back.
 
     Simulated time where it only went forward, else the recorder's.
@@ -151,17 +151,17 @@ def _restarts(bag: Bag) -> int:
     return 0 if pace is None else pace.restarts
 
 
-def _rows(track: Track, first: int, last: int) -> Sequence[int]:
+def _rows(track: TimeSeries, first: int, last: int) -> Sequence[int]:
     """Which messages are heard: all words and statuses, of numbers the last one."""
     if track.texts or track.statuses:
         return range(first, last)
     return range(max(first, last - 1), last)
 
 
-def _see_place(bag: Bag, onlooker: Onlooker) -> None:
+def _see_place(bag: Bag, page_state: PageState) -> None:
     found = arrivals(BagScan(bag.path), {topics.PLACE}, namespace=bag.namespace)
     for arrival in found:
-        onlooker.see(arrival.name, arrival.sample, 0.0, 0.0)
+        page_state.see(arrival.name, arrival.sample, 0.0, 0.0)
         return
 
 
@@ -179,7 +179,7 @@ def _remarks(bag: Bag, period: float) -> Iterator[str]:
         yield f"shown every {period:.1f} s"
 
 
-def sample_at(track: Track, row: int) -> Any:
+def sample_at(track: TimeSeries, row: int) -> Any:
     """One message of a track, as a sample of the contract again."""
     kind = TOPICS[track.topic].sample
     stamp = int(track.stamp_ns[row]) if len(track.stamp_ns) else 0
@@ -209,7 +209,7 @@ def sample_at(track: Track, row: int) -> Any:
     return kind(stamp, *vectors)  # type: ignore[call-arg]
 
 
-def _joints(track: Track, row: int) -> dict[str, JointValue]:
+def _joints(track: TimeSeries, row: int) -> dict[str, JointValue]:
     found: dict[str, dict[str, float]] = {}
     for path, column in track.columns.items():
         joint, _, part = path.rpartition(".")

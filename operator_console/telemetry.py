@@ -280,7 +280,7 @@ class Telemetry:
         """Take a sample; ``now`` is its arrival by a steady clock [s]."""
         if isinstance(sample, StatusSample):
             for status in sample.statuses:
-                self._hear_status(topic, status, sample.stamp_ns, now)
+                self._on_status(topic, status, sample.stamp_ns, now)
         elif topic == topics.CONFIG:
             content = json.loads(sample.text)
             if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
@@ -300,7 +300,7 @@ class Telemetry:
                 joints = sample.joints.items()
                 self._alarms = tuple(name for name, value in joints if value.position > 0.5)
 
-    def _hear_status(self, topic: str, status: Status, stamp_ns: int, now: float) -> None:
+    def _on_status(self, topic: str, status: Status, stamp_ns: int, now: float) -> None:
         if topic == topics.EVENTS:
             self._events.append((status, stamp_ns, now))
         elif topic == topics.LINK_STATUS:

@@ -16,9 +16,9 @@ from matplotlib.ticker import MaxNLocator
 
 from msg_schemas import topics
 from msg_schemas.table import WINCH_DRUM
-from rover_bags.findings.activities import hanging_swing
-from rover_bags.findings.jumps import Jump, motion
-from rover_bags.findings.metrics import Metrics
+from rover_bags.analysis.activities import hanging_swing
+from rover_bags.analysis.jumps import Jump, motion
+from rover_bags.analysis.metrics import Metrics
 from rover_bags.read import Bag, Floats, windows
 from rover_bags.survey import Reading, survey
 from rover_bags.views.lines import envelope

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.stats import norm
 
 from rover_bags.files.store import BagError
+from rover_bags.identification.dry_run import rehearse
 from rover_bags.identification.fit import TIED, WIDE, Fit, Fitted
 from rover_bags.identification.parameters import PARAMETERS, IdentifyError, value_of
-from rover_bags.identification.rehearsal import rehearse
 from rover_bags.identification.runs import Experiment, read_experiments
 from rover_bags.identification.workers import simulations
 from rover_bags.read import ReadError

@@ -32,22 +32,22 @@ from rover_bags.files.records import Damage, Message
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.layouts import Layout, layout_of
-from rover_bags.tracks import (
+from rover_bags.time_series import (
     LARGEST,
     Clock,
     Floats,
-    GrowingTrack,
+    GrowingTimeSeries,
     Pace,
     Rows,
     Stamps,
-    Track,
+    TimeSeries,
     largest_tensions,
-    rows_of_samples,
+    samples_topics,
 )
 
 __all__ = [
-    "Arrival", "Bag", "Floats", "ReadError", "Rejected", "Stamps", "Track", "arrivals", "read_bag",
-    "windows",
+    "Arrival", "Bag", "Floats", "ReadError", "Rejected", "Stamps", "TimeSeries", "arrivals",
+    "read_bag", "windows",
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
@@ -120,7 +120,7 @@ class Bag:
     namespace: str
     start_ns: int
     duration: float
-    tracks: Mapping[str, Track]
+    tracks: Mapping[str, TimeSeries]
     counts: Mapping[str, int]
     types: Mapping[str, str]
     full_names: Mapping[str, str]
@@ -138,7 +138,7 @@ class Bag:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     clock: Clock | None = None
 
-    def track(self, topic: str) -> Track | None:
+    def track(self, topic: str) -> TimeSeries | None:
         """The track of a topic, None where the bag holds no good message of it."""
         found = self.tracks.get(topic)
         return found if found is not None and len(found) else None
@@ -215,7 +215,7 @@ def arrivals(
 class _Decoder:
     """Takes the messages of one topic apart, many at once where they are alike."""
 
-    def __init__(self, name: str, growing: GrowingTrack) -> None:
+    def __init__(self, name: str, growing: GrowingTimeSeries) -> None:
         self.growing = growing
         self.rejected = 0
         self.examples: list[Rejected] = []
@@ -267,7 +267,7 @@ class _Decoder:
             sample = self._decoded(message)
             if sample is not None:
                 items.append((message.log_ns, message.publish_ns, sample))
-        yield from rows_of_samples(items)
+        yield from samples_topics(items)
 
     def _decoded(self, message: Message, *, counted: bool = True) -> Any:
         """The sample, None where it is turned away."""
@@ -325,7 +325,7 @@ def read_bag(
             continue
         if name not in decoders:
             held = most if most is None or name not in _FINE else _FINER * most
-            decoders[name] = _Decoder(name, GrowingTrack(TOPICS[name], full, held))
+            decoders[name] = _Decoder(name, GrowingTimeSeries(TOPICS[name], full, held))
         decoders[name].add(message)
     if first_ns is None:
         why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
@@ -401,7 +401,7 @@ def windows(
             if message.log_ns <= end:
                 if name not in decoders:
                     row = TOPICS[name]
-                    decoders[name] = _Decoder(name, GrowingTrack(row, message.topic.name))
+                    decoders[name] = _Decoder(name, GrowingTimeSeries(row, message.topic.name))
                 decoders[name].add(message)
     for _, decoders in open_spans:
         yield _window(bag, decoders)
@@ -423,7 +423,7 @@ def _window(bag: Bag, decoders: Mapping[str, _Decoder]) -> Bag:
     return replace(bag, tracks={**bag.tracks, **tracks})
 
 
-def _first_stamp(growing: Mapping[str, GrowingTrack]) -> tuple[int, int] | None:
+def _first_stamp(growing: Mapping[str, GrowingTimeSeries]) -> tuple[int, int] | None:
     """Stamp and log time of the first stamped message of a topic that only the plant sends."""
     for name in (topics.TRUTH_BODY1, topics.IMU, topics.LOAD_CELL):
         if name in growing:
@@ -480,7 +480,7 @@ def _namespaces(present: Iterable[tuple[str, str]]) -> set[str]:
     }
 
 
-def _configurations(track: Track | None) -> Iterable[Mapping[str, Any]]:
+def _configurations(track: TimeSeries | None) -> Iterable[Mapping[str, Any]]:
     for text in dict.fromkeys(track.texts if track is not None else ()):
         content = json.loads(text)
         if isinstance(content, dict):

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from msg_schemas import topics
-from rover_bags.findings.audits import FlightAudit, flight_audits
-from rover_bags.findings.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
-from rover_bags.findings.metrics import Metrics, measure
-from rover_bags.findings.timeline import Phase, Timeline
+from rover_bags.analysis.audits import FlightAudit, flight_audits
+from rover_bags.analysis.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
+from rover_bags.analysis.metrics import Metrics, measure
+from rover_bags.analysis.timeline import Phase, Timeline
 from rover_bags.read import Bag, Progress, read_bag, windows
 from rover_bags.views.animation import LEAD, TRAIL, Scene, scene_of
 from rover_bags.views.plots import Plot, bag_plots, jump_plots

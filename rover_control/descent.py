@@ -23,7 +23,13 @@ from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
 from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, WheelReaction
 from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
-from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters, WinchAsk
+from rover_control.hanging_controller import (
+    Exposure,
+    HangingController,
+    HangingControllerParameters,
+    Orders,
+    WinchAsk,
+)
 from rover_control.pointing import SUBJECT as POINTING
 from rover_control.winch_link import FREE, HOLD, WinchLink, WinchLinkParameters
 
@@ -81,7 +87,9 @@ class DescentSettings:
 
     descent: DescentParameters = field(default_factory=DescentParameters)
     link: WinchLinkParameters = field(default_factory=WinchLinkParameters)
-    phase_a: PhaseAParameters = field(default_factory=PhaseAParameters)
+    hanging_controller: HangingControllerParameters = field(
+        default_factory=HangingControllerParameters
+    )
 
 
 class Observation(NamedTuple):
@@ -131,11 +139,11 @@ class Descent:
     def _make(self, heading: float) -> None:
         settings = self.settings
         self._is_retuned = False
-        self.controller = PhaseA(settings.phase_a)
+        self.controller = HangingController(settings.hanging_controller)
         self.controller.heading = heading
-        self.controller.hear_winch_mode(self._mode)
-        self.link = WinchLink(settings.link, settings.phase_a.profile.near_enough)
-        self.link.hear_mode(self._mode, -math.inf)
+        self.controller.on_winch_mode(self._mode)
+        self.link = WinchLink(settings.link, settings.hanging_controller.profile.near_enough)
+        self.link.on_mode(self._mode, -math.inf)
         self.is_engaged = False
         self._hands_off = True  # the winch is left to others
         self._silent_steps = 0
@@ -182,43 +190,43 @@ class Descent:
 
     # --- sensors ---------------------------------------------------------------------------------
 
-    def hear_drum(self, sample: JointSample, now_ns: int) -> None:
+    def on_drum(self, sample: JointSample, now_ns: int) -> None:
         """Take the state of drum and brake."""
         self.length = sample.joints[WINCH_DRUM].position
-        self.controller.hear_drum(sample, now_ns)
+        self.controller.on_drum(sample, now_ns)
 
-    def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
+    def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
         self._wheel_told = sample.joints[WHEEL_LEFT].velocity
-        self.controller.hear_wheels(sample, now_ns)
+        self.controller.on_wheels(sample, now_ns)
 
-    def hear_flywheel(self, sample: JointSample, now_ns: int) -> None:
+    def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
         """Take angle and rate of the flywheel."""
         self.screw = sample.joints[FLYWHEEL].position
-        self.controller.hear_flywheel(sample, now_ns)
+        self.controller.on_flywheel(sample, now_ns)
 
-    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a reading of the IMU."""
         self._imu_ns = sample.stamp_ns or now_ns
-        self.controller.hear_imu(sample, now_ns)
+        self.controller.on_imu(sample, now_ns)
 
-    def hear_winch_mode(self, mode: str, now_ns: int) -> None:
+    def on_winch_mode(self, mode: str, now_ns: int) -> None:
         """Take what the winch is doing."""
         self._mode = mode
-        self.controller.hear_winch_mode(mode)
-        self.link.hear_mode(mode, now_ns / _NANO)
+        self.controller.on_winch_mode(mode)
+        self.link.on_mode(mode, now_ns / _NANO)
 
-    def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+    def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
         """Take the tension at the fairlead."""
-        self.controller.hear_load_cell(sample, now_ns)
+        self.controller.on_load_cell(sample, now_ns)
 
-    def hear_jump(self, phase: str) -> None:
+    def on_jump(self, phase: str) -> None:
         """Take what the jump is doing: it needs the same motor."""
         self._jump = phase
 
-    def hear_camera(self, sample: JointSample) -> None:
+    def on_camera(self, sample: JointSample) -> None:
         """Take what the camera tells of its last picture; what waited for it is complete."""
-        self.controller.hear_camera(sample)
+        self.controller.on_camera(sample)
         smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
         ready = sample.stamp_ns - round(self.settings.descent.picture_time * _NANO)
         while self._open and round(self._open[0].exposure.time * _NANO) <= ready:
@@ -278,7 +286,7 @@ class Descent:
             )
         nut = self.screw * self._per_turn
         most = self.settings.descent.nut_clear
-        if self.settings.phase_a.uses_rotors and nut > most:
+        if self.settings.hanging_controller.uses_rotors and nut > most:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
@@ -352,7 +360,9 @@ class Descent:
         silent = self.waiting_for(now_ns)
         if silent:
             raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
-        left = self.settings.phase_a.profile.first_look - (now_ns / _NANO - self._back_since)
+        left = self.settings.hanging_controller.profile.first_look - (
+            now_ns / _NANO - self._back_since
+        )
         if left > 0.0:
             text = f"a sensor was silent, the swing is known again in {left:.1f} s"
             raise Refusal(subject, RefusalCode.STALE, text)
@@ -405,7 +415,7 @@ class Descent:
             self._pictures += 1
             nan = math.nan
             self._open.append(Observation(self._pictures, orders.exposure, nan, nan))
-        nut = self._clear_nut(now) if self.settings.phase_a.uses_rotors else None
+        nut = self._clear_nut(now) if self.settings.hanging_controller.uses_rotors else None
         rotors = self._rotors(orders if nut is None else _NO_ORDERS, h, now)
         return Drives(*rotors, *self._winch(orders, now), nut)
 
@@ -413,7 +423,7 @@ class Descent:
         """What to send last, when nobody steps any more."""
         if not self.is_engaged:
             return Drives()
-        uses = self.settings.phase_a.uses_rotors
+        uses = self.settings.hanging_controller.uses_rotors
         stops = not self._hands_off and self._mode == "length"
         ask = WinchAsk(self.length, 0.0) if stops and math.isfinite(self.length) else None
         off = 0.0 if uses else None
@@ -439,7 +449,7 @@ class Descent:
 
     def _clear_nut(self, now: float) -> float | None:
         """Where the nut is to go to, so that its motor is a reaction wheel; None = it is clear."""
-        rotors = self.settings.phase_a.rotors
+        rotors = self.settings.hanging_controller.rotors
         away = abs(self.screw - rotors.travel_centre)
         if self._clears_since is None and not away > rotors.travel:
             return None
@@ -478,7 +488,7 @@ class Descent:
         if self._is_late:
             return self._wheel_rate, 0.0
         if self._catches_up:
-            change = self.settings.phase_a.rotors.wheel_ramp * h
+            change = self.settings.hanging_controller.rotors.wheel_ramp * h
             way = rate - self._wheel_rate
             self._catches_up = abs(way) > change
             rate = self._wheel_rate + min(max(way, -change), change)
@@ -519,7 +529,7 @@ class Descent:
         rate = self._wheel_rate
         if rate == 0.0:
             return None, None
-        change = self.settings.phase_a.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
+        change = self.settings.hanging_controller.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
         self._wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
         return self._wheel_rate, 0.0
 

@@ -34,14 +34,14 @@ from rover_control.attitude import RotorParameters
 from rover_control.descent import Descent, DescentParameters, DescentSettings, Drives
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
-from rover_control.phase_a import PhaseAParameters
+from rover_control.hanging_controller import HangingControllerParameters
 from rover_control.winch_link import WinchLinkParameters
 
 # The controller's parameters are parts of its own, by their name there.
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(value)
-    for part in fields(PhaseAParameters)
-    if is_dataclass(value := getattr(PhaseAParameters(), part.name))
+    for part in fields(HangingControllerParameters)
+    if is_dataclass(value := getattr(HangingControllerParameters(), part.name))
 }
 
 
@@ -73,14 +73,14 @@ class DescentNode(ContractNode):
 
     def setup(self) -> None:
         """Open topics and services."""
-        self._wheel_outlet = self.publisher(topics.WHEEL_COMMAND)
-        self._flywheel_outlet = self.publisher(topics.FLYWHEEL_COMMAND)
-        self._nut_outlet = self.publisher(topics.JUMP_MOTOR_COMMAND)
-        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
-        self._trim_outlet = self.publisher(topics.WINCH_TRIM)
-        self._phase_outlet = self.publisher(topics.DESCENT_PHASE)
-        self._state_outlet = self.publisher(topics.DESCENT_STATE)
-        self._observation_outlet = self.publisher(topics.DESCENT_OBSERVATION)
+        self._wheel_publisher = self.publisher(topics.WHEEL_COMMAND)
+        self._flywheel_publisher = self.publisher(topics.FLYWHEEL_COMMAND)
+        self._nut_publisher = self.publisher(topics.JUMP_MOTOR_COMMAND)
+        self._winch_publisher = self.publisher(topics.WINCH_REQUEST)
+        self._trim_publisher = self.publisher(topics.WINCH_TRIM)
+        self._phase_publisher = self.publisher(topics.DESCENT_PHASE)
+        self._state_publisher = self.publisher(topics.DESCENT_STATE)
+        self._observation_publisher = self.publisher(topics.DESCENT_OBSERVATION)
         self._begin()
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.WINCH_STATE, self._on_drum)
@@ -101,12 +101,12 @@ class DescentNode(ContractNode):
         self._begin()
         rates = self.parameters_of(DescentNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
-        self.every(1.0 / rates.state_rate, self._tell_state)
+        self.every(1.0 / rates.state_rate, self._publish_state)
 
     def stop(self) -> None:
         """The winch comes to rest, the rotors' motors are off."""
         self._send(self._descent.halt(), WINCH_TO_LENGTH)
-        self._tell_changes()
+        self._publish_changes()
 
     def parameters_changed(self) -> None:
         """Take new parameters: at once while nothing is driven, else after the release."""
@@ -117,10 +117,10 @@ class DescentNode(ContractNode):
         """Start over: what was timed means nothing any more."""
         if self.active:
             self._send(self._descent.halt(), WINCH_TO_LENGTH)
-            self._tell_changes()
+            self._publish_changes()
             mode = self._descent.link.mode
             self._begin()
-            self._descent.hear_winch_mode(mode, self.now_ns())
+            self._descent.on_winch_mode(mode, self.now_ns())
 
     def waiting_for(self) -> tuple[str, ...]:
         """The sensors that are silent: stops are refused until they are heard."""
@@ -148,28 +148,28 @@ class DescentNode(ContractNode):
     # --- what is heard ---------------------------------------------------------------------------
 
     def _on_imu(self, sample: ImuSample) -> None:
-        self._descent.hear_imu(sample, self.now_ns())
+        self._descent.on_imu(sample, self.now_ns())
 
     def _on_drum(self, sample: JointSample) -> None:
-        self._descent.hear_drum(sample, self.now_ns())
+        self._descent.on_drum(sample, self.now_ns())
 
     def _on_wheels(self, sample: JointSample) -> None:
-        self._descent.hear_wheels(sample, self.now_ns())
+        self._descent.on_wheels(sample, self.now_ns())
 
     def _on_flywheel(self, sample: JointSample) -> None:
-        self._descent.hear_flywheel(sample, self.now_ns())
+        self._descent.on_flywheel(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
-        self._descent.hear_load_cell(sample, self.now_ns())
+        self._descent.on_load_cell(sample, self.now_ns())
 
     def _on_camera(self, sample: JointSample) -> None:
-        self._descent.hear_camera(sample)
+        self._descent.on_camera(sample)
 
     def _on_winch_mode(self, sample: TextSample) -> None:
-        self._descent.hear_winch_mode(sample.text, self.now_ns())
+        self._descent.on_winch_mode(sample.text, self.now_ns())
 
     def _on_jump(self, sample: TextSample) -> None:
-        self._descent.hear_jump(sample.text)
+        self._descent.on_jump(sample.text)
 
     def _on_request(self, sample: JointSample) -> None:
         ((name, (amount, rate, _)),) = sample.joints.items()
@@ -181,7 +181,7 @@ class DescentNode(ContractNode):
             what = "an observation" if stop.observes else "a stop"
             values = {"depth": amount, "stops": self._descent.stops_left}
             self.event("stop_accepted", f"{what} at {amount:g} m", values=values)
-        self._tell_changes()
+        self._publish_changes()
 
     def _on_hold(self) -> tuple[bool, str]:
         return self._done(self._descent.hold(self.now_ns()))
@@ -204,14 +204,14 @@ class DescentNode(ContractNode):
     def _begin(self) -> None:
         self._descent = Descent(self._settings())
         self._told_phase = ""
-        self._tell_changes()
+        self._publish_changes()
 
     def _settings(self) -> DescentSettings:
         own = self.parameters_of(DescentNodeParameters)
         return DescentSettings(
             self.parameters_of(DescentParameters),
             self.parameters_of(WinchLinkParameters),
-            PhaseAParameters(
+            HangingControllerParameters(
                 **{name: self.parameters_of(part) for name, part in _PARTS.items()},
                 uses_winch=own.uses_winch,
                 uses_rotors=own.uses_rotors,
@@ -220,29 +220,29 @@ class DescentNode(ContractNode):
 
     def _step(self) -> None:
         self._send(self._descent.step(self.now_ns()), WINCH_WHILE_RENEWED)
-        self._tell_changes()
+        self._publish_changes()
 
     def _send(self, drives: Drives, winch_joint: str) -> None:
         now_ns = self.now_ns()
         if drives.wheel_rate is not None:
             torque = self.parameters_of(RotorParameters).wheel_torque
             value = JointValue(0.0, drives.wheel_rate, torque)
-            self._wheel_outlet.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+            self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
         if drives.flywheel_torque is not None:
             value = JointValue(effort=drives.flywheel_torque)
-            self._flywheel_outlet.send(JointSample(now_ns, {FLYWHEEL: value}))
+            self._flywheel_publisher.send(JointSample(now_ns, {FLYWHEEL: value}))
         if drives.nut is not None:
             speed = self.parameters_of(DescentParameters).nut_speed
             value = JointValue(drives.nut, speed, _NUT_FORCE)
-            self._nut_outlet.send(JointSample(now_ns, {JUMP_SCREW: value}))
+            self._nut_publisher.send(JointSample(now_ns, {JUMP_SCREW: value}))
         if drives.winch is not None:
             value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
-            self._winch_outlet.send(JointSample(now_ns, {winch_joint: value}))
+            self._winch_publisher.send(JointSample(now_ns, {winch_joint: value}))
         if drives.trim is not None:
             value = JointValue(velocity=drives.trim)
-            self._trim_outlet.send(JointSample(now_ns, {WINCH_DRUM: value}))
+            self._trim_publisher.send(JointSample(now_ns, {WINCH_DRUM: value}))
 
-    def _tell_changes(self) -> None:
+    def _publish_changes(self) -> None:
         descent = self._descent
         for change in descent.take_changes():
             self.event(change.name, change.reason, change.level, change.values)
@@ -251,14 +251,14 @@ class DescentNode(ContractNode):
                 self.report(Status(name, change.reason, change.level, self.NAME))
         if descent.phase != self._told_phase:
             self._told_phase = descent.phase
-            self._phase_outlet.send(TextSample(descent.phase))
+            self._phase_publisher.send(TextSample(descent.phase))
         for observation in descent.take_observations():
-            self._observation_outlet.send(observation_sample(observation))
+            self._observation_publisher.send(observation_sample(observation))
 
-    def _tell_state(self) -> None:
+    def _publish_state(self) -> None:
         sample = state_sample(self._descent, self.now_ns())
         if sample is not None:
-            self._state_outlet.send(sample)
+            self._state_publisher.send(sample)
 
 
 def main() -> int:

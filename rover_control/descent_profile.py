@@ -29,7 +29,7 @@ from msg_schemas.transition import Transition
 from rover_control.hanging_rover import HangingParameters
 from rover_control.stillness import best_span, still_span
 from rover_control.swing_estimator import SwingEstimate
-from rover_control.yaw_keeper import Handing
+from rover_control.yaw_momentum import Handing
 
 SUBJECT = "descent"  # of refusals
 _FELT_TIME = 0.5  # over which the camera's rate is judged, as its estimate is noisy [s]

@@ -46,7 +46,7 @@ _ROLLS = 1.5e-3  # turn of a wheel that is no noise of its encoder [rad]
 _JUMPING = frozenset(
     {"compressing", "settling", "releasing", "flight", "landed", "hooking", "letting_down"}
 )
-_STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.silence  # [s]
+_STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class DriveParameters:
         0.96, "N m/A", "at the wheels by the motor's current, gears included", 1e-3, 1e3
     )
     drive_gravity: float = parameter(1.62, "m/s^2", "where the rover drives", 0.01, 100.0)
-    sensor_silence: float = parameter(0.5, "s", "after which a sensor is lost", 0.02, 60.0)
+    sensor_timeout: float = parameter(0.5, "s", "after which a sensor is lost", 0.02, 60.0)
     sensor_steps: int = parameter(
         25, "-", "steps on end with a silent sensor after which the rover stops", 1, 10000
     )
@@ -143,7 +143,7 @@ class Drive:
         if self.settings.tether.uses_winch:
             needed.append(topics.WINCH_ESTIMATE)
         silent = tuple(
-            name for name in needed if now - self._heard.get(name, -math.inf) > p.sensor_silence
+            name for name in needed if now - self._heard.get(name, -math.inf) > p.sensor_timeout
         )
         if self.settings.tether.uses_winch and not self.tether.mode:
             silent = (*silent, topics.WINCH_MODE)
@@ -155,11 +155,11 @@ class Drive:
 
     # --- sensors ---------------------------------------------------------------------------------
 
-    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a reading of the IMU."""
         self._heard[topics.IMU] = now_ns / _NANO
         odometry, gravity = self.odometry, self.settings.drive.drive_gravity
-        odometry.hear_gyro(
+        odometry.on_gyro(
             sample.angular_velocity,
             sample.linear_acceleration,
             (sample.stamp_ns or now_ns) / _NANO,
@@ -167,7 +167,7 @@ class Drive:
         )
         self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
 
-    def hear_wheels(self, sample: JointSample, now_ns: int) -> None:
+    def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take angles and rates of the wheels."""
         self._heard[topics.WHEEL_STATE] = now_ns / _NANO
         left, right = sample.joints[WHEEL_LEFT], sample.joints[WHEEL_RIGHT]
@@ -178,20 +178,20 @@ class Drive:
         if moved > _ROLLS:
             self._still = (left.position, right.position, now)
         if before is not None and now > before[2] and self.is_on_floor:
-            self.odometry.hear_wheels(
+            self.odometry.on_wheels(
                 left.position - before[0],
                 right.position - before[1],
                 now - before[2],
                 self.torque,
             )
 
-    def hear_currents(self, sample: JointSample, now_ns: int) -> None:
+    def on_currents(self, sample: JointSample, now_ns: int) -> None:
         """Take the motors' currents; the wheel motor's counts."""
         self._heard[topics.MOTOR_CURRENTS] = now_ns / _NANO
         current = sample.joints[WHEEL_MOTOR].effort
         self.torque += 0.1 * (current * self.settings.drive.torque_per_ampere - self.torque)
 
-    def hear_contact(self, sample: JointSample, now_ns: int) -> None:
+    def on_contact(self, sample: JointSample, now_ns: int) -> None:
         """Take the contact switches; the floor's counts."""
         now = self._heard[topics.CONTACT] = now_ns / _NANO
         if sample.joints[FLOOR_SWITCH].position >= 0.5:
@@ -199,32 +199,32 @@ class Drive:
         elif self._off_floor is None:
             self._off_floor = now
 
-    def hear_winch_mode(self, mode: str) -> None:
+    def on_winch_mode(self, mode: str) -> None:
         """Take what the winch is doing."""
-        self.tether.hear_mode(mode)
+        self.tether.on_mode(mode)
 
-    def hear_winch_estimate(self, sample: JointSample, now_ns: int) -> None:
+    def on_winch_estimate(self, sample: JointSample, now_ns: int) -> None:
         """Take what the winch makes of its sensors."""
         self._heard[topics.WINCH_ESTIMATE] = now_ns / _NANO
         payout, tension = sample.joints[PAYOUT], sample.joints[TENSION]
         weight = sample.joints[TETHER_OUT].effort
         known = tension.position >= 0.5
         pull = tension.effort if known else math.nan
-        self.tether.hear_estimate(payout.position, payout.velocity, pull, weight)
+        self.tether.on_estimate(payout.position, payout.velocity, pull, weight)
         if known and not self.is_in_turn:
             seen = Tether(sample.joints[STRETCHED].position, pull, weight)
-            self.odometry.hear_tether(seen, is_taut=self.tether.is_taut)
+            self.odometry.on_tether(seen, is_taut=self.tether.is_taut)
 
     @property
     def is_in_turn(self) -> bool:
         """Whether the rover turns: then the attachment moves and the way does not count it."""
         return self.follower.rate < 0.0
 
-    def hear_jump(self, phase: str) -> None:
+    def on_jump(self, phase: str) -> None:
         """Take what the jump is doing."""
         self._jump = phase
 
-    def hear_descent(self, phase: str) -> None:
+    def on_descent(self, phase: str) -> None:
         """Take what the descent is doing: it uses the same wheels and winch."""
         self._descent = phase
 

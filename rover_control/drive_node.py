@@ -57,11 +57,11 @@ class DriveNode(ContractNode):
 
     def setup(self) -> None:
         """Open topics and services."""
-        self._wheel_outlet = self.publisher(topics.WHEEL_COMMAND)
-        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
-        self._phase_outlet = self.publisher(topics.DRIVE_PHASE)
-        self._state_outlet = self.publisher(topics.DRIVE_STATE)
-        self._odometry_outlet = self.publisher(topics.ODOMETRY)
+        self._wheel_publisher = self.publisher(topics.WHEEL_COMMAND)
+        self._winch_publisher = self.publisher(topics.WINCH_REQUEST)
+        self._phase_publisher = self.publisher(topics.DRIVE_PHASE)
+        self._state_publisher = self.publisher(topics.DRIVE_STATE)
+        self._odometry_publisher = self.publisher(topics.ODOMETRY)
         self._begin()
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)
@@ -81,13 +81,13 @@ class DriveNode(ContractNode):
         """Drive nothing until it is asked for."""
         rates = self.parameters_of(DriveNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
-        self.every(1.0 / rates.odometry_rate, self._tell_odometry)
-        self.every(1.0 / rates.state_rate, self._tell_state)
+        self.every(1.0 / rates.odometry_rate, self._publish_odometry)
+        self.every(1.0 / rates.state_rate, self._publish_state)
 
     def stop(self) -> None:
         """The wheels stand; the winch keeps what it holds until it misses its renewal."""
         self._send(self._drive.halt())
-        self._tell_changes()
+        self._publish_changes()
 
     def parameters_changed(self) -> None:
         """Take new parameters while nothing is driven; the pose stays."""
@@ -105,7 +105,7 @@ class DriveNode(ContractNode):
         """Start over where the rover stands: what was timed means nothing any more."""
         if self.active:
             self._send(self._drive.halt())
-            self._tell_changes()
+            self._publish_changes()
             pose = self._drive.odometry.pose
             self._begin()
             self._drive.odometry.place(pose)
@@ -126,31 +126,31 @@ class DriveNode(ContractNode):
     # --- what is heard ---------------------------------------------------------------------------
 
     def _on_imu(self, sample: ImuSample) -> None:
-        self._drive.hear_imu(sample, self.now_ns())
+        self._drive.on_imu(sample, self.now_ns())
 
     def _on_wheels(self, sample: JointSample) -> None:
-        self._drive.hear_wheels(sample, self.now_ns())
+        self._drive.on_wheels(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
-        self._drive.hear_currents(sample, self.now_ns())
+        self._drive.on_currents(sample, self.now_ns())
 
     def _on_contact(self, sample: JointSample) -> None:
-        self._drive.hear_contact(sample, self.now_ns())
+        self._drive.on_contact(sample, self.now_ns())
 
     def _on_winch_estimate(self, sample: JointSample) -> None:
-        self._drive.hear_winch_estimate(sample, self.now_ns())
+        self._drive.on_winch_estimate(sample, self.now_ns())
 
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._heard_mode = sample.text
-        self._drive.hear_winch_mode(sample.text)
+        self._drive.on_winch_mode(sample.text)
 
     def _on_jump(self, sample: TextSample) -> None:
         self._heard_jump = sample.text
-        self._drive.hear_jump(sample.text)
+        self._drive.on_jump(sample.text)
 
     def _on_descent(self, sample: TextSample) -> None:
         self._heard_descent = sample.text
-        self._drive.hear_descent(sample.text)
+        self._drive.on_descent(sample.text)
 
     def _on_start_pose(self, sample: PoseSample) -> None:
         self._drive.place(sample)
@@ -161,19 +161,19 @@ class DriveNode(ContractNode):
 
     def _on_goal(self, sample: PoseSample) -> None:
         self._drive.request(sample, self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
 
     def _on_path(self, sample: PathSample) -> None:
         self._drive.request_path(sample, self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
 
     def _on_twist(self, sample: TwistSample) -> None:
         self._drive.steer(sample, self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
 
     def _on_stop(self) -> tuple[bool, str]:
         answer = self._drive.stop(self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
         return True, answer
 
     # --- what is told ----------------------------------------------------------------------------
@@ -184,41 +184,41 @@ class DriveNode(ContractNode):
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._drive = Drive(DriveSettings(**values))
         # What is latched is not said again.
-        self._drive.hear_winch_mode(self._heard_mode)
-        self._drive.hear_jump(self._heard_jump)
-        self._drive.hear_descent(self._heard_descent)
+        self._drive.on_winch_mode(self._heard_mode)
+        self._drive.on_jump(self._heard_jump)
+        self._drive.on_descent(self._heard_descent)
         self._told_phase = self._ended = ""
-        self._tell_changes()
+        self._publish_changes()
 
     def _step(self) -> None:
         self._send(self._drive.step(self.now_ns()))
-        self._tell_changes()
+        self._publish_changes()
 
     def _send(self, drives: Drives) -> None:
         now_ns = self.now_ns()
         if drives.wheel_rate is not None:
             torque = self.parameters_of(DriveNodeParameters).wheel_torque
             value = JointValue(0.0, drives.wheel_rate, torque)
-            self._wheel_outlet.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+            self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
         if drives.winch is not None:
             ask = drives.winch
             value = JointValue(ask.position, ask.velocity, ask.effort)
-            self._winch_outlet.send(JointSample(now_ns, {ask.joint: value}))
+            self._winch_publisher.send(JointSample(now_ns, {ask.joint: value}))
 
-    def _tell_changes(self) -> None:
+    def _publish_changes(self) -> None:
         for change in self._drive.take_changes():
             self.event(change.name, change.reason, change.level, change.values)
             self._ended = change.reason if change.level is not Level.OK else ""
         phase = self._drive.phase.value
         if phase != self._told_phase:
             self._told_phase = phase
-            self._phase_outlet.send(TextSample(phase))
+            self._phase_publisher.send(TextSample(phase))
 
-    def _tell_odometry(self) -> None:
-        self._odometry_outlet.send(odometry_sample(self._drive, self.now_ns()))
+    def _publish_odometry(self) -> None:
+        self._odometry_publisher.send(odometry_sample(self._drive, self.now_ns()))
 
-    def _tell_state(self) -> None:
-        self._state_outlet.send(state_sample(self._drive, self.now_ns()))
+    def _publish_state(self) -> None:
+        self._state_publisher.send(state_sample(self._drive, self.now_ns()))
 
 
 def main() -> int:

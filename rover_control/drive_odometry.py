@@ -202,7 +202,7 @@ class DriveOdometry:
         self._knows_drop = False
         self._seen_at = -math.inf
 
-    def hear_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
+    def on_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
         """Take a reading of the IMU.
 
         Args:
@@ -252,7 +252,7 @@ class DriveOdometry:
         x, y = self._level_bias
         self._level_bias = (x + share * (rate[0] - x), y + share * (rate[1] - y))
 
-    def hear_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
+    def on_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
         """Take how far the wheels have turned.
 
         Args:
@@ -318,7 +318,7 @@ class DriveOdometry:
         self._p[state, :] += share * self._p[other, :]
         self._p[:, state] += share * self._p[:, other]
 
-    def hear_tether(self, tether: Tether, *, is_taut: bool) -> None:
+    def on_tether(self, tether: Tether, *, is_taut: bool) -> None:
         """Take the tether's length.
 
         Args:

@@ -95,11 +95,11 @@ class TetherCare:
             return True
         return self._leads and self.mode == _TENSION and self._is_taken_up
 
-    def hear_mode(self, mode: str) -> None:
+    def on_mode(self, mode: str) -> None:
         """Take what the winch is doing."""
         self.mode = mode
 
-    def hear_estimate(self, length: float, rate: float, tension: float, weight: float) -> None:
+    def on_estimate(self, length: float, rate: float, tension: float, weight: float) -> None:
         """Take what the winch makes of its sensors."""
         self.length, self.rate, self.tension, self.weight = length, rate, tension, weight
 

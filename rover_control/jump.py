@@ -1,8 +1,8 @@
-"""The rover's jumps: sequence, forecast, what each came to, what the spring is learnt to be. Pure.
+"""The rover's jumps: sequence, prediction, report of each jump, learnt spring. Pure.
 
-A jump by stroke or height begins at once. One by clearance is foretold first: `take_question` says
-what is to be foretold, and what answers it tells `hear_forecast`; then the winch is asked for
-slack, where there is too little, and the jump begins. An outlook ends with the forecast.
+A jump by stroke or height begins at once. One by clearance is predicted first: `take_question` says
+what is to be predicted, and what answers it tells `on_prediction`; then the winch is asked for
+slack, where there is too little, and the jump begins. An outlook ends with the prediction.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_OUTLOOK, JUMP_STROKE, PAYOUT
+from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, PAYOUT
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, Level, OdometrySample, WrenchSample
 from rover_control.jump_flight import FlightRecorder, Flown
-from rover_control.jump_forecast import Forecast, ForecastParameters, Question, Situation
 from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_prediction import Prediction, PredictionParameters, Question, Situation
 from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
@@ -36,13 +36,13 @@ class FlightParameters:
 
 
 class JumpRecord(NamedTuple):
-    """A jump, foretold and flown."""
+    """A jump, predicted and flown."""
 
     stamp_ns: int  # of the landing
     stroke: float  # of the nut at the release [m]
     wanted: float  # height [m]; nan = a stroke was asked for
     expected: Height | None  # before the release; None: the stroke was to lift nothing
-    forecast: Forecast | None  # that the jump was picked by
+    prediction: Prediction | None  # that the jump was picked by
     peak_tension: float  # at the rover, from the release to the rest [N]; nan = not known
     flown: Flown
     gain: float  # of the spring's estimate after it
@@ -57,7 +57,7 @@ class JumpSettings:
     sequence: JumpParameters = field(default_factory=JumpParameters)
     spring: SpringParameters = field(default_factory=SpringParameters)
     flight: FlightParameters = field(default_factory=FlightParameters)
-    forecast: ForecastParameters = field(default_factory=ForecastParameters)
+    prediction: PredictionParameters = field(default_factory=PredictionParameters)
 
 
 @dataclass
@@ -67,9 +67,9 @@ class _Pending:
     question: Question
     speed: float  # of the nut [m/s]
     since_ns: int
-    is_outlook: bool = False  # it is only foretold
+    is_outlook: bool = False  # it is only predicted
     is_asked: bool = False  # whether the question was taken
-    forecast: Forecast | None = None
+    prediction: Prediction | None = None
     is_moving: bool = False  # whether the winch has begun to give slack
 
 
@@ -96,8 +96,8 @@ class Jump:
         self._mode = ""  # of the winch
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
-        self._asked = 0  # forecasts so far
-        self._forecast: Forecast | None = None  # of the jump under way
+        self._asked = 0  # predictions so far
+        self._prediction: Prediction | None = None  # of the jump under way
         self._pull = math.nan  # largest since the release [N]
         self._wanted = math.nan
         self._tilt = 0.0  # before the release [rad]
@@ -108,8 +108,8 @@ class Jump:
         """What the sequence is doing."""
         if self._pending is None:
             return self.sequence.phase
-        if self._pending.forecast is None:
-            return JumpPhase.FORETELLING
+        if self._pending.prediction is None:
+            return JumpPhase.PREDICTING
         return JumpPhase.GIVING_SLACK
 
     def start_over(self, now_ns: int) -> None:
@@ -132,34 +132,34 @@ class Jump:
 
     # --- what is heard ---------------------------------------------------------------------------
 
-    def hear_contact(self, sample: JointSample, now_ns: int) -> None:
+    def on_contact(self, sample: JointSample, now_ns: int) -> None:
         """Take a sample of the contact switches."""
         self.sensors = self.sensors.with_contact(sample, now_ns)
 
-    def hear_jump_motor(self, sample: JointSample, now_ns: int) -> None:
+    def on_jump_motor(self, sample: JointSample, now_ns: int) -> None:
         """Take a sample of the jump motor's state."""
         self.sensors = self.sensors.with_jump_motor(sample, now_ns)
 
-    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a sample of the IMU."""
         self.sensors = self.sensors.with_imu(sample, now_ns)
-        self._recorder.hear_imu(sample, now_ns)
+        self._recorder.on_imu(sample, now_ns)
 
-    def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+    def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
         """Take a sample of the load cell at the tether's rover end."""
         self.sensors = self.sensors.with_load_cell(sample, now_ns)
         if self.sensors.pull is not None:
             self._pull = max(self._pull, self.sensors.pull.value)
 
-    def hear_odometry(self, sample: OdometrySample) -> None:
+    def on_odometry(self, sample: OdometrySample) -> None:
         """Take where the rover is."""
         self._odometry = sample
 
-    def hear_winch_estimate(self, sample: JointSample) -> None:
+    def on_winch_estimate(self, sample: JointSample) -> None:
         """Take what the winch knows of its tether."""
         self._length = sample.joints[PAYOUT].position
 
-    def hear_winch_mode(self, mode: str) -> None:
+    def on_winch_mode(self, mode: str) -> None:
         """Take what the winch is doing."""
         self._mode = mode
 
@@ -179,8 +179,8 @@ class Jump:
                 f"the jump is in {self.phase}, a jump starts from standby; {topics.JUMP_ABORT} "
                 "ends it",
             )
-        if joint in (JUMP_CLEARANCE, JUMP_OUTLOOK):
-            self._ask(value, speed, now_ns, is_outlook=joint == JUMP_OUTLOOK)
+        if joint in (JUMP_CLEARANCE, JUMP_PREDICTION):
+            self._ask(value, speed, now_ns, is_outlook=joint == JUMP_PREDICTION)
             return
         if joint == JUMP_STROKE:
             self.sequence.request(value, speed, self.sensors, now_ns)
@@ -202,7 +202,7 @@ class Jump:
         else:
             raise AssertionError(f"no jump is asked for by {joint}")
         self._tilt = self.sensors.tilt
-        self._forecast = None
+        self._prediction = None
         self._follow(now_ns)
 
     def abort(self, now_ns: int) -> str:
@@ -239,7 +239,7 @@ class Jump:
     # --- before a jump by clearance --------------------------------------------------------------
 
     def take_question(self) -> Question | None:
-        """Return what is to be foretold now; None = nothing, or it was taken already."""
+        """Return what is to be predicted now; None = nothing, or it was taken already."""
         if self._pending is None or self._pending.is_asked:
             return None
         self._pending.is_asked = True
@@ -250,31 +250,31 @@ class Jump:
         taken, self._slack_request = self._slack_request, None
         return taken
 
-    def hear_forecast(self, question: Question, forecast: Forecast, now_ns: int) -> None:
+    def on_prediction(self, question: Question, prediction: Prediction, now_ns: int) -> None:
         """Take the answer to a question; one to a question that was dropped is not heard."""
         pending = self._pending
-        if pending is None or pending.question is not question or pending.forecast is not None:
+        if pending is None or pending.question is not question or pending.prediction is not None:
             return
         values = {
-            "height": forecast.height.middle,
-            "upright": forecast.upright,
-            "stroke": forecast.stroke,
-            "took": forecast.took,
+            "height": prediction.height.middle,
+            "upright": prediction.upright,
+            "stroke": prediction.stroke,
+            "took": prediction.took,
         }
-        if forecast.refused:
-            self._drop(f"better not: {forecast.refused}", values)
+        if prediction.refused:
+            self._drop(f"better not: {prediction.refused}", values)
             return
         if pending.is_outlook:
-            text = f"foretold: it lands upright with {forecast.upright:.2f}"
+            text = f"predicted: it lands upright with {prediction.upright:.2f}"
             self._drop(text, values, Level.OK)
             return
-        pending.forecast, pending.since_ns = forecast, now_ns
-        if forecast.gives_slack > 0.0:
-            self._slack_request = forecast.slack
-            text = f"the tether needs {forecast.gives_slack:.3g} m more slack"
+        pending.prediction, pending.since_ns = prediction, now_ns
+        if prediction.gives_slack > 0.0:
+            self._slack_request = prediction.slack
+            text = f"the tether needs {prediction.gives_slack:.3g} m more slack"
             self._transitions.append(Transition(JumpPhase.GIVING_SLACK, text, values=values))
         else:
-            self._begin(pending, forecast, now_ns)
+            self._begin(pending, prediction, now_ns)
 
     def _ask(self, clearance: float, speed: float, now_ns: int, *, is_outlook: bool) -> None:
         self.sequence.check_request(self.sensors, now_ns)
@@ -296,7 +296,7 @@ class Jump:
         self._pending = _Pending(question, speed, now_ns, is_outlook)
         self._transitions.append(
             Transition(
-                JumpPhase.FORETELLING,
+                JumpPhase.PREDICTING,
                 f"a clearance of {clearance:g} m is wanted",
                 values={"clearance": clearance, "tilt": situation.tilt},
             )
@@ -304,29 +304,29 @@ class Jump:
 
     def _wait(self, pending: _Pending, now_ns: int) -> None:
         """Go on with a jump that has not begun, or give it up."""
-        limit = self._settings.forecast.forecast_limit
+        limit = self._settings.prediction.prediction_limit
         late = seconds(now_ns, pending.since_ns) > limit
-        if pending.forecast is None:
+        if pending.prediction is None:
             if late:
-                self._drop(f"not foretold within {limit:g} s", {})
+                self._drop(f"not predicted within {limit:g} s", {})
             return
         pending.is_moving = pending.is_moving or self._mode != _HOLD
         if pending.is_moving and self._mode == _HOLD:
-            self._begin(pending, pending.forecast, now_ns)
+            self._begin(pending, pending.prediction, now_ns)
         elif late:
             text = f"the winch has not given slack within {limit:g} s, it is in '{self._mode}'"
             self._drop(text, {})
 
-    def _begin(self, pending: _Pending, forecast: Forecast, now_ns: int) -> None:
+    def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:
         self._pending = None
         try:
-            self.sequence.request(forecast.stroke, pending.speed, self.sensors, now_ns)
+            self.sequence.request(prediction.stroke, pending.speed, self.sensors, now_ns)
         except Refusal as refusal:
             self._transitions.append(
                 Transition(JumpPhase.STANDBY, f"not begun: {refusal.reason}", Level.WARN)
             )
             return
-        self._forecast, self._wanted = forecast, pending.question.height
+        self._prediction, self._wanted = prediction, pending.question.height
         self._tilt = pending.question.situation.tilt
         self._follow(now_ns)
 
@@ -344,7 +344,7 @@ class Jump:
             elif change.phase is JumpPhase.RELEASING:
                 self._recorder.release(now_ns)
                 self._pull = math.nan if self.sensors.pull is None else 0.0
-                if self._forecast is None:
+                if self._prediction is None:
                     self._tilt = self.sensors.tilt
             elif change.phase is JumpPhase.LANDED:
                 closed, flight = self.sensors.closed_ns, self.sensors.open_time
@@ -360,8 +360,8 @@ class Jump:
         if flown is None:
             return
         stroke = self.sequence.highest
-        forecast = self._forecast
-        ratio, spread = (1.0, 0.0) if forecast is None else (forecast.ratio, forecast.spread)
+        prediction = self._prediction
+        ratio, spread = (1.0, 0.0) if prediction is None else (prediction.ratio, prediction.spread)
         expected = None
         if stroke > self.spring.shortest_stroke:
             expected = self.spring.expected(stroke, self._tilt, ratio).spread_by(spread)
@@ -372,7 +372,7 @@ class Jump:
                 stroke,
                 self._wanted,
                 expected,
-                forecast,
+                prediction,
                 self._pull,
                 flown,
                 self.spring.gain,

@@ -68,7 +68,7 @@ class FlightRecorder:
         x, y, z = np.mean(forces, axis=0).tolist()
         return (x, y, z)
 
-    def hear_imu(self, sample: ImuSample, now_ns: int) -> None:
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a sample."""
         stamp = sample.stamp_ns or now_ns
         if self._samples and stamp <= self._samples[-1][0]:

@@ -26,15 +26,15 @@ from msg_schemas.samples import (
 from msg_schemas.scheduling import give_priority_up
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_forecast import (
-    Forecast,
-    ForecastParameters,
+from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_prediction import (
+    Prediction,
+    PredictionParameters,
     Question,
     Situation,
-    refused_forecast,
+    refused_prediction,
 )
-from rover_control.jump_parameters import JumpParameters, JumpPhase
-from rover_control.jump_report import flown_sample, forecast_sample
+from rover_control.jump_report import flown_sample, prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 
 # The controller's parameters are parts of its own, by their name there.
@@ -51,9 +51,9 @@ class JumpNodeParameters:
         20.0, "Hz", "how often the sequence is stepped and the jump motor told", 5.0, 200.0,
         read_only=True,
     )  # fmt: skip
-    foretell_ready: bool = parameter(
-        False, "-", "the model is built at the start, so that the first forecast comes as soon as "
-        "later ones", read_only=True,
+    predict_ready: bool = parameter(
+        False, "-", "build the model at the start: the first prediction is as fast as later ones",
+        read_only=True,
     )  # fmt: skip
 
 
@@ -66,11 +66,11 @@ class JumpNode(ContractNode):
     def setup(self) -> None:
         """Open topics and services."""
         self._begin()
-        self._command_outlet = self.publisher(topics.JUMP_MOTOR_COMMAND)
-        self._phase_outlet = self.publisher(topics.JUMP_PHASE)
-        self._flown_outlet = self.publisher(topics.JUMP_FLOWN)
-        self._forecast_outlet = self.publisher(topics.JUMP_FORECAST)
-        self._winch_outlet = self.publisher(topics.WINCH_REQUEST)
+        self._command_publisher = self.publisher(topics.JUMP_MOTOR_COMMAND)
+        self._phase_publisher = self.publisher(topics.JUMP_PHASE)
+        self._flown_publisher = self.publisher(topics.JUMP_FLOWN)
+        self._prediction_publisher = self.publisher(topics.JUMP_PREDICTION)
+        self._winch_publisher = self.publisher(topics.WINCH_REQUEST)
         self.subscribe(topics.CONTACT, self._on_contact)
         self.subscribe(topics.JUMP_MOTOR_STATE, self._on_jump_motor)
         self.subscribe(topics.IMU, self._on_imu)
@@ -84,15 +84,15 @@ class JumpNode(ContractNode):
     def start(self) -> None:
         """Stand by."""
         self._begin()
-        self._phase_outlet.send(TextSample(self._jump.phase))
+        self._phase_publisher.send(TextSample(self._jump.phase))
         own = self.parameters_of(JumpNodeParameters)
         self.every(1.0 / own.command_rate, self._step)
-        if own.foretell_ready:
-            self._foreteller.submit(self._model.prepare)
+        if own.predict_ready:
+            self._predicter.submit(self._model.prepare)
 
     def stop(self) -> None:
-        """Nothing is foretold any more; what is under way ends unheard."""
-        self._foreteller.shutdown(wait=False, cancel_futures=True)
+        """Nothing is predicted any more; what is under way ends unheard."""
+        self._predicter.shutdown(wait=False, cancel_futures=True)
 
     def parameters_changed(self) -> None:
         """Take new limits; a jump that runs keeps to them at once, what was learnt stays."""
@@ -120,36 +120,36 @@ class JumpNode(ContractNode):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._jump = Jump(JumpSettings(**values))
-        self._jump.hear_winch_mode(self._heard_mode)  # what is latched is not said again
-        self._model = _Model(self.parameters_of(ForecastParameters))
-        self._foreteller = ThreadPoolExecutor(
-            1, thread_name_prefix="foretell", initializer=give_priority_up
+        self._jump.on_winch_mode(self._heard_mode)  # what is latched is not said again
+        self._model = _Model(self.parameters_of(PredictionParameters))
+        self._predicter = ThreadPoolExecutor(
+            1, thread_name_prefix="predict", initializer=give_priority_up
         )
-        self._answer: tuple[Question, Future[Forecast]] | None = None
+        self._answer: tuple[Question, Future[Prediction]] | None = None
 
     # --- what is heard ---------------------------------------------------------------------------
 
     def _on_contact(self, sample: JointSample) -> None:
-        self._jump.hear_contact(sample, self.now_ns())
+        self._jump.on_contact(sample, self.now_ns())
 
     def _on_jump_motor(self, sample: JointSample) -> None:
-        self._jump.hear_jump_motor(sample, self.now_ns())
+        self._jump.on_jump_motor(sample, self.now_ns())
 
     def _on_imu(self, sample: ImuSample) -> None:
-        self._jump.hear_imu(sample, self.now_ns())
+        self._jump.on_imu(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
-        self._jump.hear_load_cell(sample, self.now_ns())
+        self._jump.on_load_cell(sample, self.now_ns())
 
     def _on_odometry(self, sample: OdometrySample) -> None:
-        self._jump.hear_odometry(sample)
+        self._jump.on_odometry(sample)
 
     def _on_winch_estimate(self, sample: JointSample) -> None:
-        self._jump.hear_winch_estimate(sample)
+        self._jump.on_winch_estimate(sample)
 
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._heard_mode = sample.text
-        self._jump.hear_winch_mode(sample.text)
+        self._jump.on_winch_mode(sample.text)
 
     def _on_request(self, sample: JointSample) -> None:
         self._jump.request(sample, self.now_ns())
@@ -166,67 +166,69 @@ class JumpNode(ContractNode):
 
     def _step(self) -> None:
         now_ns = self.now_ns()
-        self._foretell(now_ns)
+        self._predict(now_ns)
         command = self._jump.step(now_ns)
         if command is not None:
             joints = {
                 JUMP_SCREW: JointValue(command.compression, command.rate, command.force),
                 JUMP_LATCH: JointValue(float(command.trips)),
             }
-            self._command_outlet.send(JointSample(now_ns, joints))
+            self._command_publisher.send(JointSample(now_ns, joints))
         self._tell()
 
-    def _foretell(self, now_ns: int) -> None:
-        """Hand over what is to be foretold, and what was."""
+    def _predict(self, now_ns: int) -> None:
+        """Hand over what is to be predicted, and what was."""
         question = self._jump.take_question()
         if question is not None:
             known = copy.deepcopy(self._jump.spring)
             self._answer = (
                 question,
-                self._foreteller.submit(self._model.foretell, question, known),
+                self._predicter.submit(self._model.predict, question, known),
             )
         if self._answer is not None and self._answer[1].done():
             question, future = self._answer
             self._answer = None
             error = future.exception()
-            forecast = refused_forecast(f"the model failed: {error}") if error else future.result()
-            self._forecast_outlet.send(forecast_sample(forecast, now_ns))
-            self._jump.hear_forecast(question, forecast, now_ns)
+            prediction = (
+                refused_prediction(f"the model failed: {error}") if error else future.result()
+            )
+            self._prediction_publisher.send(prediction_sample(prediction, now_ns))
+            self._jump.on_prediction(question, prediction, now_ns)
         slack = self._jump.take_slack_request()
         if slack is not None:
-            self._winch_outlet.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
+            self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
 
     def _tell(self) -> None:
         for change in self._jump.take_transitions():
-            self._phase_outlet.send(TextSample(change.phase.value))
+            self._phase_publisher.send(TextSample(change.phase.value))
             name = f"jump_{change.phase.value}"
             self.event(name, change.reason, change.level, change.values)
             if change.level is not Level.OK:
                 self.report(Status(f"{self.NAME}: {name}", change.reason, change.level, self.NAME))
         for record in self._jump.take_records():
-            self._flown_outlet.send(flown_sample(record))
+            self._flown_publisher.send(flown_sample(record))
 
 
 class _Model:
     """The predictor, made in the thread that uses it: the simulator takes seconds to load."""
 
-    def __init__(self, parameters: ForecastParameters) -> None:
+    def __init__(self, parameters: PredictionParameters) -> None:
         self._parameters = parameters
         self._predictor: Any = None
 
     def prepare(self) -> None:
         """Load the simulator and fly once."""
         start = Situation(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
-        self.foretell(Question(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
+        self.predict(Question(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
 
-    def foretell(self, question: Question, spring: SpringEstimate) -> Forecast:
-        """As `JumpPredictor.foretell`."""
+    def predict(self, question: Question, spring: SpringEstimate) -> Prediction:
+        """As `JumpPredictor.predict`."""
         if self._predictor is None:
             from rover_control.jump_predictor import JumpPredictor  # noqa: PLC0415
 
             self._predictor = JumpPredictor(self._parameters)
-        forecast: Forecast = self._predictor.foretell(question, spring)
-        return forecast
+        prediction: Prediction = self._predictor.predict(question, spring)
+        return prediction
 
 
 def main() -> int:

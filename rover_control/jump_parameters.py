@@ -14,7 +14,7 @@ class JumpPhase(StrEnum):
     """What the sequence is doing; the words of the contract."""
 
     STANDBY = "standby"
-    FORETELLING = "foretelling"
+    PREDICTING = "predicting"
     GIVING_SLACK = "giving_slack"
     COMPRESSING = "compressing"
     SETTLING = "settling"

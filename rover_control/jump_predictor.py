@@ -1,4 +1,4 @@
-"""Foretells a jump by flying it many times with the simulator's plant, before it is flown.
+"""Predicts a jump by flying it many times with the simulator's plant, before it is flown.
 
 The plant is built where the rover stands, on a plane floor that tilts as the rover does, its
 tether as long as it is or is to be. The rover settles on it once. From there it jumps again and
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rover_sim
-from rover_control.jump_forecast import (
+from rover_control.jump_prediction import (
     Band,
-    Forecast,
-    ForecastParameters,
+    Prediction,
+    PredictionParameters,
     Question,
     Situation,
-    refused_forecast,
+    refused_prediction,
 )
 from rover_control.jump_spring import SpringEstimate
 
@@ -58,20 +58,20 @@ class _Leap:
 
 
 class JumpPredictor:
-    """Foretells jumps.
+    """Predicts jumps.
 
     Args:
         parameters: how.
         workers: threads that fly at the same time.
     """
 
-    def __init__(self, parameters: ForecastParameters, workers: int = 2) -> None:
+    def __init__(self, parameters: PredictionParameters, workers: int = 2) -> None:
         self.parameters = parameters
         self._workers = workers
         self._kept: tuple[tuple[float, ...], _Place] | None = None
 
-    def foretell(self, question: Question, spring: SpringEstimate) -> Forecast:
-        """Foretell a jump of the height that is wanted; picks stroke and slack.
+    def predict(self, question: Question, spring: SpringEstimate) -> Prediction:
+        """Predict a jump of the height that is wanted; picks stroke and slack.
 
         It takes about a second and may be called in another thread than what it is given.
 
@@ -83,7 +83,7 @@ class JumpPredictor:
         situation = question.situation
         guess = spring.stroke_for(question.height, situation.tilt)
         if guess > p.longest_stroke * 1.15:
-            return refused_forecast(self._too_high(question, spring, 1.0))
+            return refused_prediction(self._too_high(question, spring, 1.0))
         try:
             slack, given = self._slack(situation, question.height)
             place = self._place(situation, slack)
@@ -92,7 +92,7 @@ class JumpPredictor:
             strokes = [spring.same_as(stroke, float(a), float(b)) for a, b in drawn]
             leaps = self._fly(place, strokes, question)
         except (rover_sim.ScenarioError, rover_sim.SettlingError, RuntimeError) as error:
-            return refused_forecast(f"the jump cannot be foretold: {error}")
+            return refused_prediction(f"the jump cannot be predicted: {error}")
         formula = [spring.formula(x, situation.tilt) for x in strokes]
         heights = np.array([max(leap.height, 1e-3) for leap in leaps])
         logs = np.log(heights / np.array(formula))
@@ -123,7 +123,7 @@ class JumpPredictor:
                 f"the rover would land upright with a probability of {upright:.2f} alone, "
                 f"{p.least_upright:g} is needed"
             )
-        return Forecast(
+        return Prediction(
             stroke=stroke,
             slack=slack,
             gives_slack=given,
@@ -140,7 +140,7 @@ class JumpPredictor:
         )
 
     def prepare(self, situation: Situation, height: float) -> None:
-        """Build the place beforehand, so that the forecast comes sooner.
+        """Build the place beforehand, so that the prediction comes sooner.
 
         Raises:
             ScenarioError: the parameters do not give one.
@@ -201,7 +201,7 @@ class JumpPredictor:
         chord = math.hypot(x, y, drop)
         length = chord + max(slack, 0.05)
         scenario = rover_sim.load_spatial(
-            p.foretold_scenario,
+            p.predicted_scenario,
             {
                 "place.hole": None,
                 "place.relief": None,
@@ -219,8 +219,8 @@ class JumpPredictor:
                 "tether.length": length,
                 "tether.max_length": max(length + 1.0, 60.0),
                 "tether.elements": None,
-                "tether.element_length": max(length / p.forecast_elements, 0.3),
-                "integration.h": p.forecast_step,
+                "tether.element_length": max(length / p.prediction_elements, 0.3),
+                "integration.h": p.prediction_step,
             },
         )
         plant = rover_sim.SpatialPlant(scenario)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from msg_schemas.machine import (
-    FORECAST_TIME,
     JUMP_HEIGHT,
     JUMP_RANGE,
     JUMP_SLACK,
@@ -15,39 +14,40 @@ from msg_schemas.machine import (
     JUMP_TIME,
     JUMP_TURN,
     JUMP_WANTED,
+    PREDICTION_TIME,
     SPRING_GAIN,
     SPRING_ZERO,
     UPRIGHT,
 )
 from msg_schemas.samples import JointSample, JointValue
 from rover_control.jump import JumpRecord
-from rover_control.jump_forecast import NO_BAND, Forecast
+from rover_control.jump_prediction import NO_BAND, Prediction
 
 
-def forecast_sample(forecast: Forecast, stamp_ns: int) -> JointSample:
-    """A jump as it is foretold."""
+def prediction_sample(prediction: Prediction, stamp_ns: int) -> JointSample:
+    """A jump as it is predicted."""
     joints = {
-        JUMP_HEIGHT: JointValue(*forecast.height),
-        JUMP_RANGE: JointValue(*forecast.range),
-        JUMP_TURN: JointValue(*forecast.turn),
-        JUMP_TENSION: JointValue(*forecast.peak_tension),
-        JUMP_STROKE: JointValue(forecast.stroke),
-        JUMP_SLACK: JointValue(forecast.slack),
-        UPRIGHT: JointValue(forecast.upright),
-        FORECAST_TIME: JointValue(forecast.took, 0.0, float(forecast.rollouts)),
+        JUMP_HEIGHT: JointValue(*prediction.height),
+        JUMP_RANGE: JointValue(*prediction.range),
+        JUMP_TURN: JointValue(*prediction.turn),
+        JUMP_TENSION: JointValue(*prediction.peak_tension),
+        JUMP_STROKE: JointValue(prediction.stroke),
+        JUMP_SLACK: JointValue(prediction.slack),
+        UPRIGHT: JointValue(prediction.upright),
+        PREDICTION_TIME: JointValue(prediction.took, 0.0, float(prediction.rollouts)),
     }
     return JointSample(stamp_ns, joints)
 
 
 def flown_sample(record: JumpRecord) -> JointSample:
-    """A jump, foretold and flown."""
-    flown, expected, forecast = record.flown, record.expected, record.forecast
+    """A jump, predicted and flown."""
+    flown, expected, prediction = record.flown, record.expected, record.prediction
     low, high = 0.0, 0.0
     if expected is not None:
         low, high = expected.interval()
     way = turn = tension = NO_BAND
-    if forecast is not None:
-        way, turn, tension = forecast.range, forecast.turn, forecast.peak_tension
+    if prediction is not None:
+        way, turn, tension = prediction.range, prediction.turn, prediction.peak_tension
     pull = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
     values = {
         JUMP_WANTED: 0.0 if math.isnan(record.wanted) else record.wanted,

@@ -5,10 +5,10 @@ Two rules may be chosen between:
 ``risk``
     Wheels that got stuck n times here without getting on fail again with (n + 1)/(n + 2), Laplace's
     rule of succession; wheels that have not got stuck, with `usual_risk`. On ground steeper than
-    they climb they fail. A jump fails if the rover topples, as its forecast tells, or if it does
+    they climb they fail. A jump fails if the rover topples, as its prediction tells, or if it does
     not get the rover on; m jumps that did not leave (m + 1)/(m + 3) for that, so the first one is
     given 2 of 3. Toppling weighs `topple_weight` times as much as standing where one stood. A jump
-    that the forecast advises against fails.
+    that the prediction advises against fails.
 ``slack``
     The source study's: with a stiff tether jump up to a slack value dh/df of 1.5, drive above it.
     The study found attitudes to scatter above 1.5; rebuilt, that comes from the mesh of a tether
@@ -41,7 +41,7 @@ class LocomotionParameters:
     locomotion_rule: str = parameter(
         "risk",
         "-",
-        "risk: by what is foretold; slack: the source study's",
+        "risk: by what is predicted; slack: the source study's",
         choices=("risk", "slack"),
     )
     rule_slack: float = parameter(
@@ -59,7 +59,7 @@ class LocomotionParameters:
 
 
 class Outlook(NamedTuple):
-    """What a forecast says of a jump."""
+    """What a prediction says of a jump."""
 
     upright: float  # probability of landing so
     refused: str  # why it is better not to jump; empty = go
@@ -129,7 +129,7 @@ def _wheels_risk(parameters: LocomotionParameters, around: Surroundings) -> floa
 def _jump_risk(parameters: LocomotionParameters, around: Surroundings) -> tuple[float, str]:
     outlook, weight = around.outlook, parameters.topple_weight
     if outlook is None:
-        return weight, "no jump was foretold"
+        return weight, "no jump was predicted"
     if outlook.refused:
         return weight, outlook.refused
     stays = (around.jumped + 1.0) / (around.jumped + 3.0)

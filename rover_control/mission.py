@@ -33,11 +33,11 @@ from rover_control.mission_floor import Hop, Way
 from rover_control.mission_interlocks import Condition, forbidden, remedy
 from rover_control.mission_legs import (
     Ask,
-    Conduct,
     End,
     Hoist,
     Land,
     LegLimits,
+    LegTask,
     Lift,
     MissionPhase,
     Notes,
@@ -49,7 +49,7 @@ from rover_control.mission_legs import (
 )
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_route import Leg, LegKind, Route
-from rover_control.mission_sight import MissionSight, Place
+from rover_control.observed_state import ObservedState, Place
 
 _NANO = 1e9
 _PAUSE = 2.0  # between two calls of one service [s]
@@ -63,7 +63,7 @@ class MissionParameters:
     pause: float = parameter(
         45.0, "s", "before a hanging leg is tried again: the swing is learnt meanwhile", 0.0, 600.0
     )
-    node_silence: float = parameter(
+    node_timeout: float = parameter(
         2.0, "s", "after which winch or driving count as not there", 0.2, 60.0
     )
     most_rearms: int = parameter(
@@ -103,7 +103,7 @@ _AFTER: Mapping[LegKind, _After] = {
     LegKind.ASCEND: _After.HOLD,
     LegKind.STOW: _After.HOLD,
 }
-_CONDUCTS: Mapping[LegKind, type[Conduct]] = {
+_CONDUCTS: Mapping[LegKind, type[LegTask]] = {
     LegKind.LOOK: Stop,
     LegKind.TURN: Turn,
     LegKind.APPROACH: Stop,
@@ -139,7 +139,7 @@ class Mission:
     def __init__(self, plan: MissionPlan, settings: MissionSettings | None = None) -> None:
         self.plan = plan
         self.settings = settings or MissionSettings()
-        self.sight = MissionSight(self.settings.mission.node_silence)
+        self.observed = ObservedState(self.settings.mission.node_timeout)
         self.route = Route(plan)
         self.record: list[Done] = []
         self.notes = Notes()
@@ -147,7 +147,7 @@ class Mission:
         self.waits_for = ""  # what keeps the leg from going on
         self._tries = 0
         self._rearms = 0
-        self._conduct: Conduct | None = None
+        self._conduct: LegTask | None = None
         self._still = MissionPhase.STANDBY  # the phase where no leg is under way
         self._is_calm = True  # what was to be brought to rest, is
         self._pauses_until = -math.inf  # before the leg is tried again [s]
@@ -183,8 +183,8 @@ class Mission:
         return taken
 
     def hear(self, topic: str, sample: Sample, now_ns: int) -> None:
-        """Take what was said on a topic of `mission_sight.HEARD`."""
-        self.sight.hear(topic, sample, now_ns)
+        """Take what was said on a topic of `observed_state.HEARD`."""
+        self.observed.hear(topic, sample, now_ns)
 
     # --- asked from outside ----------------------------------------------------------------------
 
@@ -199,17 +199,17 @@ class Mission:
             other = topics.MISSION_RESUME if not self.is_active else topics.MISSION_ABORT
             raise _refused(topics.MISSION_GO, f"a mission is {self.phase}; see {other}")
         self._check_heard(topics.MISSION_GO, now)
-        stands = self.sight.stands
+        stands = self.observed.stands
         if self._still is MissionPhase.ABORTED:
             self.route.begin_home(stands=stands)
-            text = "home from " + ("the floor" if stands else f"{self.sight.length:.2f} m")
+            text = "home from " + ("the floor" if stands else f"{self.observed.length:.2f} m")
         else:
             self.route.begin(stands=stands)
             self.record, self.notes = [], Notes()
             if not stands:
-                self.sight.place = None
-            elif self.sight.place is None:
-                self.sight.place = Place(0.0, 0.0, math.radians(self.plan.heading))
+                self.observed.place = None
+            elif self.observed.place is None:
+                self.observed.place = Place(0.0, 0.0, math.radians(self.plan.heading))
             text = f"{len(self.route.legs)} legs" + (", the rover stands already" if stands else "")
         self._tell("mission_begun", text)
         self._tries = 0
@@ -277,7 +277,7 @@ class Mission:
         return f"coming to rest; {topics.MISSION_GO} leads home"
 
     def _check_heard(self, subject: str, now: float) -> None:
-        if self.sight.silent(topics.WINCH_ESTIMATE, now) or not self.sight.winch:
+        if self.observed.silent(topics.WINCH_ESTIMATE, now) or not self.observed.winch:
             raise Refusal(subject, RefusalCode.STALE, "the winch is not heard")
 
     def _may_lift(self) -> bool:
@@ -285,7 +285,7 @@ class Mission:
 
     def _is_within(self, radius: float) -> bool:
         """Whether the rover is known to be so near to the plumb line."""
-        place = self.sight.place
+        place = self.observed.place
         return place is not None and math.hypot(place.x, place.y) <= radius
 
     # --- stepped by time -------------------------------------------------------------------------
@@ -293,20 +293,20 @@ class Mission:
     def step(self, now_ns: int) -> tuple[Ask, ...]:
         """Advance to now; returns what is to be asked for."""
         now = now_ns / _NANO
-        news = self.sight.take_news()
+        news = self.observed.take_news()
         asks: tuple[Ask, ...] = ()
         if self._conduct is None:
             asks = self._calm(now)
         elif now >= self._pauses_until:
-            found = self._late(now) or self._conduct.step(self.sight, news, now)
-            self._tell_choices()
+            found = self._late(now) or self._conduct.step(self.observed, news, now)
+            self._publish_choices()
             if isinstance(found, End):
                 self._over(found, now)
             elif isinstance(found, Wish):
                 asks = self._allowed(found, now)
             else:
                 self.waits_for = ""
-        self._tell_phase()
+        self._publish_phase()
         return asks
 
     def _late(self, now: float) -> End | None:
@@ -324,20 +324,20 @@ class Mission:
 
     def _allowed(self, wish: Wish, now: float) -> tuple[Ask, ...]:
         """What of a wish may be asked for now: it, what clears its way, or nothing."""
-        found = forbidden(wish.act, self.sight, now)
-        self._tell_waiting("" if found is None else found.value)
+        found = forbidden(wish.act, self.observed, now)
+        self._publish_waiting("" if found is None else found.value)
         if found is None:
             if not self._is_due(wish.ask.name, wish.pause, now):
                 return ()
             assert self._conduct is not None
             self._conduct.sent(wish.ask, now)
             return (wish.ask,)
-        if wish.reels and self.sight.winch == "length":
+        if wish.reels and self.observed.winch == "length":
             return self._call(topics.WINCH_HOLD, now)
         if found is Condition.STOPPED:
             self._stop(MissionPhase.HOLDING, found.value, Level.WARN)
             return ()
-        service = remedy(found, self.sight)
+        service = remedy(found, self.observed)
         if not service:
             return ()
         if service == topics.WINCH_REARM and self._rearms >= self.settings.mission.most_rearms:
@@ -352,18 +352,18 @@ class Mission:
         """Bring to rest what moves; from then on it is left alone."""
         if self._is_calm:
             return ()
-        sight = self.sight
-        if sight.compressed and sight.jump != "letting_down":
+        observed = self.observed
+        if observed.compressed and observed.jump != "letting_down":
             return self._call(topics.JUMP_ABORT, now)
-        if sight.drives:
+        if observed.drives:
             return self._call(topics.DRIVE_STOP, now)
         aborts = self._still is MissionPhase.ABORTED
         # Where the rover still goes to its first stop, it stands by.
-        if sight.descent_busy or (aborts and sight.descent == "holding"):
+        if observed.descent_busy or (aborts and observed.descent == "holding"):
             return self._call(topics.DESCENT_ABORT if aborts else topics.DESCENT_HOLD, now)
-        if not sight.descent_engaged and sight.winch_moves:
+        if not observed.descent_engaged and observed.winch_moves:
             return self._call(topics.WINCH_HOLD, now)
-        if not sight.compressed and not sight.flies:
+        if not observed.compressed and not observed.flies:
             self._is_calm = True
             self._tell("mission_rests", f"all is at rest, {self._still}")
         return ()
@@ -384,7 +384,7 @@ class Mission:
         leg = self.leg
         assert leg is not None
         last = self._tries > 0 and self._tries == self.settings.mission.tries - 1
-        alone = leg.kind is LegKind.ASCEND and last and self.sight.length <= self.plan.lift.alone
+        alone = leg.kind is LegKind.ASCEND and last and self.observed.length <= self.plan.lift.alone
         kind = Hoist if alone else _CONDUCTS[leg.kind]
         self._conduct = kind(leg, self.plan, self.notes, now)
         if isinstance(self._conduct, Way):
@@ -413,7 +413,7 @@ class Mission:
                 self._begin(now, f"trial {self._tries + 1} of {tries}, as {end.reason}")
                 p = self.settings.mission
                 # Trials that fail as somebody is gone would be spent before his silence is noticed.
-                pause = p.pause if leg.kind in _HANGING else p.node_silence
+                pause = p.pause if leg.kind in _HANGING else p.node_timeout
                 self._pauses_until = now + pause
                 return
         if end.verdict is not Verdict.DONE and self._rescue(leg, end, now):
@@ -475,7 +475,7 @@ class Mission:
         self._still = still
         self._is_calm = False
         self._sent.clear()
-        self._tell_waiting("")
+        self._publish_waiting("")
         self.reason = reason
         where = f" in {self.leg.name}" if self.leg is not None else ""
         self._tell(f"mission_{still}", f"{reason}{where}", level)
@@ -485,7 +485,7 @@ class Mission:
     def checkpoint(self, now_ns: int) -> dict[str, Any]:
         """What is to be kept, as JSON values, so that `restore` goes on from here."""
         notes = {name: _kept(value) for name, value in asdict(self.notes).items()}
-        place = self.sight.place
+        place = self.observed.place
         return {
             "plan": self.plan.digest,
             "stamp_ns": now_ns,
@@ -513,7 +513,7 @@ class Mission:
         self.notes = Notes(**{name: _known(value) for name, value in kept["notes"].items()})
         self.record = [Done(leg, Verdict[name], why) for leg, name, why in kept["record"]]
         if kept["place"] is not None:
-            self.sight.place = Place(*kept["place"])
+            self.observed.place = Place(*kept["place"])
         now = now_ns / _NANO
         if not kept["is_active"]:
             self._stop(still, "started again")
@@ -525,7 +525,7 @@ class Mission:
 
     # --- telling ---------------------------------------------------------------------------------
 
-    def _tell_choices(self) -> None:
+    def _publish_choices(self) -> None:
         """Between wheels and jump."""
         if not isinstance(self._conduct, Way):
             return
@@ -538,12 +538,12 @@ class Mission:
             }
             self._tell("mission_chosen", f"{choice.way}: {choice.reason}", values=values)
 
-    def _tell_waiting(self, reason: str) -> None:
+    def _publish_waiting(self, reason: str) -> None:
         if reason and reason != self.waits_for:
             self._tell("mission_waits", reason)
         self.waits_for = reason
 
-    def _tell_phase(self) -> None:
+    def _publish_phase(self) -> None:
         phase = self.phase
         if phase is self._told:
             return

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_OUTLOOK, JUMP_STROKE, WINCH_SLACK
+from msg_schemas.machine import JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, WINCH_SLACK
 from msg_schemas.samples import NO_ORIENTATION, JointSample, Level, PoseSample, Status
 from rover_control.locomotion import (
     Choice,
@@ -32,8 +32,8 @@ from rover_control.mission_interlocks import Act
 from rover_control.mission_legs import (
     ANSWER,
     Ask,
-    Conduct,
     End,
+    LegTask,
     MissionPhase,
     Notes,
     Verdict,
@@ -44,7 +44,7 @@ from rover_control.mission_legs import (
 )
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_route import Leg, LegKind
-from rover_control.mission_sight import MissionSight, Place
+from rover_control.observed_state import ObservedState, Place
 
 _SETTLES = 3.0  # after a jump [s]
 _SLACKENS = 15.0  # in which slack is given [s]
@@ -57,13 +57,13 @@ _ASIDE, _BEND = 0.6, 0.8  # way of a detour, and how far left of ahead each furt
 
 class _Stage(Enum):
     DRIVE = auto()
-    FORETELL = auto()
+    PREDICT = auto()
     SLACKEN = auto()
     JUMP = auto()
     SETTLE = auto()
 
 
-class Way(Conduct):
+class Way(LegTask):
     """A way on the floor, driven, with detours and jumps where the rover is stuck.
 
     Attributes:
@@ -94,7 +94,7 @@ class Way(Conduct):
     @property
     def phase(self) -> MissionPhase:  # type: ignore[override]
         """Driving, choosing or jumping."""
-        if self._stage is _Stage.FORETELL:
+        if self._stage is _Stage.PREDICT:
             return MissionPhase.CHOOSING
         if self._stage is not _Stage.DRIVE:
             return MissionPhase.JUMPING
@@ -105,23 +105,25 @@ class Way(Conduct):
         if ask.name != topics.DRIVE_START:
             super().sent(ask, now)
 
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """Drive; or, stuck, choose: a detour, or slacken, jump and settle."""
         leaves = self._stage in (_Stage.JUMP, _Stage.SETTLE)
-        if not leaves and sight.stands and sight.lies(now):
-            text = f"the rover lies on its side, tilted by {math.degrees(sight.slope):.0f} deg"
+        if not leaves and observed.stands and observed.lies(now):
+            text = f"the rover lies on its side, tilted by {math.degrees(observed.slope):.0f} deg"
             return End(Verdict.GIVEN_UP, text)
-        if not leaves and sight.hangs(now, self._staged):
+        if not leaves and observed.hangs(now, self._staged):
             return End(Verdict.GIVEN_UP, "the rover hangs: the tether has taken it off the floor")
         if self._stage is _Stage.DRIVE:
-            return self._drive(sight, news, now)
-        if self._stage is _Stage.FORETELL:
-            return self._foretell(sight, news, now)
+            return self._drive(observed, news, now)
+        if self._stage is _Stage.PREDICT:
+            return self._predict(observed, news, now)
         if self._stage is _Stage.SLACKEN:
-            return self._slacken(sight, news, now)
+            return self._slacken(observed, news, now)
         if self._stage is _Stage.JUMP:
-            return self._jump(sight, news, now)
-        if now - self._staged > _SETTLES and not sight.flies:
+            return self._jump(observed, news, now)
+        if now - self._staged > _SETTLES and not observed.flies:
             return self._settled(now)
         return None
 
@@ -137,31 +139,33 @@ class Way(Conduct):
 
     # --- driving ---------------------------------------------------------------------------------
 
-    def _drive(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
-        if self._returns and self._is_home(sight) and not sight.drives:
-            place = sight.place
+    def _drive(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
+        if self._returns and self._is_home(observed) and not observed.drives:
+            place = observed.place
             assert place is not None
             far = math.hypot(place.x, place.y)
             return End(Verdict.DONE, f"{far:.2f} m from the plumb line")
         if self.asked is not None:
-            self._taken |= sight.drives
+            self._taken |= observed.drives
             for event in news:
-                ended = self._judge(event, sight, now)
+                ended = self._judge(event, observed, now)
                 if ended is not None or self._stage is not _Stage.DRIVE:
                     return ended
             refused = refusal_of(news, topics.DRIVE_GOAL)
             if refused:
                 return End(Verdict.FAILED, refused, by_others=True)
-        if sight.place is not None and not sight.knows_place:
-            return Wish(Act.DRIVE, Ask(topics.DRIVE_START, _pose(sight.place)))
-        lost = not sight.drives and (self._taken or self._unanswered(now))
-        if lost and now - sight.since.get(topics.DRIVE_PHASE, now) > ANSWER:
+        if observed.place is not None and not observed.knows_place:
+            return Wish(Act.DRIVE, Ask(topics.DRIVE_START, _pose(observed.place)))
+        lost = not observed.drives and (self._taken or self._unanswered(now))
+        if lost and now - observed.since.get(topics.DRIVE_PHASE, now) > ANSWER:
             self.asked, self._taken = None, False
         if self.asked is None:
             return Wish(Act.DRIVE, Ask(topics.DRIVE_GOAL, self._goal()))
         return None
 
-    def _judge(self, event: Status, sight: MissionSight, now: float) -> End | None:
+    def _judge(self, event: Status, observed: ObservedState, now: float) -> End | None:
         if event.name == "drive_done" and self._aside is not None:
             self._aside = None
             self._enter(_Stage.DRIVE, now)
@@ -173,20 +177,20 @@ class Way(Conduct):
         if event.name == "drive_failed":
             return End(Verdict.FAILED, event.message)
         if event.name == "drive_stuck":
-            self._count(sight)
+            self._count(observed)
             self._cannot_turn = number_of(event, "turning") > 0.0
             spent = self._jumps >= self.plan.jumps.most
             if spent and self._detours >= self.plan.jumps.detours:
                 return End(Verdict.FAILED, event.message)
-            foretells = self.locomotion.locomotion_rule == "risk" and not spent
-            if foretells:
-                self._enter(_Stage.FORETELL, now)
+            predicts = self.locomotion.locomotion_rule == "risk" and not spent
+            if predicts:
+                self._enter(_Stage.PREDICT, now)
             else:
-                return self._choose(None, sight, now)
+                return self._choose(None, observed, now)
         return None
 
-    def _is_home(self, sight: MissionSight) -> bool:
-        place = sight.place
+    def _is_home(self, observed: ObservedState) -> bool:
+        place = observed.place
         return place is not None and math.hypot(place.x, place.y) < 0.5 * self.plan.lift.radius
 
     def _goal(self) -> PoseSample:
@@ -204,10 +208,10 @@ class Way(Conduct):
         taken, self._choices = self._choices, []
         return taken
 
-    def _count(self, sight: MissionSight) -> None:
+    def _count(self, observed: ObservedState) -> None:
         """The rover is stuck: here again, or somewhere else."""
         self._aside = None
-        place = sight.place
+        place = observed.place
         left = math.inf if place is None else math.hypot(place.x - self.leg.x, place.y - self.leg.y)
         if left < self._stuck_at - _PROGRESS:
             self._stuck = self._jumped = 0
@@ -216,30 +220,30 @@ class Way(Conduct):
         self._stuck += self._stuck == 0 or self._tried is Means.WHEELS
         self._jumped += self._tried is Means.JUMP
 
-    def _foretell(
-        self, sight: MissionSight, news: Sequence[Status], now: float
+    def _predict(
+        self, observed: ObservedState, news: Sequence[Status], now: float
     ) -> Wish | End | None:
         refused = refusal_of(news, topics.JUMP_REQUEST)
         if refused:
-            return self._choose(Outlook(0.0, refused), sight, now)
+            return self._choose(Outlook(0.0, refused), observed, now)
         for event in news:
             if event.name == "jump_standby" and self.asked is not None:
                 upright, stroke = number_of(event, "upright"), number_of(event, "stroke")
                 if event.level is not Level.OK or math.isnan(upright):
-                    return self._choose(Outlook(0.0, event.message), sight, now)
+                    return self._choose(Outlook(0.0, event.message), observed, now)
                 self._stroke = stroke
-                return self._choose(Outlook(upright, ""), sight, now)
-        if self.asked is None or (sight.jump == "standby" and self._unanswered(now)):
-            ask = Ask(topics.JUMP_REQUEST, joint_of(JUMP_OUTLOOK, self.plan.jumps.clearance))
+                return self._choose(Outlook(upright, ""), observed, now)
+        if self.asked is None or (observed.jump == "standby" and self._unanswered(now)):
+            ask = Ask(topics.JUMP_REQUEST, joint_of(JUMP_PREDICTION, self.plan.jumps.clearance))
             return Wish(Act.SLACKEN, ask)  # nothing moves, but what stands in its way is the same
         return None
 
-    def _choose(self, outlook: Outlook | None, sight: MissionSight, now: float) -> End | None:
-        place = sight.place
-        value = math.nan if place is None else slack_value(place.x, place.y, sight.drop)
+    def _choose(self, outlook: Outlook | None, observed: ObservedState, now: float) -> End | None:
+        place = observed.place
+        value = math.nan if place is None else slack_value(place.x, place.y, observed.drop)
         stiffness = self.locomotion.tether_stiffness
         stuck = 0 if self._may_drive_on(place) else self._stuck
-        around = Surroundings(value, stiffness, sight.slope, stuck, self._jumped, outlook)
+        around = Surroundings(value, stiffness, observed.slope, stuck, self._jumped, outlook)
         choice = choose(self.locomotion, around)
         means = choice.way
         if means is Means.JUMP and self._jumps >= self.plan.jumps.most:
@@ -276,23 +280,23 @@ class Way(Conduct):
     # --- jumping ---------------------------------------------------------------------------------
 
     def _slacken(
-        self, sight: MissionSight, news: Sequence[Status], now: float
+        self, observed: ObservedState, news: Sequence[Status], now: float
     ) -> Wish | End | None:
         refused = refusal_of(news, topics.WINCH_REQUEST)
         if refused:
             return End(Verdict.FAILED, refused)
         # Who led the tether still brings it to rest.
-        since = now - sight.since.get(topics.WINCH_MODE, -math.inf)
-        if sight.winch_moves or since < _LED:
+        since = now - observed.since.get(topics.WINCH_MODE, -math.inf)
+        if observed.winch_moves or since < _LED:
             return None
         if math.isnan(self._slack_from):
-            self._slack_from = sight.length
+            self._slack_from = observed.length
         slack = self.plan.jumps.slack
         if self.asked is not None:
             waits = now - self.asked < _SLACKENS
-            given = sight.length - self._slack_from > _GIVEN * slack
+            given = observed.length - self._slack_from > _GIVEN * slack
             # A mission that was killed since had it given: the winch counts from the taut length.
-            if given or (not waits and sight.winch == "slack"):
+            if given or (not waits and observed.winch == "slack"):
                 self._slack_from = math.nan
                 self._enter(_Stage.JUMP, now)
                 return None
@@ -300,24 +304,26 @@ class Way(Conduct):
                 return None
         return Wish(Act.SLACKEN, Ask(topics.WINCH_REQUEST, joint_of(WINCH_SLACK, slack)))
 
-    def _jump(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def _jump(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         refused = refusal_of(news, topics.JUMP_REQUEST)
         if refused:
             return End(Verdict.FAILED, refused)
         for event in news:
             if event.name == "jump_landed" and event.level is not Level.OK:
                 return End(Verdict.FAILED, event.message)
-        if sight.jump == "fault" and self.asked is not None and self._left_ground:
+        if observed.jump == "fault" and self.asked is not None and self._left_ground:
             return End(Verdict.FAILED, "the jump ended in a fault")
-        self._left_ground |= sight.flies
-        if sight.jump == "letting_down" and self.asked is not None:
+        self._left_ground |= observed.flies
+        if observed.jump == "letting_down" and self.asked is not None:
             return End(Verdict.FAILED, "the jump was broken off")
-        if self._left_ground and sight.jump == "standby":
+        if self._left_ground and observed.jump == "standby":
             self._jumps += 1
             self.notes.jumps += 1
             self._enter(_Stage.SETTLE, now)
             return None
-        if self.asked is None or (sight.jump == "standby" and self._unanswered(now)):
+        if self.asked is None or (observed.jump == "standby" and self._unanswered(now)):
             return Wish(Act.JUMP, Ask(topics.JUMP_REQUEST, self._leap()))
         return None
 

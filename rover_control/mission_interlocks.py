@@ -11,7 +11,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from msg_schemas import topics
-from rover_control.mission_sight import MissionSight
+from rover_control.observed_state import ObservedState
 
 TAUT = 2.0
 """Pull [N] of the rover on the tether from which on it does not jump."""
@@ -72,35 +72,35 @@ INTERLOCKS: Mapping[Act, tuple[Condition, ...]] = MappingProxyType(
 )  # fmt: skip
 """What forbids each act; what stands first is cleared first."""
 
-_HOLDS: Mapping[Condition, Callable[[MissionSight, float], bool]] = {
-    Condition.WINCH_SILENT: lambda sight, now: sight.silent(topics.WINCH_ESTIMATE, now),
-    Condition.DRIVE_SILENT: lambda sight, now: sight.silent(topics.ODOMETRY, now),
-    Condition.STOPPED: lambda sight, _: sight.winch == "stop",
-    Condition.FAULT: lambda sight, _: sight.winch == "fault",
-    Condition.UNARMED: lambda sight, _: sight.winch in ("", "disarmed"),
-    Condition.FLYING: lambda sight, _: sight.flies,
-    Condition.JUMP_FAULT: lambda sight, _: sight.jump == "fault",
-    Condition.COMPRESSED: lambda sight, _: sight.compressed,
-    Condition.DRIVING: lambda sight, _: sight.drives,
-    Condition.DESCENT: lambda sight, _: sight.descent_engaged,
-    Condition.STANDING: lambda sight, _: sight.stands,
-    Condition.HANGING: lambda sight, _: not sight.stands,
+_HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
+    Condition.WINCH_SILENT: lambda observed, now: observed.silent(topics.WINCH_ESTIMATE, now),
+    Condition.DRIVE_SILENT: lambda observed, now: observed.silent(topics.ODOMETRY, now),
+    Condition.STOPPED: lambda observed, _: observed.winch == "stop",
+    Condition.FAULT: lambda observed, _: observed.winch == "fault",
+    Condition.UNARMED: lambda observed, _: observed.winch in ("", "disarmed"),
+    Condition.FLYING: lambda observed, _: observed.flies,
+    Condition.JUMP_FAULT: lambda observed, _: observed.jump == "fault",
+    Condition.COMPRESSED: lambda observed, _: observed.compressed,
+    Condition.DRIVING: lambda observed, _: observed.drives,
+    Condition.DESCENT: lambda observed, _: observed.descent_engaged,
+    Condition.STANDING: lambda observed, _: observed.stands,
+    Condition.HANGING: lambda observed, _: not observed.stands,
     # A tension that is not known may be any.
-    Condition.TAUT: lambda sight, _: not sight.pull <= TAUT,
+    Condition.TAUT: lambda observed, _: not observed.pull <= TAUT,
 }
 
 
-def holds(condition: Condition, sight: MissionSight, now: float) -> bool:
+def holds(condition: Condition, observed: ObservedState, now: float) -> bool:
     """Whether something is so now [s]."""
-    return _HOLDS[condition](sight, now)
+    return _HOLDS[condition](observed, now)
 
 
-def forbidden(act: Act, sight: MissionSight, now: float) -> Condition | None:
+def forbidden(act: Act, observed: ObservedState, now: float) -> Condition | None:
     """The first that forbids an act now [s]; None = it may be."""
-    return next((each for each in INTERLOCKS[act] if holds(each, sight, now)), None)
+    return next((each for each in INTERLOCKS[act] if holds(each, observed, now)), None)
 
 
-def remedy(condition: Condition, sight: MissionSight) -> str:
+def remedy(condition: Condition, observed: ObservedState) -> str:
     """The service that clears it; empty = nothing but time, or people, do."""
     if condition in (Condition.UNARMED, Condition.FAULT):
         return topics.WINCH_REARM
@@ -108,10 +108,10 @@ def remedy(condition: Condition, sight: MissionSight) -> str:
         return topics.JUMP_ABORT
     if condition is Condition.COMPRESSED:
         # What is being compressed for somebody is his; what is let down takes its time.
-        return "" if sight.jump == "letting_down" else topics.JUMP_ABORT
+        return "" if observed.jump == "letting_down" else topics.JUMP_ABORT
     if condition is Condition.DRIVING:
         return topics.DRIVE_STOP
     if condition is Condition.DESCENT:
-        idle = sight.descent == "standby"
+        idle = observed.descent == "standby"
         return topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
     return ""

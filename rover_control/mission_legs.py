@@ -43,7 +43,7 @@ from msg_schemas.samples import (
 from rover_control.mission_interlocks import Act
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_route import Leg, LegKind
-from rover_control.mission_sight import MissionSight
+from rover_control.observed_state import ObservedState
 
 ANSWER = 3.0
 """In which a node shows that it does what it was asked [s]."""
@@ -148,7 +148,7 @@ class Notes:
     jumps: int = 0
 
 
-class Conduct(ABC):
+class LegTask(ABC):
     """One trial of a leg.
 
     Args:
@@ -173,7 +173,9 @@ class Conduct(ABC):
             self.asked = now
 
     @abstractmethod
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """What is wanted now, or how it has ended; None = nothing but to wait."""
 
     def _taken_by(self, news: Sequence[Status]) -> str:
@@ -213,7 +215,7 @@ def number_of(status: Status, name: str) -> float:
 # --- hanging -------------------------------------------------------------------------------------
 
 
-class Stop(Conduct):
+class Stop(LegTask):
     """A depth that the descent goes to, with pictures or without."""
 
     def __init__(self, leg: Leg, plan: MissionPlan, notes: Notes, now: float) -> None:
@@ -228,51 +230,53 @@ class Stop(Conduct):
         self._is_cleared = False  # of stops that somebody has left
         self._was_interrupted = False
 
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """Ask for the stop once, and see that it goes on."""
         looks = self.leg.kind is LegKind.LOOK
-        if not sight.descent:
+        if not observed.descent:
             return None  # what it does is latched, and will be heard
-        if math.isnan(self.notes.turned_from) and not math.isnan(sight.heading):
-            self.notes.turned_from = sight.heading
+        if math.isnan(self.notes.turned_from) and not math.isnan(observed.heading):
+            self.notes.turned_from = observed.heading
         if self.asked is not None:
             for event in news:
                 if event.name == "stop_ended" and number_of(event, "depth") == self.leg.depth:
                     return self._ended(event, looks)
                 self._was_interrupted |= event.name == "descent_interrupted"
             refused = refusal_of(news, topics.DESCENT_REQUEST)
-            if refused and sight.descent in ("released", "standby"):
+            if refused and observed.descent in ("released", "standby"):
                 return End(Verdict.FAILED, refused)
-            if refused and sight.descent == "holding":
+            if refused and observed.descent == "holding":
                 # It was held before it was asked: that is cleared first.
                 self.asked, self._is_cleared = None, False
         patience = _PATIENCE.get(self.leg.kind, math.inf)
         if patience < math.inf and self.asked is not None:
-            there = abs(sight.length - self.leg.depth) < _THERE
+            there = abs(observed.length - self.leg.depth) < _THERE
             self._there_since = min(self._there_since, now) if there else math.inf
             if now - self._there_since > patience:
-                return End(Verdict.DONE, f"at {sight.length:.2f} m, still swinging")
-        if sight.descent == "holding" and self.asked is not None:
+                return End(Verdict.DONE, f"at {observed.length:.2f} m, still swinging")
+        if observed.descent == "holding" and self.asked is not None:
             if not self._was_interrupted:
                 return End(Verdict.TAKEN, "somebody holds the descent")
             return Wish(Act.DESCEND, Ask(topics.DESCENT_RESUME))
         if not self._is_cleared and self.asked is None:
-            if sight.descent_busy and now - self.begun < _LATCHED:
+            if observed.descent_busy and now - self.begun < _LATCHED:
                 return None
-            if sight.descent_busy or sight.descent == "holding":
+            if observed.descent_busy or observed.descent == "holding":
                 return Wish(Act.DESCEND, Ask(topics.DESCENT_ABORT))
             self._is_cleared = True
-        idle = sight.descent in ("", "released", "standby")
-        lost = idle and self._unanswered(now) and now - self._idle_since(sight) > ANSWER
+        idle = observed.descent in ("", "released", "standby")
+        lost = idle and self._unanswered(now) and now - self._idle_since(observed) > ANSWER
         if self.asked is None or lost:
             joint = OBSERVATION_STOP if looks else PLAIN_STOP
             return Wish(Act.DESCEND, Ask(topics.DESCENT_REQUEST, joint_of(joint, self.leg.depth)))
         return None
 
-    def _idle_since(self, sight: MissionSight) -> float:
+    def _idle_since(self, observed: ObservedState) -> float:
         # A descent that has just engaged stands by to learn the swing first.
-        since = sight.since.get(topics.DESCENT_PHASE, -math.inf)
-        return since + (30.0 if sight.descent == "standby" else 0.0)
+        since = observed.since.get(topics.DESCENT_PHASE, -math.inf)
+        return since + (30.0 if observed.descent == "standby" else 0.0)
 
     def _ended(self, event: Status, looks: bool) -> End:
         pictures = number_of(event, "pictures")
@@ -285,20 +289,20 @@ class Stop(Conduct):
         return End(Verdict.DONE if reached else Verdict.FAILED, event.message)
 
 
-class Turn(Conduct):
+class Turn(LegTask):
     """A heading about the plumb line."""
 
     phase = MissionPhase.TURNING
 
     def step(
         self,
-        sight: MissionSight,
+        observed: ObservedState,
         news: Sequence[Status],
         now: float,  # noqa: ARG002 - it goes by no time of its own
     ) -> Wish | End | None:
         """Ask once: what cannot be reached or held is refused, and then left."""
         if self.asked is None:
-            if sight.descent_busy:
+            if observed.descent_busy:
                 return None
             ask = Ask(topics.DESCENT_REQUEST, joint_of(HEADING_TURN, self.leg.angle))
             return Wish(Act.DESCEND, ask)
@@ -311,38 +315,40 @@ class Turn(Conduct):
         return End(Verdict.GIVEN_UP, refused) if refused else None
 
 
-class Land(Conduct):
+class Land(LegTask):
     """The winch pays out until the floor carries the rover."""
 
     phase = MissionPhase.LANDING
 
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """Renew the length on the way."""
-        if sight.stands:
-            if now - sight.stands_since < _STEADY:
+        if observed.stands:
+            if now - observed.stands_since < _STEADY:
                 return None
-            self.notes.floor = sight.length
-            sight.set_down(self._heading(sight))
-            return End(Verdict.DONE, f"the floor carries the rover at {sight.length:.2f} m")
+            self.notes.floor = observed.length
+            observed.set_down(self._heading(observed))
+            return End(Verdict.DONE, f"the floor carries the rover at {observed.length:.2f} m")
         taken = self._taken_by(news)
         if taken:
             return End(Verdict.TAKEN, taken)
-        if sight.length > self.leg.depth - _NEAR and not sight.winch_moves:
-            return End(Verdict.FAILED, f"no floor down to {sight.length:.2f} m")
+        if observed.length > self.leg.depth - _NEAR and not observed.winch_moves:
+            return End(Verdict.FAILED, f"no floor down to {observed.length:.2f} m")
         # Those who had the winch before may still bring it to rest.
-        if self.asked is None and sight.winch_moves and not sight.descent_engaged:
+        if self.asked is None and observed.winch_moves and not observed.descent_engaged:
             return None
         rate = self.plan.landing.rate if self.plan.landing is not None else 0.0
         return _length(Act.LOWER, self.leg.depth, rate)
 
-    def _heading(self, sight: MissionSight) -> float:
+    def _heading(self, observed: ObservedState) -> float:
         """In map, as far as the descent's gyro tells."""
-        turned = sight.heading - self.notes.turned_from
+        turned = observed.heading - self.notes.turned_from
         begun = math.radians(self.plan.heading)
         return math.remainder(begun + (0.0 if math.isnan(turned) else turned), math.tau)
 
 
-class Lift(Conduct):
+class Lift(LegTask):
     """The winch reels in until the rover hangs; far from the plumb line it hauls it there first."""
 
     phase = MissionPhase.LIFTING
@@ -351,22 +357,26 @@ class Lift(Conduct):
         super().__init__(leg, plan, notes, now)
         self._goal = math.nan
 
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """Renew the length on the way, which leads from where the floor was touched."""
         if math.isnan(self._goal):
             floor = self.notes.floor
-            self._goal = (sight.length if math.isnan(floor) else floor) - self.plan.lift.height
-        hangs = not sight.stands and now - sight.stands_since > _STEADY
-        there = abs(sight.length - self._goal) < _NEAR and not sight.winch_moves
+            self._goal = (observed.length if math.isnan(floor) else floor) - self.plan.lift.height
+        hangs = not observed.stands and now - observed.stands_since > _STEADY
+        there = abs(observed.length - self._goal) < _NEAR and not observed.winch_moves
         if there and hangs:
-            return End(Verdict.DONE, f"the rover hangs at {sight.length:.2f} m")
-        if there and now - self.begun > 2.0 * _STEADY and sight.stands:
-            return End(Verdict.FAILED, f"the rover is still carried at {sight.length:.2f} m")
+            return End(Verdict.DONE, f"the rover hangs at {observed.length:.2f} m")
+        if there and now - self.begun > 2.0 * _STEADY and observed.stands:
+            return End(Verdict.FAILED, f"the rover is still carried at {observed.length:.2f} m")
         taken = self._taken_by(news)
         if taken:
             return End(Verdict.TAKEN, taken)
         lift = self.plan.lift
-        hauls = sight.place is None or math.hypot(sight.place.x, sight.place.y) > lift.radius
+        hauls = (
+            observed.place is None or math.hypot(observed.place.x, observed.place.y) > lift.radius
+        )
         for event in news:
             # The winch holds by itself; what it hauls over rubble comes free again, or in time not.
             if event.name == "alarm_snag" and not hauls:
@@ -377,12 +387,14 @@ class Lift(Conduct):
         return _length(Act.LIFT, self._goal, rate)
 
 
-class Hoist(Conduct):
+class Hoist(LegTask):
     """An ascent by the winch alone, where the descent cannot: what swings then swings more."""
 
     phase = MissionPhase.ASCENDING
 
-    def step(self, sight: MissionSight, news: Sequence[Status], now: float) -> Wish | End | None:
+    def step(
+        self, observed: ObservedState, news: Sequence[Status], now: float
+    ) -> Wish | End | None:
         """Renew the length on the way."""
         taken = self._taken_by(news)
         if taken:
@@ -390,28 +402,28 @@ class Hoist(Conduct):
         snag = next((event for event in news if event.name == "alarm_snag"), None)
         if snag is not None and now - self.begun > _STEADY:
             return End(Verdict.FAILED, f"the tether is held: {snag.message}")
-        if abs(sight.length - self.leg.depth) < _NEAR and not sight.winch_moves:
-            return End(Verdict.DONE, f"at {sight.length:.2f} m, by the winch alone")
+        if abs(observed.length - self.leg.depth) < _NEAR and not observed.winch_moves:
+            return End(Verdict.DONE, f"at {observed.length:.2f} m, by the winch alone")
         return _length(Act.LIFT, self.leg.depth, self.plan.lift.rate)
 
 
-class Stow(Conduct):
+class Stow(LegTask):
     """The descent gives the drives back."""
 
     phase = MissionPhase.STOWING
 
     def step(
         self,
-        sight: MissionSight,
+        observed: ObservedState,
         news: Sequence[Status],  # noqa: ARG002 - what is engaged says enough
         now: float,  # noqa: ARG002
     ) -> Wish | End | None:
         """Release what is engaged."""
-        if not sight.descent_engaged and not sight.winch_moves:
-            return End(Verdict.DONE, f"stowed at {sight.length:.2f} m")
-        if not sight.descent_engaged:
+        if not observed.descent_engaged and not observed.winch_moves:
+            return End(Verdict.DONE, f"stowed at {observed.length:.2f} m")
+        if not observed.descent_engaged:
             return None
-        idle = sight.descent == "standby"
+        idle = observed.descent == "standby"
         service = topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
         return Wish(Act.STOW, Ask(service))
 

@@ -30,7 +30,7 @@ from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask, MissionPhase
 from rover_control.mission_plan import load_plan
 from rover_control.mission_report import state_sample
-from rover_control.mission_sight import HEARD
+from rover_control.observed_state import HEARD
 
 # The controller's parameters are parts of its own, by their name there.
 _PARTS: Mapping[str, type[Any]] = {
@@ -78,8 +78,8 @@ class MissionNode(ContractNode):
         self._plan = load_plan(own.plan)
         self._file = self._checkpoint_file(own.checkpoint)
         self._requests = {name: self.publisher(name) for name in _REQUESTS}
-        self._phase_outlet = self.publisher(topics.MISSION_PHASE)
-        self._state_outlet = self.publisher(topics.MISSION_STATE)
+        self._phase_publisher = self.publisher(topics.MISSION_PHASE)
+        self._state_publisher = self.publisher(topics.MISSION_STATE)
         self._askers: dict[str, str] = {}  # by what name each topic's last request is answered
         self._asked = 0
         self._begin()
@@ -103,7 +103,7 @@ class MissionNode(ContractNode):
         self._begin()
         rates = self.parameters_of(MissionNodeParameters)
         self.every(1.0 / rates.supervision_rate, self._step)
-        self.every(1.0 / rates.state_rate, self._tell_state)
+        self.every(1.0 / rates.state_rate, self._publish_state)
         self.every(_KEPT_EVERY, self._keep, by_wall_clock=True)
 
     def stop(self) -> None:
@@ -134,7 +134,7 @@ class MissionNode(ContractNode):
     def waiting_for(self) -> tuple[str, ...]:
         """The winch, without which no mission begins."""
         now = self.now_ns() * 1e-9
-        silent = self._mission.sight.silent(topics.WINCH_ESTIMATE, now)
+        silent = self._mission.observed.silent(topics.WINCH_ESTIMATE, now)
         return (topics.WINCH_ESTIMATE,) if silent else ()
 
     def health(self) -> tuple[Status, ...]:
@@ -207,7 +207,7 @@ class MissionNode(ContractNode):
         phase = self._mission.phase.value
         if phase != self._told_phase:
             self._told_phase = phase
-            self._phase_outlet.send(TextSample(phase))
+            self._phase_publisher.send(TextSample(phase))
             self._keep()
 
     def _ask(self, ask: Ask, now_ns: int) -> None:
@@ -238,8 +238,8 @@ class MissionNode(ContractNode):
         self._step()
         return True, answer
 
-    def _tell_state(self) -> None:
-        self._state_outlet.send(state_sample(self._mission, self.now_ns()))
+    def _publish_state(self) -> None:
+        self._state_publisher.send(state_sample(self._mission, self.now_ns()))
 
     # --- over a restart --------------------------------------------------------------------------
 

@@ -99,11 +99,11 @@ class Jumps(Configuration):
         maximum=20,
     )  # fmt: skip
     stroke: float = quantity(
-        "m", "of the spring, for a jump that was not foretold", 0.12, minimum=0.01,
+        "m", "of the spring, for a jump that was not predicted", 0.12, minimum=0.01,
         maximum=MAX_STROKE,
     )  # fmt: skip
     clearance: float = quantity(
-        "m", "rise that a foretold jump is to reach", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
+        "m", "rise that a predicted jump is to reach", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
     )
     slack: float = quantity("m", "that the winch gives before", 0.8, minimum=0.1, maximum=MAX_SLACK)
 

@@ -42,8 +42,8 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
 from rover_control.rotor_pump import NO_PUMPING, Pumping
+from rover_control.suspended_mass import HEAVIEST
 from rover_control.swing_estimator import SwingEstimate
-from rover_control.weighing import HEAVIEST
 
 SUBJECT = "pointing"  # of refusals
 _LEARNT = 15.0  # of full coning, from which on its rate is known [s]
@@ -68,7 +68,7 @@ class PointingParameters:
     longest_turn: float = parameter(240.0, "s", "that a turn may take", 1.0, 1e4)
 
 
-class Forecast(NamedTuple):
+class Prediction(NamedTuple):
     """What a turn comes to.
 
     Attributes:
@@ -108,12 +108,12 @@ class Pointing:
         self._phase = self._spin = self._coned = 0.0
         self._learnt = _Learnt()
         self._reached = False
-        self._told: Forecast | None = None
+        self._told: Prediction | None = None
         self._arrived = 0.0  # when it was reached, since it was asked [s]
         self._lost = ""
         self._begun = 0.0  # error of the yaw rate when it was asked [rad/s]
         self._time = 0.0  # since then [s]
-        self.forecast: Forecast | None = None
+        self.prediction: Prediction | None = None
 
     @property
     def is_active(self) -> bool:
@@ -130,7 +130,7 @@ class Pointing:
         """At which the coning now turns the rover, as the model has it [rad/s]."""
         return self._coned
 
-    def foretell(
+    def predict(
         self,
         turn: float,
         twist: float,
@@ -140,7 +140,7 @@ class Pointing:
         spin: float = 0.0,
         mass: float = 1.0,
         share: float = 1.0,
-    ) -> Forecast:
+    ) -> Prediction:
         """What a turn comes to.
 
         Args:
@@ -160,7 +160,7 @@ class Pointing:
         passed, time, back = 0.0, 0.0, spin  # turned, spin against it
         while passed < abs(turn):
             if back >= rate or time > 10.0 * p.longest_turn:
-                return Forecast(math.inf, 0.0, "twist")
+                return Prediction(math.inf, 0.0, "twist")
             passed += step * (rate - back)
             back += step * self._pull(sense * (twist + sense * passed), torsion, slips) / inertia
             time += step
@@ -171,7 +171,7 @@ class Pointing:
         known = self._known_for(yaw_error) - time
         if known < held:
             held, limit = max(known, 0.0), "gyro bias"
-        return Forecast(time, held, limit)
+        return Prediction(time, held, limit)
 
     def _momentum_share(self, mass: float) -> float:
         """Momentum over that for a rover of the mass that is known, so that it tilts as much."""
@@ -195,7 +195,7 @@ class Pointing:
         twist: float,
         mass: float = 1.0,
         spin: float = 0.0,
-    ) -> Forecast:
+    ) -> Prediction:
         """Turn by so much, and hold the heading then.
 
         Args:
@@ -206,7 +206,7 @@ class Pointing:
             twist: of the tether [rad].
             mass: of the rover over what is known, as it is weighed.
             spin: about +z that it will have beside the coning's [rad/s]. What is promised does
-                not count on mass and spin, what is foretold does.
+                not count on mass and spin, what is predicted does.
 
         Raises:
             Refusal: it cannot be reached, or not be held.
@@ -218,7 +218,7 @@ class Pointing:
                 RefusalCode.OUT_OF_LIMITS,
                 f"turn is {turn!r} rad, it must be within half a turn",
             )
-        promise = self.foretell(turn, twist, length, yaw_error=yaw_error, share=p.promised)
+        promise = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.promised)
         degrees = math.degrees(abs(turn))
         if promise.turning > p.longest_turn:
             torsion = self.hanging.torsion(length)
@@ -243,10 +243,10 @@ class Pointing:
         self._time, self._reached, self._begun = 0.0, False, yaw_error
         self._arrived = 0.0
         against = -math.copysign(spin, spin * turn)
-        self.forecast = self.foretell(
+        self.prediction = self.predict(
             turn, twist, length, yaw_error=yaw_error, spin=against, mass=mass
         )
-        return self.forecast
+        return self.prediction
 
     def stop(self) -> None:
         """Let go."""
@@ -261,8 +261,8 @@ class Pointing:
         """Whether the rotors cone."""
         return self._coned != 0.0
 
-    def take_reached(self) -> Forecast | None:
-        """What is foretold from where the heading was reached, once."""
+    def take_reached(self) -> Prediction | None:
+        """What is predicted from where the heading was reached, once."""
         taken, self._told = self._told, None
         return taken
 
@@ -322,7 +322,7 @@ class Pointing:
         return Pumping(along, across, -sense * amplitude * math.cos(self._phase) / w)
 
     def _look_whether_reached(self, heading: float, length: float) -> None:
-        """Foretell the holding where the turn ends."""
+        """Predict the holding where the turn ends."""
         p, learnt = self.parameters, self._learnt
         if self._reached or abs(self.error(heading)) > p.tolerance:
             return
@@ -341,7 +341,7 @@ class Pointing:
         if known < held:
             held, limit = max(known, 0.0), "gyro bias"
         self._arrived = self._time
-        self._told = Forecast(self._time, held, limit)
+        self._told = Prediction(self._time, held, limit)
 
     def _look_whether_lost(self, heading: float) -> None:
         """Let go what is held no longer, or not known to be."""

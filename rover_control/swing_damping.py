@@ -8,7 +8,7 @@ inward works against the swing: with A^2 = |u|^2 + |u'|^2/w^2,
 It runs at twice the swing's frequency w, so D is bounded by the drum's rate, D <= v/2w, by its
 acceleration, D <= 0.8 a/4w^2 (a trim that lags behind for want of it feeds the swing), and by
 0.15 l. Around a circle u.u' = 0: the winch turns an ellipse into a circle and can do no more. What
-is left then is the business of `rotor_pump` and `yaw_keeper`.
+is left then is the business of `rotor_pump` and `yaw_momentum`.
 """
 
 from __future__ import annotations

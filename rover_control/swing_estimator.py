@@ -43,13 +43,13 @@ _SIZE = 13
 _SWINGING, _TILTING = (_U, _V), (_P, _Q)
 _EYE = np.eye(_SIZE)
 _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
-_OUTSTANDING = 8.0  # RMS of the lasting unrest that a push must stand out of
+_OUTSTANDING = 8.0  # RMS of the lasting process_noise that a push must stand out of
 _LASTING = 3.0  # over which that is smoothed [s]
 _MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
 _BLOW_TIME = 0.5  # over which the accelerometer's are gathered [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
-_UNREST_TIME = 0.3  # over which what shakes the rover is learnt [s]
-_EXPECTED = 4.0  # mean square of the misses over their variance, that needs no unrest
+_INFLATION_TIME = 0.3  # over which what shakes the rover is learnt [s]
+_EXPECTED = 4.0  # mean square of the misses over their variance, that needs no process noise
 _BLOW = 5.0  # standard deviations beyond which a miss of the accelerometer is a blow, not a tilt
 _TILT_ERROR = 0.05  # part by which the tilt's stiffness over inertia may be off
 _PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
@@ -80,10 +80,10 @@ class EstimatorParameters:
         1.0,
     )
     tilt_walk: float = parameter(2.0e-5, "rad/sqrt(s)", "density of its walk", 0.0, 1.0)
-    swing_unrest: float = parameter(
+    swing_process_noise: float = parameter(
         1.5e-5, "rad/s/sqrt(s)", "density of what else moves the swing", 0.0, 1.0
     )
-    tilt_unrest: float = parameter(
+    tilt_process_noise: float = parameter(
         1.0e-3, "rad/s/sqrt(s)", "density of what else moves the tilt", 0.0, 1.0
     )
     shock: float = parameter(
@@ -162,12 +162,19 @@ class SwingEstimator:
         self._missed = [0.0, 0.0]
         self._blown = [0.0, 0.0]  # sideways, by what the accelerometer missed [m/s]
         self._surplus = [0.0] * 4  # smoothed once; what is sudden is a push
-        self._unrest = [0.0] * 4  # variance of what is measured, beyond what is known of it
+        self._process_noise = [0.0] * 4  # variance of what is measured, beyond what is known of it
         self._lately = [0.0, 0.0]  # of the gyro's, smoothed once more
         self._lasting = [0.0, 0.0]  # and once more: a push does not hide itself
         self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
-        unrest = [0.0, p.swing_unrest, 0.0, p.tilt_unrest, p.gyro_walk, p.tilt_walk]
-        self._noise: Array = np.diag(np.square([*unrest, *unrest, p.yaw_walk]))
+        process_noise = [
+            0.0,
+            p.swing_process_noise,
+            0.0,
+            p.tilt_process_noise,
+            p.gyro_walk,
+            p.tilt_walk,
+        ]
+        self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_walk]))
         self._flow: Array = np.zeros((_SIZE, _SIZE))  # of the states; _predict fills in the rest
         for at in (0, _AXIS):
             self._flow[at + _U, at + _V] = self._flow[at + _P, at + _Q] = 1.0
@@ -193,7 +200,7 @@ class SwingEstimator:
         """Of the gyro about base_link z [rad/s]."""
         return float(self._state[_YAW_BIAS])
 
-    def hear_drum(self, length: float, rate: float) -> None:
+    def on_drum(self, length: float, rate: float) -> None:
         """Take length paid out [m] and payout rate [m/s]."""
         self.length, self.rate = length, rate
 
@@ -275,7 +282,7 @@ class SwingEstimator:
     @property
     def _is_calm(self) -> bool:
         """Whether nothing shakes the rover that the model does not know."""
-        return self.is_settled and max(self._unrest[:2]) < self.parameters.shock**2
+        return self.is_settled and max(self._process_noise[:2]) < self.parameters.shock**2
 
     def _is_taut(self, force: Vector) -> bool:
         return force[2] > _LEAST_PULL * self.hanging.rover_gravity
@@ -298,9 +305,9 @@ class SwingEstimator:
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
             limit = self.parameters.shock + _MODEL_ERROR * moving
-            # A push is unrest, too, at once; what it must stand out of was there before.
+            # A push is process noise, too, at once; what it must stand out of was there before.
             share = min(h / _LASTING, 1.0)
-            self._lately[k] += share * (self._unrest[k] - self._lately[k])
+            self._lately[k] += share * (self._process_noise[k] - self._lately[k])
             self._lasting[k] += share * (self._lately[k] - self._lasting[k])
             limit += _OUTSTANDING * math.sqrt(self._lasting[k])
             self._blown[k] += h * blows[k] - min(h / _BLOW_TIME, 1.0) * self._blown[k]
@@ -363,39 +370,39 @@ class SwingEstimator:
             at = k * _AXIS
             square = pulled * self.hanging.stiffness / inertia
             moving = state[at + _Q] ** 2 + square * state[at + _P] ** 2
-            unrest = self._unrest[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
+            process_noise = self._process_noise[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
             # What turns the rover by its tether pushes the swing as the tilt's own pull does.
-            spread[at + _V, at + _V] += unrest * share**2
-            spread[at + _Q, at + _Q] += unrest * (1.0 + share) ** 2
-            spread[at + _V, at + _Q] -= unrest * share * (1.0 + share)
-            spread[at + _Q, at + _V] -= unrest * share * (1.0 + share)
+            spread[at + _V, at + _V] += process_noise * share**2
+            spread[at + _Q, at + _Q] += process_noise * (1.0 + share) ** 2
+            spread[at + _V, at + _Q] -= process_noise * share * (1.0 + share)
+            spread[at + _Q, at + _V] -= process_noise * share * (1.0 + share)
         self._spread = 0.5 * (spread + spread.T)
 
     def _update(self, rows: Array, missed: Array, variances: Array, h: float) -> None:
         """Take measurements at once: their rows (k, SIZE), what they missed, their variances.
 
         In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
-        What is missed by more than the model and the sensors' noise explain is unrest that they do
-        not know: a tether that vibrates, or tilts so large that what is not known of the inertia
+        Innovations larger than the model and the sensors' noise explain are unmodelled process
+        noise: a tether that vibrates, or tilts so large that what is not known of the inertia
         shows. It is learnt from the misses: the gyro's is motion of the tilt, the accelerometer's
         is noise. While there is any, how the swing turns tells nothing about the yaw.
 
         A blow, as a wall's or that of a tether that jerks, shows in the accelerometer as many times
         the weight for a sample or two. No tilt comes so suddenly: the further off, the less such a
-        sample counts, for the tilt as for the unrest, which still grows where it lasts.
+        sample counts, for the tilt as for the process noise, which still grows where it lasts.
         """
-        variances[2:] += self._unrest[2 : len(variances)]
+        variances[2:] += self._process_noise[2 : len(variances)]
         along = self._spread @ rows.T
         expected = rows @ along + np.diag(variances)
         squares = np.square(missed)
         believed = _BLOW**2 * expected.diagonal()
         doubt = np.maximum(squares - believed, 0.0)[2:] / _BLOW**2
         squares[2:] = np.minimum(squares, believed)[2:]
-        share = min(h / _UNREST_TIME, 1.0)
+        share = min(h / _INFLATION_TIME, 1.0)
         for k, variance in enumerate(expected.diagonal().tolist()):
             surplus = float(squares[k]) - _EXPECTED * variance
             self._surplus[k] = max(self._surplus[k] + share * (surplus - self._surplus[k]), 0.0)
-            self._unrest[k] += share * (self._surplus[k] - self._unrest[k])
+            self._process_noise[k] += share * (self._surplus[k] - self._process_noise[k])
         variances[2:] += doubt
         expected[2:, 2:] += np.diag(doubt)
         gain = np.linalg.solve(expected, along.T).T

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from msg_schemas import topics
 from msg_schemas.parameters import parameter
 from msg_schemas.table import TOPICS
-from rover_control.phase_a import WinchAsk
+from rover_control.hanging_controller import WinchAsk
 
 HOLD = "hold"
 """Mode of a winch that rests."""
@@ -21,7 +21,7 @@ _LENGTH = "length"
 FREE = frozenset({HOLD, _LENGTH})
 """Modes in which nobody else moves the winch."""
 # A winch that is trimmed does not come to rest by itself before the trim has been silent so long.
-_TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.silence  # [s]
+_TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class WinchLink:
         self._moves = False
         self._trimmed = -math.inf
 
-    def hear_mode(self, mode: str, now: float) -> None:
+    def on_mode(self, mode: str, now: float) -> None:
         """Take what the winch is doing."""
         if mode != self.mode:
             self.mode, self._mode_since = mode, now

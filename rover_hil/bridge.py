@@ -197,7 +197,7 @@ class Bridge:
                     f"{name}_commands_ceased",
                     f"no command for {age:.3g} s: the drive is switched off",
                     Level.WARN,
-                    silence=age,
+                    timeout=age,
                 )
             sampled_ns = station.sampled_ns
             if channel.setpoint is not None and not station.was_heard_within(UNHEARD_LIMIT, now_ns):

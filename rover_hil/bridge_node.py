@@ -111,8 +111,8 @@ class BridgeNode(ContractNode):
         for can_id in self._bridge.can_ids:
             link.network.subscribe(can_id, self._on_pdo)
         link.network.subscribe(CYCLE_OVER_ID, self._on_cycle_over)
-        self._outlets = {name: self.publisher(name) for name in TOLD}
-        self._status_outlet = self.publisher(topics.LINK_STATUS)
+        self._contract_publishers = {name: self.publisher(name) for name in TOLD}
+        self._status_publisher = self.publisher(topics.LINK_STATUS)
         for name in COMMANDED:
             self.subscribe(name, partial(self._on_command, name))
         self.serve(topics.DRIVES_ARM, self._on_arm)
@@ -147,7 +147,7 @@ class BridgeNode(ContractNode):
         self._unchecked.put(None)
         for thread in self._threads:
             thread.join()
-        self._tell_transitions()
+        self._publish_transitions()
 
     def release(self) -> None:
         """Close the link."""
@@ -210,9 +210,9 @@ class BridgeNode(ContractNode):
             link.hand_on(frame)
             told = self._bridge.samples()
         for name, sample in told:
-            outlet = self._outlets[name]
-            if outlet.is_heard:
-                outlet.send(sample)
+            publisher = self._contract_publishers[name]
+            if publisher.is_heard:
+                publisher.send(sample)
         return True
 
     def _begin_cycle(self) -> None:
@@ -227,7 +227,7 @@ class BridgeNode(ContractNode):
                 self._beat_ns = now_ns
                 link.heartbeat(BRIDGE_NODE, _OPERATIONAL)
             bridge.supervise(now_ns)
-        self._tell_transitions()
+        self._publish_transitions()
 
     def _next_stamp(self) -> int | None:
         """Time of the samples that a SYNC brings, that of its sending; None: none has passed.
@@ -280,7 +280,7 @@ class BridgeNode(ContractNode):
     def _start_device(self, device: Device) -> None:
         self._nodes[device.name].nmt.state = "OPERATIONAL"
 
-    def _tell_transitions(self) -> None:
+    def _publish_transitions(self) -> None:
         with self._lock:
             changes = self._bridge.take_transitions()
         for change in changes:
@@ -322,13 +322,13 @@ class BridgeNode(ContractNode):
             done = (
                 self._bridge.arm(now_ns) if arm else self._bridge.disarm("asked to disarm", now_ns)
             )
-        self._tell_transitions()
+        self._publish_transitions()
         return True, done
 
     # --- status ----------------------------------------------------------------------------------
 
     def _publish_status(self) -> None:
-        self._status_outlet.send(StatusSample(self.now_ns(), self.health()))
+        self._status_publisher.send(StatusSample(self.now_ns(), self.health()))
 
     def health(self) -> tuple[Status, ...]:
         """The link, and each device on it."""

@@ -127,7 +127,7 @@ class DriveChannel:
             return None
         stale = TOPICS[self.topic].stale
         moves = abs(velocity) > _STANDING or self.setpoint["target_velocity"] != 0.0
-        limit = min(stale.silence, stale.moving_silence) if moves else stale.silence
+        limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
         age = (now_ns - self.commanded_ns) * 1e-9
         if age < limit:
             return None

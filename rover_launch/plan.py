@@ -25,7 +25,7 @@ Value: TypeAlias = str | float | int | bool
 
 PLANTS: Mapping[str, str] = {
     SIM: "sim_node",
-    NULL: "null_plant",
+    NULL: "mock_plant",
     HIL: "hil_bridge",
 }
 """Executable that stands for the plant towards the controllers."""

@@ -88,7 +88,7 @@ from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
-from rover_sim.telling import Teller, TruthRates, ready_simulation, totals
+from rover_sim.state_publisher import StatePublisher, TruthRates, ready_simulation, totals
 
 __all__ = [
     "COMMANDS",
@@ -115,9 +115,9 @@ __all__ = [
     "SpatialScenario",
     "SpatialState",
     "State",
+    "StatePublisher",
     "StaticsError",
     "StepResult",
-    "Teller",
     "TetherSection",
     "Tick",
     "TruthRates",

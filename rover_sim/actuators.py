@@ -124,7 +124,7 @@ class _Held(Generic[C]):
         if self.command is None or not self._topic:
             return None
         stale = TOPICS[self._topic].stale
-        limit = min(stale.silence, stale.moving_silence) if moves else stale.silence
+        limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
         if now_ns + tick_ns - self._heard_ns <= round(limit * _NANO):
             return None
         self.drop()

@@ -15,11 +15,11 @@ import numpy as np
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
-from rover_sim.mirrored import Mirrored, refuse_what_is_refused_by
 from rover_sim.physics import boulders, contact, places, tether_contact, wheel_soil
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.terrain import Terrain, build_terrain, floor_heights, wall_profile
 from rover_sim.physics.wheel_contact import WheelLaw
+from rover_sim.physics_section import PhysicsSection, refuse_what_is_refused_by
 
 Material: TypeAlias = Literal["regolith", "rock"]
 
@@ -58,7 +58,7 @@ class Floor(Configuration):
 
 
 @dataclass(frozen=True)
-class Relief(Mirrored):
+class Relief(PhysicsSection):
     """Gentle ups and downs of the floor on the patch."""
 
     KIND = places.ReliefParameters
@@ -72,7 +72,7 @@ class Relief(Mirrored):
 
 
 @dataclass(frozen=True)
-class Boulders(Mirrored):
+class Boulders(PhysicsSection):
     """Boulders strewn over the patch by a power law."""
 
     KIND = boulders.BoulderParameters
@@ -163,7 +163,7 @@ class Hole(Configuration):
 
 
 @dataclass(frozen=True)
-class Contact(Mirrored):
+class Contact(PhysicsSection):
     """Law of contact between the rover's corners, or its wheels, and a ground."""
 
     KIND: ClassVar[type] = contact.ContactParameters
@@ -178,7 +178,7 @@ class Contact(Mirrored):
 
 
 @dataclass(frozen=True)
-class TetherContact(Mirrored):
+class TetherContact(PhysicsSection):
     """Law of contact between a metre of tether and the ground."""
 
     KIND = tether_contact.TetherContactParameters
@@ -210,7 +210,7 @@ class TetherContact(Mirrored):
 
 
 @dataclass(frozen=True)
-class Soil(Mirrored):
+class Soil(PhysicsSection):
     """Strength of the regolith under a wheel."""
 
     KIND = wheel_soil.Soil

@@ -16,13 +16,13 @@ import numpy as np
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
-from rover_sim.mirrored import Mirrored
 from rover_sim.physics import motor as motors
 from rover_sim.physics import shaft, slider, wheel_soil
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.drum import DrumParameters
 from rover_sim.physics.jump_drive import JumpDriveParameters
 from rover_sim.physics.wheel_drive import WheelDriveParameters
+from rover_sim.physics_section import PhysicsSection
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -34,7 +34,7 @@ _WHEEL = wheel_soil.Wheel()
 
 
 @dataclass(frozen=True)
-class Friction(Mirrored):
+class Friction(PhysicsSection):
     """Friction of a shaft, Stribeck's curve and a viscous part."""
 
     KIND = shaft.FrictionParameters
@@ -46,7 +46,7 @@ class Friction(Mirrored):
 
 
 @dataclass(frozen=True)
-class Motor(Mirrored):
+class Motor(PhysicsSection):
     """A motor with its drive, at its own shaft."""
 
     KIND = motors.MotorParameters
@@ -59,7 +59,7 @@ class Motor(Mirrored):
 
 
 @dataclass(frozen=True)
-class Winch(Mirrored):
+class Winch(PhysicsSection):
     """Drum, gear, motor and power-off brake; what it can pay out is the tether's max_length."""
 
     KIND = DrumParameters
@@ -94,7 +94,7 @@ class Winch(Mirrored):
 
 
 @dataclass(frozen=True)
-class Slider(Mirrored):
+class Slider(PhysicsSection):
     """Spring between the bodies, slider bearing and end stops."""
 
     KIND = slider.SliderParameters
@@ -122,7 +122,7 @@ class Slider(Mirrored):
 
 
 @dataclass(frozen=True)
-class JumpDrive(Mirrored):
+class JumpDrive(PhysicsSection):
     """Jump motor with flywheel, ball screw, nut and latch."""
 
     KIND = JumpDriveParameters
@@ -154,7 +154,7 @@ class JumpDrive(Mirrored):
 
 
 @dataclass(frozen=True)
-class WheelDrive(Mirrored):
+class WheelDrive(PhysicsSection):
     """Wheel motor, gear and the two wheels as rotors."""
 
     KIND = WheelDriveParameters
@@ -180,7 +180,7 @@ class WheelDrive(Mirrored):
 
 
 @dataclass(frozen=True)
-class Wheels(Mirrored):
+class Wheels(PhysicsSection):
     """Two equal wheels on one axle."""
 
     KIND = wheel_soil.Wheel

@@ -42,7 +42,7 @@ _OUTCOME_OF = {
 
 
 @dataclass(frozen=True)
-class Ledger:
+class EnergyBalance:
     """The energy balance since the start of the run [J]."""
 
     initial: float = 0.0  # stored at the start
@@ -81,7 +81,7 @@ class PlanarState:
     s: float  # distance of the bodies' centres along the slider [m]
     compression: float = 0.0  # of the jump spring by its motor [m]
     take_off: TakeOffRecord = TakeOffRecord()
-    ledger: Ledger = Ledger()
+    energy_balance: EnergyBalance = EnergyBalance()
 
     def __post_init__(self) -> None:
         for name in ("nodes", "node_rates", "G1", "G1_rate", "G2_rate"):
@@ -189,7 +189,7 @@ class PlanarPlant:
             s=s,
             take_off=TakeOffRecord(0.0, (float(G1[0]), float(G1[1])), theta, 0.0),
         )
-        return replace(state, ledger=Ledger(initial=self.energies(state).stored))
+        return replace(state, energy_balance=EnergyBalance(initial=self.energies(state).stored))
 
     def take_off(self, state: PlanarState) -> PlanarState:
         """Apply the scenario's take-off to a rover that stands.
@@ -242,7 +242,7 @@ class PlanarPlant:
         peak = float(report[planar.PEAK_TENSION])
         result = StepResult(
             outcome=_OUTCOME_OF[outcome_code],
-            energies=_energies_of(report[planar.KINETIC : planar.SPRING + 1], after.ledger),
+            energies=_energies_of(report[planar.KINETIC : planar.SPRING + 1], after.energy_balance),
             constraint_drift=float(report[planar.CONSTRAINT_DRIFT]),
             newton_iterations=int(report[planar.ITERATIONS]),
             smallest_step=float(report[planar.SMALLEST_STEP]),
@@ -255,7 +255,7 @@ class PlanarPlant:
         """Energies of the state, with the balance since the start of the run."""
         motion = _motion_of(state)
         parts = planar.energies(self._model, motion.q, motion.v, motion.body)
-        return _energies_of(parts, state.ledger)
+        return _energies_of(parts, state.energy_balance)
 
     def tension(self, state: PlanarState) -> Array:
         """Tension at the nodes [N], (n + 1,), strain-rate damping included; below 0: pressed.
@@ -411,9 +411,9 @@ def _motion_of(state: PlanarState) -> _Motion:
     book[[planar.START_X, planar.START_Y]] = state.take_off.G1
     book[planar.START_THETA] = state.take_off.theta
     book[planar.HIGHEST] = state.take_off.highest
-    book[planar.INPUT] = state.ledger.input
-    book[planar.DISSIPATED] = state.ledger.dissipated
-    book[planar.REFERENCE] = state.ledger.initial
+    book[planar.INPUT] = state.energy_balance.input
+    book[planar.DISSIPATED] = state.energy_balance.dissipated
+    book[planar.REFERENCE] = state.energy_balance.initial
     return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, book)
 
 
@@ -437,7 +437,7 @@ def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
             theta=float(book[planar.START_THETA]),
             highest=float(book[planar.HIGHEST]),
         ),
-        ledger=Ledger(
+        energy_balance=EnergyBalance(
             initial=float(book[planar.REFERENCE]),
             input=float(book[planar.INPUT]),
             dissipated=float(book[planar.DISSIPATED]),
@@ -445,10 +445,17 @@ def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
     )
 
 
-def _energies_of(parts: ArrayLike, ledger: Ledger) -> Energies:
+def _energies_of(parts: ArrayLike, energy_balance: EnergyBalance) -> Energies:
     kinetic, gravity, axial, bending, spring = (float(part) for part in np.asarray(parts))
     return Energies(
-        kinetic, gravity, axial, bending, spring, ledger.input, ledger.dissipated, ledger.initial
+        kinetic,
+        gravity,
+        axial,
+        bending,
+        spring,
+        energy_balance.input,
+        energy_balance.dissipated,
+        energy_balance.initial,
     )
 
 

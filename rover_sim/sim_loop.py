@@ -11,7 +11,7 @@ from typing import Generic
 
 from msg_schemas.samples import JointSample
 from rover_sim.actuators import Actuators
-from rover_sim.happenings import Happening, of_event, of_silence
+from rover_sim.event_reports import EventReport, of_event, of_silence
 from rover_sim.interface import PlantInterface
 from rover_sim.plant import Outcome, Phase, S, StepResult
 
@@ -28,7 +28,7 @@ class Tick(Generic[S]):
     dt: float  # [s]
     stamp_ns: int  # simulated time of `after`
     result: StepResult
-    happenings: tuple[Happening, ...]
+    event_reports: tuple[EventReport, ...]
 
 
 class Schedule:
@@ -198,14 +198,14 @@ class Simulation(Generic[S]):
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns
         silences = self._actuators.silenced(self.interface.drives(before), before_ns)
-        happenings = [of_silence(silence, before_ns) for silence in silences]
+        event_reports = [of_silence(silence, before_ns) for silence in silences]
         dt = self.tick_ns / NANO
         after, result = self.plant.step(before, self._actuators.command, dt)
         for event in result.events:
             stamp_ns = before_ns + round((event.time - before.time) * NANO)
             if event.name == self._actuators.trip_event:
                 self._actuators.note_trip(stamp_ns)
-            happenings.append(of_event(event, stamp_ns, after, result, self.plant.scenario))
+            event_reports.append(of_event(event, stamp_ns, after, result, self.plant.scenario))
         if after.phase.final:
             self._actuators.clear()
         self.state = after
@@ -215,4 +215,4 @@ class Simulation(Generic[S]):
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.last = result
         self.interface.measure(after, self.stamp_ns, result)
-        return Tick(before, after, dt, self.stamp_ns, result, tuple(happenings))
+        return Tick(before, after, dt, self.stamp_ns, result, tuple(event_reports))

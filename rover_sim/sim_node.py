@@ -16,13 +16,13 @@ from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import Level, Status, StatusSample
 from rover_sim.actuators import COMMANDS, stopped
-from rover_sim.happenings import Happening
+from rover_sim.event_reports import EventReport
 from rover_sim.plant import Phase
 from rover_sim.scenario import AnyScenario, ScenarioError, load_overridden
 from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
-from rover_sim.telling import (
-    Teller,
+from rover_sim.state_publisher import (
+    StatePublisher,
     TruthRates,
     rate_parameter,
     ready_simulation,
@@ -104,8 +104,8 @@ class SimNode(ContractNode):
         scenario = load(wanted)
         simulation = self.simulation_of(scenario, wanted)
         told = rates.of_topics(simulation.interface.topics, rates.sensor_rate)
-        self._teller = Teller(self, simulation, told | {topics.CLOCK: rates.clock_rate})
-        self._status_outlet = self.publisher(topics.SIM_STATUS)
+        self._publisher = StatePublisher(self, simulation, told | {topics.CLOCK: rates.clock_rate})
+        self._status_publisher = self.publisher(topics.SIM_STATUS)
         runner = SimRunner(
             simulation,
             wanted.real_time_factor,
@@ -128,7 +128,7 @@ class SimNode(ContractNode):
     def start(self) -> None:
         """Let simulated time run."""
         if self._runner is not None:
-            self._teller.begin()
+            self._publisher.begin()
             self._runner.start()
         period = 1.0 / table_rate(topics.SIM_STATUS)
         self.every(period, self._publish_status, by_wall_clock=True)
@@ -170,15 +170,15 @@ class SimNode(ContractNode):
 
     def ticked(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish what is due."""
-        self._teller.ticked(tick, before_ns)
+        self._publisher.ticked(tick, before_ns)
 
     def restarted(self) -> None:
         """Publish everything once that can be told without a tick before it."""
-        self._teller.restarted()
+        self._publisher.restarted()
 
-    def happened(self, happening: Happening) -> None:
+    def happened(self, happening: EventReport) -> None:
         """Publish an event."""
-        self._teller.happened(happening)
+        self._publisher.happened(happening)
 
     def finished(self) -> None:
         """End the process: the wanted duration is over."""
@@ -202,7 +202,7 @@ class SimNode(ContractNode):
 
     def _publish_status(self) -> None:
         status = self._status()
-        self._status_outlet.send(StatusSample(self.now_ns(), (status,)))
+        self._status_publisher.send(StatusSample(self.now_ns(), (status,)))
 
     def health(self) -> tuple[Status, ...]:
         """Whether the plant is well and keeps its pace."""

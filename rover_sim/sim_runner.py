@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from rover_sim.happenings import Happening
+from rover_sim.event_reports import EventReport
 from rover_sim.sim_loop import NANO, Pacer, Simulation, Tick
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ class Listener(Protocol):
     def restarted(self) -> None:
         """The state is there without a tick before it: at the start and after a reset."""
 
-    def happened(self, happening: Happening) -> None:
+    def happened(self, happening: EventReport) -> None:
         """Something else than a tick happened."""
 
     def finished(self) -> None:
@@ -203,7 +203,7 @@ class SimRunner:
         self.pacer.restart()
         name = "paused" if pause else "resumed"
         at = f"at {self.stamp_ns / NANO:g} s"
-        self._listener.happened(Happening(name, f"simulated time {name} {at}", self.stamp_ns))
+        self._listener.happened(EventReport(name, f"simulated time {name} {at}", self.stamp_ns))
         return f"{name} {at}"
 
     def _step(self) -> str:
@@ -226,7 +226,7 @@ class SimRunner:
         self.pacer.set_factor(self._factor)
         name, what = ("reset", "plant and clock") if clock else ("reset_plant", "the plant")
         message = f"{what} put back to the start at {before:g} s"
-        self._listener.happened(Happening(name, message, self.stamp_ns))
+        self._listener.happened(EventReport(name, message, self.stamp_ns))
         self._listener.restarted()
         return message
 

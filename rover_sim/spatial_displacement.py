@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rover_sim.physics import spatial_book, spatial_rover
+from rover_sim.physics import integrator_memory, spatial_rover
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.scenario_parts import ScenarioError
 from rover_sim.spatial_plant import SpatialPlant
@@ -69,7 +69,7 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
         slide=state.s,
     )
     book = after.book.copy()
-    book[spatial_book.SLIP] -= state.twist + by.twist
+    book[integrator_memory.SLIP] -= state.twist + by.twist
     return replace(after, book=book)
 
 
@@ -78,7 +78,7 @@ def compressed(
 ) -> SpatialState:
     """A rover at rest, its spring compressed and held by the latch, turned a little on top.
 
-    The clock and the ledgers stay as they are: the spring's energy is put in by nobody.
+    The clock and the energy balances stay as they are: the spring's energy is put in by nobody.
 
     Args:
         plant: whose state it is.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from rover_sim.per_thread import PerThread
 from rover_sim.physics import drum as drums
-from rover_sim.physics import jump_drive, spatial, spatial_book, spatial_rover, wheel_drive
+from rover_sim.physics import integrator_memory, jump_drive, spatial, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.parts import parts, whole
@@ -28,16 +28,16 @@ from rover_sim.spatial_start import Pose, hanging, laid_out, straight
 from rover_sim.spatial_state import (
     SpatialState,
     arrays_of,
-    ledger_sums,
+    energy_balance_sums,
     rotation_matrix,
     state_of,
 )
 
 _OUTCOME_OF = {
-    spatial_book.OUTCOME_CONVERGED: Outcome.CONVERGED,
-    spatial_book.OUTCOME_HALVED: Outcome.HALVED,
-    spatial_book.OUTCOME_DIVERGED: Outcome.DIVERGED,
-    spatial_book.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
+    integrator_memory.OUTCOME_CONVERGED: Outcome.CONVERGED,
+    integrator_memory.OUTCOME_HALVED: Outcome.HALVED,
+    integrator_memory.OUTCOME_DIVERGED: Outcome.DIVERGED,
+    integrator_memory.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
 }
 _IDLE = Command()
 # A tether that carries more than this share of the rover's weight carries the rover.
@@ -202,10 +202,10 @@ class SpatialPlant:
                 drum=drum._replace(rate=pose.payout_rate / radius, braked=False)
             )
         elements = len(pose.nodes) - 1
-        book = np.zeros(spatial_book.BOOK_SIZE)
-        book[spatial_book.ELEMENTS] = elements
-        book[spatial_book.TENSION] = pose.tension
-        book[spatial_book.AIRBORNE] = 1.0
+        book = np.zeros(integrator_memory.BOOK_SIZE)
+        book[integrator_memory.ELEMENTS] = elements
+        book[integrator_memory.TENSION] = pose.tension
+        book[integrator_memory.AIRBORNE] = 1.0
         state = SpatialState(
             phase=Phase.HANGING,
             nodes=pose.nodes,
@@ -240,38 +240,40 @@ class SpatialPlant:
         return Phase.HANGING if carries else Phase.FLIGHT
 
     def _started(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
-        """The state with its clock and ledgers at zero, the tether twisted by `twist` [rad]."""
-        book = np.zeros(spatial_book.BOOK_SIZE)
+        """The state with clock and energy balance at zero, the tether twisted by `twist` [rad]."""
+        book = np.zeros(integrator_memory.BOOK_SIZE)
         for entry in (
-            spatial_book.ELEMENTS,
-            spatial_book.TENSION,
-            spatial_book.LEFT_TORQUE,
-            spatial_book.LEFT_SLOPE,
-            spatial_book.RIGHT_TORQUE,
-            spatial_book.RIGHT_SLOPE,
-            spatial_book.AIRBORNE,
+            integrator_memory.ELEMENTS,
+            integrator_memory.TENSION,
+            integrator_memory.LEFT_TORQUE,
+            integrator_memory.LEFT_SLOPE,
+            integrator_memory.RIGHT_TORQUE,
+            integrator_memory.RIGHT_SLOPE,
+            integrator_memory.AIRBORNE,
         ):
             book[entry] = state.book[entry]
-        book[spatial_book.TAKE_OFF_X : spatial_book.TAKE_OFF_Z + 1] = state.G1
+        book[integrator_memory.TAKE_OFF_X : integrator_memory.TAKE_OFF_Z + 1] = state.G1
         if self._model.has_rover:
             slope = state.mouth[0] if self._model.has_winch else state.nodes[0, 1]
             quaternion = state.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
-            book[spatial_book.TWIST] = twist_angle(
+            book[integrator_memory.TWIST] = twist_angle(
                 state.elements,
                 tuple(slope.tolist()),
                 to_rows(state.nodes),
                 tuple(quaternion.tolist()),
                 0.0,
             )
-            book[spatial_book.SLIP] = book[spatial_book.TWIST] - twist
+            book[integrator_memory.SLIP] = book[integrator_memory.TWIST] - twist
             spin = state.omega
-            book[spatial_book.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
-            book[spatial_book.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
+            book[integrator_memory.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
+            book[integrator_memory.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
         if self._model.has_winch:
-            book[spatial_book.DRIVE_KINETIC] += 0.5 * self._model.drum.inertia * state.drum_rate**2
+            book[integrator_memory.DRIVE_KINETIC] += (
+                0.5 * self._model.drum.inertia * state.drum_rate**2
+            )
         fresh = replace(state, book=book, phase=phase)
         book = fresh.book.copy()
-        book[spatial_book.REFERENCE] = self.energies(fresh).stored
+        book[integrator_memory.REFERENCE] = self.energies(fresh).stored
         return replace(fresh, book=book)
 
     def _at_rest(self, state: SpatialState) -> SpatialState:
@@ -322,20 +324,20 @@ class SpatialPlant:
         self, model: Model, state: SpatialState, orders: Orders, dt: float
     ) -> tuple[SpatialState, StepResult]:
         motion, book = arrays_of(state, self._capacity)
-        events = np.zeros((spatial_book.MAX_EVENTS, spatial_book.EVENT_SIZE))
-        report = np.zeros(spatial_book.REPORT_SIZE)
+        events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
+        report = np.zeros(integrator_memory.REPORT_SIZE)
         outcome_code, count, machines = spatial.advance(
             model, motion, state.machines, orders, book, dt, events, report, self._solvers.own()
         )
         outcome = _OUTCOME_OF[outcome_code]
         after = state_of(motion, _plain(machines), book, self._phase(outcome, book, report))
-        peak = float(report[spatial_book.PEAK_TENSION])
+        peak = float(report[integrator_memory.PEAK_TENSION])
         result = StepResult(
             outcome=outcome,
             energies=_energies_of(report, after.book),
-            constraint_drift=float(report[spatial_book.CONSTRAINT_DRIFT]),
-            newton_iterations=int(report[spatial_book.ITERATIONS]),
-            smallest_step=float(report[spatial_book.SMALLEST_STEP]),
+            constraint_drift=float(report[integrator_memory.CONSTRAINT_DRIFT]),
+            newton_iterations=int(report[integrator_memory.ITERATIONS]),
+            smallest_step=float(report[integrator_memory.SMALLEST_STEP]),
             events=tuple(_event_of(row) for row in events[:count]),
             peak_tension=peak if math.isfinite(peak) else 0.0,
             forces=_forces_of(report, after.book),
@@ -347,9 +349,9 @@ class SpatialPlant:
             return Phase.DIVERGED
         if outcome is Outcome.TETHER_BROKEN:
             return Phase.TETHER_BROKEN
-        if book[spatial_book.AIRBORNE] == 0.0 and self._model.has_rover:
+        if book[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
             return Phase.GROUNDED
-        return self._carried(float(report[spatial_book.TIP_TENSION]))
+        return self._carried(float(report[integrator_memory.TIP_TENSION]))
 
     # -------------------------------------------------------------------------------- looking
 
@@ -357,8 +359,8 @@ class SpatialPlant:
         """Energies of the state, with the balance since the start of the run."""
         motion, book = arrays_of(state, self._capacity)
         parts = spatial.energies(self._model, motion, state.machines, book, self._solvers.own())
-        report = np.zeros(spatial_book.REPORT_SIZE)
-        report[spatial_book.KINETIC : spatial_book.TORSION + 1] = parts
+        report = np.zeros(integrator_memory.REPORT_SIZE)
+        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = parts
         return _energies_of(report, state.book)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
@@ -512,63 +514,63 @@ def _slowed(state: SpatialState, factor: float, tether: float | None = None) -> 
 
 
 def _energies_of(report: Array, book: Array) -> Energies:
-    came, went = ledger_sums(book)
-    rotors = float(book[spatial_book.DRIVE_KINETIC])
+    came, went = energy_balance_sums(book)
+    rotors = float(book[integrator_memory.DRIVE_KINETIC])
     return Energies(
-        kinetic=float(report[spatial_book.KINETIC]) - rotors,
-        gravity=float(report[spatial_book.GRAVITY]),
-        axial=float(report[spatial_book.AXIAL]),
-        bending=float(report[spatial_book.BENDING]),
-        spring=float(report[spatial_book.SPRING]),
+        kinetic=float(report[integrator_memory.KINETIC]) - rotors,
+        gravity=float(report[integrator_memory.GRAVITY]),
+        axial=float(report[integrator_memory.AXIAL]),
+        bending=float(report[integrator_memory.BENDING]),
+        spring=float(report[integrator_memory.SPRING]),
         input=came,
         dissipated=went,
-        initial=float(book[spatial_book.REFERENCE]),
+        initial=float(book[integrator_memory.REFERENCE]),
         rotors=rotors,
-        contact=float(report[spatial_book.CONTACT]),
-        twist=float(report[spatial_book.TORSION]),
+        contact=float(report[integrator_memory.CONTACT]),
+        twist=float(report[integrator_memory.TORSION]),
     )
 
 
 def _forces_of(report: Array, book: Array) -> Forces:
-    x, y, z = report[spatial_book.FAIRLEAD_X : spatial_book.FAIRLEAD_Z + 1].tolist()
+    x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1].tolist()
     return Forces(
         fairlead=(x, y, z),
-        fairlead_tension=float(book[spatial_book.TENSION]),
-        rover_tension=float(report[spatial_book.TIP_TENSION]),
-        left_wheel=float(report[spatial_book.LEFT_LOAD]),
-        right_wheel=float(report[spatial_book.RIGHT_LOAD]),
-        body=float(report[spatial_book.BODY_LOAD]),
-        grounded_points=int(report[spatial_book.TETHER_GROUNDED]),
-        nut=float(report[spatial_book.NUT_FORCE]),
-        jump_torque=float(report[spatial_book.JUMP_TORQUE]),
-        wheel_torque=float(report[spatial_book.WHEEL_TORQUE]),
-        winch_torque=float(report[spatial_book.WINCH_TORQUE]),
-        jump_current=float(report[spatial_book.JUMP_CURRENT]),
-        wheel_current=float(report[spatial_book.WHEEL_CURRENT]),
-        winch_current=float(report[spatial_book.WINCH_CURRENT]),
-        flywheel_saturated=bool(report[spatial_book.FLYWHEEL_SATURATED]),
-        screw_soft_limit=int(report[spatial_book.SCREW_SOFT_LIMIT]),
-        screw_hard_limit=int(report[spatial_book.SCREW_HARD_LIMIT]),
-        ratchet=int(report[spatial_book.RATCHET]),
-        drum_stuck=bool(report[spatial_book.DRUM_STUCK]),
-        drum_stop=int(report[spatial_book.DRUM_STOP]),
+        fairlead_tension=float(book[integrator_memory.TENSION]),
+        rover_tension=float(report[integrator_memory.TIP_TENSION]),
+        left_wheel=float(report[integrator_memory.LEFT_LOAD]),
+        right_wheel=float(report[integrator_memory.RIGHT_LOAD]),
+        body=float(report[integrator_memory.BODY_LOAD]),
+        grounded_points=int(report[integrator_memory.TETHER_GROUNDED]),
+        nut=float(report[integrator_memory.NUT_FORCE]),
+        jump_torque=float(report[integrator_memory.JUMP_TORQUE]),
+        wheel_torque=float(report[integrator_memory.WHEEL_TORQUE]),
+        winch_torque=float(report[integrator_memory.WINCH_TORQUE]),
+        jump_current=float(report[integrator_memory.JUMP_CURRENT]),
+        wheel_current=float(report[integrator_memory.WHEEL_CURRENT]),
+        winch_current=float(report[integrator_memory.WINCH_CURRENT]),
+        flywheel_saturated=bool(report[integrator_memory.FLYWHEEL_SATURATED]),
+        screw_soft_limit=int(report[integrator_memory.SCREW_SOFT_LIMIT]),
+        screw_hard_limit=int(report[integrator_memory.SCREW_HARD_LIMIT]),
+        ratchet=int(report[integrator_memory.RATCHET]),
+        drum_stuck=bool(report[integrator_memory.DRUM_STUCK]),
+        drum_stop=int(report[integrator_memory.DRUM_STOP]),
     )
 
 
 def _event_of(row: Array) -> Event:
     kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
     place = {"x": x, "y": y, "z": z}
-    if int(kind) == spatial_book.EVENT_LATCH:
+    if int(kind) == integrator_memory.EVENT_LATCH:
         return Event(f"latch_{Latch(int(value)).name.lower()}", time, {**place, "speed": speed})
     name, values = {
-        spatial_book.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
-        spatial_book.EVENT_APEX: ("apex", {"height": value}),
-        spatial_book.EVENT_TOUCHDOWN: (
+        integrator_memory.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
+        integrator_memory.EVENT_APEX: ("apex", {"height": value}),
+        integrator_memory.EVENT_TOUCHDOWN: (
             "touchdown",
             {"height": rise, "speed": speed, "load": value},
         ),
-        spatial_book.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
-        spatial_book.EVENT_DIVERGED: ("diverged", {}),
-        spatial_book.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
+        integrator_memory.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
+        integrator_memory.EVENT_DIVERGED: ("diverged", {}),
+        integrator_memory.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
     }[int(kind)]
     return Event(name, time, {**place, **values})

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rover_sim.physics import spatial_book, spatial_rover
+from rover_sim.physics import integrator_memory, spatial_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.spatial import Machines
@@ -16,20 +16,20 @@ from rover_sim.physics.spatial_step import Motion
 from rover_sim.physics.tether import row_width, to_nodes
 from rover_sim.plant import Phase
 
-_LEDGER = {
-    "input_jump_motor": spatial_book.INPUT_JUMP,
-    "input_wheel_motor": spatial_book.INPUT_WHEELS,
-    "input_winch_motor": spatial_book.INPUT_WINCH,
-    "input_tether_paid_out": spatial_book.INPUT_TETHER,
-    "input_remeshing": spatial_book.REMESHED,
-    "heat_tether": spatial_book.HEAT_TETHER,
-    "heat_slider": spatial_book.HEAT_SLIDER,
-    "heat_jump_drive": spatial_book.HEAT_JUMP,
-    "heat_wheel_drive": spatial_book.HEAT_WHEELS,
-    "heat_winch": spatial_book.HEAT_WINCH,
-    "heat_rover_on_ground": spatial_book.HEAT_ROVER_GROUND,
-    "heat_tether_on_ground": spatial_book.HEAT_TETHER_GROUND,
-    "heat_swivel": spatial_book.HEAT_SWIVEL,
+_ENERGY_BALANCE = {
+    "input_jump_motor": integrator_memory.INPUT_JUMP,
+    "input_wheel_motor": integrator_memory.INPUT_WHEELS,
+    "input_winch_motor": integrator_memory.INPUT_WINCH,
+    "input_tether_paid_out": integrator_memory.INPUT_TETHER,
+    "input_remeshing": integrator_memory.REMESHED,
+    "heat_tether": integrator_memory.HEAT_TETHER,
+    "heat_slider": integrator_memory.HEAT_SLIDER,
+    "heat_jump_drive": integrator_memory.HEAT_JUMP,
+    "heat_wheel_drive": integrator_memory.HEAT_WHEELS,
+    "heat_winch": integrator_memory.HEAT_WINCH,
+    "heat_rover_on_ground": integrator_memory.HEAT_ROVER_GROUND,
+    "heat_tether_on_ground": integrator_memory.HEAT_TETHER_GROUND,
+    "heat_swivel": integrator_memory.HEAT_SWIVEL,
 }
 
 
@@ -72,7 +72,7 @@ class SpatialState:
     @property
     def time(self) -> float:
         """[s]."""
-        return float(self.book[spatial_book.TIME])
+        return float(self.book[integrator_memory.TIME])
 
     # ---------------------------------------------------------------------------------- bodies
 
@@ -180,17 +180,17 @@ class SpatialState:
     @property
     def twist(self) -> float:
         """Angle by which the tether is twisted [rad]."""
-        return float(self.book[spatial_book.TWIST] - self.book[spatial_book.SLIP])
+        return float(self.book[integrator_memory.TWIST] - self.book[integrator_memory.SLIP])
 
     @property
     def start_height(self) -> float:
         """Height of G1 at the last take-off [m]."""
-        return float(self.book[spatial_book.TAKE_OFF_Z])
+        return float(self.book[integrator_memory.TAKE_OFF_Z])
 
     @property
-    def ledger(self) -> Mapping[str, float]:
+    def energy_balance(self) -> Mapping[str, float]:
         """What came in and went since the start of the run [J], by name."""
-        return {name: float(self.book[entry]) for name, entry in _LEDGER.items()}
+        return {name: float(self.book[entry]) for name, entry in _ENERGY_BALANCE.items()}
 
 
 def rotation_matrix(quaternion: Array) -> Array:
@@ -205,11 +205,11 @@ def rotation_matrix(quaternion: Array) -> Array:
     )
 
 
-_CAME = np.array([entry for name, entry in _LEDGER.items() if name.startswith("input")])
-_WENT = np.array([entry for name, entry in _LEDGER.items() if name.startswith("heat")])
+_CAME = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("input")])
+_WENT = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("heat")])
 
 
-def ledger_sums(book: Array) -> tuple[float, float]:
+def energy_balance_sums(book: Array) -> tuple[float, float]:
     """Input and heat since the start of the run [J]."""
     return sum(book[_CAME].tolist()), sum(book[_WENT].tolist())
 
@@ -229,7 +229,7 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
 
 def state_of(motion: Motion, machines: Machines, book: Array, phase: Phase) -> SpatialState:
     """The state that the arrays hold; they become its own and can be changed no more."""
-    elements = int(book[spatial_book.ELEMENTS])
+    elements = int(book[integrator_memory.ELEMENTS])
     own = (motion.mouth, motion.body, motion.feet_anchors, book)
     for array in own:
         array.flags.writeable = False

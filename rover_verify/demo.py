@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from rover_verify import jump_show, mission_show
+from rover_verify.harness import clean_shared_memory
 from rover_verify.show import ShowError
-from rover_verify.stage import clean_shared_memory
 
 MISSION, JUMP = "mission", "jump"
 _TELL = {MISSION: mission_show.tell, JUMP: jump_show.tell}

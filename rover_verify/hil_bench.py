@@ -166,10 +166,10 @@ class HilBench:
 
     def settle(self) -> None:
         """Hand on all frames, and what they bring about."""
-        while self._hear_far() + self._near.drain():
+        while self._on_far() + self._near.drain():
             pass
 
-    def _hear_far(self) -> int:
+    def _on_far(self) -> int:
         frames: list[can.Message] = []
         while (frame := self._far.receive(0.0)) is not None:
             frames.append(frame)

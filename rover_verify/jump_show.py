@@ -23,9 +23,9 @@ from msg_schemas import topics
 from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness.recording import missing_streams
 from rover_verify.show import ShowError, write_report
-from rover_verify.stage import Observer, Process, Stage, open_stage
-from rover_verify.stage.recording import missing_streams
 
 SCENARIO = "paper_table1_high"
 OVERRIDES = {"start.geometry": "+K", "start.slack": 2.0, "tether.elements": 20}
@@ -75,10 +75,10 @@ _MOST_TRIALS = 4
 class Show:
     """The demonstration while it runs: four processes, one observer, one progress line."""
 
-    def __init__(self, stage: Stage, folder: Path, factor: float, bar: Any) -> None:
+    def __init__(self, harness: NodeHarness, folder: Path, factor: float, bar: Any) -> None:
         self._bar = bar
         self.bag = folder / "bag"
-        start = stage.processes.start
+        start = harness.processes.start
         follow_clock = {"use_sim_time": True}
         self.nodes = {
             SIM: start(
@@ -93,7 +93,7 @@ class Show:
             WINCH: start(WINCH, follow_clock),
             RECORD: start(RECORD, None, "--output", str(self.bag)),
         }
-        self._observer: Observer = stage.observer()
+        self._observer: Observer = harness.observer()
         for name in (topics.EVENTS, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.TRUTH_BODY1,
                      topics.JUMP_PHASE, topics.CLOCK, topics.DIAGNOSTICS):  # fmt: skip
             self._observer.listen(name)
@@ -303,11 +303,11 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
     """
     began = time.monotonic()
     with ExitStack() as closing:
-        stage = closing.enter_context(open_stage(folder))
+        harness = closing.enter_context(open_harness(folder))
         bar = closing.enter_context(
             tqdm(total=len(_STEPS), disable=quiet, dynamic_ncols=True, leave=False, unit="act")
         )
-        show = Show(stage, folder, factor, bar)
+        show = Show(harness, folder, factor, bar)
         try:
             show.wait_until_ready()
             ready = time.monotonic() - began
@@ -315,9 +315,9 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
             show.stop()
         except AssertionError as stuck:
             raise ShowError(str(stuck)) from stuck
-        show.report(folder, stage.domain)
+        show.report(folder, harness.domain)
         processes: Sequence[Process] = list(show.nodes.values())
-        domain = stage.domain
+        domain = harness.domain
     left = [process.module for process in processes if not process.group_is_gone()]
     if left:
         raise ShowError(f"processes left running: {', '.join(left)}")

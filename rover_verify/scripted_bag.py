@@ -131,7 +131,7 @@ class Recording:
             for name in simulation.interface.topics
             if _count(tick.stamp_ns, name) > _count(before_ns, name)
         )
-        for item in tick.happenings:
+        for item in tick.event_reports:
             self.events.append((item.name, item.stamp_ns / _NANO))
             values = {key: str(value) for key, value in item.values.items()}
             status = Status(item.name, item.message, item.level, "sim_node", values)

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rover_verify.stage.processes import environment
+from rover_verify.harness.processes import environment
 
 _REPORT_TIMEOUT = 300.0
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_MOTOR, WINCH_TO_LENGTH
-from rover_bags.read import Bag, ReadError, Track, read_bag
+from rover_bags.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.checks.winch_rig import TICK, Session
 from tether_winch.drum_model import DrumModel
 from tether_winch.servo import Goal, GoalKind, Sensed, WinchServo
@@ -143,7 +143,7 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
     time = state.time[known]
     begun = float(time[0])
 
-    def at_samples(track: Track, values: Floats) -> Floats:
+    def at_samples(track: TimeSeries, values: Floats) -> Floats:
         return np.asarray(np.interp(time, track.time, values), dtype=np.float64)
 
     current = currents.columns[f"{WINCH_MOTOR}.effort"]
@@ -170,7 +170,7 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
     return flight, bag
 
 
-def _track(bag: Bag, topic: str) -> Track:
+def _track(bag: Bag, topic: str) -> TimeSeries:
     track = bag.track(topic)
     if track is None or not len(track):
         raise ReadError(f"the bag {bag.path} holds nothing of {topic}")

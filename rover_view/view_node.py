@@ -19,9 +19,9 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
-from rover_view.foretold_jump import foretold
 from rover_view.machine import DescriptionError, Machine, Placed
 from rover_view.observed_wall import ObservedWall
+from rover_view.predicted_jump import predicted
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -54,8 +54,8 @@ class ViewNode(ContractNode):
         """Open everything; without tf2_msgs, say so and go on with the wall."""
         self._machine: Machine | None = None
         self._wall = ObservedWall()
-        self._wall_outlet = self.publisher(topics.OBSERVED_WALL)
-        self._jump_outlet = self.publisher(topics.FORETOLD_JUMP)
+        self._wall_publisher = self.publisher(topics.OBSERVED_WALL)
+        self._jump_publisher = self.publisher(topics.PREDICTED_JUMP)
         self._body1: OdometrySample | None = None
         self._body2: OdometrySample | None = None
         self._wheels: tuple[float, float] = (0.0, 0.0)
@@ -66,7 +66,7 @@ class ViewNode(ContractNode):
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
         self.subscribe(topics.DESCENT_OBSERVATION, self._on_picture)
         self.subscribe(topics.TRUTH_BODY1, self._on_body1)
-        self.subscribe(topics.JUMP_FORECAST, self._on_forecast)
+        self.subscribe(topics.JUMP_PREDICTION, self._on_prediction)
         if TFMessage is None:
             self.get_logger().warning(NO_TF)
             return
@@ -83,13 +83,13 @@ class ViewNode(ContractNode):
         """Tell frames from now on."""
         if self._moving is not None:
             rate = self.parameters_of(ViewParameters).frame_rate
-            self.every(1.0 / rate, self._tell_frames, by_wall_clock=True)
+            self.every(1.0 / rate, self._publish_frames, by_wall_clock=True)
 
     def clock_jumped(self) -> None:
         """Begin anew: the pictures are of another run."""
         self._told_ns = -1
         self._wall = ObservedWall()
-        self._wall_outlet.send(self._wall.drawing(self.now_ns()))
+        self._wall_publisher.send(self._wall.drawing(self.now_ns()))
 
     def _on_description(self, sample: TextSample) -> None:
         try:
@@ -107,12 +107,12 @@ class ViewNode(ContractNode):
                 f"nothing is known of the camera, {topics.ROBOT_DESCRIPTION} was not heard",
             )
         if self._wall.add(sample, self._machine):
-            self._wall_outlet.send(self._wall.drawing(sample.stamp_ns))
+            self._wall_publisher.send(self._wall.drawing(sample.stamp_ns))
 
-    def _on_forecast(self, sample: JointSample) -> None:
-        # Against hardware nobody tells the truth: what is foretold has no place to be drawn at.
+    def _on_prediction(self, sample: JointSample) -> None:
+        # Against hardware nobody tells the truth: what is predicted has no place to be drawn at.
         if self._body1 is not None:
-            self._jump_outlet.send(foretold(sample, self._body1, self.now_ns()))
+            self._jump_publisher.send(predicted(sample, self._body1, self.now_ns()))
 
     def _on_body1(self, sample: OdometrySample) -> None:
         self._body1 = sample
@@ -127,7 +127,7 @@ class ViewNode(ContractNode):
     def _on_winch(self, sample: JointSample) -> None:
         self._length = sample.joints[WINCH_DRUM].position
 
-    def _tell_frames(self) -> None:
+    def _publish_frames(self) -> None:
         machine, body = self._machine, self._body1
         if machine is None or body is None or body.stamp_ns == self._told_ns:
             return

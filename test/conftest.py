@@ -14,7 +14,7 @@ from hypothesis import settings
 from msg_schemas import middleware
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Processes, Stage
+    from rover_verify.harness import NodeHarness, Observer, Processes
 
 # The same examples each time, so that a failure is a change's. HYPOTHESIS_PROFILE=exploring looks
 # for others.
@@ -34,10 +34,10 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 
 
 @contextmanager
-def _shown_stage(folder: Path) -> Iterator[Stage]:
-    from rover_verify.stage import open_stage
+def _shown_harness(folder: Path) -> Iterator[NodeHarness]:
+    from rover_verify.harness import open_harness
 
-    with open_stage(folder) as opened:
+    with open_harness(folder) as opened:
         try:
             yield opened
         finally:
@@ -46,42 +46,42 @@ def _shown_stage(folder: Path) -> Iterator[Stage]:
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
+def harness(tmp_path: Path) -> Iterator[NodeHarness]:
     """A fresh ROS domain with processes and observers, for one test."""
-    with _shown_stage(tmp_path) as opened:
+    with _shown_harness(tmp_path) as opened:
         yield opened
 
 
 @pytest.fixture(scope="module")
-def shared_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def shared_harness(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeHarness]:
     """A ROS domain that the tests of one module share, for what leaves no trace."""
-    with _shown_stage(tmp_path_factory.mktemp("stage")) as opened:
+    with _shown_harness(tmp_path_factory.mktemp("harness")) as opened:
         yield opened
 
 
 @pytest.fixture
-def domain(stage: Stage) -> int:
+def domain(harness: NodeHarness) -> int:
     """The fresh ROS domain of this test."""
-    return stage.domain
+    return harness.domain
 
 
 @pytest.fixture
-def processes(stage: Stage) -> Processes:
+def processes(harness: NodeHarness) -> Processes:
     """Starts executables in this test's domain."""
-    return stage.processes
+    return harness.processes
 
 
 @pytest.fixture
-def observer(stage: Stage) -> Observer:
+def observer(harness: NodeHarness) -> Observer:
     """A node of the test in its domain."""
-    return stage.observer()
+    return harness.observer()
 
 
 @pytest.fixture(scope="session")
 def compiled() -> None:
     """Fill the cache of compiled kernels once: a sim node that starts need not compile then."""
     from rover_sim import build_plant, load_scenario
-    from rover_verify.stage.ros_domain import locked
+    from rover_verify.harness.ros_domain import locked
 
     with locked("compiling"):
         build_plant(load_scenario("paper_table1_low")).warm_up()
@@ -94,7 +94,7 @@ def compiled_in_space() -> None:
     from rover_sim.plants import build_plant
     from rover_sim.scenario import load_spatial
     from rover_sim.sim_loop import Simulation
-    from rover_verify.stage.ros_domain import locked
+    from rover_verify.harness.ros_domain import locked
 
     with locked("compiling"):
         plant = build_plant(load_spatial("free_hang"))
@@ -106,6 +106,6 @@ def compiled_in_space() -> None:
 def _shared_memory() -> Iterator[None]:
     """Remove what killed processes have left in shared memory."""
     yield
-    from rover_verify.stage import clean_shared_memory
+    from rover_verify.harness import clean_shared_memory
 
     clean_shared_memory()

@@ -139,9 +139,9 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
         ),
         (
             architecture.forbidden_layers,
-            "rover_bags/findings/bad.py",
+            "rover_bags/analysis/bad.py",
             "from rover_bags.views import plots",
-            "rover_bags.findings must not import rover_bags.views",
+            "rover_bags.analysis must not import rover_bags.views",
         ),
         (
             architecture.forbidden_arrows,

@@ -22,7 +22,7 @@ from rover_control.mission_node import MissionNode
 from rover_control.swing_damping import DampingParameters
 from rover_hil.bridge_node import BridgeNode
 from rover_hil.emulator.emulator_node import EmulatorNode
-from rover_sim.null_plant_node import NullPlantNode
+from rover_sim.mock_plant_node import MockPlantNode
 from rover_sim.sim_node import SimNode
 from rover_view.view_node import ViewNode
 from tether_winch.servo import ServoParameters
@@ -30,7 +30,7 @@ from tether_winch.winch_node import WinchNode
 
 CONFIG = Path(__file__).parents[1] / "config"
 NODES: list[type[ContractNode]] = [
-    SimNode, NullPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, MissionNode,
+    SimNode, MockPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, MissionNode,
     BridgeNode, EmulatorNode, OperatorConsole, ViewNode,
 ]  # fmt: skip
 

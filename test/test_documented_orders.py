@@ -1,6 +1,6 @@
 """Every order of the operators' documents is given to a whole machine, and comes to who takes it.
 
-The null plant stands for the world, all controllers are there. Orders come one after the other from
+The mock plant stands for the world, all controllers are there. Orders come one after the other from
 many documents, so that the machine is rarely where a document has it: an order counts as carried
 out when its node took it, or refused it with a reason.
 """
@@ -25,7 +25,7 @@ from msg_schemas.refusal import REQUEST_ACCEPTED
 from operator_console.command_line import Exit
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Stage
+    from rover_verify.harness import NodeHarness
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -54,7 +54,7 @@ class Orders(Session):
             return
         given = [word for word in words if word != UNTIL_ITS_END]
         for _ in range(TRIALS):
-            process = self.stage.processes.start("operator_console.command_line", None, *given)
+            process = self.harness.processes.start("operator_console.command_line", None, *given)
             code = process.wait()
             if OLD not in process.output:
                 break
@@ -74,11 +74,13 @@ class Orders(Session):
     def publish(self, meant: Publish, listeners: int) -> None:
         name = meant.row.name
         node = self.observer.node
-        outlet = node.create_publisher(
+        publisher = node.create_publisher(
             message_class(meant.row.message), name, qos.profile(meant.row.intent)
         )
         self.observer.wait_until(
-            lambda: outlet.get_subscription_count() >= max(listeners, node.count_subscribers(name)),
+            lambda: (
+                publisher.get_subscription_count() >= max(listeners, node.count_subscribers(name))
+            ),
             f"nobody listens to {name}",
         )
         events = self.observer.listen(topics.EVENTS)
@@ -88,7 +90,7 @@ class Orders(Session):
         # By what a node answers: the name of who asks, or where a frame stands there, the stamp.
         message.header.frame_id = message.header.frame_id or ASKER
         message.header.stamp = to_time(self.observer.time_ns())
-        outlet.publish(message)
+        publisher.publish(message)
 
         def is_answered() -> bool:
             said = [status for sample in events.samples[heard:] for status in sample.statuses]
@@ -109,8 +111,8 @@ def _orders() -> Iterator[Command]:
             yield command
 
 
-def test_every_order_is_taken_or_refused_with_a_reason(stage: Stage):
-    session, given = Orders(stage), 0
+def test_every_order_is_taken_or_refused_with_a_reason(harness: NodeHarness):
+    session, given = Orders(harness), 0
     for command in _orders():
         if ANOTHER_MACHINE not in str(command):
             session.do(command)

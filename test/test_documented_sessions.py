@@ -1,4 +1,4 @@
-"""Sessions of the documents that lead somewhere, played on the null plant; see `session`."""
+"""Sessions of the documents that lead somewhere, played on the mock plant; see `session`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from session import Session
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Stage
+    from rover_verify.harness import NodeHarness
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 
-def test_the_first_descent_by_hand(stage: Stage, tmp_path: Path):
-    session = Session(stage)
+def test_the_first_descent_by_hand(harness: NodeHarness, tmp_path: Path):
+    session = Session(harness)
     for command in documented.section("README.md", "First descent by hand"):
         session.do(command)
     assert session.started["bag_record"].stop() == 0
@@ -24,9 +24,9 @@ def test_the_first_descent_by_hand(stage: Stage, tmp_path: Path):
     assert bag.stat().st_size > 10_000
 
 
-def test_the_controller_of_one_s_own_lands(stage: Stage):
-    session = Session(stage)
-    heading = "Against the null plant, then against the plant"
+def test_the_controller_of_one_s_own_lands(harness: NodeHarness):
+    session = Session(harness)
+    heading = "Against the mock plant, then against the plant"
     for command in documented.section("docs/tutorials/own_controller.md", heading):
         if command.program != "sim_node":  # the plant's turn: minutes on a busy machine
             session.do(command)

@@ -19,7 +19,7 @@ from rover_launch.plan import (
     files_of,
     plan,
 )
-from rover_sim.null_plant_node import NullPlantParameters
+from rover_sim.mock_plant_node import MockPlantParameters
 from rover_sim.sim_node import SimParameters
 from rover_verify.checks.launches import described
 
@@ -81,7 +81,7 @@ def test_it_is_a_launch_description(path: Path):
 # ------------------------------------------------------------------------------------ the arguments
 
 
-@pytest.mark.parametrize("parameters", [SimParameters, NullPlantParameters])
+@pytest.mark.parametrize("parameters", [SimParameters, MockPlantParameters])
 def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: type[Any]):
     types = {field.name: type(field.default) for field in dataclasses.fields(parameters)}
     assert {name: kind for name, (kind, _) in PARAMETERS.items()}.items() <= types.items()
@@ -89,7 +89,7 @@ def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: t
 
 def test_only_what_is_given_goes_before_the_plant_s_file():
     _, started = planned(plant="null", real_time_factor="2", start_paused="True", seed="7")
-    assert started["null_plant"].parameters == {
+    assert started["mock_plant"].parameters == {
         "real_time_factor": 2.0,
         "start_paused": True,
         "seed": 7,

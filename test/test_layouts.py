@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from msg_schemas.qos import describe
-from msg_schemas.row_kinds import UNUSED
+from msg_schemas.specifications import UNUSED
 from msg_schemas.table import TOPICS, WORLD_FRAME, Topic
 
 CONFIG = Path(__file__).parents[1] / "config"

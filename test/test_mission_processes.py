@@ -1,4 +1,4 @@
-"""Processes of launch files, started as those say, in a namespace, with the null plant."""
+"""Processes of launch files, started as those say, in a namespace, with the mock plant."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from msg_schemas.table import JUMP_STROKE, PLAIN_STOP, WINCH_DRUM, WINCH_TO_LENG
 from rover_launch.plan import arguments_of, plan
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Stage
+    from rover_verify.harness import NodeHarness, Observer
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -24,15 +24,15 @@ OWN_CLOCK = {topics.CLOCK: topics.CLOCK.strip("/")}
 NULL = {"plant": "null", "namespace": NAMESPACE, "real_time_factor": "0.4"}
 
 
-def start(stage: Stage, *controllers: str, **given: str) -> Observer:
+def start(harness: NodeHarness, *controllers: str, **given: str) -> Observer:
     """Start what a launch file with these controllers starts; returns who hears it when ready."""
     arguments = arguments_of(controllers, str(ROOT / "config"), {})
     values = {each.name: each.default for each in arguments} | NULL | given
     modules = architecture.executables(ROOT)
-    observer = stage.observer(NAMESPACE, OWN_CLOCK)
+    observer = harness.observer(NAMESPACE, OWN_CLOCK)
     for each in plan(controllers, values).started:
         files = [part for file in each.files for part in ("--params-file", file)]
-        stage.processes.start(
+        harness.processes.start(
             modules[each.executable].partition(":")[0],
             each.parameters,
             *each.arguments,
@@ -47,8 +47,8 @@ def start(stage: Stage, *controllers: str, **given: str) -> Observer:
     return observer
 
 
-def test_a_jump_of_the_null_plant_goes_through_its_phases(stage: Stage):
-    observer = start(stage, "jump_node", overrides='{"tether.length": 51.0}')
+def test_a_jump_of_the_mock_plant_goes_through_its_phases(harness: NodeHarness):
+    observer = start(harness, "jump_node", overrides='{"tether.length": 51.0}')
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
     since = len(observer.listen(topics.JUMP_PHASE))
     observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, 0.1, 0.1, stamp_ns=0)
@@ -58,8 +58,8 @@ def test_a_jump_of_the_null_plant_goes_through_its_phases(stage: Stage):
     assert phases == ["compressing", "settling", "releasing", "flight", "landed", "standby"]
 
 
-def test_winch_and_descent_control_the_null_plant_s_rover(stage: Stage):
-    observer = start(stage, "winch_node", "descent_node", real_time_factor="0.1")
+def test_winch_and_descent_control_the_mock_plant_s_rover(harness: NodeHarness):
+    observer = start(harness, "winch_node", "descent_node", real_time_factor="0.1")
     drum = observer.listen(topics.WINCH_STATE)
     assert observer.call(topics.WINCH_REARM).success
     observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)

@@ -14,10 +14,10 @@ from tether_winch.drum_model import DrumModel
 class EstimateParameters:
     """How the sensors are read."""
 
-    encoder_silence: float = parameter(
+    encoder_timeout: float = parameter(
         0.1, "s", "without the drum's state for longer it is lost", 0.02, 1.0
     )
-    load_cell_silence: float = parameter(
+    load_cell_timeout: float = parameter(
         0.1, "s", "without the load cell for longer its tension is not valid", 0.02, 10.0
     )
     load_cell_range: float = parameter(500.0, "N", "a reading beyond is not valid", 1.0, 1e6)
@@ -78,14 +78,14 @@ class PayoutEstimate:
         """
         dt = taken - self._taken
         # A drum whose clock goes back begins anew; what only comes in the wrong order is left out.
-        if self._heard is None or dt < -self.parameters.encoder_silence:
+        if self._heard is None or dt < -self.parameters.encoder_timeout:
             self.length, self.rate, self.acceleration = length, rate, 0.0
         elif dt <= 0.0:
             return
         else:
             mean = 0.5 * (rate + self._reported_rate)
             # Over a longer silence the drum may have stopped and started: nothing to compare.
-            if dt <= self.parameters.encoder_silence:
+            if dt <= self.parameters.encoder_timeout:
                 self.drift += length - self._reported - mean * dt
             self.drift *= math.exp(-dt / self.parameters.drift_time)
             before = self.rate
@@ -112,10 +112,10 @@ class PayoutEstimate:
         p = self.parameters
         if self._heard is None:
             return "the drum's state was never heard"
-        if self.silence(now) > p.encoder_silence:
+        if self.silence(now) > p.encoder_timeout:
             return (
                 f"the drum's state is silent for {self.silence(now):.3g} s, "
-                f"it must come every {p.encoder_silence:g} s"
+                f"it must come every {p.encoder_timeout:g} s"
             )
         if abs(self.drift) > p.largest_drift:
             return (
@@ -151,7 +151,7 @@ class TensionEstimate:
         self.mismatch = ""
         self.cell_fault = "the load cell was never heard"
 
-    def hear_cell(self, tension: float, now: float) -> None:
+    def on_cell(self, tension: float, now: float) -> None:
         """Take a reading of the load cell [N]."""
         limit = self.parameters.load_cell_range
         if not abs(tension) <= limit:
@@ -170,7 +170,7 @@ class TensionEstimate:
         """Go by other parameters."""
         self.parameters, self._drum = parameters, drum
 
-    def hear_motor(
+    def on_motor(
         self, current: float, payout: PayoutEstimate, brake_is_open: bool, now: float
     ) -> None:
         """Take the motor's current [A], > 0 paying out; it says nothing behind a closed brake."""
@@ -187,7 +187,7 @@ class TensionEstimate:
     def step(self, payout: PayoutEstimate, now: float) -> None:
         """Let time pass: silence, and comparison of the two in steady motion."""
         p = self.parameters
-        if self._cell_heard is not None and now - self._cell_heard > p.load_cell_silence:
+        if self._cell_heard is not None and now - self._cell_heard > p.load_cell_timeout:
             silent = now - self._cell_heard
             self._cell = math.nan
             self.cell_fault = f"the load cell is silent for {silent:.3g} s"
@@ -220,6 +220,6 @@ class TensionEstimate:
         return math.nan, TensionSource.NONE
 
     def _fresh_motor(self, now: float) -> float:
-        if self._motor_heard is None or now - self._motor_heard > self.parameters.load_cell_silence:
+        if self._motor_heard is None or now - self._motor_heard > self.parameters.load_cell_timeout:
             return math.nan
         return self._motor

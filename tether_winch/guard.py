@@ -14,7 +14,7 @@ from tether_winch.load_watch import LoadState
 class Fault(StrEnum):
     """Why the winch has braked and stays so until it is armed again."""
 
-    COMMAND_SILENCE = "command_silence"
+    COMMAND_TIMEOUT = "command_timeout"
     DRUM_LOST = "drum_lost"
     TENSION_LOST = "tension_lost"
     OVERSPEED = "overspeed"
@@ -30,7 +30,7 @@ class Fault(StrEnum):
     @property
     def comes_to_rest_first(self) -> bool:
         """Whether the drum is sound, so that it may slow down before the brake closes."""
-        return self is Fault.COMMAND_SILENCE
+        return self is Fault.COMMAND_TIMEOUT
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from msg_schemas.parameters import ParameterError, parameter
-from tether_winch.held import Held
+from tether_winch.debounce import Debounce
 
 _STANDING_RATE = 1e-3  # of payout, below which the drum stands [m/s]
 
@@ -127,7 +127,8 @@ class LoadWatch:
         self._paying_since: float | None = None
         self._reeled: float | None = None
         self._last: float | None = None
-        self._touchdown, self._slack, self._snag, self._over = Held(), Held(), Held(), Held()
+        self._touchdown, self._slack = Debounce(), Debounce()
+        self._snag, self._over_tension = Debounce(), Debounce()
 
     @property
     def is_supported(self) -> bool:
@@ -146,7 +147,7 @@ class LoadWatch:
             LoadState.TOUCHDOWN: self._touchdown.is_on,
             LoadState.SLACK: self._slack.is_on,
             LoadState.SNAG: self._snag.is_on,
-            LoadState.OVER_TENSION: self._over.is_on,
+            LoadState.OVER_TENSION: self._over_tension.is_on,
         }
 
     def note_braking(self, now: float) -> None:
@@ -213,11 +214,15 @@ class LoadWatch:
         self._slack.step(ratio < p.slack_below, ratio > p.slack_below + h, now, hold, p.back_time)
         free = not self._just_braked(now)
         over = tension / p.weight_reference
-        self._over.step(
+        self._over_tension.step(
             over > p.over_above, over < p.over_above - h, now, p.over_hold_time, p.back_time
         )
         # Too much tension while reeling in is a snag at once: the winch will now brake.
-        caught = self._over.is_on and self._reeled is not None and now - self._reeled < p.hold_time
+        caught = (
+            self._over_tension.is_on
+            and self._reeled is not None
+            and now - self._reeled < p.hold_time
+        )
         was_on = self._snag.is_on
         hangs = self._hangs_as_before
         self._snag.step(
@@ -229,7 +234,7 @@ class LoadWatch:
         )
         if was_on and hangs and not self._snag.is_on:
             self.mean = self._hung
-        if self._over.is_on:
+        if self._over_tension.is_on:
             self.state = LoadState.OVER_TENSION
         elif self._snag.is_on:
             self.state = LoadState.SNAG
@@ -255,7 +260,7 @@ class LoadWatch:
         not: it is learnt belatedly, as the mean of a load that goes up and down would otherwise
         be that of its lower half.
         """
-        watched = (self._touchdown, self._snag, self._over)
+        watched = (self._touchdown, self._snag, self._over_tension)
         if any(held.is_on for held in watched) or self._just_braked(now):
             self._set_aside = self._pended = 0.0
             return

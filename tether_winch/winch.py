@@ -72,7 +72,7 @@ _QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
 _LITTLE = 0.1  # part of a held tension, or of a way's rate, by which a renewal may differ
 _SHORTEST = 0.05  # a motion, before it is over [s]
 _TRIM_AWAITED = 0.3  # the same, of one that is renewed [s]
-_TRIM_SILENCE = 0.5  # a trim not renewed for longer has ended [s]
+_TRIM_TIMEOUT = 0.5  # a trim not renewed for longer has ended [s]
 
 
 _RENEWED = (Mode.RATE, Mode.TENSION)
@@ -143,7 +143,7 @@ class Winch:
 
     # --- sensors ---------------------------------------------------------------------------------
 
-    def hear_drum(self, sample: JointSample, now_ns: int) -> None:
+    def on_drum(self, sample: JointSample, now_ns: int) -> None:
         """Take the state of drum and brake."""
         length, rate, _ = sample.joints[WINCH_DRUM]
         is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
@@ -155,15 +155,15 @@ class Winch:
         taken = sample.stamp_ns / _NANO if sample.stamp_ns else now
         self.payout.hear(length, rate, taken, now)
 
-    def hear_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+    def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
         """Take the pull of the tether at the fairlead."""
-        self.tension.hear_cell(math.hypot(*sample.force), now_ns / _NANO)
+        self.tension.on_cell(math.hypot(*sample.force), now_ns / _NANO)
 
-    def hear_currents(self, sample: JointSample, now_ns: int) -> None:
+    def on_currents(self, sample: JointSample, now_ns: int) -> None:
         """Take the motors' currents; the winch's counts."""
         current = sample.joints[WINCH_MOTOR].effort
         self._torque = current * self.parameters.drum.torque_constant
-        self.tension.hear_motor(current, self.payout, self._brake_is_open, now_ns / _NANO)
+        self.tension.on_motor(current, self.payout, self._brake_is_open, now_ns / _NANO)
 
     def note_silence(self, reason: str) -> None:
         """The sensors are silent by another clock than the controller's: nothing is known."""
@@ -187,13 +187,13 @@ class Winch:
         """Topics of the sensors that are silent: nothing is moved without them."""
         now = now_ns / _NANO
         silent = []
-        if self.payout.silence(now) > self.parameters.estimates.encoder_silence:
+        if self.payout.silence(now) > self.parameters.estimates.encoder_timeout:
             silent.append(topics.WINCH_STATE)
         if self.tension.cell_fault:
             silent.append(topics.LOAD_CELL)
         return tuple(silent)
 
-    def hear_jump(self, phase: str, now_ns: int) -> None:
+    def on_jump(self, phase: str, now_ns: int) -> None:
         """Take the phase of the jump: nothing is reeled in while the rover jumps."""
         was = self._jump
         self._jump, self._jump_since = phase, now_ns / _NANO
@@ -388,7 +388,7 @@ class Winch:
         self.heat.step(self._torque, h)
         for name, is_on in self.load.alarms.items():
             if is_on is not self._alarms.get(name, False):
-                self._tell_alarm(name, is_on, tension)
+                self._publish_alarm(name, is_on, tension)
         self._alarms = dict(self.load.alarms)
 
     def _on_fault(self, fault: Fault, reason: str, now_ns: int) -> None:
@@ -403,12 +403,12 @@ class Winch:
         if self.is_jumping and now - self._jump_since > p.requests.flight_time:
             self._jump = ""
             self._set_goal(self._goal)
-        if self._trimmed is not None and now - self._trimmed > _TRIM_SILENCE:
+        if self._trimmed is not None and now - self._trimmed > _TRIM_TIMEOUT:
             self._trimmed = None
             self.servo.trim(None)
         if self.mode in _RENEWED and now - self._renewed > p.guard.command_timeout:
             reason = f"the {self.mode} request was not renewed within {p.guard.command_timeout:g} s"
-            self.latch(Fault.COMMAND_SILENCE, reason, now_ns)
+            self.latch(Fault.COMMAND_TIMEOUT, reason, now_ns)
         elif self._is_forgotten(now):
             goal = at_rest_quickly(self._goal)
             reason = (
@@ -588,7 +588,7 @@ class Winch:
         told = {"length": self.payout.length, **(values or {})}
         self._transitions.append(Transition(f"winch_{mode}", reason, level, told))
 
-    def _tell_alarm(self, name: str, is_on: bool, tension: float) -> None:
+    def _publish_alarm(self, name: str, is_on: bool, tension: float) -> None:
         values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}
         if is_on:
             level = Level.ERROR if name == LoadState.OVER_TENSION else Level.WARN

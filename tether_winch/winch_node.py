@@ -74,11 +74,11 @@ class WinchNode(ContractNode):
 
     def setup(self) -> None:
         """Open topics and services."""
-        self._command_outlet = self.publisher(topics.WINCH_COMMAND)
-        self._estimate_outlet = self.publisher(topics.WINCH_ESTIMATE)
-        self._mode_outlet = self.publisher(topics.WINCH_MODE)
-        self._alarm_outlet = self.publisher(topics.WINCH_ALARMS)
-        self._watch_outlet = self.publisher(topics.TENSION_WATCH)
+        self._command_publisher = self.publisher(topics.WINCH_COMMAND)
+        self._estimate_publisher = self.publisher(topics.WINCH_ESTIMATE)
+        self._mode_publisher = self.publisher(topics.WINCH_MODE)
+        self._alarm_publisher = self.publisher(topics.WINCH_ALARMS)
+        self._watch_publisher = self.publisher(topics.TENSION_WATCH)
         self._begin()
         self.subscribe(topics.WINCH_STATE, self._on_drum)
         self.subscribe(topics.LOAD_CELL, self._on_load_cell)
@@ -96,7 +96,7 @@ class WinchNode(ContractNode):
         self._begin()
         rates = self.parameters_of(WinchNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
-        self.every(1.0 / rates.estimate_rate, self._tell_estimates)
+        self.every(1.0 / rates.estimate_rate, self._publish_estimates)
         # Where simulated time stands still, the sensors are silent too.
         self.every(_LISTENING_PERIOD, self._listen, by_wall_clock=True)
 
@@ -153,33 +153,33 @@ class WinchNode(ContractNode):
     # --- what is heard ---------------------------------------------------------------------------
 
     def _on_drum(self, sample: JointSample) -> None:
-        self._winch.hear_drum(sample, self.now_ns())
+        self._winch.on_drum(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
         self._heard = time.monotonic()
-        self._winch.hear_load_cell(sample, self.now_ns())
+        self._winch.on_load_cell(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
-        self._winch.hear_currents(sample, self.now_ns())
+        self._winch.on_currents(sample, self.now_ns())
 
     def _on_jump(self, sample: TextSample) -> None:
-        self._winch.hear_jump(sample.text, self.now_ns())
+        self._winch.on_jump(sample.text, self.now_ns())
 
     def _on_trim(self, sample: JointSample) -> None:
         self._winch.trim(sample.joints[WINCH_DRUM].velocity, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
         self._winch.request(sample, self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
 
     def _on_hold(self) -> tuple[bool, str]:
         done = self._winch.hold(self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
         return True, done
 
     def _on_relax(self) -> tuple[bool, str]:
         done = self._winch.relax(self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
         return True, done
 
     def _on_stop(self) -> tuple[bool, str]:
@@ -189,7 +189,7 @@ class WinchNode(ContractNode):
 
     def _on_rearm(self) -> tuple[bool, str]:
         done = self._winch.rearm(self.now_ns())
-        self._tell_changes()
+        self._publish_changes()
         return True, done
 
     # --- what is told ----------------------------------------------------------------------------
@@ -200,7 +200,7 @@ class WinchNode(ContractNode):
         self._told_mode: Mode | None = None
         self._told_word = ""
         self._told_alarms: dict[str, bool] | None = None
-        self._tell_changes()
+        self._publish_changes()
 
     def _winch_parameters(self) -> WinchParameters:
         return WinchParameters(
@@ -216,41 +216,41 @@ class WinchNode(ContractNode):
         now_ns = self.now_ns()
         command = self._winch.step(now_ns)
         if command is not None:
-            self._command_outlet.send(_told(command, now_ns))
-        self._tell_changes()
+            self._command_publisher.send(_told(command, now_ns))
+        self._publish_changes()
 
     def _listen(self) -> None:
         silent = time.monotonic() - self._heard
         if silent > _SILENCE:
             self._winch.note_silence(f"the load cell is silent for {silent:.2g} s")
-            self._tell_changes()
+            self._publish_changes()
 
-    def _tell_changes(self) -> None:
+    def _publish_changes(self) -> None:
         winch = self._winch
         if winch.mode is not self._told_mode:
             self._told_mode = winch.mode
-            self._mode_outlet.send(TextSample(winch.mode.value))
+            self._mode_publisher.send(TextSample(winch.mode.value))
         word = _WORDS.get(winch.load.state, "normal")
         if word != self._told_word:
             self._told_word = word
-            self._watch_outlet.send(TextSample(word))
+            self._watch_publisher.send(TextSample(word))
         alarms = dict(winch.alarms)
         if alarms != self._told_alarms:
             self._told_alarms = alarms
             tension, _ = winch.tension_now(self.now_ns())
             effort = 0.0 if math.isnan(tension) else max(tension, 0.0)
             values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
-            self._alarm_outlet.send(JointSample(self.now_ns(), values))
+            self._alarm_publisher.send(JointSample(self.now_ns(), values))
         for change in winch.take_transitions():
             self.event(change.name, change.reason, change.level, change.values)
             if change.level is not Level.OK:
                 name = f"{self.NAME}: {change.name}"
                 self.report(Status(name, change.reason, change.level, self.NAME))
 
-    def _tell_estimates(self) -> None:
+    def _publish_estimates(self) -> None:
         made = self._winch.estimate(self.now_ns())
         if made is not None:
-            self._estimate_outlet.send(made)
+            self._estimate_publisher.send(made)
 
 
 def _told(command: DriveCommand, now_ns: int) -> JointSample:

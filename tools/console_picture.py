@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 from msg_schemas import topics
 from msg_schemas.machine import OBSERVATION_STOP
 from rover_launch.plan import HANGING
-from rover_verify.stage import Observer, Stage, open_stage
+from rover_verify.harness import NodeHarness, Observer, open_harness
 
 ROOT = Path(__file__).parents[1]
 SIZE = {"width": 1440, "height": 1000}
@@ -31,7 +31,7 @@ PAGE = r"the page is at (\S+)"
 LONGEST = 1500.0  # wall time until the pictures at the stop [s]
 
 
-def start(stage: Stage, factor: float) -> str:
+def start(stage: NodeHarness, factor: float) -> str:
     """Start all processes; returns the page's address."""
     begin = stage.processes.start
     begin("rover_sim.sim_node", {**HANGING, "real_time_factor": factor})
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--factor", type=float, default=1.0, help="simulated seconds per second")
     parser.add_argument("--depth", type=float, default=11.0, help="of the stop [m]")
     options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as folder, open_stage(Path(folder)) as stage:
+    with tempfile.TemporaryDirectory() as folder, open_harness(Path(folder)) as stage:
         address = start(stage, options.factor)
         descend(stage.observer(), options.depth)
         take(address, options.picture.absolute())

@@ -514,7 +514,7 @@ def _step(jacobian: Floats, residuals: Floats, near: Floats, rest: float) -> Flo
 
 
 def _updated(jacobian: Floats, step: Floats, missed: Floats) -> Floats:
-    """Broyden's update: derivatives that would have foretold what a step missed.
+    """Broyden's update: derivatives that would have predicted what a step missed.
 
     Unknowns are weighed by how much they move the residuals.
     """

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from rover_bags.findings.wall_coverage import Observations, View, wall_distances
+from rover_bags.analysis.wall_coverage import Observations, View, wall_distances
 from rover_bags.views.plots import BLUE, ORANGE
 
 GREY: Final = "#868e96"

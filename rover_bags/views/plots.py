@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
-from rover_bags.findings.geometry import headings, tilts
-from rover_bags.findings.jumps import Jump, Motion, is_spatial, motion
-from rover_bags.findings.metrics import Metrics
-from rover_bags.read import Bag, Floats, Track
-from rover_bags.tracks import GAP, LARGEST, paced, usual_period
+from rover_bags.analysis.geometry import headings, tilts
+from rover_bags.analysis.jumps import Jump, Motion, is_spatial, motion
+from rover_bags.analysis.metrics import Metrics
+from rover_bags.read import Bag, Floats, TimeSeries
+from rover_bags.time_series import GAP, LARGEST, paced, usual_period
 from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, strong_end
 from rover_bags.views.lines import envelope
 
@@ -151,8 +151,8 @@ def _time_plot(figure: Figure, axes: Axes, alt: str) -> Plot:
     )
 
 
-def _of_body(bag: Bag, jump: Jump) -> tuple[Track, Motion, NDArray[np.intp], Floats] | None:
-    """Track and motion of Body 1, what of it is shown, and the time of that since take-off."""
+def _of_body(bag: Bag, jump: Jump) -> tuple[TimeSeries, Motion, NDArray[np.intp], Floats] | None:
+    """TimeSeries and motion of Body 1, what of it is shown, and the time of that since take-off."""
     track = bag.track(topics.TRUTH_BODY1)
     if track is None:
         return None
@@ -475,7 +475,7 @@ def _strips(bag: Bag) -> Plot | None:
     return Plot("strips", as_svg(figure), alt, wide=True)
 
 
-def _spans(track: Track, longest: float, *, steady: bool) -> list[tuple[float, float]]:
+def _spans(track: TimeSeries, longest: float, *, steady: bool) -> list[tuple[float, float]]:
     """Stretches in which messages follow within ``longest`` seconds, or those in between."""
     time, steps = track.time, np.diff(paced(track))
     kind = (steps <= longest) & (steps >= 0.0) if steady else steps > longest

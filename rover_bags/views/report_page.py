@@ -3,9 +3,9 @@
 import json
 from collections.abc import Iterable, Sequence
 
-from rover_bags.findings.entries import Entry
-from rover_bags.findings.jumps import Jump
-from rover_bags.findings.metrics import Metrics, TopicFigures
+from rover_bags.analysis.entries import Entry
+from rover_bags.analysis.jumps import Jump
+from rover_bags.analysis.metrics import Metrics, TopicFigures
 from rover_bags.read import Bag
 from rover_bags.survey import SHOWN_IN_FULL, Drawings
 from rover_bags.views.animation import Scene
@@ -14,8 +14,8 @@ from rover_bags.views.page import PLAYER
 from rover_bags.views.sections import (
     activity_sections,
     audit_words,
+    energy_balance_section,
     figure_sections,
-    ledger_section,
     momentum_sections,
     phase_section,
 )
@@ -78,10 +78,10 @@ def _run_section(metrics: Metrics, drawings: Drawings) -> str:
 
 def _audit_section(metrics: Metrics) -> str:
     words = "".join(f"<p>{escaped(text)}</p>" for text in audit_words(metrics))
-    ledger = ledger_section(metrics)
+    energy_balance = energy_balance_section(metrics)
     sections = momentum_sections(metrics)
-    if ledger is not None and ledger.rows:
-        sections.insert(0, ledger)
+    if energy_balance is not None and energy_balance.rows:
+        sections.insert(0, energy_balance)
     tables = "".join(
         f"<h3>{escaped(item.name)}</h3>{item.as_html()}"
         if len(item.rows) <= _SHOWN_ROWS

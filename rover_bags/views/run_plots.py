@@ -21,13 +21,13 @@ from msg_schemas.table import (
     WHEEL_RIGHT,
     WINCH_DRUM,
 )
-from rover_bags.findings.activities import SMEAR_LIMIT, hanging_swing
-from rover_bags.findings.audits import STORED
-from rover_bags.findings.geometry import inside, setting
-from rover_bags.findings.metrics import Metrics
-from rover_bags.findings.timeline import Activity, MomentKind
-from rover_bags.findings.wall_coverage import NO_WALL, observations_of
-from rover_bags.read import Bag, Track
+from rover_bags.analysis.activities import SMEAR_LIMIT, hanging_swing
+from rover_bags.analysis.audits import STORED
+from rover_bags.analysis.geometry import inside, setting
+from rover_bags.analysis.metrics import Metrics
+from rover_bags.analysis.timeline import Activity, TimelineEventKind
+from rover_bags.analysis.wall_coverage import NO_WALL, observations_of
+from rover_bags.read import Bag, TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 from rover_bags.views.lines import envelope
 from rover_bags.views.plots import (
@@ -71,13 +71,13 @@ def run_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
             _pictures(bag),
             _coverage(bag),
             _floor(bag, metrics),
-            _ledger(bag),
+            _energy_balance(bag),
             _rotors(bag),
         ]
     return [plot for plot in plots if plot is not None]
 
 
-def _line(axes: Axes, track: Track, path: str, scale: float = 1.0, **style: Any) -> None:
+def _line(axes: Axes, track: TimeSeries, path: str, scale: float = 1.0, **style: Any) -> None:
     low, high = track.lowest(path), track.highest(path)
     if scale != 1.0:
         low, high = (scale * low, scale * high) if scale > 0.0 else (scale * high, scale * low)
@@ -171,11 +171,11 @@ def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
 
 
 _MARKS: Final = {
-    MomentKind.TOUCHDOWN: ("v", GREEN, "touchdown"),
-    MomentKind.LIFT_OFF: ("^", TEAL, "lift-off"),
-    MomentKind.TAKE_OFF: ("^", ORANGE, "take-off"),
-    MomentKind.LANDING: ("v", ORANGE, "landing"),
-    MomentKind.FAULT: ("X", RED, "fault"),
+    TimelineEventKind.TOUCHDOWN: ("v", GREEN, "touchdown"),
+    TimelineEventKind.LIFT_OFF: ("^", TEAL, "lift-off"),
+    TimelineEventKind.TAKE_OFF: ("^", ORANGE, "take-off"),
+    TimelineEventKind.LANDING: ("v", ORANGE, "landing"),
+    TimelineEventKind.FAULT: ("X", RED, "fault"),
 }
 
 
@@ -320,7 +320,7 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
 # --- audits ---------------------------------------------------------------------------------------
 
 
-def _ledger(bag: Bag) -> Plot | None:
+def _energy_balance(bag: Bag) -> Plot | None:
     track = bag.track(topics.TRUTH_ENERGY)
     if track is None or len(track) < 2:
         return None
@@ -331,7 +331,9 @@ def _ledger(bag: Bag) -> Plot | None:
         "dissipated": (parts["dissipated"], SKY),
         "stored": (stored, ORANGE),
     }
-    figure, (axes, missed) = _rows("ledger", "Energy, change since the begin", (1.7, 1.0), top=0.46)
+    figure, (axes, missed) = _rows(
+        "energy_balance", "Energy, change since the begin", (1.7, 1.0), top=0.46
+    )
     for name, (values, colour) in lines.items():
         change = values - values[0]
         axes.plot(*envelope(track.time, change, change), color=colour, label=name, lw=1.6)

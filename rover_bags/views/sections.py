@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rover_bags.findings.metrics import Metrics
-from rover_bags.findings.timeline import Activity
+from rover_bags.analysis.metrics import Metrics
+from rover_bags.analysis.timeline import Activity
 from rover_bags.views.markup import escaped, table
 
 _ROWS: Final = 200
@@ -166,7 +166,7 @@ _MOMENTS: Final = (
     Column("why", lambda moment: moment.reason),
 )
 
-_LEDGER: Final = (
+_ENERGY_BALANCE: Final = (
     Column("activity", lambda line: line.what),
     *_WHEN,
     Column("input J", lambda line: line.input_J, "+.3f"),
@@ -243,10 +243,10 @@ def figure_sections(metrics: Metrics) -> list[Section]:
     return [section for section in sections if section.rows]
 
 
-def ledger_section(metrics: Metrics) -> Section | None:
+def energy_balance_section(metrics: Metrics) -> Section | None:
     """Energy phase by phase."""
     energy = metrics.audits.energy
-    return None if energy is None else Section("Energy by phase", _LEDGER, energy.lines)
+    return None if energy is None else Section("Energy by phase", _ENERGY_BALANCE, energy.lines)
 
 
 def momentum_sections(metrics: Metrics) -> list[Section]:
@@ -276,11 +276,11 @@ def audit_words(metrics: Metrics) -> list[str]:
         lines.append(
             f"Energy: of {energy.turnover_J:.4g} J turned over the books miss at most "
             f"{energy.missed_J:.2g} J{share}; the plant's own drift is "
-            f"{energy.ledger_error_J:.1g} J from what its entries add up to."
+            f"{energy.energy_error_J:.1g} J from what its entries add up to."
         )
         if energy.gravity_error_J is not None:
             lines.append(
-                "Gravity: the ledger's agrees with that of the recorded places of bodies and "
+                "Gravity: the recorded entry agrees with the recorded positions of bodies and "
                 f"tether within {energy.gravity_error_J:.2g} J."
             )
     lines += [f"Not audited: {text}." for text in metrics.audits.lacking]

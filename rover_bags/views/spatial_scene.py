@@ -10,8 +10,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from rover_bags.findings.geometry import rotations, setting
-from rover_bags.read import Bag, Floats, Track
+from rover_bags.analysis.geometry import rotations, setting
+from rover_bags.read import Bag, Floats, TimeSeries
 from rover_bags.views.animation import Scene, strong_end
 from rover_sim import ScenarioError, scenario_from_mapping
 
@@ -100,14 +100,14 @@ def _centre(bag: Bag) -> tuple[float, float, float]:
     return (0.0, 0.0, 0.0)
 
 
-def _samples(track: Track, time: Floats) -> tuple[Floats, Floats]:
+def _samples(track: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
     """Places, shape (F, 3), and rotations, shape (F, 3, 3), of the samples nearest to times."""
     index = np.clip(np.searchsorted(track.time, time), 0, len(track) - 1)
     return track.vector("position")[index], rotations(track)[index]
 
 
 def _seen(
-    track: Track, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
+    track: TimeSeries, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
 ) -> Floats:
     """x, z, tilt in the plane and width of a box as seen from the side, shape (F, 4)."""
     place, turned = _samples(track, time)
@@ -118,7 +118,7 @@ def _seen(
     return np.stack([place[:, 0], place[:, 2], tilt, width], axis=1)
 
 
-def _wheels(bag: Bag, track: Track, time: Floats) -> Floats | None:
+def _wheels(bag: Bag, track: TimeSeries, time: Floats) -> Floats | None:
     """Centres and half axes of both wheels as seen, shape (F, 2, 4)."""
     names = ("radius", "width", "track", "axle_x", "axle_z")
     told = [setting(bag, "rover", "wheels", name) for name in names]

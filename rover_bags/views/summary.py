@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from rover_bags.findings.metrics import Metrics, TopicFigures
+from rover_bags.analysis.metrics import Metrics, TopicFigures
 from rover_bags.read import Bag
 from rover_bags.views.sections import (
     activity_sections,

@@ -68,8 +68,8 @@ class EmulatedDrive(EmulatedDevice):
         self._number: int | None = None  # of the last command
         self._heard_bridge_ns = 0
         stale = [TOPICS[name].stale for name, which in COMMANDED.items() if which is device]
-        self._silence = min(policy.silence for policy in stale)
-        self._moving_silence = min(policy.moving_silence for policy in stale)
+        self._silence = min(policy.timeout for policy in stale)
+        self._timeout_moving = min(policy.timeout_moving for policy in stale)
         self._hears = {pdo.can_id(device.node_id): pdo for pdo in device.hears}
         self._control = frozenset(
             (entry.index, entry.subindex) for pdo in device.hears for entry in pdo.entries
@@ -204,7 +204,7 @@ class EmulatedDrive(EmulatedDevice):
         moves = abs(self.values.get("velocity", 0.0)) > _STANDING or (
             self.setpoint is not None and self.setpoint.values["target_velocity"] != 0.0
         )
-        limit = min(self._silence, self._moving_silence) if moves else self._silence
+        limit = min(self._silence, self._timeout_moving) if moves else self._silence
         now_ns = self._plant_ns()
         if now_ns - self._heard_bridge_ns >= HEARTBEAT_LIMIT * 1e9:
             self.fail(HEARTBEAT_LOST)

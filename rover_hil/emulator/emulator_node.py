@@ -28,7 +28,7 @@ from rover_hil.impairment import read_impairments
 from rover_hil.link import SYNC_ID, Link, waited_ns
 from rover_hil.transport import open_bus
 from rover_hil.wiring import TOLD
-from rover_sim import Teller, Tick, TruthRates, load_overridden, ready_simulation, totals
+from rover_sim import StatePublisher, Tick, TruthRates, load_overridden, ready_simulation, totals
 
 # Threads of this process take turns this often [s]: what comes by the link is answered at once.
 SWITCH_INTERVAL = 0.0005
@@ -153,8 +153,8 @@ class EmulatorNode(ContractNode):
         self._sync_at: float | None = None  # by the wall clock, in lockstep
         machine.on_sync = self._on_sync
         own = [name for name in simulation.interface.topics if name not in TOLD]
-        self._teller = Teller(self, simulation, rates.of_topics(own, SYNC_RATE))
-        self._status_outlet = self.publisher(topics.SIM_STATUS)
+        self._publisher = StatePublisher(self, simulation, rates.of_topics(own, SYNC_RATE))
+        self._status_publisher = self.publisher(topics.SIM_STATUS)
         self._bridge_process: tuple[int, str] | None = None
         self._hears_config = False
         self.serve(topics.SIM_RESET, lambda: (True, self._ask_reset(clock=True)))
@@ -163,7 +163,7 @@ class EmulatorNode(ContractNode):
     def start(self) -> None:
         """Switch the devices on, and let the world run."""
         machine = self._emulated
-        self._teller.begin()
+        self._publisher.begin()
         if not self._hears_config:
             # Not before it is active: what is latched comes once.
             self.subscribe(topics.CONFIG, self._on_config, _NODES)
@@ -300,7 +300,7 @@ class EmulatorNode(ContractNode):
         """
         untold, self._untold = self._untold, None
         if untold is not None:
-            self._teller.ticked(*untold)
+            self._publisher.ticked(*untold)
 
     def _kill_bridge(self) -> None:
         """Kill the bridge that tells its process, as long as it still is one on this machine."""
@@ -345,7 +345,7 @@ class EmulatorNode(ContractNode):
             else:
                 simulation.reset_plant()
             machine.restart()
-        self._teller.restarted()
+        self._publisher.restarted()
         what = "plant and clock" if clock else "the plant"
         message = f"{what} put back to the start at {before:g} s, the devices switched on anew"
         self.event("reset" if clock else "reset_plant", message)
@@ -354,7 +354,7 @@ class EmulatorNode(ContractNode):
     # --- status ----------------------------------------------------------------------------------
 
     def _publish_status(self) -> None:
-        self._status_outlet.send(StatusSample(self.now_ns(), (self._status(),)))
+        self._status_publisher.send(StatusSample(self.now_ns(), (self._status(),)))
 
     def health(self) -> tuple[Status, ...]:
         """Whether the plant is well and keeps pace."""

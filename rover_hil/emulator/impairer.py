@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from msg_schemas.samples import Level
 from msg_schemas.transition import Transition
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.emulator.line import Line, Suffering, Way
+from rover_hil.emulator.line import ChannelImpairment, Line, Way
 from rover_hil.impairment import Impairment, Place
 
 
@@ -19,7 +19,7 @@ class _Standing:
     impairment: Impairment
     begins_ns: int
     begun: bool = False
-    works: list[tuple[Way, Suffering]] = field(default_factory=list)
+    works: list[tuple[Way, ChannelImpairment]] = field(default_factory=list)
 
     @property
     def ends_ns(self) -> int | None:

@@ -49,7 +49,7 @@ class _Held:
 
 
 @dataclass
-class Suffering:
+class ChannelImpairment:
     """An impairment at work on one way of one line.
 
     Attributes:
@@ -96,7 +96,7 @@ class Way:
         self._name = name
         self._deliver = deliver
         self._clock = clock
-        self._standing: list[Suffering] = []
+        self._standing: list[ChannelImpairment] = []
         self._late: deque[_Late] = deque()
         self._held: list[_Held] = []
 
@@ -105,13 +105,13 @@ class Way:
         """Whether frames may suffer, or some still come late."""
         return bool(self._standing or self._late or self._held)
 
-    def begin(self, impairment: Impairment) -> Suffering:
+    def begin(self, impairment: Impairment) -> ChannelImpairment:
         """Frames suffer from now on."""
-        made = Suffering(impairment, self._name)
+        made = ChannelImpairment(impairment, self._name)
         self._standing.append(made)
         return made
 
-    def end(self, suffering: Suffering) -> None:
+    def end(self, suffering: ChannelImpairment) -> None:
         """They no longer do; those that are late still come late."""
         self._standing.remove(suffering)
 
@@ -192,21 +192,21 @@ class Way:
 # -------------------------------------------------- what the kinds make of a frame, by its name
 
 
-def _lost(suffering: Suffering, frame: Frame) -> list[Frame]:
+def _lost(suffering: ChannelImpairment, frame: Frame) -> list[Frame]:
     return [] if suffering.strikes(frame.can_id) else [frame]
 
 
-def _doubled(suffering: Suffering, frame: Frame) -> list[Frame]:
+def _doubled(suffering: ChannelImpairment, frame: Frame) -> list[Frame]:
     return [frame] * (2 if suffering.strikes(frame.can_id) else 1)
 
 
-def _cut(suffering: Suffering, _frame: Frame) -> list[Frame]:
+def _cut(suffering: ChannelImpairment, _frame: Frame) -> list[Frame]:
     suffering.frames += 1
     suffering.hit += 1
     return []
 
 
-def _flipped(suffering: Suffering, frame: Frame) -> list[Frame]:
+def _flipped(suffering: ChannelImpairment, frame: Frame) -> list[Frame]:
     """The frame as a serial line carries it, its bits flipped at random.
 
     CAN's controllers find damage too, and send again: they would lose less.
@@ -227,7 +227,7 @@ def _way_on(draws: random.Random, share: float) -> int:
     return int(math.log(1.0 - draws.random()) / math.log1p(-share))
 
 
-_CHANGES: dict[str, Callable[[Suffering, Frame], list[Frame]]] = {
+_CHANGES: dict[str, Callable[[ChannelImpairment, Frame], list[Frame]]] = {
     "loss": _lost,
     "duplication": _doubled,
     "bit_errors": _flipped,

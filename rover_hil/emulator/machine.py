@@ -142,13 +142,13 @@ class EmulatedMachine:
         # The contract has no topic for it.
         values[WHEEL.name]["torque"] = self._wheel_torque * values[WHEEL.name]["current"]
         with self.lock:
-            tripped = any(happening.name == _LATCH_RELEASED for happening in tick.happenings)
+            tripped = any(happening.name == _LATCH_RELEASED for happening in tick.event_reports)
             if tripped and JUMP.name in self.drives:
                 self.drives[JUMP.name].finish()
             for name, device in self.devices.items():
                 device.show(values[name])
                 device.step()
-            self._tell_states()
+            self._publish_states()
         self.let_go_frames()
         return tick
 
@@ -242,7 +242,7 @@ class EmulatedMachine:
             drive.refuse()
             self._transitions.append(Transition(f"{name}_drive_refuses", str(refusal), Level.WARN))
 
-    def _tell_states(self) -> None:
+    def _publish_states(self) -> None:
         for name, drive in self.drives.items():
             state = drive.automaton.state
             if state is self._told.get(name):

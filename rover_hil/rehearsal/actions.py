@@ -21,8 +21,8 @@ from msg_schemas.configuration import (
 from msg_schemas.fields import not_known
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
-from msg_schemas.row_kinds import Intent
 from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.impairment import Impairment, impairment_from
 

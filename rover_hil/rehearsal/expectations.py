@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rover_hil.rehearsal.event_expectations import Event, Figure, Refused, Value, Word
 from rover_hil.rehearsal.expectation import Expectation
-from rover_hil.rehearsal.happenings import Event, Figure, Refused, Value, Word
 from rover_hil.rehearsal.streams import Age, Gap, Obeys, Rate, Silent
 
 EXPECTATIONS: Mapping[str, type[Expectation]] = {

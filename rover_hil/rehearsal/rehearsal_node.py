@@ -26,22 +26,22 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from msg_schemas import qos, topics
-from msg_schemas.acquaintance import listeners
 from msg_schemas.codecs import decode, message_class, to_time, topic_row
+from msg_schemas.endpoint_matching import listeners
 from msg_schemas.node import READY, ContractNode, ExitCode, package_version
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
-from msg_schemas.row_kinds import Intent
 from msg_schemas.samples import StatusSample, TextSample
+from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS
 from rover_hil.rehearsal.actions import PARTS
-from rover_hil.rehearsal.conduct import Conductor
 from rover_hil.rehearsal.finding import Verdict
 from rover_hil.rehearsal.history import Heard, History
 from rover_hil.rehearsal.operator_desk import OperatorDesk
 from rover_hil.rehearsal.outcome import Outcome
 from rover_hil.rehearsal.procedure import ProcedureError, Written, load_procedure, shipped
+from rover_hil.rehearsal.procedure_runner import ProcedureRunner
 from rover_hil.rehearsal.recording import Recording
 from rover_hil.rehearsal.stand import Answer, CannotDoError, Outgoing
 from rover_hil.rehearsal.write_record import write_record
@@ -154,7 +154,7 @@ class RehearsalNode(ContractNode):
         )  # fmt: skip
         self._wanted: tuple[str, ...] = ()
         self._heard: dict[str, Any] = {}
-        self._hear_what_is_wanted()
+        self._on_setpoint()
 
     def start(self) -> None:
         """Begin the rehearsal, in a thread of its own."""
@@ -179,7 +179,7 @@ class RehearsalNode(ContractNode):
         """Hear these topics from soon on: the executor's thread opens and closes them."""
         self._wanted = topics
 
-    def _hear_what_is_wanted(self) -> None:
+    def _on_setpoint(self) -> None:
         wanted = {*_ALWAYS_HEARD, *self._wanted}
         for name in wanted - self._heard.keys():
             self._heard[name] = self._subscription(name)
@@ -212,7 +212,7 @@ class RehearsalNode(ContractNode):
         now_ns = time.monotonic_ns()
         self._beats.append((now_ns, (now_ns - self._beat_ns) * 1e-9 - _BEAT))
         self._beat_ns = now_ns
-        self._hear_what_is_wanted()
+        self._on_setpoint()
 
     # --- the stand: see rover_hil.rehearsal.stand ------------------------------------------------
 
@@ -362,14 +362,14 @@ class RehearsalNode(ContractNode):
             self._wait_for_clock()
             if recording is not None:
                 self._wait_for_recorder(recording)
-            conductor = Conductor(
+            runner = ProcedureRunner(
                 self,
                 patience=wanted.patience,
                 attempts=wanted.attempts,
                 confirmed=wanted.confirm_motion,
                 is_over=self._ending.is_set,
             )
-            steps, completed = conductor.run(self._written.procedure)
+            steps, completed = runner.run(self._written.procedure)
         finally:
             note = "no bag was asked for" if recording is None else _closed(recording)
         outcome = Outcome(

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from rover_sim.physics import spatial, spatial_book
+from rover_sim.physics import integrator_memory, spatial
 from rover_sim.physics.energy_momentum import end_step, solve_increment
+from rover_sim.physics.integrator_memory import remember_torques, report_loads
 from rover_sim.physics.remesh import merge_first, split_first
 from rover_sim.physics.rover_contact import add_feet, begin_feet, end_feet
 from rover_sim.physics.spatial import Machines, Orders
-from rover_sim.physics.spatial_book import remember_torques, report_loads
 from rover_sim.physics.spatial_rover import Pose
 from rover_sim.physics.spatial_step import Model, Solver
 from rover_sim.physics.tether_contact import add_tether_contact
@@ -20,8 +20,8 @@ def whole(
     model: Model, solver: Solver, machines: Machines, orders: Orders
 ) -> tuple[Any, tuple[Any, ...]]:
     """`spatial.advance`, with arguments of the types that it is called with."""
-    book, report = np.zeros(spatial_book.BOOK_SIZE), np.zeros(spatial_book.REPORT_SIZE)
-    events = np.zeros((spatial_book.MAX_EVENTS, spatial_book.EVENT_SIZE))
+    book, report = np.zeros(integrator_memory.BOOK_SIZE), np.zeros(integrator_memory.REPORT_SIZE)
+    events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
     arguments = (model, solver.after, machines, orders, book, model.step, events, report, solver)
     return spatial.advance, arguments
 
@@ -37,7 +37,7 @@ def parts(model: Model, solver: Solver, machines: Machines) -> list[tuple[Any, t
     """
     tether, h, motion = model.tether, model.step, solver.after
     work, contact, exit_ = solver.work, solver.contact, solver.exit
-    book, report = np.zeros(spatial_book.BOOK_SIZE), np.zeros(spatial_book.REPORT_SIZE)
+    book, report = np.zeros(integrator_memory.BOOK_SIZE), np.zeros(integrator_memory.REPORT_SIZE)
     q, v, anchors, mouth = motion.q, motion.v, motion.tether_anchors, motion.mouth
     body, feet_anchors = motion.body, motion.feet_anchors
     terrain, feet, ground = model.terrain, model.feet, model.tether_ground

@@ -21,6 +21,7 @@ from rover_sim.physics.energy_momentum import (
     newton_increment,
     set_end,
 )
+from rover_sim.physics.initial_guess import History, extrapolate, make_history, remember
 from rover_sim.physics.locate import apex_instant, crossing_instant, hermite
 from rover_sim.physics.newton import (
     CONTROL_SIZE,
@@ -47,7 +48,6 @@ from rover_sim.physics.planar_rover import (
     rover_energies,
     rover_increment,
 )
-from rover_sim.physics.predictor import History, extrapolate, make_history, remember
 from rover_sim.physics.tether import Tether, row_width, tether_energies
 
 # Entries of the array `book`: what is remembered besides the motion.

@@ -27,13 +27,6 @@ from rover_sim.physics.contact import (
     contact_energy,
     contact_force,
 )
-from rover_sim.physics.rim import (
-    NO_ROCK,
-    RimContact,
-    deepest_rocks,
-    rim_on_floor,
-    rim_on_rock,
-)
 from rover_sim.physics.spatial_rover import (
     POSITION,
     Pose,
@@ -53,6 +46,13 @@ from rover_sim.physics.wheel_contact import (
     rock_force,
     soil_force,
     wheel_moment,
+)
+from rover_sim.physics.wheel_ground_geometry import (
+    NO_ROCK,
+    RimContact,
+    deepest_rocks,
+    rim_on_floor,
+    rim_on_rock,
 )
 
 # A corner or rim farther from the ground than this at a step's start cannot reach it in the step.

@@ -18,13 +18,8 @@ from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import checked, inner
-from rover_sim.physics.jump_drive import Latch
-from rover_sim.physics.locate import apex_instant, hermite
-from rover_sim.physics.newton import distrust
-from rover_sim.physics.predictor import remember
-from rover_sim.physics.remesh import merge_first, split_first
-from rover_sim.physics.slider import slider_energy
-from rover_sim.physics.spatial_book import (
+from rover_sim.physics.initial_guess import remember
+from rover_sim.physics.integrator_memory import (
     AIRBORNE,
     AXIAL,
     BENDING,
@@ -99,6 +94,11 @@ from rover_sim.physics.spatial_book import (
     remember_torques,
     report_loads,
 )
+from rover_sim.physics.jump_drive import Latch
+from rover_sim.physics.locate import apex_instant, hermite
+from rover_sim.physics.newton import distrust
+from rover_sim.physics.remesh import merge_first, split_first
+from rover_sim.physics.slider import slider_energy
 from rover_sim.physics.spatial_rover import (
     BODY_SIZE,
     POSITION,

@@ -23,6 +23,7 @@ from rover_sim.physics.energy_momentum import (
     set_end,
     solve_increment,
 )
+from rover_sim.physics.initial_guess import History, extrapolate, make_history
 from rover_sim.physics.jump_drive import JumpDrive
 from rover_sim.physics.newton import (
     CONTROL_SIZE,
@@ -31,7 +32,6 @@ from rover_sim.physics.newton import (
     MAX_TURN,
     verdict,
 )
-from rover_sim.physics.predictor import History, extrapolate, make_history
 from rover_sim.physics.rover_contact import (
     Feet,
     FeetStep,

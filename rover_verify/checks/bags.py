@@ -28,15 +28,15 @@ from rover_verify.checks.nodes import (
     simulation,
     wait_until_time,
 )
-from rover_verify.stage import Process, Stage
-from rover_verify.stage.recording import wait_until_recording
+from rover_verify.harness import NodeHarness, Process
+from rover_verify.harness.recording import wait_until_recording
 
 _LIVE_RUNS = 3
 _RECORDED_S = 1.5
 
 
-def _start_recording(stage: Stage, bag: Path) -> Process:
-    recorder = stage.processes.start(RECORD, None, "-o", str(bag))
+def _start_recording(harness: NodeHarness, bag: Path) -> Process:
+    recorder = harness.processes.start(RECORD, None, "-o", str(bag))
     wait_until_recording(bag)
     return recorder
 
@@ -44,8 +44,8 @@ def _start_recording(stage: Stage, bag: Path) -> Process:
 def _whole_bag(batch: Batch) -> Path:
     """Record a jump, to its end; the bag."""
     bag = batch.folder / "bag"
-    with simulation(batch, real_time_factor=1.0) as (stage, _, observer):
-        recorder = _start_recording(stage, bag)
+    with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
+        recorder = _start_recording(harness, bag)
         drive_nut(observer, 0.1, 0.2, has_event(observer, "take_off"))
         observer.wait_for_event("touchdown")
         wait_until_time(observer, observer.time_ns() + 500_000_000)
@@ -57,10 +57,10 @@ def _whole_bag(batch: Batch) -> Path:
 def killed(batch: Batch) -> Measured:
     """Longest time before a SIGKILL of the recorder that the recovered bag lacks [s]."""
     worst, details = 0.0, {}
-    with simulation(batch, real_time_factor=1.0) as (stage, _, observer):
+    with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
         for index, generator in enumerate(batch.generators(_LIVE_RUNS)):
             bag = batch.folder / f"killed_{index}"
-            recorder = _start_recording(stage, bag)
+            recorder = _start_recording(harness, bag)
             longer = _RECORDED_S + float(generator.uniform(0.0, 1.5))
             wait_until_time(observer, observer.time_ns() + round(longer * 1e9))
             at = observer.time_ns()
@@ -195,18 +195,18 @@ def refused_folders(batch: Batch) -> Measured:
     taken.mkdir()
     (taken / "taken_0.mcap").write_bytes(b"another bag")
     bad, details = 0, {}
-    with simulation(batch) as (stage, _, _):
+    with simulation(batch) as (harness, _, _):
         cases = {
             "below a plain file": (str(plain / "bag"), "2"),
             "in place of another bag": (str(taken), "2"),
             "in a system folder": ("/proc/bag", "2"),
         }
         for name, (path, _) in cases.items():
-            process = stage.processes.start(RECORD, None, "-o", path)
+            process = harness.processes.start(RECORD, None, "-o", path)
             code = process.wait()
             details[name] = f"code {code}: {process.output.strip().splitlines()[-1]}"
             bad += code != 2 or path not in process.output
-        full = stage.processes.start(
+        full = harness.processes.start(
             RECORD, None, "-o", str(batch.folder / "full"), "--min-free-mib", "1000000"
         )
         code = full.wait()
@@ -220,7 +220,7 @@ def refused_folders(batch: Batch) -> Measured:
 
 def report_agrees(batch: Batch) -> Measured:
     """Difference of the height found in the bag from what the plant itself reported [m]."""
-    from rover_bags.findings.metrics import measure  # noqa: PLC0415 - the report's part, big to load
+    from rover_bags.analysis.metrics import measure  # noqa: PLC0415 - the report's part, big to load
 
     bag = read_bag(_whole_bag(batch))
     metrics = measure(bag)

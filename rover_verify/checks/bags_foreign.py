@@ -12,7 +12,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rover_bags.files.folder import ScanError
 from rover_bags.files.scan import BagScan
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage.foreign_bags import KINDS, METADATA, Kind, Recorded, cut, messages, split
+from rover_verify.harness.foreign_bags import KINDS, METADATA, Kind, Recorded, cut, messages, split
 
 _PER_RUN = 2
 _DESCRIBING = 16 * 4096

@@ -18,10 +18,10 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.samples import DrawingSample, TextSample
 from msg_schemas.table import TOPICS
+from rover_bags.analysis.timeline import Timeline, TimelineEventKind, timeline_of
 from rover_bags.files.records import Message
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
-from rover_bags.findings.timeline import MomentKind, Timeline, timeline_of
 from rover_bags.read import read_bag
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.scripted_bag import Deed, record_mission
@@ -74,7 +74,7 @@ def phases(batch: Batch) -> Measured:
         matcher = SequenceMatcher(None, [w for w, _ in wanted], [w for w, _ in got], autojunk=False)
         same = sum(block.size for block in matcher.get_matching_blocks())
         faults = sum(deed.what == _FAULT for deed in deeds)
-        told = sum(moment.what is MomentKind.FAULT for moment in timeline.moments)
+        told = sum(moment.what is TimelineEventKind.FAULT for moment in timeline.moments)
         missed = len(wanted) - same + len(got) - same + abs(faults - told)
         if missed:
             text = ", ".join(f"{word} {at:.1f}" for word, at in got)
@@ -94,7 +94,7 @@ def phase_times(batch: Batch) -> Measured:
         apart = {
             f"{w} at {a:.2f} s": abs(a - b) for (w, a), (_, b) in zip(wanted, got, strict=True)
         }
-        moments = [m.time_s for m in timeline.moments if m.what is MomentKind.FAULT]
+        moments = [m.time_s for m in timeline.moments if m.what is TimelineEventKind.FAULT]
         for deed in deeds:
             if deed.what == _FAULT:
                 near = min((abs(at - deed.begin) for at in moments), default=float("nan"))
@@ -160,7 +160,7 @@ def memory(batch: Batch) -> Measured:
     (generator,) = batch.generators(1)
     record_mission(source, generator)
     alone = read_bag(source)
-    jumps = sum(m.what is MomentKind.TAKE_OFF for m in timeline_of(alone).moments)
+    jumps = sum(m.what is TimelineEventKind.TAKE_OFF for m in timeline_of(alone).moments)
     times = repeat(source, large, LARGE)
     size = sum(file.stat().st_size for file in large.iterdir())
     try:

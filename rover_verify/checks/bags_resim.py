@@ -13,8 +13,8 @@ from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, 
 from rover_bags.resim import resimulate
 from rover_sim import Phase, compile_ahead, load_scenario
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage import Observer, open_stage
-from rover_verify.stage.recording import missing_streams
+from rover_verify.harness import Observer, open_harness
+from rover_verify.harness.recording import missing_streams
 
 _RUNS = 2  # of each scenario
 _NANO = 1_000_000_000
@@ -49,13 +49,13 @@ def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> An
     bag = batch.folder / "bag"
     compile_ahead(load_scenario(scenario))
     seed = int(generator.integers(1, 2**31 - 1))
-    with open_stage(batch.folder) as stage:
+    with open_harness(batch.folder) as harness:
         parameters = {"scenario": scenario, "start_paused": True, "seed": seed}
-        stage.processes.start("rover_sim.sim_node", {**parameters, "tether_rate": 100.0})
-        observer = stage.observer()
+        harness.processes.start("rover_sim.sim_node", {**parameters, "tether_rate": 100.0})
+        observer = harness.observer()
         clock, status = observer.listen(topics.CLOCK), observer.listen(topics.SIM_STATUS)
         observer.wait_until_ready("sim_node")
-        recorder = stage.processes.start("rover_bags.record", None, "-o", str(bag))
+        recorder = harness.processes.start("rover_bags.record", None, "-o", str(bag))
         observer.wait_until(
             lambda: observer.call(topics.SIM_STEP).success and not missing_streams(bag),
             "not everything is recorded",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_control.jump_forecast import ForecastParameters, Question, Situation
+from rover_control.jump_prediction import PredictionParameters, Question, Situation
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_control.locomotion import (
@@ -190,7 +190,7 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
             put = _Walker(generator, ground)
             rover = put if put.situation().tilt < _UPRIGHT else None
     settings = LocomotionParameters(locomotion_rule=rule if rule in ("slack", "risk") else "risk")
-    parameters = ForecastParameters(floor_depth=_FLOOR, least_upright=0.0)
+    parameters = PredictionParameters(floor_depth=_FLOOR, least_upright=0.0)
     predictor, spring = JumpPredictor(parameters), SpringEstimate(SpringParameters())
     usual = spring.stroke_for(_CLEARANCE)
     stuck = jumped = 0
@@ -207,10 +207,10 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
         rover.stuck += 1
         rover.go(None, 1.0)
         situation = rover.situation()
-        forecast = None
+        prediction = None
         if rule == "risk":
             question = Question(situation, _CLEARANCE, False, rover.stuck)
-            forecast = predictor.foretell(question, spring)
+            prediction = predictor.predict(question, spring)
         drop = _FLOOR - parameters.attachment_height
         around = Surroundings(
             slack_value(situation.x, situation.y, drop),
@@ -218,11 +218,11 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
             0.0,
             stuck,
             jumped,
-            None if forecast is None else Outlook(forecast.upright, forecast.refused),
+            None if prediction is None else Outlook(prediction.upright, prediction.refused),
         )
         way = Way(rule) if rule in ("wheels", "jump") else choose(settings, around).way
         if way is Way.JUMP:
-            rover.jump(usual if forecast is None or forecast.refused else forecast.stroke)
+            rover.jump(usual if prediction is None or prediction.refused else prediction.stroke)
         else:
             rover.detour()
         tried = way

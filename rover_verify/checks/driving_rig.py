@@ -228,17 +228,17 @@ class DrivenRover:
         assert isinstance(imu, ImuSample)
         assert isinstance(wheels, JointSample)
         assert isinstance(contact, JointSample)
-        winch.hear_drum(drum, now)
-        winch.hear_load_cell(cell, now)
-        winch.hear_currents(currents, now)
-        drive.hear_contact(contact, now)
-        drive.hear_wheels(wheels, now)
-        drive.hear_currents(currents, now)
-        drive.hear_imu(imu, now)
-        drive.hear_winch_mode(winch.mode.value)
+        winch.on_drum(drum, now)
+        winch.on_load_cell(cell, now)
+        winch.on_currents(currents, now)
+        drive.on_contact(contact, now)
+        drive.on_wheels(wheels, now)
+        drive.on_currents(currents, now)
+        drive.on_imu(imu, now)
+        drive.on_winch_mode(winch.mode.value)
         estimate = winch.estimate(now)
         if estimate is not None:
-            drive.hear_winch_estimate(estimate, now)
+            drive.on_winch_estimate(estimate, now)
 
     # --- what is asked for -----------------------------------------------------------------------
 

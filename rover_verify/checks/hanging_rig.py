@@ -22,8 +22,13 @@ from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, WrenchSample
 from msg_schemas.transition import Transition
 from rover_control.descent_profile import Stop
+from rover_control.hanging_controller import (
+    Exposure,
+    HangingController,
+    HangingControllerParameters,
+    Orders,
+)
 from rover_control.hanging_rover import HangingParameters
-from rover_control.phase_a import Exposure, Orders, PhaseA, PhaseAParameters
 from rover_sim import (
     Command,
     FlywheelCommand,
@@ -144,7 +149,7 @@ class HangingFlight:
     """
 
     start: Start
-    parameters: PhaseAParameters = field(default_factory=PhaseAParameters)
+    parameters: HangingControllerParameters = field(default_factory=HangingControllerParameters)
 
     def __post_init__(self) -> None:
         self.plant = SpatialPlant(load_scenario("free_hang", self.start.overrides()))
@@ -152,7 +157,7 @@ class HangingFlight:
         self.interface = SpatialInterface(self.plant, self.start.seed)
         self.interface.restart(self.state, 0)
         self.winch = Winch(WINCH)
-        self.rover = PhaseA(self.parameters)
+        self.rover = HangingController(self.parameters)
         self.ticks = 0
         self.pictures: list[Picture] = []
         self.changes: list[tuple[float, Transition]] = []
@@ -232,7 +237,7 @@ class HangingFlight:
         self.winch.take_transitions()
         if self.winch.mode.value != self._mode:
             self._mode = self.winch.mode.value
-            self.rover.hear_winch_mode(self._mode)
+            self.rover.on_winch_mode(self._mode)
         self._control()
         self._watch()
 
@@ -276,15 +281,15 @@ class HangingFlight:
         assert isinstance(wheels, JointSample)
         assert isinstance(flywheel, JointSample)
         assert isinstance(camera, JointSample)
-        self.winch.hear_drum(drum, now)
-        self.winch.hear_load_cell(cell, now)
-        self.winch.hear_currents(currents, now)
-        self.rover.hear_drum(drum, now)
-        self.rover.hear_load_cell(cell, now)
-        self.rover.hear_wheels(wheels, now)
-        self.rover.hear_flywheel(flywheel, now)
-        self.rover.hear_imu(imu, now)
-        self.rover.hear_camera(camera)
+        self.winch.on_drum(drum, now)
+        self.winch.on_load_cell(cell, now)
+        self.winch.on_currents(currents, now)
+        self.rover.on_drum(drum, now)
+        self.rover.on_load_cell(cell, now)
+        self.rover.on_wheels(wheels, now)
+        self.rover.on_flywheel(flywheel, now)
+        self.rover.on_imu(imu, now)
+        self.rover.on_camera(camera)
         self._smear = camera.joints[SMEAR].position
 
     # --- what is true ----------------------------------------------------------------------------

@@ -49,9 +49,9 @@ class _Flight:
             and isinstance(currents, JointSample)
         ):
             return {}
-        winch.hear_drum(drum, stamp_ns)
-        winch.hear_load_cell(load, stamp_ns)
-        winch.hear_currents(currents, stamp_ns)
+        winch.on_drum(drum, stamp_ns)
+        winch.on_load_cell(load, stamp_ns)
+        winch.on_currents(currents, stamp_ns)
         order = winch.step(stamp_ns)
         self._begun_ns = stamp_ns if self._begun_ns is None else self._begun_ns
         if not self._asked and stamp_ns - self._begun_ns >= _SETTLING * 1e9:

@@ -28,17 +28,17 @@ from msg_schemas.machine import (
     OBSERVATION_STOP,
 )
 from msg_schemas.samples import StatusSample
-from rover_bags.findings.activities import hanging_swing
-from rover_bags.findings.entries import entries_of
-from rover_bags.findings.metrics import measure
+from rover_bags.analysis.activities import hanging_swing
+from rover_bags.analysis.entries import entries_of
+from rover_bags.analysis.metrics import measure
 from rover_bags.read import Bag, read_bag
 from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.checks.jump_rig import Stand
 from rover_verify.checks.winch_nodes import arm
-from rover_verify.stage import Observer, Stage, open_stage
-from rover_verify.stage.lockstep import Lockstep
-from rover_verify.stage.recording import recorded_topics
+from rover_verify.harness import NodeHarness, Observer, open_harness
+from rover_verify.harness.lockstep import Lockstep
+from rover_verify.harness.recording import recorded_topics
 
 _CONFIG = Path(__file__).resolve().parents[2] / "config"
 _PATIENCE = 3600.0  # by the wall clock [s]
@@ -87,15 +87,15 @@ BOUNDS: Mapping[str, Bound] = {
 class _Run:
     """Processes of one run, and the operator."""
 
-    def __init__(self, stage: Stage, folder: Path, controllers: tuple[str, ...]) -> None:
+    def __init__(self, harness: NodeHarness, folder: Path, controllers: tuple[str, ...]) -> None:
         self.bag = folder / "bag"
-        self._stage = stage
-        self._recorder = stage.processes.start("rover_bags.record", {"output": str(self.bag)})
-        self.observer: Observer = stage.observer()
+        self._stage = harness
+        self._recorder = harness.processes.start("rover_bags.record", {"output": str(self.bag)})
+        self.observer: Observer = harness.observer()
         for name in _HEARD:
             self.observer.listen(name)
         for name in controllers:
-            stage.processes.start(_MODULES[name], _parameters(name) | {"use_sim_time": True})
+            harness.processes.start(_MODULES[name], _parameters(name) | {"use_sim_time": True})
         self._controllers = controllers
 
     def wait_until_ready(self, machine: tuple[str, ...]) -> None:
@@ -134,9 +134,9 @@ def _parameters(node: str) -> dict[str, object]:
 class _Direct:
     """`sim_node`, stepped when the winch has answered."""
 
-    def __init__(self, stage: Stage, scenario: Mapping[str, object], seed: int) -> None:
+    def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
         given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        stage.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **given})
+        harness.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **given})
         self._lockstep: Lockstep | None = None
         self.nodes: tuple[str, ...] = ("sim_node",)
 
@@ -157,15 +157,17 @@ class _Direct:
 class _Linked:
     """`hil_bridge` and `drive_emulator`, in lockstep."""
 
-    def __init__(self, stage: Stage, scenario: Mapping[str, object], seed: int) -> None:
-        lockstep = {"link": stage.link, "lockstep": True, "lockstep_patience": 30.0}
+    def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
+        lockstep = {"link": harness.link, "lockstep": True, "lockstep_patience": 30.0}
         given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        stage.processes.start(
+        harness.processes.start(
             "rover_hil.emulator.emulator_node",
             {"scenario": scenario["name"], **given, **lockstep},
         )
         waits = {"lockstep_commands": ",".join(_WAITED_FOR), "lockstep_within": _WITHIN}
-        stage.processes.start("rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep})
+        harness.processes.start(
+            "rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep}
+        )
         self.nodes: tuple[str, ...] = ("drive_emulator", "hil_bridge")
 
     def begin(self, observer: Observer) -> None:
@@ -187,9 +189,9 @@ def _machine(
     controllers: tuple[str, ...],
 ) -> Iterator[tuple[_Run, _Direct | _Linked]]:
     folder.mkdir(parents=True, exist_ok=True)
-    with open_stage(folder) as stage:
-        run = _Run(stage, folder, controllers)
-        machine = kind(stage, scenario, seed)
+    with open_harness(folder) as harness:
+        run = _Run(harness, folder, controllers)
+        machine = kind(harness, scenario, seed)
         run.wait_until_ready(machine.nodes)
         machine.begin(run.observer)
         _arm(run.observer)

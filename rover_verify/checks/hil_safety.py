@@ -325,7 +325,7 @@ def owner(batch: Batch) -> Measured:
                 rate = (1000 + who) * _COUNT
                 message = encode(row.name, JointSample(now_ns, winch(rate)[row.name].joints))
                 message.header.frame_id = names[who]
-                free = now_ns - last_ns >= row.stale.silence * 1e9
+                free = now_ns - last_ns >= row.stale.timeout * 1e9
                 cases += 1
                 try:
                     sample = admission.admit(row, message, now_ns)

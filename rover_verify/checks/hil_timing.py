@@ -15,7 +15,7 @@ from msg_schemas import topics
 from msg_schemas.samples import Status
 from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage import Observer, Process, Stage, open_stage
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 _CLOCK_OFFSET = 12.5  # of the rover's clock, set wrong on purpose [s]
 _LOOPS = 2000  # of which the percentiles are made
@@ -28,12 +28,12 @@ _PRIORITY = 20  # of the loop's processes, where it is permitted
 _READING = 3  # cycles by which a count and the time at which it is heard may be apart
 
 
-def _start(stage: Stage, **emulated: object) -> tuple[Process, Observer]:
+def _start(harness: NodeHarness, **emulated: object) -> tuple[Process, Observer]:
     """Start emulator and bridge in real time; the bridge, and an observer when both are ready."""
-    of_both = {"link": stage.link, "realtime_priority": _PRIORITY}
-    stage.processes.start("rover_hil.emulator.emulator_node", {**of_both, **emulated})
-    bridge = stage.processes.start("rover_hil.bridge_node", {**of_both, "use_sim_time": True})
-    observer = stage.observer()
+    of_both = {"link": harness.link, "realtime_priority": _PRIORITY}
+    harness.processes.start("rover_hil.emulator.emulator_node", {**of_both, **emulated})
+    bridge = harness.processes.start("rover_hil.bridge_node", {**of_both, "use_sim_time": True})
+    observer = harness.observer()
     for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
         observer.listen(name)
     for node in ("drive_emulator", "hil_bridge"):
@@ -51,15 +51,15 @@ class _Loop(NamedTuple):
 
 @cache
 def _measured(folder: Path) -> _Loop:
-    with open_stage(folder) as stage:
-        bridge, observer = _start(stage, rover_clock_offset=_CLOCK_OFFSET)
+    with open_harness(folder) as harness:
+        bridge, observer = _start(harness, rover_clock_offset=_CLOCK_OFFSET)
         reports = observer.listen(topics.LINK_STATUS)
         for _ in range(_ATTEMPTS):
             if observer.call(topics.DRIVES_ARM, True).success:
                 break
             reports.wait(lambda _: True, len(reports))
         answering = {"use_sim_time": True, "realtime_priority": _PRIORITY}
-        stage.processes.start("rover_verify.stage.answerer", answering)
+        harness.processes.start("rover_verify.harness.answerer", answering)
         told = observer.wait_for_status(
             topics.LINK_STATUS,
             lambda s: int(s.values.get("round_trip_count", "0")) >= _LOOPS + _WARM_UP,
@@ -98,8 +98,8 @@ def clock_offset(batch: Batch) -> Measured:
 def uncounted_deadlines(batch: Batch) -> Measured:
     """SYNCs that were due of a bridge that is stopped now and then, neither sent nor counted."""
     generator = random.Random(batch.seed)
-    with open_stage(batch.folder) as stage:
-        bridge, observer = _start(stage)
+    with open_harness(batch.folder) as harness:
+        bridge, observer = _start(harness)
         reports = observer.listen(topics.LINK_STATUS)
 
         def counts() -> tuple[float, int, int]:

@@ -25,8 +25,8 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from rover_control.jump import Jump, JumpRecord, JumpSettings
-from rover_control.jump_forecast import Forecast, ForecastParameters
 from rover_control.jump_parameters import JumpPhase
+from rover_control.jump_prediction import Prediction, PredictionParameters
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_sequence import NutCommand, Transition
 from rover_sim import Command, Event, JumpMotorCommand, Outcome, SpatialPlant, load_scenario
@@ -95,7 +95,7 @@ class JumpingRover:
 
     stand: Stand = field(default_factory=Stand)
     settings: JumpSettings = field(
-        default_factory=lambda: JumpSettings(forecast=ForecastParameters(floor_depth=_FLOOR))
+        default_factory=lambda: JumpSettings(prediction=PredictionParameters(floor_depth=_FLOOR))
     )
     seed: int = 0
     jump: Jump | None = None
@@ -113,8 +113,8 @@ class JumpingRover:
         self.events: list[Event] = []
         self.changes: list[tuple[float, Transition]] = []
         self.records: list[JumpRecord] = []
-        self.forecasts: list[Forecast] = []
-        self.predictor = JumpPredictor(self.settings.forecast)
+        self.predictions: list[Prediction] = []
+        self.predictor = JumpPredictor(self.settings.prediction)
         self.refusals: list[str] = []
         self.heights: list[float] = []
         self.peak_tension = 0.0  # since the last release [N]
@@ -150,7 +150,7 @@ class JumpingRover:
         self.interface.measure(self.state, self.now_ns, result)
         self._hear()
         if self.ticks % _EVERY == 0:
-            self._foretell()
+            self._predict()
             self._command = self.control.step(self.now_ns)
             self._take()
 
@@ -178,12 +178,12 @@ class JumpingRover:
             self.tick()
         return len(self.heights) > flown
 
-    def _foretell(self) -> None:
+    def _predict(self) -> None:
         question = self.control.take_question()
         if question is not None:
-            forecast = self.predictor.foretell(question, self.control.spring)
-            self.forecasts.append(forecast)
-            self.control.hear_forecast(question, forecast, self.now_ns)
+            prediction = self.predictor.predict(question, self.control.spring)
+            self.predictions.append(prediction)
+            self.control.on_prediction(question, prediction, self.now_ns)
 
     def _plant_command(self) -> Command:
         order = self._command
@@ -201,18 +201,18 @@ class JumpingRover:
         assert isinstance(motor, JointSample)
         assert isinstance(cell, WrenchSample)
         control = self.control
-        control.hear_imu(imu, now)
-        control.hear_contact(contact, now)
+        control.on_imu(imu, now)
+        control.on_contact(contact, now)
         ((name, nut),) = motor.joints.items()
         told = nut._replace(position=nut.position - self.stroke_error)
-        control.hear_jump_motor(JointSample(motor.stamp_ns, {name: told}), now)
-        control.hear_load_cell(cell, now)
+        control.on_jump_motor(JointSample(motor.stamp_ns, {name: told}), now)
+        control.on_load_cell(cell, now)
         x, y, z, w = self.state.orientation.tolist()
         place = (float(self.state.G1[0]), float(self.state.G1[1]), 0.0)
         still = (0.0, 0.0, 0.0)
-        control.hear_odometry(OdometrySample(now, place, (x, y, z, w), still, still))
+        control.on_odometry(OdometrySample(now, place, (x, y, z, w), still, still))
         payout = JointValue(self.state.length)
-        control.hear_winch_estimate(JointSample(now, {PAYOUT: payout}))
+        control.on_winch_estimate(JointSample(now, {PAYOUT: payout}))
 
     def _take(self) -> None:
         for change in self.control.take_transitions():

@@ -1,4 +1,4 @@
-"""How well the rover jumps, with a spring that it has to learn, and how well that is foretold."""
+"""How well the rover jumps, with a spring that it has to learn, and how well that is predicted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.machine import JUMP_CLEARANCE
-from rover_control.jump_forecast import Band, ForecastParameters, Question, Situation
 from rover_control.jump_parameters import JumpPhase
+from rover_control.jump_prediction import Band, PredictionParameters, Question, Situation
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks import Batch, Measured
@@ -24,7 +24,7 @@ _STROKE_ERROR = 2.0e-3  # [m]
 _HEIGHTS = (0.08, 0.35)  # wanted [m]
 _NEAR = 0.10
 _CLEARANCES = (0.08, 0.30)  # [m]
-_FORECASTS = 10  # that are timed
+_PREDICTIONS = 10  # that are timed
 
 
 class Leap(NamedTuple):
@@ -82,13 +82,13 @@ def height_reached(batch: Batch) -> Measured:
     return Measured(_share(leaps), note, details)
 
 
-class Foretold(NamedTuple):
-    """A jump by clearance, foretold and flown."""
+class Predicted(NamedTuple):
+    """A jump by clearance, predicted and flown."""
 
     clearance: float  # [m]
-    height: Band  # foretold [m]
+    height: Band  # predicted [m]
     flown: float  # true [m]; nan = it was not flown
-    upright: float  # probability of landing so that was foretold
+    upright: float  # probability of landing so that was predicted
     stands: bool  # whether the rover landed upright
     reason: str  # how it ended
 
@@ -98,7 +98,7 @@ class Foretold(NamedTuple):
         return self.height.low <= self.flown <= self.height.high
 
 
-def foretold_of(seed: int, index: int) -> tuple[Foretold, ...]:
+def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     """The jumps of one rover by clearance, its spring off as for `leaps_of`."""
     generator = np.random.default_rng([seed, index, 62])
     rover = JumpingRover(draw_stand(generator), seed=1000 * seed + index)
@@ -107,28 +107,28 @@ def foretold_of(seed: int, index: int) -> tuple[Foretold, ...]:
         clearance = float(generator.uniform(*_CLEARANCES))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
         done = rover.leap(clearance, JUMP_CLEARANCE)
-        forecast = rover.forecasts[-1]
+        prediction = rover.predictions[-1]
         flown = rover.heights[-1] if done else math.nan
         last = rover.changes[-1][1]
         stands = last.phase is not JumpPhase.FAULT
         found.append(
-            Foretold(clearance, forecast.height, flown, forecast.upright, stands, last.reason)
+            Predicted(clearance, prediction.height, flown, prediction.upright, stands, last.reason)
         )
         if not stands:
             break
     return tuple(found)
 
 
-def _foretold(batch: Batch) -> Measured:
+def _predicted(batch: Batch) -> Measured:
     runs = batch.runs if batch.runs > 0 else _RUNS
-    rovers = fly_batch(batch, runs, foretold_of)
+    rovers = fly_batch(batch, runs, predicted_of)
     jumps = [jump for rover in rovers for jump in rover]
     flown = [jump for jump in jumps if not math.isnan(jump.flown)]
     details: dict[str, float | str] = {
         "refused": float(len(jumps) - len(flown)),
         "clearances reached": float(np.mean([jump.flown >= jump.clearance for jump in flown])),
         "landed upright": float(np.mean([jump.stands for jump in flown])),
-        "so foretold": float(np.mean([jump.upright for jump in flown])),
+        "so predicted": float(np.mean([jump.upright for jump in flown])),
         "half of the interval over its middle, mean": float(
             np.mean([0.5 * (j.height.high - j.height.low) / j.height.middle for j in flown])
         ),
@@ -143,21 +143,21 @@ def _foretold(batch: Batch) -> Measured:
 
 
 def interval_holds(batch: Batch) -> Measured:
-    """Share of flown heights in the foretold interval of 90 %, to be high enough."""
-    return _foretold(batch)
+    """Share of flown heights in the predicted interval of 90 %, to be high enough."""
+    return _predicted(batch)
 
 
 def interval_is_narrow(batch: Batch) -> Measured:
     """The same share, to be low enough: an interval that is too wide holds everything."""
-    return _foretold(batch)
+    return _predicted(batch)
 
 
-def forecast_time(batch: Batch) -> Measured:
-    """Longest wall time [s] of forecasts in places not seen before, the model loaded."""
-    predictor = JumpPredictor(ForecastParameters(floor_depth=6.0))
+def prediction_time(batch: Batch) -> Measured:
+    """Longest wall time [s] of predictions in places not seen before, the model loaded."""
+    predictor = JumpPredictor(PredictionParameters(floor_depth=6.0))
     spring = SpringEstimate(SpringParameters())
     took, used, rollouts = [], [], math.inf
-    for index, generator in enumerate(batch.generators(_FORECASTS + 1)):
+    for index, generator in enumerate(batch.generators(_PREDICTIONS + 1)):
         lean = generator.uniform(-0.08, 0.08, 2)
         situation = Situation(
             x=float(generator.uniform(0.5, 3.0)),
@@ -168,17 +168,17 @@ def forecast_time(batch: Batch) -> Measured:
         )
         height = float(generator.uniform(*_CLEARANCES))
         begun, processor = time.monotonic(), time.process_time()
-        forecast = predictor.foretell(Question(situation, height, True, index), spring)
+        prediction = predictor.predict(Question(situation, height, True, index), spring)
         if index > 0:  # the first one loads what was compiled
             took.append(time.monotonic() - begun)
             used.append(time.process_time() - processor)
-            rollouts = min(rollouts, forecast.rollouts)
+            rollouts = min(rollouts, prediction.rollouts)
     details: dict[str, float | str] = {
         "wall time, median [s]": float(np.median(took)),
         "processor time, largest [s]": max(used),
         "rollouts, fewest": rollouts,
     }
-    return Measured(max(took), f"{_FORECASTS} forecasts, 2 threads", details)
+    return Measured(max(took), f"{_PREDICTIONS} predictions, 2 threads", details)
 
 
 def _share(leaps: list[Leap]) -> float:

@@ -21,7 +21,7 @@ from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
 from rover_launch.plan import Plan, Started, arguments_of, plan
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.stage import Observer, Process, Stage, open_stage
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 _ROOT = Path(__file__).parents[2]
 _OWN_CLOCK = {"/clock": "clock"}
@@ -69,7 +69,7 @@ def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
     return controllers, defaults
 
 
-def _planned(stage: Stage, file: str, values: Mapping[str, str]) -> Plan:
+def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan:
     path = _ROOT / "launch" / f"{file}.launch.py"
     if not path.is_file():
         raise NotPossible(f"launch/{path.name} comes with the source tree only")
@@ -77,7 +77,7 @@ def _planned(stage: Stage, file: str, values: Mapping[str, str]) -> Plan:
     arguments = arguments_of(controllers, str(_ROOT / "config"), defaults)
     given = {each.name: each.default for each in arguments} | dict(values)
     if given["plant"] == launching.HIL:
-        given["link"] = stage.link
+        given["link"] = harness.link
     return plan(controllers, given)
 
 
@@ -88,20 +88,20 @@ def _module_of(executable: str) -> str:
     raise NotPossible(f"{executable} is not installed: pip install or colcon build comes first")
 
 
-def _start(stage: Stage, planned: Plan) -> list[Process]:
+def _start(harness: NodeHarness, planned: Plan) -> list[Process]:
     # All are looked for before the first is started.
     modules = [_module_of(each.executable) for each in planned.started]
     return [
-        _started(stage, module, each, planned.namespace)
+        _started(harness, module, each, planned.namespace)
         for module, each in zip(modules, planned.started, strict=True)
     ]
 
 
-def _started(stage: Stage, module: str, started: Started, namespace: str) -> Process:
+def _started(harness: NodeHarness, module: str, started: Started, namespace: str) -> Process:
     files: Sequence[str] = [
         part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
     ]
-    return stage.processes.start(
+    return harness.processes.start(
         module,
         started.parameters,
         *started.arguments,
@@ -112,10 +112,10 @@ def _started(stage: Stage, module: str, started: Started, namespace: str) -> Pro
 
 
 def _launch(folder: Path, file: str, values: Mapping[str, str]) -> None:
-    with open_stage(folder) as stage:
-        planned = _planned(stage, file, values)
-        processes = _start(stage, planned)
-        observer = stage.observer()
+    with open_harness(folder) as harness:
+        planned = _planned(harness, file, values)
+        processes = _start(harness, planned)
+        observer = harness.observer()
         for each in planned.started:
             observer.wait_until_ready(each.executable)
         _end(processes)
@@ -133,13 +133,13 @@ def _end(processes: Sequence[Process]) -> None:
 def _side_by_side(folder: Path) -> None:
     """Of two rovers one moves."""
     names = ("rover1", "rover2")
-    with open_stage(folder) as stage:
+    with open_harness(folder) as harness:
         processes: list[Process] = []
         observers: list[Observer] = []
         for name in names:
-            planned = _planned(stage, "descent", {"plant": launching.NULL, "namespace": name})
-            processes += _start(stage, planned)
-            observers.append(stage.observer(name, _OWN_CLOCK))
+            planned = _planned(harness, "descent", {"plant": launching.NULL, "namespace": name})
+            processes += _start(harness, planned)
+            observers.append(harness.observer(name, _OWN_CLOCK))
         for observer in observers:
             for executable in ("winch_node", "descent_node"):
                 observer.wait_until_ready(executable)

@@ -1,4 +1,4 @@
-"""Nodes killed in the middle of a mission: real processes over DDS, on the null plant.
+"""Nodes killed in the middle of a mission: real processes over DDS, on the mock plant.
 
 In each mission every controller and the supervisor is killed once, at a random moment, left dead
 for a while, and started again. What it had moved must come to rest by the watchdogs of others,
@@ -22,9 +22,9 @@ from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.samples import JointSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_kept
-from rover_verify.stage import Observer, Process, Stage, open_stage
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
-_PLANT = "rover_sim.null_plant_node"
+_PLANT = "rover_sim.mock_plant_node"
 # As `config/winch_descent.yaml` sets it up.
 _WINCH = {"trim_rate": 0.3, "shortest_length": 1.4, "end_zone": 0.3}
 _MODULES = {
@@ -93,14 +93,14 @@ class Kill(NamedTuple):
 class _Cast:
     """The nodes of a mission, and who watches them."""
 
-    stage: Stage
+    harness: NodeHarness
     folder: Path
 
     def __post_init__(self) -> None:
         plan = self.folder / "plan.yaml"
         plan.write_text(_PLAN, encoding="utf-8")
         parameters = {"scenario": "floor_rubble", "overrides": json.dumps(_OVERRIDES)}
-        self.stage.processes.start(_PLANT, {**parameters, "real_time_factor": _FACTOR})
+        self.harness.processes.start(_PLANT, {**parameters, "real_time_factor": _FACTOR})
         self.given: dict[str, dict[str, object]] = {
             name: {"use_sim_time": True} for name in _MODULES
         }
@@ -108,7 +108,7 @@ class _Cast:
         kept = self.folder / "checkpoint.json"
         self.given["mission_node"] |= {"plan": str(plan), "checkpoint": str(kept)}
         self.nodes: dict[str, Process] = {}
-        self.observer: Observer = self.stage.observer()
+        self.observer: Observer = self.harness.observer()
         for name in (
             topics.CLOCK,
             topics.EVENTS,
@@ -119,12 +119,12 @@ class _Cast:
             self.observer.listen(name)
         for name in _MODULES:
             self.start(name)
-        for name in ("null_plant", *_MODULES):
+        for name in ("mock_plant", *_MODULES):
             self.observer.wait_until_ready(name)
 
     def start(self, name: str) -> None:
         """Start a node, or start it again."""
-        self.nodes[name] = self.stage.processes.start(_MODULES[name], self.given[name])
+        self.nodes[name] = self.harness.processes.start(_MODULES[name], self.given[name])
 
     @property
     def time(self) -> float:
@@ -157,8 +157,8 @@ class _Cast:
 @contextmanager
 def _cast(folder: Path) -> Iterator[_Cast]:
     folder.mkdir(parents=True, exist_ok=True)
-    with open_stage(folder) as stage:
-        yield _Cast(stage, folder)
+    with open_harness(folder) as harness:
+        yield _Cast(harness, folder)
 
 
 def _kill(cast: _Cast, node: str) -> Kill:

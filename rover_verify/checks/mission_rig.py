@@ -39,9 +39,9 @@ from rover_control.drive import Drive, Drives, DriveSettings
 from rover_control.drive_report import odometry_sample
 from rover_control.drive_report import state_sample as drive_state
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_forecast import ForecastParameters
+from rover_control.jump_prediction import PredictionParameters
 from rover_control.jump_predictor import JumpPredictor
-from rover_control.jump_report import flown_sample, forecast_sample
+from rover_control.jump_report import flown_sample, prediction_sample
 from rover_control.mission import Mission, MissionSettings
 from rover_control.mission_legs import Ask
 from rover_control.mission_plan import MissionPlan
@@ -66,7 +66,7 @@ TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
 _SUPERVISED = 5  # ticks between two steps of the mission
 _STATED = 25  # between two times that it tells how far it is
-_NUT_SILENCE = 25  # ticks without a command after which the nut stays where it is
+_NUT_TIMEOUT = 25  # ticks without a command after which the nut stays where it is
 _WHEEL_TORQUE = 2.0  # that the wheel motor may use on the floor [N m]
 _HEARD = (
     topics.IMU,
@@ -188,7 +188,7 @@ class MissionFlight:
         self._step_descent()
         self._step_drive()
         self._step_jump()
-        self._tell_words()
+        self._publish_words()
         if self.ticks % _SUPERVISED == 0:
             self._step_mission(samples)
 
@@ -196,24 +196,24 @@ class MissionFlight:
         now, winch, descent, drive = self.now_ns, self.winch, self.descent, self.drive
         drum, imu = samples[topics.WINCH_STATE], samples[topics.IMU]
         currents, wheels = samples[topics.MOTOR_CURRENTS], samples[topics.WHEEL_STATE]
-        winch.hear_drum(drum, now)
-        winch.hear_load_cell(samples[topics.LOAD_CELL], now)
-        winch.hear_currents(currents, now)
-        descent.hear_drum(drum, now)
-        descent.hear_load_cell(samples[topics.LOAD_CELL], now)
-        descent.hear_wheels(wheels, now)
-        descent.hear_flywheel(samples[topics.FLYWHEEL_STATE], now)
-        descent.hear_imu(imu, now)
-        descent.hear_camera(samples[topics.CAMERA])
-        drive.hear_contact(samples[topics.CONTACT], now)
-        drive.hear_wheels(wheels, now)
-        drive.hear_currents(currents, now)
-        drive.hear_imu(imu, now)
+        winch.on_drum(drum, now)
+        winch.on_load_cell(samples[topics.LOAD_CELL], now)
+        winch.on_currents(currents, now)
+        descent.on_drum(drum, now)
+        descent.on_load_cell(samples[topics.LOAD_CELL], now)
+        descent.on_wheels(wheels, now)
+        descent.on_flywheel(samples[topics.FLYWHEEL_STATE], now)
+        descent.on_imu(imu, now)
+        descent.on_camera(samples[topics.CAMERA])
+        drive.on_contact(samples[topics.CONTACT], now)
+        drive.on_wheels(wheels, now)
+        drive.on_currents(currents, now)
+        drive.on_imu(imu, now)
         jump = self.jump
-        jump.hear_contact(samples[topics.CONTACT], now)
-        jump.hear_jump_motor(samples[topics.JUMP_MOTOR_STATE], now)
-        jump.hear_imu(imu, now)
-        jump.hear_load_cell(samples[topics.ROVER_LOAD_CELL], now)
+        jump.on_contact(samples[topics.CONTACT], now)
+        jump.on_jump_motor(samples[topics.JUMP_MOTOR_STATE], now)
+        jump.on_imu(imu, now)
+        jump.on_load_cell(samples[topics.ROVER_LOAD_CELL], now)
 
     def _step_winch(self) -> None:
         now, winch = self.now_ns, self.winch
@@ -221,8 +221,8 @@ class MissionFlight:
         self._tell(_WINCH, winch.take_transitions())
         estimate = winch.estimate(now)
         if estimate is not None:
-            self.drive.hear_winch_estimate(estimate, now)
-            self.jump.hear_winch_estimate(estimate)
+            self.drive.on_winch_estimate(estimate, now)
+            self.jump.on_winch_estimate(estimate)
         if dict(winch.alarms) != self._alarms:
             self._alarms = dict(winch.alarms)
             joints = {name: JointValue(float(on)) for name, on in self._alarms.items()}
@@ -251,12 +251,12 @@ class MissionFlight:
             self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
 
     def _step_jump(self) -> None:
-        self._foretell()
+        self._predict()
         told = self.jump.step(self.now_ns)
         self._idle = 0 if told is not None or self._of_descent.nut is not None else self._idle + 1
         if told is not None:
             self._nut = JumpMotorCommand(told.compression, told.rate, told.force, told.trips)
-        elif self._nut is not None and self._idle == _NUT_SILENCE:
+        elif self._nut is not None and self._idle == _NUT_TIMEOUT:
             # As the drive's own watchdog does: the nut stays where it is.
             self._nut = replace(self._nut, compression=self._held_nut(), trips=False)
         changes = [
@@ -267,16 +267,16 @@ class MissionFlight:
         for record in self.jump.take_records():
             self._record(topics.JUMP_FLOWN, flown_sample(record))
 
-    def _foretell(self) -> None:
+    def _predict(self) -> None:
         """Answer at once what takes a node a second or two."""
         question = self.jump.take_question()
         if question is None:
             return
         if self._predictor is None:
-            self._predictor = JumpPredictor(ForecastParameters())
-        forecast = self._predictor.foretell(question, self.jump.spring)
-        self._record(topics.JUMP_FORECAST, forecast_sample(forecast, self.now_ns))
-        self.jump.hear_forecast(question, forecast, self.now_ns)
+            self._predictor = JumpPredictor(PredictionParameters())
+        prediction = self._predictor.predict(question, self.jump.spring)
+        self._record(topics.JUMP_PREDICTION, prediction_sample(prediction, self.now_ns))
+        self.jump.on_prediction(question, prediction, self.now_ns)
 
     def _held_nut(self) -> float:
         drive = self.plant.model.jump
@@ -289,7 +289,7 @@ class MissionFlight:
         if drive.wheel_rate is not None:
             wheel = WheelRateCommand(drive.wheel_rate, _WHEEL_TORQUE)
         elif descent.wheel_rate is not None:
-            torque = self.descent.settings.phase_a.rotors.wheel_torque
+            torque = self.descent.settings.hanging_controller.rotors.wheel_torque
             wheel = WheelRateCommand(descent.wheel_rate, torque)
         jump: JumpMotorCommand | FlywheelCommand | None = self._nut
         if descent.nut is not None:
@@ -299,7 +299,7 @@ class MissionFlight:
             jump, self._nut = FlywheelCommand(descent.flywheel_torque), None
         return Command(jump, winch, wheel)
 
-    def _tell_words(self) -> None:
+    def _publish_words(self) -> None:
         """Hand on what the nodes' latched topics say."""
         words = {
             topics.WINCH_MODE: self.winch.mode.value,
@@ -317,15 +317,15 @@ class MissionFlight:
     def _say_word(self, name: str, word: str) -> None:
         now = self.now_ns
         if name == topics.WINCH_MODE:
-            self.descent.hear_winch_mode(word, now)
-            self.drive.hear_winch_mode(word)
-            self.jump.hear_winch_mode(word)
+            self.descent.on_winch_mode(word, now)
+            self.drive.on_winch_mode(word)
+            self.jump.on_winch_mode(word)
         elif name == topics.DESCENT_PHASE:
-            self.drive.hear_descent(word)
+            self.drive.on_descent(word)
         elif name == topics.JUMP_PHASE:
-            self.winch.hear_jump(word, now)
-            self.descent.hear_jump(word)
-            self.drive.hear_jump(word)
+            self.winch.on_jump(word, now)
+            self.descent.on_jump(word)
+            self.drive.on_jump(word)
 
     def _tell(self, who: str, changes: list[Transition]) -> None:
         for change in changes:
@@ -372,7 +372,7 @@ class MissionFlight:
         if state is not None:
             self._say(topics.DESCENT_STATE, state)
         odometry = odometry_sample(self.drive, now)
-        self.jump.hear_odometry(odometry)
+        self.jump.on_odometry(odometry)
         self._say(topics.ODOMETRY, odometry)
         self._say(topics.DRIVE_STATE, drive_state(self.drive, now))
         mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
@@ -433,21 +433,21 @@ class MissionFlight:
         """Kill a node, and start it again at once: it knows nothing but what is latched."""
         if node == _WINCH:
             self.winch = Winch(WINCH)
-            self.winch.hear_jump(self._words[topics.JUMP_PHASE], self.now_ns)
+            self.winch.on_jump(self._words[topics.JUMP_PHASE], self.now_ns)
         elif node == _DESCENT:
             self.descent = Descent(DescentSettings())
             self._of_descent = DescentDrives()
-            self.descent.hear_winch_mode(self._words[topics.WINCH_MODE], self.now_ns)
-            self.descent.hear_jump(self._words[topics.JUMP_PHASE])
+            self.descent.on_winch_mode(self._words[topics.WINCH_MODE], self.now_ns)
+            self.descent.on_jump(self._words[topics.JUMP_PHASE])
         elif node == _DRIVE:
             self.drive = Drive(DriveSettings())
             self._of_drive = Drives()
-            self.drive.hear_winch_mode(self._words[topics.WINCH_MODE])
-            self.drive.hear_jump(self._words[topics.JUMP_PHASE])
-            self.drive.hear_descent(self._words[topics.DESCENT_PHASE])
+            self.drive.on_winch_mode(self._words[topics.WINCH_MODE])
+            self.drive.on_jump(self._words[topics.JUMP_PHASE])
+            self.drive.on_descent(self._words[topics.DESCENT_PHASE])
         elif node == _JUMP:
             self.jump = Jump(JumpSettings())
-            self.jump.hear_winch_mode(self._words[topics.WINCH_MODE])
+            self.jump.on_winch_mode(self._words[topics.WINCH_MODE])
         else:
             kept = self.mission.checkpoint(self.now_ns)
             self.mission = Mission(self.plan, self.settings)

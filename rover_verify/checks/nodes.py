@@ -16,7 +16,7 @@ from msg_schemas.samples import JointSample, JointValue, Status
 from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
 from rover_sim import PlanarPlant, jump, load_scenario
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage import Observer, Process, Stage, open_stage
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 SIM, JUMP, WINCH, RECORD = (
     "rover_sim.sim_node",
@@ -31,17 +31,19 @@ _DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}
 
 
 @contextmanager
-def simulation(batch: Batch, **parameters: object) -> Iterator[tuple[Stage, Process, Observer]]:
+def simulation(
+    batch: Batch, **parameters: object
+) -> Iterator[tuple[NodeHarness, Process, Observer]]:
     """A running sim_node with an observer that has heard its clock."""
     # Compiled here once, so that the node finds it in the cache.
     PlanarPlant(load_scenario(SCENARIO)).warm_up()
-    with open_stage(batch.folder) as stage:
-        process = stage.processes.start(SIM, {"scenario": SCENARIO, **parameters})
-        observer = stage.observer()
+    with open_harness(batch.folder) as harness:
+        process = harness.processes.start(SIM, {"scenario": SCENARIO, **parameters})
+        observer = harness.observer()
         for name in (topics.EVENTS, topics.DIAGNOSTICS, topics.CLOCK):
             observer.listen(name)
         observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns >= 0)
-        yield stage, process, observer
+        yield harness, process, observer
 
 
 def drive_nut(
@@ -230,12 +232,12 @@ def ends_cleanly(batch: Batch) -> Measured:
     PlanarPlant(load_scenario(SCENARIO)).warm_up()
     for number, twice in ((signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)):
         name = f"{number.name}{' twice' if twice else ''}"
-        with open_stage(batch.folder) as stage:
+        with open_harness(batch.folder) as harness:
             processes = {}
             for module in modules:
                 arguments = ("-o", f"bag_{name.replace(' ', '_')}") if module == RECORD else ()
-                processes[module] = stage.processes.start(module, None, *arguments)
-            observer = stage.observer()
+                processes[module] = harness.processes.start(module, None, *arguments)
+            observer = harness.observer()
             for module in modules:
                 node = module.rpartition(".")[2].replace("record", "bag_record")
                 wait_until_active(observer, node)
@@ -287,9 +289,9 @@ def silence_stops_the_nut(batch: Batch) -> Measured:
 def bad_requests(batch: Batch) -> Measured:
     """How many of an operator's bad requests the jump controller does not refuse with reason."""
     bad, total, details = 0, 0, {}
-    with open_stage(batch.folder) as stage:
-        process = stage.processes.start(JUMP)
-        observer = stage.observer()
+    with open_harness(batch.folder) as harness:
+        process = harness.processes.start(JUMP)
+        observer = harness.observer()
         observer.listen(topics.DIAGNOSTICS)
         observer.wait_for_event("active")
         for position, code in ((math.nan, "not_finite"), (9.0, "out_of_limits"), (0.1, "")):

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.refusal import Refusal
-from rover_control.pointing import Forecast
+from rover_control.pointing import Prediction
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
+from rover_verify.checks.hanging import draw
 from rover_verify.checks.hanging_rig import HangingFlight
-from rover_verify.checks.phase_a import draw
 
 LENGTHS = (15.0, 30.0, 45.0)  # [m]
 TURN = 0.5 * math.pi
@@ -30,7 +30,7 @@ _WATCHED = 200.0  # swing and bias, before a turn [s]
 _ASKS = 3  # at most, where a turn is refused: the bias is known better later
 _PATIENCE = 100.0  # until it is asked again [s]
 _LONGEST = 1500.0  # [s]
-_CAUSES = {"twist": "twist", "gyro bias": "bias"}  # foretold, and the word by which it is told
+_CAUSES = {"twist": "twist", "gyro bias": "bias"}  # predicted, and the word by which it is told
 
 
 class Turn(NamedTuple):
@@ -41,8 +41,8 @@ class Turn(NamedTuple):
     turning: float  # until the true heading was within the tolerance, and stayed so [s]
     strayed: float  # largest true error within `HELD_FOR` from then on [rad]
     held: float  # from then on, until it was lost or let go [s]
-    asked: Forecast | None  # foretold when it was asked
-    told: Forecast | None  # foretold when it was reached
+    asked: Prediction | None  # predicted when it was asked
+    told: Prediction | None  # predicted when it was reached
     ended: str  # what ended the holding, as it was told; empty: it was lost before it was let go
     asks: int = 1  # times that it was asked for
 
@@ -87,7 +87,7 @@ def turn(seed: int, index: int) -> Turn:
     ended = ""
     for _, change in flight.changes:
         if change.name == "pointing_reached":
-            told = Forecast(**change.values)  # type: ignore[arg-type]
+            told = Prediction(**change.values)  # type: ignore[arg-type]
         if change.name == "pointing_ended":
             ended = change.reason
     held = flight.time - arrived
@@ -132,8 +132,8 @@ def heading_error(batch: Batch) -> Measured:
     return Measured(float(np.max(errors)) if shortest >= HELD_FOR else math.nan, note)
 
 
-def forecast_error(batch: Batch) -> Measured:
-    """By how much the holding is off what was foretold, on request or on arrival, relative."""
+def prediction_error(batch: Batch) -> Measured:
+    """By how much the holding is off what was predicted, on request or on arrival, relative."""
     flights = _turns(batch)
     off = [
         math.nan if each.told is None else abs(each.told.holding - each.held) / each.held
@@ -150,7 +150,7 @@ def forecast_error(batch: Batch) -> Measured:
     )
     details: dict[str, float | str] = {
         f"{length:g} m": ", ".join(
-            f"{each.told.holding:.0f} s foretold, {each.held:.0f} s held"
+            f"{each.told.holding:.0f} s predicted, {each.held:.0f} s held"
             for each in flights
             if each.length == length and each.told is not None
         )
@@ -159,7 +159,7 @@ def forecast_error(batch: Batch) -> Measured:
     note = (
         f"on request median {np.nanmedian(early):.0%}, worst {np.max(early):.0%}; on arrival "
         f"median {np.nanmedian(off):.0%}, worst {np.max(off):.0%}; limited by {_counted(limits)} "
-        f"as foretold, let go for another reason {surprises} times"
+        f"as predicted, let go for another reason {surprises} times"
     )
     return Measured(float(np.max([off, early])), note, details)
 

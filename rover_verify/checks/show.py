@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rover_verify import jump_show, mission_show
 from rover_verify.checks import Batch, Measured
-from rover_verify.stage import Process
-from rover_verify.stage.processes import environment
+from rover_verify.harness import Process
+from rover_verify.harness.processes import environment
 
 _MODULES = (
     "rover_sim.sim_node", "rover_control.jump_node", "tether_winch.winch_node",

@@ -172,7 +172,9 @@ def _sent(
         before = state.flywheel_rate
         friction += abs(mean) * _friction(drive.friction, mean) * _FINE
     end = plant.energies(state)
-    spent = {name: value - begin.ledger[name] for name, value in state.ledger.items()}
+    spent = {
+        name: value - begin.energy_balance[name] for name, value in state.energy_balance.items()
+    }
     # What the nut gave: all that is stored beyond the drive, and what got lost there.
     load = end.stored - start.stored
     load += sum(

@@ -198,7 +198,7 @@ def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, flo
     start = plant.energies(state)
     mass, gravity = plant.scenario.tip_mass, plant.scenario.gravity
     scale = start.kinetic + start.rotors + mass * gravity * 0.5 * plant.scenario.tether.length
-    command, heats = Command(), dict(state.ledger)
+    command, heats = Command(), dict(state.energy_balance)
     for _ in range(round(duration / TICK)):
         if generator.uniform() < 0.5:
             command = random_command(generator, plant)
@@ -216,10 +216,10 @@ def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, flo
         wrong = fault(result, state, scale, GAIN, LOSS) or _implausible(plant, state)
         if not wrong and not math.isclose(state.time, before.time + TICK, abs_tol=1e-9):
             wrong = f"the tick ended at {state.time - before.time:.6f} s"
-        for name, heat in state.ledger.items():
+        for name, heat in state.energy_balance.items():
             if name.startswith("heat") and heat < heats[name] - 1e-3 * scale:
                 wrong = wrong or f"{name} fell by {heats[name] - heat:.2g} J"
-        heats = dict(state.ledger)
+        heats = dict(state.energy_balance)
         if wrong:
             return f"{wrong} at {state.time:.2f} s", figures
     return "", figures

@@ -14,7 +14,7 @@ from rover_sim.physics.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import SIM
 from rover_verify.checks.spatial_cases import make_plant, without_winch
-from rover_verify.stage import open_stage
+from rover_verify.harness import open_harness
 
 _IDLE = Command()
 _RADIUS = 3.45e-4  # of the source paper's tether [m]
@@ -187,9 +187,9 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
     """Tear the tether in a running sim_node; promises not kept."""
     make_plant(_WEAK).warm_up()
     parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
-    with open_stage(batch.folder) as stage:
-        process = stage.processes.start(SIM, parameters)
-        observer = stage.observer()
+    with open_harness(batch.folder) as harness:
+        process = harness.processes.start(SIM, parameters)
+        observer = harness.observer()
         for name in (topics.EVENTS, topics.TRUTH_PHASE, topics.CLOCK):
             observer.listen(name)
         observer.wait_for_text(topics.TRUTH_PHASE, "tether_broken")

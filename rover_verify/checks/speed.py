@@ -20,7 +20,7 @@ from rover_verify import bench, bench_spatial, exudyn_peer
 from rover_verify.bench_cases import Case, cases
 from rover_verify.bench_row import Row
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.stage import open_stage
+from rover_verify.harness import open_harness
 
 _REPETITIONS = 5
 
@@ -119,11 +119,11 @@ _START = "floor_rubble"
 
 def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
     """Wall time from the start of sim_node to its word that it is ready [s], and its CPU time."""
-    with open_stage(folder) as stage:
-        observer = stage.observer()
+    with open_harness(folder) as harness:
+        observer = harness.observer()
         observer.listen(topics.DIAGNOSTICS)
         began = time.monotonic()
-        process = stage.processes.start(
+        process = harness.processes.start(
             "rover_sim.sim_node",
             {"scenario": _START, "model": "spatial"},
             extra_environment={"NUMBA_CACHE_DIR": str(cache_folder)},

@@ -292,7 +292,7 @@ def _cases() -> dict[str, _Case]:
         "tension NaN": _Case(Fault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
         "tether end": _Case(Fault.TETHER_END, act=_end_here),
         "node stop": _Case(None, act=lambda s: s.winch.stop("the node stops", s.now_ns)),
-        "command silence": _Case(Fault.COMMAND_SILENCE),
+        "command silence": _Case(Fault.COMMAND_TIMEOUT),
     }
 
 
@@ -302,7 +302,7 @@ def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
     session = _Spoilt(Winch(WinchParameters()), rig)
     session.arm()
     joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
-    if case.fault is Fault.COMMAND_SILENCE:
+    if case.fault is Fault.COMMAND_TIMEOUT:
         joint, value = WINCH_AT_RATE, (0.0, _RATE)
     session.ask(joint, *value)
     session.run(0.9)
@@ -371,7 +371,7 @@ def refusals_without_reason(_batch: Batch) -> Measured:
         (WINCH_SLACK, 1.0, 0.1, 0.0, "must stand"),
     ]
     lacking = [request for request in asked if not _is_refused(session, request)]
-    session.winch.hear_jump("flight", session.now_ns)
+    session.winch.on_jump("flight", session.now_ns)
     if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps")):
         lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps"))
     session.winch.stop("a test", session.now_ns)

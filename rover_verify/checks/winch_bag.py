@@ -16,9 +16,9 @@ from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_bags.read import Bag
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_nodes import arm, start_winch_and_sim
-from rover_verify.stage import Observer, Process, Stage, open_stage
-from rover_verify.stage.lockstep import Lockstep
-from rover_verify.stage.recording import recorded_topics, wait_until_recording
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness.lockstep import Lockstep
+from rover_verify.harness.recording import recorded_topics, wait_until_recording
 from rover_verify.winch_flight import Flight, flight_of_bag
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
@@ -70,8 +70,8 @@ def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
     Raises:
         Stalled: the drive or the winch braked because the machine stood still.
     """
-    with open_stage(folder) as stage:
-        observer, recorder, bag = _begin(stage, folder, seed)
+    with open_harness(folder) as harness:
+        observer, recorder, bag = _begin(harness, folder, seed)
         arm(observer)
         lockstep = None if in_real_time else Lockstep(observer, topics.WINCH_COMMAND)
         for length in (BOTTOM, TOP):
@@ -81,11 +81,11 @@ def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
     return bag
 
 
-def _begin(stage: Stage, folder: Path, seed: int) -> tuple[Observer, Process, Path]:
+def _begin(harness: NodeHarness, folder: Path, seed: int) -> tuple[Observer, Process, Path]:
     bag = folder / "bag"
-    recorder = stage.processes.start(_RECORD, {"output": str(bag)})
+    recorder = harness.processes.start(_RECORD, {"output": str(bag)})
     heard = (topics.WINCH_MODE, topics.WINCH_COMMAND)
-    _, observer = start_winch_and_sim(stage, heard, TOP, seed)
+    _, observer = start_winch_and_sim(harness, heard, TOP, seed)
     wait_until_recording(bag)
     observer.wait_until(
         lambda: recorded_topics(bag) >= _OF_WINCH, "the recorder does not hear the winch"

@@ -133,7 +133,7 @@ class _Trip:
     def fly(self, renew: Callable[[], None] = lambda: None) -> Flight:
         """Compress, take off, land, settle; told to the winch as the jump's controller would."""
         session, rig, winch = self.session, self.rig, self.session.winch
-        winch.hear_jump("compressing", session.now_ns)
+        winch.on_jump("compressing", session.now_ns)
         chord = longest = _chord(rig)
         rig.jump = JumpMotorCommand(self.jump.stroke, _NUT_SPEED)
 
@@ -152,15 +152,15 @@ class _Trip:
         rig.peak_tension = 0.0
         go(lambda: _event(rig.events, "take_off") is not None, "it does not take off")
         rig.jump = None
-        winch.hear_jump("flight", session.now_ns)
+        winch.on_jump("flight", session.now_ns)
         begun = len(session.ticks)
         go(lambda: _landing(rig.events) is not None, "it does not land")
         way, time = _flown(rig.events)
         lengths: NDArray[np.float64] = session.column("length")[begun - 1 :]
         reeled_in = float(np.max(np.maximum.accumulate(lengths) - lengths))
-        winch.hear_jump("landed", session.now_ns)
+        winch.on_jump("landed", session.now_ns)
         session.run(_SETTLING)
-        winch.hear_jump("standby", session.now_ns)
+        winch.on_jump("standby", session.now_ns)
         return Flight(way, time, longest - chord, rig.peak_tension, reeled_in)
 
     def after(self, flight: Flight) -> Flight:

@@ -16,8 +16,8 @@ from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_spatial import WEIGHT, spatial_plant
-from rover_verify.stage import Observer, Process, Stage, open_stage
-from rover_verify.stage.lockstep import Lockstep
+from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness.lockstep import Lockstep
 
 SCENARIO = "free_hang"
 _SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
@@ -60,12 +60,12 @@ class Killed(NamedTuple):
 
 
 def start_winch_and_sim(
-    stage: Stage, heard: Iterable[str], length: float, seed: int, **parameters: object
+    harness: NodeHarness, heard: Iterable[str], length: float, seed: int, **parameters: object
 ) -> tuple[Process, Observer]:
     """Start a sim_node with the rover hanging and a winch_node.
 
     Args:
-        stage: to start them on.
+        harness: to start them on.
         heard: topics to listen to, beside the clock, events and diagnostics.
         length: of the tether [m].
         seed: of the sensors' errors.
@@ -83,9 +83,9 @@ def start_winch_and_sim(
         "real_time_factor": 1.0,
         **parameters,
     }
-    stage.processes.start(_SIM, given)
-    winch = stage.processes.start(_WINCH, {"use_sim_time": True})
-    observer = stage.observer()
+    harness.processes.start(_SIM, given)
+    winch = harness.processes.start(_WINCH, {"use_sim_time": True})
+    observer = harness.observer()
     for name in (topics.CLOCK, topics.EVENTS, topics.DIAGNOSTICS, *heard):
         observer.listen(name)
     for node in ("sim_node", "winch_node"):
@@ -106,8 +106,8 @@ def winch_and_sim(
     folder: Path, length: float, seed: int = 1, **parameters: object
 ) -> Iterator[tuple[Process, Observer]]:
     """An armed winch_node and a sim_node with the rover hanging, as processes."""
-    with open_stage(folder) as stage:
-        winch, observer = start_winch_and_sim(stage, _HEARD, length, seed, **parameters)
+    with open_harness(folder) as harness:
+        winch, observer = start_winch_and_sim(harness, _HEARD, length, seed, **parameters)
         arm(observer)
         yield winch, observer
 

@@ -145,16 +145,16 @@ class Session:
         stamp = self.now_ns
         drum = JointValue(readings.length, readings.rate + e.rate_noise * noise[0], 0.0)
         brake = JointValue(float(readings.brake_is_open), 0.0, 0.0)
-        self.winch.hear_drum(JointSample(stamp, {WINCH_DRUM: drum, WINCH_BRAKE: brake}), stamp)
+        self.winch.on_drum(JointSample(stamp, {WINCH_DRUM: drum, WINCH_BRAKE: brake}), stamp)
         tension = e.cell_gain * readings.tension + e.cell_bias + e.cell_noise * noise[1]
-        self.winch.hear_load_cell(WrenchSample(stamp, (0.0, 0.0, -float(tension))), stamp)
+        self.winch.on_load_cell(WrenchSample(stamp, (0.0, 0.0, -float(tension))), stamp)
         current = readings.current + e.current_noise * noise[2]
         currents = {
             JUMP_MOTOR: JointValue(),
             WHEEL_MOTOR: JointValue(),
             WINCH_MOTOR: JointValue(0.0, 0.0, float(current)),
         }
-        self.winch.hear_currents(JointSample(stamp, currents), stamp)
+        self.winch.on_currents(JointSample(stamp, currents), stamp)
 
     def told(self, name: str) -> list[float]:
         """Times at which the winch told something by this name."""

@@ -114,7 +114,7 @@ def test_every_drive_has_one_owner():
         topics.WINCH_COMMAND,
         topics.WINCH_TRIM,
     }
-    assert all(TOPICS[name].stale.silence <= 0.5 for name in owned)
+    assert all(TOPICS[name].stale.timeout <= 0.5 for name in owned)
 
 
 def test_who_asks_is_named_by_the_frame_or_where_that_is_used_by_the_stamp():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from msg_schemas.middleware import LOOPBACK, NETWORK, settings
-from rover_verify.stage import Stage
+from rover_verify.harness import NodeHarness
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -70,12 +70,12 @@ def test_what_a_process_inherits_from_another_is_no_choice(
     ],
 )
 def test_a_node_maps_no_shared_memory_and_is_bound_as_told(
-    stage: Stage, environment: dict[str, str], bound: bool
+    harness: NodeHarness, environment: dict[str, str], bound: bool
 ):
-    process = stage.processes.start(
-        "rover_sim.null_plant_node", {"scenario": "free_hang"}, extra_environment=environment
+    process = harness.processes.start(
+        "rover_sim.mock_plant_node", {"scenario": "free_hang"}, extra_environment=environment
     )
-    process.wait_for_output("null_plant is active")
+    process.wait_for_output("mock_plant is active")
     own = Path("/proc", str(process.pid))
     mapped = {line.split()[-1] for line in (own / "maps").read_text().splitlines()}
     assert not [name for name in mapped if name.startswith("/dev/shm/fastrtps")]

@@ -18,7 +18,7 @@ from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Sta
 from msg_schemas.table import JUMP_SCREW
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Processes, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process, Processes
 
     Shell = tuple[Process, Observer]
     MakeMessage = Callable[[], Any]
@@ -45,10 +45,10 @@ def command(
 
 
 @pytest.fixture(scope="module")
-def shell(shared_stage: Stage):
+def shell(shared_harness: NodeHarness):
     """A running node and an observer, shared by tests that leave no trace."""
-    process = shared_stage.processes.start("shell_node")
-    observer = shared_stage.observer()
+    process = shared_harness.processes.start("shell_node")
+    observer = shared_harness.observer()
     is_active(observer)
     observer.listen(topics.JUMP_MOTOR_STATE)
     observer.listen(topics.DIAGNOSTICS).wait()
@@ -225,8 +225,10 @@ def test_a_good_parameter_change_reaches_the_node_and_its_latched_configuration(
     observer.wait_for_event("changed")
 
 
-def test_configuration_and_events_reach_those_who_join_late(shared_stage: Stage, shell: Shell):
-    late = shared_stage.observer()
+def test_configuration_and_events_reach_those_who_join_late(
+    shared_harness: NodeHarness, shell: Shell
+):
+    late = shared_harness.observer()
     content = json.loads(late.listen(topics.CONFIG).wait().text)
     assert content["node"] == f"/{NODE}"
     assert content["parameters"]["count"] == 3

@@ -15,7 +15,7 @@ from msg_schemas.samples import Level
 from msg_schemas.scheduling import give_priority_up
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Processes
+    from rover_verify.harness import Observer, Processes
 
 pytestmark = [
     pytest.mark.ros,
@@ -79,8 +79,8 @@ def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, o
 
 
 @permitted
-def test_the_foretelling_of_jumps_stays_behind(processes: Processes, observer: Observer):
-    given = {"realtime_priority": PRIORITY, "foretell_ready": True}
+def test_the_predicting_of_jumps_stays_behind(processes: Processes, observer: Observer):
+    given = {"realtime_priority": PRIORITY, "predict_ready": True}
     process = processes.start("rover_control.jump_node", given)
     observer.wait_for_event("active")
     others = scheduling(process.pid) - {(os.SCHED_RR, PRIORITY)}

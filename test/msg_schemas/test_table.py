@@ -67,16 +67,16 @@ def test_every_command_goes_stale_and_every_actuator_falls_silent(row: Topic):
     assert math.isfinite(row.stale.max_lead)
     if row.publisher != "operator":
         assert row.stale.unstamped is Unstamped.REFUSE
-        assert math.isfinite(row.stale.silence)
+        assert math.isfinite(row.stale.timeout)
         assert row.rate is not None
-        first = min(row.stale.silence, row.stale.moving_silence)
+        first = min(row.stale.timeout, row.stale.timeout_moving)
         assert first * row.rate >= 3, "one lost message must not stop a drive"
 
 
 def test_a_winch_that_moves_without_commands_brakes_within_a_tenth_of_a_second():
     stale = TOPICS[topics.WINCH_COMMAND].stale
-    assert stale.moving_silence <= 0.1 < stale.silence <= 0.5
-    assert "brake" in stale.on_moving_silence
+    assert stale.timeout_moving <= 0.1 < stale.timeout <= 0.5
+    assert "brake" in stale.on_timeout_moving
 
 
 def test_truth_is_not_for_controllers():

@@ -15,7 +15,7 @@ from msg_schemas import topics
 from msg_schemas.table import WINCH_DRUM
 from operator_console.command_line import Exit, main, make_parser
 from operator_console.commands import COMMANDS
-from rover_verify.stage import Process, Stage
+from rover_verify.harness import NodeHarness, Process
 
 PATIENCE = "60"
 
@@ -59,16 +59,16 @@ def test_help_lists_every_command_and_exit_code():
 
 @pytest.mark.process
 @pytest.mark.ros
-def test_an_operator_is_told_what_became_of_each_order(stage: Stage):
+def test_an_operator_is_told_what_became_of_each_order(harness: NodeHarness):
     # Slow simulated time, and patience: a machine that is busy elsewhere must not brake the winch.
     patient = {
-        "use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0, "encoder_silence": 1.0,
-        "load_cell_silence": 10.0,
+        "use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0, "encoder_timeout": 1.0,
+        "load_cell_timeout": 10.0,
     }  # fmt: skip
     slow = {"scenario": "free_hang", "real_time_factor": 0.5}
 
     def rover(*given: str) -> Process:
-        return stage.processes.start("operator_console.command_line", None, *given)
+        return harness.processes.start("operator_console.command_line", None, *given)
 
     def told(*given: str) -> tuple[int, dict[str, Any]]:
         process = rover(*given, "--json", "--timeout", PATIENCE)
@@ -79,9 +79,9 @@ def test_an_operator_is_told_what_became_of_each_order(stage: Stage):
     assert nobody.wait() == Exit.NOBODY
     assert "winch_node is not heard in the namespace /" in nobody.output
 
-    stage.processes.start("rover_sim.null_plant_node", slow)
-    stage.processes.start("tether_winch.winch_node", patient)
-    observer = stage.observer()
+    harness.processes.start("rover_sim.mock_plant_node", slow)
+    harness.processes.start("tether_winch.winch_node", patient)
+    observer = harness.observer()
     observer.wait_until_ready("winch_node")
     start = observer.listen(topics.WINCH_STATE).wait().joints[WINCH_DRUM].position
 

@@ -51,21 +51,21 @@ def test_what_is_opened_is_closed_and_can_be_opened_again(node: Node):
 def test_what_all_nodes_have_latched_is_heard_though_it_comes_at_one_time(node: Node):
     row = topic_row(topics.CONFIG)
     names = [f"node_{number}" for number in range(8)]
-    outlets = []
+    publishers = []
     for name in names:
         text = json.dumps({"node": f"/{name}", "parameters": {"depth": 2.0}})
-        outlets.append(
+        publishers.append(
             node.create_publisher(
                 message_class(row.message), topics.CONFIG, qos.profile(row.intent)
             )
         )
-        outlets[-1].publish(encode(topics.CONFIG, TextSample(text)))
+        publishers[-1].publish(encode(topics.CONFIG, TextSample(text)))
     heard: list[str] = []
     link = OperatorLink(node, "somebody", lambda _, sample: heard.append(sample.text))
     link.listen(topics.CONFIG)
     arriving = threading.Event()
     for _ in range(100):
-        if all(outlet.get_subscription_count() for outlet in outlets):
+        if all(publisher.get_subscription_count() for publisher in publishers):
             break
         arriving.wait(0.1)
     executor = SingleThreadedExecutor(context=node.context)

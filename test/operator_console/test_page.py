@@ -22,7 +22,7 @@ from operator_console.server import Content, Server, ServerSettings
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-    from rover_verify.stage import Stage
+    from rover_verify.harness import NodeHarness
 
 pytestmark = [pytest.mark.process]
 
@@ -34,11 +34,11 @@ QUICK = {"first_look": 1.5, "steady_time": 0.3}
 class Pit:
     """Console, winch and descent as processes, around a mother machine of the test's own."""
 
-    def __init__(self, stage: Stage) -> None:
-        observer = stage.observer()
+    def __init__(self, harness: NodeHarness) -> None:
+        observer = harness.observer()
         hoist = Hoist(HoistParameters(start_length=START))
         hoist.step(None, 0.01)  # compiled here, not while time runs
-        start = stage.processes.start
+        start = harness.processes.start
         self.console = start("operator_console.console_node", {"port": 0})
         # The browser is no part of what simulated time waits for.
         start("tether_winch.winch_node", {"use_sim_time": True, "command_timeout": 30.0})
@@ -52,8 +52,8 @@ class Pit:
 
 
 @pytest.fixture
-def pit(stage: Stage) -> Iterator[Pit]:
-    made = Pit(stage)
+def pit(harness: NodeHarness) -> Iterator[Pit]:
+    made = Pit(harness)
     try:
         yield made
     finally:

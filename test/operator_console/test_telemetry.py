@@ -113,7 +113,7 @@ def test_the_plant_s_word_is_fresh_whoever_plays_the_plant():
     known.hear(topics.TRUTH_PHASE, TextSample("hanging"), 1.0)
     known.hear(topics.DIAGNOSTICS, health("winch_node"), 1.0)
     assert known.snapshot(1.1).reading("plant").is_stale
-    known.hear(topics.DIAGNOSTICS, health("null_plant"), 1.0)
+    known.hear(topics.DIAGNOSTICS, health("mock_plant"), 1.0)
     assert not known.snapshot(1.1).reading("plant").is_stale
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+from rover_bags.analysis.metrics import measure
 from rover_bags.files.folder import ScanError
 from rover_bags.files.scan import BagScan
-from rover_bags.findings.metrics import measure
 from rover_bags.read import read_bag
 from rover_bags.recover import recover
 from rover_bags.views.summary import as_text
-from rover_verify.stage.foreign_bags import (
+from rover_verify.harness.foreign_bags import (
     KINDS,
     METADATA,
     START,

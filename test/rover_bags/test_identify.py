@@ -12,8 +12,8 @@ from msg_schemas import topics
 from msg_schemas.samples import TextSample
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
+from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.parameters import IdentifyError
-from rover_bags.identification.rehearsal import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.runs import SIGNALS, read_experiments
 from rover_bags.identify import main
 from rover_sim import load_scenario, load_spatial

@@ -14,11 +14,11 @@ from msg_schemas import topics
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags import report
+from rover_bags.analysis.metrics import measure
 from rover_bags.files.scan import BagScan
-from rover_bags.findings.metrics import measure
 from rover_bags.read import Bag, arrivals, read_bag, windows
 from rover_bags.survey import survey
-from rover_bags.tracks import LARGEST
+from rover_bags.time_series import LARGEST
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from rover_bags.files.store import (
 )
 from rover_bags.record import CONFIG_RECORD, DISK_FAILED
 from rover_bags.recover import recover
-from rover_verify.stage.processes import PATIENCE, Process, Processes
+from rover_verify.harness.processes import PATIENCE, Process, Processes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SECOND = 1_000_000_000

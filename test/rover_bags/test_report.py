@@ -17,7 +17,7 @@ from PIL import Image
 
 from msg_schemas import topics
 from rover_bags import report
-from rover_bags.findings.metrics import measure
+from rover_bags.analysis.metrics import measure
 from rover_bags.read import read_bag
 from rover_bags.views import summary
 from rover_bags.views.animation import scene_of

@@ -41,7 +41,7 @@ from rover_control.descent import (
 )
 from rover_control.descent_profile import DescentPhase, ProfileParameters, Stop
 from rover_control.descent_report import observation_sample, state_sample
-from rover_control.phase_a import PhaseAParameters
+from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks.winch_rig import TICK, Readings, Session
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
@@ -56,7 +56,9 @@ class World:
     def __init__(self, length: float = 5.0, swing: float = 0.0) -> None:
         self.winch = Session(Winch(WinchParameters()), Hoist(HoistParameters(start_length=length)))
         self.rover = HangingMachine(length, swing)
-        self.descent = Descent(DescentSettings(phase_a=PhaseAParameters(profile=QUICK)))
+        self.descent = Descent(
+            DescentSettings(hanging_controller=HangingControllerParameters(profile=QUICK))
+        )
         self.silent: set[str] = set()
         self.sent: list[Drives] = []
         self.changes: list[Transition] = []
@@ -76,15 +78,15 @@ class World:
             return
         now, descent = self.winch.now_ns, self.descent
         hear: dict[str, Callable[..., None]] = {
-            topics.IMU: descent.hear_imu,
-            topics.WHEEL_STATE: descent.hear_wheels,
-            topics.FLYWHEEL_STATE: descent.hear_flywheel,
+            topics.IMU: descent.on_imu,
+            topics.WHEEL_STATE: descent.on_wheels,
+            topics.FLYWHEEL_STATE: descent.on_flywheel,
         }
         for name, sample in self.rover.samples(now):
             if name in self.silent:
                 continue
             if name == topics.CAMERA:
-                descent.hear_camera(sample)  # type: ignore[arg-type]
+                descent.on_camera(sample)  # type: ignore[arg-type]
             else:
                 hear[name](sample, now)
         drum = {
@@ -92,10 +94,10 @@ class World:
             WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
         }
         if topics.WINCH_STATE not in self.silent:
-            descent.hear_drum(JointSample(now, drum), now)
+            descent.on_drum(JointSample(now, drum), now)
         if self.winch.winch.mode.value != self._mode:
             self._mode = self.winch.winch.mode.value
-            descent.hear_winch_mode(self._mode, now)
+            descent.on_winch_mode(self._mode, now)
         if len(self.winch.ticks) % 2 == 0:
             self.control()
 
@@ -278,9 +280,9 @@ def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
     now = world.winch.now_ns
     assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
     assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
-    world.descent.hear_jump("flight")
+    world.descent.on_jump("flight")
     assert "jumps" in refused(lambda: world.ask(6.0)).reason
-    world.descent.hear_jump("standby")
+    world.descent.on_jump("standby")
     screw, world.descent.screw = world.descent.screw, 20.0
     assert topics.JUMP_ABORT in refused(lambda: world.ask(6.0)).reason
     world.descent.screw = screw
@@ -320,7 +322,7 @@ def test_released_it_learns_nothing_of_a_rover_that_may_stand_and_then_its_swing
     world.ask(5.0, observes=False)
     assert estimator.yaw_bias == bias
     assert estimator.estimate.swing_error > known.swing_error
-    world.run(0.5 * world.descent.settings.phase_a.profile.first_look)
+    world.run(0.5 * world.descent.settings.hanging_controller.profile.first_look)
     names = [change.name for change in world.changes[begun:]]
     assert "descent_travelling" not in names
     world.run_until(lambda: world.length < 5.01)

@@ -29,7 +29,7 @@ from msg_schemas.table import (
 )
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -43,9 +43,9 @@ FAR = 20.0  # a depth that is not reached [m]
 class Bench:
     """Both nodes and what they act on."""
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage = stage
-        self.observer: Observer = stage.observer()
+    def __init__(self, harness: NodeHarness) -> None:
+        self.harness = harness
+        self.observer: Observer = harness.observer()
         for name in (
             topics.DIAGNOSTICS, topics.WINCH_MODE, topics.DESCENT_STATE,
             topics.DESCENT_OBSERVATION, topics.WINCH_REQUEST,
@@ -53,7 +53,7 @@ class Bench:
             self.observer.listen(name)
         hoist = Hoist(HoistParameters(start_length=START))
         hoist.step(None, 0.01)  # compiled here, not while time runs
-        stage.processes.start(WINCH, {"use_sim_time": True})
+        harness.processes.start(WINCH, {"use_sim_time": True})
         self.process = self.start()
         self.mother = DescentMother(self.observer, hoist, START)
         self.mother.begin()
@@ -61,7 +61,7 @@ class Bench:
         self.observer.wait_until_ready(WINCH_NODE)
 
     def start(self) -> Process:
-        return self.stage.processes.start(MODULE, {"use_sim_time": True, **QUICK})
+        return self.harness.processes.start(MODULE, {"use_sim_time": True, **QUICK})
 
     def wait_until_ready(self, since: int = 0) -> None:
         self.observer.wait_until_ready(NODE, since)
@@ -104,8 +104,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(stage: Stage) -> Iterator[Bench]:
-    made = Bench(stage)
+def bench(harness: NodeHarness) -> Iterator[Bench]:
+    made = Bench(harness)
     try:
         yield made
     finally:

@@ -16,7 +16,7 @@ from rover_control.descent_profile import (
 )
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
-from rover_control.yaw_keeper import Handing
+from rover_control.yaw_momentum import Handing
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1

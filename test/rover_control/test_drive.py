@@ -315,9 +315,9 @@ def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
     ("change", "code", "text"),
     [
         (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
-        (lambda rover, drive: drive.hear_jump("flight"), RefusalCode.WRONG_PHASE, "jumps"),
+        (lambda rover, drive: drive.on_jump("flight"), RefusalCode.WRONG_PHASE, "jumps"),
         (
-            lambda rover, drive: drive.hear_descent("holding"),
+            lambda rover, drive: drive.on_descent("holding"),
             RefusalCode.WRONG_PHASE,
             topics.DESCENT_RELEASE,
         ),

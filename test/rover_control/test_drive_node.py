@@ -12,7 +12,7 @@ from msg_schemas import topics
 from msg_schemas.samples import OdometrySample, PoseSample, TwistSample
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Stage
+    from rover_verify.harness import NodeHarness
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -38,13 +38,13 @@ DRIVE = {
 }
 
 
-def test_a_goal_is_driven_to_and_what_cannot_be_is_refused(stage: Stage):
-    observer = stage.observer()
+def test_a_goal_is_driven_to_and_what_cannot_be_is_refused(harness: NodeHarness):
+    observer = harness.observer()
     for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.ODOMETRY):
         observer.listen(name)
     truth = observer.listen(topics.TRUTH_BODY1)
-    stage.processes.start("rover_sim.null_plant_node", PLANT)
-    node = stage.processes.start("rover_control.drive_node", DRIVE)
+    harness.processes.start("rover_sim.mock_plant_node", PLANT)
+    node = harness.processes.start("rover_control.drive_node", DRIVE)
     observer.wait_until_ready("drive_node")
     assert not subscriptions_of(observer, "drive_node", topics.CMD_VEL) & forbidden_to_controllers()
 

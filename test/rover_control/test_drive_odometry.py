@@ -31,13 +31,13 @@ class Ride:
 
     def __init__(self, reckoning: DriveOdometry, bias: float = 0.0) -> None:
         self.reckoning, self.bias, self.now = reckoning, bias, 0.0
-        reckoning.hear_gyro((0.0, 0.0, bias), G, 0.0, at_rest=False)
+        reckoning.on_gyro((0.0, 0.0, bias), G, 0.0, at_rest=False)
 
     def roll(self, left: float, right: float, yaw: float, time: float, *, rests: bool = False):
         for _ in range(round(time / H)):
             self.now += H
-            self.reckoning.hear_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=rests)
-            self.reckoning.hear_wheels(left * H, right * H, H)
+            self.reckoning.on_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=rests)
+            self.reckoning.on_wheels(left * H, right * H, H)
 
 
 def test_straight_ahead_covers_the_wheels_way_less_the_slip():
@@ -53,7 +53,7 @@ def test_straight_ahead_covers_the_wheels_way_less_the_slip():
 def test_the_slip_follows_the_torque_that_the_way_asks_for():
     reckoning = odometry()
     for _ in range(500):
-        reckoning.hear_wheels(H, H, H, CHASSIS.driving_torque + 0.1)
+        reckoning.on_wheels(H, H, H, CHASSIS.driving_torque + 0.1)
     assert reckoning.slip == pytest.approx(
         CHASSIS.driving_slip + 0.1 * CHASSIS.slip_by_torque, abs=1e-3
     )
@@ -114,11 +114,11 @@ def test_gravity_shows_the_pitch_and_the_gyro_carries_it_on():
     reckoning = odometry()
     force = (-1.62 * math.sin(0.1), 0.0, 1.62 * math.cos(0.1))
     for k in range(200):
-        reckoning.hear_gyro((0.0, 0.0, 0.0), force, H * k, at_rest=True)
+        reckoning.on_gyro((0.0, 0.0, 0.0), force, H * k, at_rest=True)
     assert reckoning.attitude.pitch == pytest.approx(0.1, abs=1e-3)
     # Standing nose down, the body's x is ahead and down: gravity's reaction pulls along -x.
     for k in range(200, 250):
-        reckoning.hear_gyro((0.0, 0.1, 0.0), G, H * k, at_rest=False)
+        reckoning.on_gyro((0.0, 0.1, 0.0), G, H * k, at_rest=False)
     assert reckoning.attitude.pitch > 0.18
 
 
@@ -146,7 +146,7 @@ def test_what_turns_a_rover_that_should_rest_turns_its_heading():
 def test_the_gyro_s_bias_is_the_same_on_the_back():
     reckoning = odometry()
     for k in range(500):
-        reckoning.hear_gyro((0.0, 0.0, 1e-3), (0.0, 0.05, -1.62), H * k, at_rest=True)
+        reckoning.on_gyro((0.0, 0.0, 1e-3), (0.0, 0.05, -1.62), H * k, at_rest=True)
     assert reckoning.attitude.inclination > 3.0
     assert reckoning.bias == pytest.approx(1e-3, abs=2e-5)
 
@@ -159,14 +159,14 @@ def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
     values = {"slip_scatter": 0.05, "slip_distance": 100.0, "tether_error": 0.02}
     reckoning = odometry(start_error=0.01, **values)
     reckoning.place(GroundPose(0.0, 5.0, math.pi / 2.0))
-    reckoning.hear_tether(taut(0.0, 5.0, 3.0), is_taut=True)
+    reckoning.on_tether(taut(0.0, 5.0, 3.0), is_taut=True)
     assert reckoning.drop == pytest.approx(3.0)
     ride = Ride(reckoning)
     y = 5.0
     for _ in range(800):
         ride.roll(1.0, 1.0, 0.0, H)
         y += 0.15 * (1.0 - 0.32) * H
-        reckoning.hear_tether(taut(0.0, y, 3.0), is_taut=True)
+        reckoning.on_tether(taut(0.0, y, 3.0), is_taut=True)
     blind = 5.0 + 0.15 * (1.0 - CHASSIS.driving_slip) * 16.0
     assert abs(reckoning.pose.y - y) < 0.4 * abs(blind - y)
     assert reckoning.slip > CHASSIS.driving_slip + 0.01
@@ -175,11 +175,11 @@ def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
 def test_a_slack_tether_only_bounds_the_distance():
     reckoning = odometry()
     reckoning.place(GroundPose(5.0, 0.0, 0.0))
-    reckoning.hear_tether(taut(5.0, 0.0), is_taut=True)
+    reckoning.on_tether(taut(5.0, 0.0), is_taut=True)
     before = reckoning.pose
-    reckoning.hear_tether(taut(9.0, 0.0), is_taut=False)
+    reckoning.on_tether(taut(9.0, 0.0), is_taut=False)
     assert reckoning.pose == before
-    reckoning.hear_tether(taut(4.0, 0.0), is_taut=False)
+    reckoning.on_tether(taut(4.0, 0.0), is_taut=False)
     assert reckoning.pose.x < before.x
 
 

@@ -10,7 +10,7 @@ from msg_schemas import topics
 from msg_schemas.machine import (
     FLOOR_SWITCH,
     JUMP_CLEARANCE,
-    JUMP_OUTLOOK,
+    JUMP_PREDICTION,
     JUMP_SCREW,
     JUMP_STROKE,
     PAYOUT,
@@ -18,10 +18,10 @@ from msg_schemas.machine import (
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, OdometrySample
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_forecast import Band, Forecast, Question, refused_forecast
+from rover_control.jump_prediction import Band, Prediction, Question, refused_prediction
 
 NANO = 1_000_000_000
-GOOD = Forecast(
+GOOD = Prediction(
     stroke=0.12,
     slack=0.8,
     gives_slack=0.0,
@@ -48,7 +48,7 @@ class Standing:
         if knows_place:
             c, s = math.cos(0.35), math.sin(0.35)
             still = (0.0, 0.0, 0.0)
-            self.jump.hear_odometry(
+            self.jump.on_odometry(
                 OdometrySample(1, (2.0, 1.0, 0.0), (0.0, 0.0, s, c), still, still)
             )
         self.run(0.5)
@@ -58,9 +58,9 @@ class Standing:
             self.now_ns += NANO // 100
             now = self.now_ns
             contact = JointSample(now, {FLOOR_SWITCH: JointValue(1.0)})
-            self.jump.hear_contact(contact, now)
-            self.jump.hear_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
-            self.jump.hear_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
+            self.jump.on_contact(contact, now)
+            self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
+            self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
             self.jump.step(now)
         self.told += [(c.phase.value, c.reason, c.level) for c in self.jump.take_transitions()]
 
@@ -73,8 +73,8 @@ class Standing:
         assert question is not None
         return question
 
-    def answer(self, forecast: Forecast) -> None:
-        self.jump.hear_forecast(self.question(), forecast, self.now_ns)
+    def answer(self, prediction: Prediction) -> None:
+        self.jump.on_prediction(self.question(), prediction, self.now_ns)
         self.run(0.02)
 
     @property
@@ -88,7 +88,7 @@ def rover() -> Standing:
 
 
 def test_the_question_says_how_the_rover_stands(rover: Standing):
-    rover.jump.hear_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
+    rover.jump.on_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
     rover.ask(0.12)
     question = rover.question()
     assert (question.height, question.is_clearance) == (0.12, True)
@@ -97,45 +97,45 @@ def test_the_question_says_how_the_rover_stands(rover: Standing):
     assert heading == pytest.approx(0.7)
     assert up == pytest.approx((0.1, 0.0, 1.6))
     assert rover.jump.take_question() is None
-    assert rover.jump.phase.value == "foretelling"
+    assert rover.jump.phase.value == "predicting"
 
 
 def test_a_good_answer_begins_the_jump_with_its_stroke(rover: Standing):
     rover.ask()
     rover.answer(GOOD)
-    assert rover.phases == ["foretelling", "compressing"]
+    assert rover.phases == ["predicting", "compressing"]
     assert "0.12 m" in rover.told[1][1]
     assert rover.jump.take_slack_request() is None
 
 
 def test_a_bad_answer_leads_back_with_its_reason(rover: Standing):
     rover.ask()
-    rover.answer(refused_forecast("it would topple"))
+    rover.answer(refused_prediction("it would topple"))
     assert rover.told[-1] == ("standby", "better not: it would topple", Level.WARN)
     rover.ask()
 
 
 def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
-    rover.jump.hear_winch_mode("hold")
+    rover.jump.on_winch_mode("hold")
     rover.ask()
     rover.answer(GOOD._replace(gives_slack=0.5))
     assert rover.jump.take_slack_request() == GOOD.slack
     assert rover.jump.take_slack_request() is None
     rover.run(1.0)
-    assert rover.phases == ["foretelling", "giving_slack"]
-    rover.jump.hear_winch_mode("slack")
+    assert rover.phases == ["predicting", "giving_slack"]
+    rover.jump.on_winch_mode("slack")
     rover.run(3.0)
-    rover.jump.hear_winch_mode("hold")
+    rover.jump.on_winch_mode("hold")
     rover.run(0.02)
-    assert rover.phases == ["foretelling", "giving_slack", "compressing"]
+    assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
 
 def test_a_winch_that_gives_no_slack_ends_it(rover: Standing):
-    rover.jump.hear_winch_mode("fault")
+    rover.jump.on_winch_mode("fault")
     rover.ask()
     rover.answer(GOOD._replace(gives_slack=0.5))
     rover.run(61.0)
-    assert rover.phases == ["foretelling", "giving_slack", "standby"]
+    assert rover.phases == ["predicting", "giving_slack", "standby"]
     assert "it is in 'fault'" in rover.told[-1][1]
 
 
@@ -143,29 +143,29 @@ def test_an_answer_that_does_not_come_ends_it_and_is_not_heard_later(rover: Stan
     rover.ask()
     question = rover.question()
     rover.run(61.0)
-    assert rover.told[-1][:2] == ("standby", "not foretold within 60 s")
-    rover.jump.hear_forecast(question, GOOD, rover.now_ns)
+    assert rover.told[-1][:2] == ("standby", "not predicted within 60 s")
+    rover.jump.on_prediction(question, GOOD, rover.now_ns)
     rover.ask()
-    rover.jump.hear_forecast(question, GOOD, rover.now_ns)
-    assert rover.jump.phase.value == "foretelling"
+    rover.jump.on_prediction(question, GOOD, rover.now_ns)
+    assert rover.jump.phase.value == "predicting"
 
 
 def test_an_abort_ends_it_before_anything_is_compressed(rover: Standing):
     rover.ask()
     assert rover.jump.abort(rover.now_ns) == "nothing was compressed yet"
     rover.run(0.02)
-    assert rover.told[-1][:2] == ("standby", "aborted in foretelling")
+    assert rover.told[-1][:2] == ("standby", "aborted in predicting")
 
 
 @pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
 def test_another_request_meanwhile_is_refused(rover: Standing, joint: str):
     rover.ask()
-    with pytest.raises(Refusal, match="in foretelling") as caught:
+    with pytest.raises(Refusal, match="in predicting") as caught:
         rover.ask(0.1, joint)
     assert caught.value.code is RefusalCode.WRONG_PHASE
 
 
-def test_a_rover_that_does_not_know_where_it_is_is_not_foretold():
+def test_a_rover_that_does_not_know_where_it_is_is_not_predicted():
     rover = Standing(knows_place=False)
     with pytest.raises(Refusal, match=topics.ODOMETRY) as caught:
         rover.ask()
@@ -187,24 +187,24 @@ def test_a_jump_that_cannot_begin_after_all_is_told(rover: Standing):
     assert "not begun: stroke is 0.25 m" in rover.told[-1][1]
 
 
-def test_an_outlook_is_foretold_and_nothing_moves(rover: Standing):
-    rover.ask(0.12, JUMP_OUTLOOK)
+def test_an_outlook_is_predicted_and_nothing_moves(rover: Standing):
+    rover.ask(0.12, JUMP_PREDICTION)
     rover.answer(GOOD)
     rover.run(1.0)
-    assert rover.phases == ["foretelling", "standby"]
-    assert rover.told[-1][1:] == ("foretold: it lands upright with 1.00", Level.OK)
+    assert rover.phases == ["predicting", "standby"]
+    assert rover.told[-1][1:] == ("predicted: it lands upright with 1.00", Level.OK)
     assert rover.jump.take_slack_request() is None
 
 
 def test_an_outlook_that_advises_against_the_jump_says_why(rover: Standing):
-    rover.ask(0.12, JUMP_OUTLOOK)
-    rover.answer(refused_forecast("it would topple"))
+    rover.ask(0.12, JUMP_PREDICTION)
+    rover.answer(refused_prediction("it would topple"))
     assert rover.told[-1][1:] == ("better not: it would topple", Level.WARN)
 
 
 def test_how_deep_the_rover_stands_is_taken_from_the_odometry(rover: Standing):
     still = (0.0, 0.0, 0.0)
     place = OdometrySample(1, (2.0, 1.0, -49.5), (0.0, 0.0, 0.0, 1.0), still, still)
-    rover.jump.hear_odometry(place)
+    rover.jump.on_odometry(place)
     rover.ask(0.12)
     assert rover.question().situation.drop == 49.5

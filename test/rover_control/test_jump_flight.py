@@ -68,7 +68,7 @@ def fly(
         if not gap <= k < gap + 10:
             gyro = (float(rate[0]) + 0.002, float(rate[1]), float(rate[2]))
             x, y, z = force.tolist()
-            recorder.hear_imu(ImuSample(k * STEP, gyro, (x, y, z)), k * STEP)
+            recorder.on_imu(ImuSample(k * STEP, gyro, (x, y, z)), k * STEP)
     last = (round(ends * 100) - 1) * STEP
     return recorder.finish(round(landed * NANO), flight, last)
 
@@ -111,7 +111,7 @@ def test_what_was_not_released_or_hardly_heard_is_not_measured():
     assert FlightRecorder().finish(0, 0.0, NANO) is None
     recorder = FlightRecorder()
     recorder.release(NANO)
-    recorder.hear_imu(ImuSample(NANO, (0.0, 0.0, 0.0), (0.0, 0.0, G)), NANO)
+    recorder.on_imu(ImuSample(NANO, (0.0, 0.0, 0.0), (0.0, 0.0, G)), NANO)
     assert recorder.finish(2 * NANO, 1.0, 3 * NANO) is None
 
 

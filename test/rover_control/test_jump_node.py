@@ -27,7 +27,7 @@ from msg_schemas.table import FLOOR_SWITCH, JUMP_LATCH, JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_planar
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Processes, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process, Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
 
@@ -36,17 +36,17 @@ NANO = 1_000_000_000
 NOW_NS = 5 * NANO
 
 
-def start_both(stage: Stage) -> tuple[Process, Observer]:
+def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
     """Start simulator and sequencer; returns the latter once it may be asked for a jump.
 
     Simulated time goes slowly, so that on a busy machine no sensor and no command is lost for that.
     """
-    observer = stage.observer()
+    observer = harness.observer()
     observer.listen(topics.EVENTS)
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.JUMP_MOTOR_COMMAND)
-    process = stage.processes.start(MODULE, {"use_sim_time": True})
-    stage.processes.start(
+    process = harness.processes.start(MODULE, {"use_sim_time": True})
+    harness.processes.start(
         "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
     )
     # The last one of each node's topics that is listened to: where it is heard, so are the others.
@@ -70,8 +70,8 @@ def wait_for_compression(observer: Observer, low: float, high: float = math.inf)
     feed.wait(lambda s: low < s.joints[JUMP_SCREW].position < high, max(0, len(feed) - 1))
 
 
-def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(stage: Stage):
-    _, observer = start_both(stage)
+def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(harness: NodeHarness):
+    _, observer = start_both(harness)
     since = len(observer.listen(topics.JUMP_PHASE))
     request(observer, 0.2, 0.4)
     touchdown = observer.wait_for_event("touchdown")
@@ -85,8 +85,8 @@ def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(stage
     assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.03)
 
 
-def test_commands_are_streamed_while_compressing_and_only_then(stage: Stage):
-    _, observer = start_both(stage)
+def test_commands_are_streamed_while_compressing_and_only_then(harness: NodeHarness):
+    _, observer = start_both(harness)
     commands = observer.listen(topics.JUMP_MOTOR_COMMAND)
     assert not commands.samples
     request(observer, 0.1, 0.1)
@@ -112,8 +112,8 @@ def stamp_of(observer: Observer, event: str) -> int:
     return int(feed.wait(lambda sample: sample.statuses[0].name == event).stamp_ns)
 
 
-def test_an_abort_lets_the_spring_down_and_no_jump_happens(stage: Stage):
-    _, observer = start_both(stage)
+def test_an_abort_lets_the_spring_down_and_no_jump_happens(harness: NodeHarness):
+    _, observer = start_both(harness)
     since = len(observer.listen(topics.JUMP_PHASE))
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
@@ -142,9 +142,9 @@ def test_a_bad_request_is_refused_with_its_reason_and_nothing_moves(
 
 
 @pytest.fixture(scope="module")
-def shared_sim(shared_stage: Stage) -> Observer:
+def shared_sim(shared_harness: NodeHarness) -> Observer:
     """Simulator and sequencer for requests that come to nothing."""
-    return start_both(shared_stage)[1]
+    return start_both(shared_harness)[1]
 
 
 def test_a_request_by_a_wrong_name_is_refused(shared_sim: Observer):
@@ -162,17 +162,17 @@ def test_it_hears_no_truth_of_the_simulator(shared_sim: Observer):
     assert not heard & forbidden_to_controllers()
 
 
-def test_without_sensors_a_request_is_refused(stage: Stage):
-    stage.processes.start(MODULE)
-    observer = stage.observer()
+def test_without_sensors_a_request_is_refused(harness: NodeHarness):
+    harness.processes.start(MODULE)
+    observer = harness.observer()
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "stale")
     assert "never heard" in refusal.message
 
 
-def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(stage: Stage):
-    _, observer = start_both(stage)
+def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(harness: NodeHarness):
+    _, observer = start_both(harness)
     request(observer, 0.1, 0.05)
     wait_for_compression(observer, 0.01)
     request(observer, 0.2)
@@ -181,8 +181,10 @@ def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(stage: Stage):
     observer.wait_for_event("touchdown")
 
 
-def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(stage: Stage):
-    process, observer = start_both(stage)
+def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(
+    harness: NodeHarness,
+):
+    process, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     process.send(signal.SIGKILL)
@@ -191,7 +193,7 @@ def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(s
     assert 0.02 < stopped < 0.1
 
     events, told = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
-    stage.processes.start(MODULE, {"use_sim_time": True})
+    harness.processes.start(MODULE, {"use_sim_time": True})
     observer.wait_until_ready(NODE, told)
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase", told)
@@ -204,8 +206,8 @@ def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(s
     observer.wait_for_event("touchdown", events)
 
 
-def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
-    _, observer = start_both(stage)
+def test_a_reset_of_the_simulator_leads_back_to_standby(harness: NodeHarness):
+    _, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     since = len(observer.listen(topics.JUMP_PHASE))
@@ -216,8 +218,8 @@ def test_a_reset_of_the_simulator_leads_back_to_standby(stage: Stage):
     observer.wait_for_event("touchdown")
 
 
-def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(stage: Stage):
-    _, observer = start_both(stage)
+def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(harness: NodeHarness):
+    _, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert observer.change_state(NODE, "deactivate")
@@ -229,8 +231,8 @@ def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(stage: 
     wait_for_compression(observer, -1.0, 1e-9)
 
 
-def test_parameters_are_limits_with_ranges_and_take_effect(stage: Stage):
-    _, observer = start_both(stage)
+def test_parameters_are_limits_with_ranges_and_take_effect(harness: NodeHarness):
+    _, observer = start_both(harness)
     assert not observer.set_parameter(NODE, "largest_stroke", 0.5).successful
     assert observer.set_parameter(NODE, "largest_stroke", 0.05).successful
     request(observer, 0.1)
@@ -238,9 +240,9 @@ def test_parameters_are_limits_with_ranges_and_take_effect(stage: Stage):
     assert "at most 0.05 m" in refusal.message
 
 
-def test_health_says_what_it_waits_for_until_its_sensors_are_heard(stage: Stage):
-    stage.processes.start(MODULE, {"use_sim_time": True})
-    observer = stage.observer()
+def test_health_says_what_it_waits_for_until_its_sensors_are_heard(harness: NodeHarness):
+    harness.processes.start(MODULE, {"use_sim_time": True})
+    observer = harness.observer()
     observer.wait_for_status(topics.DIAGNOSTICS, partial(says, f"waiting for {topics.CLOCK}"))
     # A clock that stands: what was heard stays fresh.
     diagnostics = observer.listen(topics.DIAGNOSTICS)
@@ -278,8 +280,10 @@ def test_health_names_the_phase(shared_sim: Observer):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(stage: Stage, number: signal.Signals):
-    process, observer = start_both(stage)
+def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(
+    harness: NodeHarness, number: signal.Signals
+):
+    process, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert process.stop(number) == 0

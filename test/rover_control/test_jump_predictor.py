@@ -1,4 +1,4 @@
-"""Jumps foretold by the plant: what is picked, what is refused, and that it comes out so."""
+"""Jumps predicted by the plant: what is picked, what is refused, and that it comes out so."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ import pytest
 
 from msg_schemas.machine import JUMP_CLEARANCE
 from rover_control.jump import JumpSettings
-from rover_control.jump_forecast import Forecast, ForecastParameters, Question, Situation
+from rover_control.jump_prediction import Prediction, PredictionParameters, Question, Situation
 from rover_control.jump_predictor import JumpPredictor
-from rover_control.jump_report import forecast_sample
+from rover_control.jump_report import prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks.jump_rig import JumpingRover, Stand
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
-FEW = ForecastParameters(rollouts=8, floor_depth=6.0)
+FEW = PredictionParameters(rollouts=8, floor_depth=6.0)
 HERE = Situation(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
 
 
-def foretold(
-    height: float = 0.15, parameters: ForecastParameters = FEW, *, clearance: bool = False
-) -> Forecast:
+def predicted(
+    height: float = 0.15, parameters: PredictionParameters = FEW, *, clearance: bool = False
+) -> Prediction:
     question = Question(HERE, height, clearance, 1)
-    return JumpPredictor(parameters).foretell(question, SpringEstimate(SpringParameters()))
+    return JumpPredictor(parameters).predict(question, SpringEstimate(SpringParameters()))
 
 
 @pytest.fixture(scope="module")
-def usual() -> Forecast:
-    return foretold()
+def usual() -> Prediction:
+    return predicted()
 
 
-def test_a_jump_is_foretold_and_its_stroke_picked(usual: Forecast):
+def test_a_jump_is_predicted_and_its_stroke_picked(usual: Prediction):
     assert usual.refused == ""
     assert usual.rollouts == 8
     assert usual.height.middle == pytest.approx(0.15)
@@ -50,22 +50,22 @@ def test_a_jump_is_foretold_and_its_stroke_picked(usual: Forecast):
     assert usual.took > 0.0
 
 
-def test_the_same_question_has_the_same_answer(usual: Forecast):
-    assert foretold()._replace(took=0.0) == usual._replace(took=0.0)
+def test_the_same_question_has_the_same_answer(usual: Prediction):
+    assert predicted()._replace(took=0.0) == usual._replace(took=0.0)
 
 
 @pytest.mark.parametrize("ahead", [-0.16, 0.16])
-def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_foretold(ahead: float):
+def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_predicted(ahead: float):
     # One way its ratchets let it roll: it finds no rest.
     slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
     question = Question(slope, 0.15, False, 1)
-    found = JumpPredictor(FEW).foretell(question, SpringEstimate(SpringParameters()))
-    assert "cannot be foretold" not in found.refused
+    found = JumpPredictor(FEW).predict(question, SpringEstimate(SpringParameters()))
+    assert "cannot be predicted" not in found.refused
     assert found.rollouts == 8
 
 
-def test_a_clearance_is_reached_with_more_than_the_median(usual: Forecast):
-    safe = foretold(clearance=True)
+def test_a_clearance_is_reached_with_more_than_the_median(usual: Prediction):
+    safe = predicted(clearance=True)
     assert safe.stroke > usual.stroke
     deviation = math.log(safe.height.high / safe.height.middle) / 1.645
     # 10 % of a normal distribution lie below 1.2816 standard deviations.
@@ -76,12 +76,12 @@ def test_what_is_known_of_the_spring_makes_the_interval_narrower():
     spring = SpringEstimate(SpringParameters())
     question = Question(HERE, 0.15, False, 1)
     predictor = JumpPredictor(FEW)
-    before = predictor.foretell(question, spring).height
+    before = predictor.predict(question, spring).height
     for stroke in (0.1, 0.13, 0.16, 0.19):
         assert spring.learn(stroke, 1.05 * spring.formula(stroke))
-    after = predictor.foretell(question, spring)
+    after = predictor.predict(question, spring)
     assert after.height.high - after.height.low < 0.9 * (before.high - before.low)
-    assert after.stroke < predictor.foretell(question, SpringEstimate(SpringParameters())).stroke
+    assert after.stroke < predictor.predict(question, SpringEstimate(SpringParameters())).stroke
 
 
 @pytest.mark.parametrize(
@@ -93,42 +93,42 @@ def test_what_is_known_of_the_spring_makes_the_interval_narrower():
             {"toppling": 0.1, "stance_error": 0.2, "largest_jerk": 1e4},
             r"upright with a probability of 0\.\d+ alone",
         ),
-        ({"foretold_scenario": "nowhere"}, "cannot be foretold: .*nowhere"),
+        ({"predicted_scenario": "nowhere"}, "cannot be predicted: .*nowhere"),
         ({"longest_stroke": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
     ],
 )
 def test_a_jump_that_is_too_risky_is_refused(changes: dict[str, float], reason: str):
-    forecast = foretold(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
-    assert not np.isnan(forecast.stroke)
+    prediction = predicted(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
+    assert not np.isnan(prediction.stroke)
     with pytest.raises(AssertionError, match=reason):
-        raise AssertionError(forecast.refused)
+        raise AssertionError(prediction.refused)
 
 
 def test_too_little_slack_is_to_be_given_by_the_winch():
     taut = HERE._replace(length=math.hypot(2.0, 0.3, 6.0 - 0.43) + 0.1)
-    forecast = JumpPredictor(FEW).foretell(
+    prediction = JumpPredictor(FEW).predict(
         Question(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
     )
-    assert forecast.slack > FEW.slack_margin
-    assert forecast.gives_slack == pytest.approx(forecast.slack - 0.1)
+    assert prediction.slack > FEW.slack_margin
+    assert prediction.gives_slack == pytest.approx(prediction.slack - 0.1)
 
 
-def test_a_forecast_is_a_sample_of_the_contract(usual: Forecast):
-    sample = forecast_sample(usual, 7)
+def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
+    sample = prediction_sample(usual, 7)
     assert sample.stamp_ns == 7
     assert tuple(sample.joints["jump_height"]) == tuple(usual.height)
-    assert sample.joints["forecast_time"].effort == 8.0
+    assert sample.joints["prediction_time"].effort == 8.0
 
 
-def test_a_jump_by_clearance_flies_as_foretold():
-    settings = JumpSettings(forecast=replace(FEW, rollouts=16))
+def test_a_jump_by_clearance_flies_as_predicted():
+    settings = JumpSettings(prediction=replace(FEW, rollouts=16))
     rover = JumpingRover(Stand(slope=0.04, downhill=1.0, heading=0.7), settings, seed=2)
     assert rover.leap(0.15, JUMP_CLEARANCE)
-    (forecast,) = rover.forecasts
+    (prediction,) = rover.predictions
     assert rover.heights[0] >= 0.15
-    assert forecast.height.low <= rover.heights[0] <= forecast.height.high
+    assert prediction.height.low <= rover.heights[0] <= prediction.height.high
     (record,) = rover.records
-    assert record.forecast is forecast
+    assert record.prediction is prediction
     assert record.wanted == 0.15
     phases = [change.phase.value for _, change in rover.changes]
-    assert phases[:2] == ["foretelling", "compressing"]
+    assert phases[:2] == ["predicting", "compressing"]

@@ -57,11 +57,11 @@ def test_ground_too_steep_for_wheels_is_jumped_if_anything():
 
 
 @pytest.mark.parametrize("outlook", [None, Outlook(0.0, "it would topple")])
-def test_what_was_not_foretold_or_advised_against_is_not_jumped(outlook: Outlook | None):
+def test_what_was_not_predicted_or_advised_against_is_not_jumped(outlook: Outlook | None):
     choice = choose(RISK, FREE._replace(stuck=9, slope=1.0, outlook=outlook))
     assert choice.way is Way.WHEELS
     assert choice.jump_risk == RISK.topple_weight
-    assert ("it would topple" if outlook else "no jump was foretold") in choice.reason
+    assert ("it would topple" if outlook else "no jump was predicted") in choice.reason
 
 
 @pytest.mark.parametrize(

@@ -149,7 +149,7 @@ def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
     assert choice.values["way"] == "jump"
 
 
-def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_forecast():
+def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_prediction():
     machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
     machine.stuck = 1
     assert finished(machine)
@@ -348,7 +348,7 @@ def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
     machine.run(1.0, until=MissionPhase.STANDBY)
     machine.turned = 0.3
     machine.run(until=MissionPhase.DRIVING)
-    place = machine.mission.sight.place
+    place = machine.mission.observed.place
     assert place is not None
     assert place.heading == pytest.approx(0.3)
 

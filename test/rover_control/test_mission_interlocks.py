@@ -19,7 +19,7 @@ from rover_control.mission_interlocks import (
     remedy,
 )
 from rover_control.mission_legs import Ask, MissionPhase
-from rover_control.mission_sight import MissionSight
+from rover_control.observed_state import ObservedState
 
 NOW = 10.0
 NOW_NS = round(NOW * 1e9)
@@ -53,11 +53,11 @@ def rows() -> list[tuple[Condition, Act, bool]]:
     return found
 
 
-def sight(
+def observed(
     winch: str = "hold", descent: str = "released", drive: str = "released", jump: str = "standby",
     nut: float = -0.03, pull: float = 0.5, stands: bool = True, heard: bool = True,
-) -> MissionSight:  # fmt: skip
-    made = MissionSight(2.0)
+) -> ObservedState:  # fmt: skip
+    made = ObservedState(2.0)
     for name, word in (
         (topics.WINCH_MODE, winch),
         (topics.DESCENT_PHASE, descent),
@@ -103,40 +103,40 @@ def test_the_table_says_what_is_written_here(condition: Condition, act: Act, is_
 
 @pytest.mark.parametrize("condition", Condition)
 def test_each_condition_is_seen_where_it_is_so_and_not_elsewhere(condition: Condition):
-    assert holds(condition, sight(**SEEN[condition]), NOW)  # type: ignore[arg-type]
+    assert holds(condition, observed(**SEEN[condition]), NOW)  # type: ignore[arg-type]
     other = {"stands": condition is not Condition.STANDING}
-    assert not holds(condition, sight(**other), NOW)  # type: ignore[arg-type]
+    assert not holds(condition, observed(**other), NOW)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("condition", "act", "is_forbidden"), rows())
 def test_what_is_forbidden_is_found(condition: Condition, act: Act, is_forbidden: bool):
     stands = act not in (Act.DESCEND, Act.LOWER)
-    seen = sight(**({"stands": stands} | SEEN[condition]))  # type: ignore[arg-type]
+    seen = observed(**({"stands": stands} | SEEN[condition]))  # type: ignore[arg-type]
     assert not is_forbidden or forbidden(act, seen, NOW) is not None
 
 
 @pytest.mark.parametrize("act", MOVING)
 def test_each_act_may_be_where_nothing_is_in_its_way(act: Act):
-    assert forbidden(act, sight(stands=act is not Act.DESCEND), NOW) is None
+    assert forbidden(act, observed(stands=act is not Act.DESCEND), NOW) is None
 
 
 def test_a_nut_below_the_latch_counts_as_holding_the_spring():
-    assert holds(Condition.COMPRESSED, sight(nut=0.1), NOW)
-    assert not holds(Condition.COMPRESSED, sight(nut=0.0), NOW)
+    assert holds(Condition.COMPRESSED, observed(nut=0.1), NOW)
+    assert not holds(Condition.COMPRESSED, observed(nut=0.0), NOW)
 
 
 def test_a_tension_that_is_not_known_forbids_a_jump():
-    assert holds(Condition.TAUT, sight(pull=float("nan")), NOW)
+    assert holds(Condition.TAUT, observed(pull=float("nan")), NOW)
 
 
 def test_what_an_operator_has_stopped_nothing_but_people_clear():
-    assert remedy(Condition.STOPPED, sight(winch="stop")) == ""
-    assert remedy(Condition.UNARMED, sight()) == topics.WINCH_REARM
-    assert remedy(Condition.COMPRESSED, sight(nut=0.1)) == topics.JUMP_ABORT
-    assert remedy(Condition.COMPRESSED, sight(jump="letting_down")) == ""
-    assert remedy(Condition.DRIVING, sight()) == topics.DRIVE_STOP
-    assert remedy(Condition.DESCENT, sight(descent="standby")) == topics.DESCENT_RELEASE
-    assert remedy(Condition.DESCENT, sight(descent="damping")) == topics.DESCENT_ABORT
+    assert remedy(Condition.STOPPED, observed(winch="stop")) == ""
+    assert remedy(Condition.UNARMED, observed()) == topics.WINCH_REARM
+    assert remedy(Condition.COMPRESSED, observed(nut=0.1)) == topics.JUMP_ABORT
+    assert remedy(Condition.COMPRESSED, observed(jump="letting_down")) == ""
+    assert remedy(Condition.DRIVING, observed()) == topics.DRIVE_STOP
+    assert remedy(Condition.DESCENT, observed(descent="standby")) == topics.DESCENT_RELEASE
+    assert remedy(Condition.DESCENT, observed(descent="damping")) == topics.DESCENT_ABORT
 
 
 ACT_OF = {
@@ -161,7 +161,7 @@ def test_a_mission_never_asks_for_what_is_forbidden_whatever_it_is_told(seed: in
         asked.append(ask)
         acts = ACT_OF.get(ask.name, ())
         if acts:
-            seen, now = machine.mission.sight, machine.now
+            seen, now = machine.mission.observed, machine.now
             assert any(forbidden(act, seen, now) is None for act in acts), (ask, seed)
         take(ask)
 

@@ -123,15 +123,15 @@ def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
 
 def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not():
     machine = begun(MissionPhase.RETURNING)
-    sight = machine.mission.sight
+    observed = machine.mission.observed
     x, y, heading = machine.place
     machine.place = (x - 0.5, y, heading + 2.0)
     machine.say()
-    assert sight.place is not None
-    assert sight.place.heading == pytest.approx(heading + 2.0)
+    assert observed.place is not None
+    assert observed.place.heading == pytest.approx(heading + 2.0)
     machine.place = (0.0, 0.0, 0.0)
     machine.say()
-    assert sight.place.heading == pytest.approx(heading + 2.0)
+    assert observed.place.heading == pytest.approx(heading + 2.0)
 
 
 def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_and_may_be_held_by_rubble():

@@ -1,4 +1,4 @@
-"""Turning by coning: what is foretold against its own model's motion, and what is refused."""
+"""Turning by coning: what is predicted against its own model's motion, and what is refused."""
 
 from __future__ import annotations
 
@@ -68,23 +68,23 @@ def test_from_no_twist_the_turn_is_that_of_the_closed_form():
     pointing = make()
     torsion = math.sqrt(HANGING.torsion(15.0) / HANGING.inertia_about_z)
     rate = pointing.largest_rate
-    foretold = pointing.foretell(RIGHT, 0.0, 15.0)
-    assert foretold.turning == pytest.approx(math.asin(RIGHT * torsion / rate) / torsion, abs=2.0)
-    assert foretold.limit == "twist"
+    predicted = pointing.predict(RIGHT, 0.0, 15.0)
+    assert predicted.turning == pytest.approx(math.asin(RIGHT * torsion / rate) / torsion, abs=2.0)
+    assert predicted.limit == "twist"
     # On a rope of any length that does not twist it takes its time, and is held for ever.
     loose = Pointing(POINTING, HangingParameters(twist_stiffness=0.0))
-    free = loose.foretell(RIGHT, 0.0, 15.0)
+    free = loose.predict(RIGHT, 0.0, 15.0)
     assert free.turning == pytest.approx(RIGHT / rate, abs=2.0)
     assert free.holding == math.inf
 
 
 def test_a_twist_that_helps_makes_it_easier_and_a_bias_limits_the_holding():
     pointing = make()
-    plain = pointing.foretell(RIGHT, 0.0, 20.0)
-    helped = pointing.foretell(RIGHT, -0.5 * RIGHT, 20.0)
+    plain = pointing.predict(RIGHT, 0.0, 20.0)
+    helped = pointing.predict(RIGHT, -0.5 * RIGHT, 20.0)
     assert helped.turning < plain.turning
     assert helped.holding > plain.holding
-    biased = pointing.foretell(RIGHT, 0.0, 20.0, yaw_error=2e-4)
+    biased = pointing.predict(RIGHT, 0.0, 20.0, yaw_error=2e-4)
     assert biased.limit == "gyro bias"
     # It begins to be lost with the turn.
     assert biased.turning + biased.holding == pytest.approx(POINTING.tolerance / 4e-4)
@@ -96,9 +96,9 @@ def test_a_right_angle_is_promised_at_15_m_and_deeper_and_refused_at_5_m_with_th
 ):
     for length in (15.0, 30.0, 45.0):
         pointing = make()
-        foretold = pointing.request(turn, 0.3, length, yaw_error=1e-4, twist=0.0)
-        assert foretold.turning < POINTING.longest_turn
-        assert foretold.holding > POINTING.least_hold
+        predicted = pointing.request(turn, 0.3, length, yaw_error=1e-4, twist=0.0)
+        assert predicted.turning < POINTING.longest_turn
+        assert predicted.holding > POINTING.least_hold
         assert pointing.is_active
     pointing = make()
     with pytest.raises(Refusal, match=r"90 deg are not reached .* 5 m of tether: its twist"):
@@ -112,28 +112,28 @@ def test_a_right_angle_is_promised_at_15_m_and_deeper_and_refused_at_5_m_with_th
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("heavier", [0.8, 1.0, 1.2])
-def test_on_its_own_model_it_turns_and_holds_as_foretold(sign: float, heavier: float):
+def test_on_its_own_model_it_turns_and_holds_as_predicted(sign: float, heavier: float):
     pointing = make()
     length = 15.0
     rover = Coned(length, heavier)
     asked = pointing.request(sign * RIGHT, 0.0, length, yaw_error=0.0, twist=0.0, mass=heavier)
     time = reached = 0.0
-    foretold, lost = None, ""
+    predicted, lost = None, ""
     while not lost:
         rover.step(pointing)
         time += H
         told, lost = pointing.take_reached(), pointing.take_lost()
         if told is not None:
-            reached, foretold = time, told
-        elif foretold is not None and not lost:
+            reached, predicted = time, told
+        elif predicted is not None and not lost:
             assert abs(rover.heading - sign * RIGHT) < 1.01 * POINTING.tolerance
         assert time < 1000.0
-    assert foretold is not None
-    assert foretold.limit == "twist"
+    assert predicted is not None
+    assert predicted.limit == "twist"
     assert "twist has turned it away" in lost
     assert not pointing.is_active
     assert reached < POINTING.longest_turn
-    assert time - reached == pytest.approx(foretold.holding, rel=0.1)
+    assert time - reached == pytest.approx(predicted.holding, rel=0.1)
     # When it was asked for, from what the rover weighs; it softly begins and ends.
     assert time - reached == pytest.approx(asked.holding, rel=0.2)
     assert reached == pytest.approx(asked.turning + POINTING.coning_ramp, rel=0.15)
@@ -141,8 +141,8 @@ def test_on_its_own_model_it_turns_and_holds_as_foretold(sign: float, heavier: f
 
 def test_a_heading_that_is_not_known_any_more_is_let_go():
     pointing, rover = make(), Coned(15.0)
-    forecast = pointing.request(RIGHT, 0.0, 15.0, yaw_error=2e-4, twist=0.0)
-    assert forecast.limit == "gyro bias"
+    prediction = pointing.request(RIGHT, 0.0, 15.0, yaw_error=2e-4, twist=0.0)
+    assert prediction.limit == "gyro bias"
     time, lost = 0.0, ""
     while not lost:
         rover.step(pointing)

@@ -42,7 +42,7 @@ def test_the_torque_that_is_asked_for_turns_the_rover(sign: float, minor: float)
     assert rover.momentum + spun == pytest.approx(before, abs=0.03 * abs(spun))
 
 
-def test_more_than_both_rotors_can_is_cut_to_what_is_foretold():
+def test_more_than_both_rotors_can_is_cut_to_what_is_predicted():
     rover = swinging(4.0, 2.0, 1.5)
     pump = RotorPump(DAMPING, HANGING)
     largest = pump.largest_torque(rover.estimate(), 4.0)
@@ -79,7 +79,7 @@ def test_what_the_flywheel_sweeps_is_the_sum_of_its_momentum():
     assert max(misses) - min(misses) < 0.05 * (max(sweeps) - min(sweeps))
 
 
-def test_the_wheels_take_a_plane_swing_away_as_foretold():
+def test_the_wheels_take_a_plane_swing_away_as_predicted():
     rover = swinging(3.0, 3.0)
     pumped(rover, 40.0, 0.0, damps=True, parameters=WHEELS_ONLY)
     fallen = RotorPump(DAMPING, HANGING).decay(3.0) * 40.0

@@ -31,7 +31,7 @@ def test_a_share_of_the_length_bounds_a_quick_winch():
 
 
 @pytest.mark.parametrize("length", [2.5, 7.5, 45.0])
-def test_a_plane_swing_decays_as_foretold(length: float):
+def test_a_plane_swing_decays_as_predicted(length: float):
     trim = WinchTrim(DAMPING)
     rover = swinging(length, 3.0)
     decay = trim.decay(length, HANGING.swing_frequency(length))

@@ -30,7 +30,7 @@ def watched(
     for k in range(round(100 * seconds)):
         rate = pump * math.cos(frequency * 0.01 * k)
         gyro, force = model.step((0.5 * rate, rate))
-        estimator.hear_drum(model.length, model.payout_rate)
+        estimator.on_drum(model.length, model.payout_rate)
         change = (-0.01 * rate, 0.005 * rate) if told else (0.0, 0.0)
         estimator.step(gyro, force, change, 0.01)
     return estimator
@@ -129,7 +129,7 @@ def test_a_swing_that_rotors_push_all_the_time_is_told_without_a_lag(sign: float
         rates = (push * math.cos(phase), push * math.sin(phase))
         model.step(rates)
         gyro, force = model.step(rates)
-        estimator.hear_drum(2.0, 0.0)
+        estimator.on_drum(2.0, 0.0)
         estimator.step(gyro, force, (-0.02 * rates[1], 0.02 * rates[0]), 0.02)
         if k > 1000:
             told = complex(*estimator.estimate.direction)
@@ -208,7 +208,7 @@ def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_lo
             model.v += push
             model.phi_rate += push
         gyro, force = model.step((0.0, 0.0))
-        estimator.hear_drum(45.0, 0.0)
+        estimator.on_drum(45.0, 0.0)
         estimator.step(gyro, force, (0.0, 0.0), 0.01)
         if k > 3000:
             (before if k < 6000 else after).append(misses(estimator.estimate, model)[0])
@@ -244,7 +244,7 @@ def test_a_slack_tether_shows_no_tilt():
 def test_what_no_hanging_rover_does_does_not_make_the_estimate_run_away(pull: float, h: float):
     rng = np.random.default_rng(1)
     estimator = SwingEstimator(EstimatorParameters(), HANGING)
-    estimator.hear_drum(51.0, 0.0)
+    estimator.on_drum(51.0, 0.0)
     for k in range(1500):
         jolt = 0.3 if k % 500 in range(200, 205) else 0.0
         x, y, z = rng.normal(jolt, GYRO_NOISE, 3)

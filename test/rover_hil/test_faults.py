@@ -21,7 +21,7 @@ from msg_schemas.samples import JointSample, JointValue, StatusSample
 from rover_hil.devices import COMMANDS_LOST, HEARTBEAT_LOST
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -49,12 +49,12 @@ PAY_OUT = winch(RATE)
 class Rig:
     """Emulator and bridge in step with each other and with a commander, who never gives up."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._processes = stage.processes
-        self._link = stage.link
+    def __init__(self, harness: NodeHarness) -> None:
+        self._processes = harness.processes
+        self._link = harness.link
         self.emulator = self.start_emulator()
         self.bridge = self.start_bridge()
-        self.observer: Observer = stage.observer()
+        self.observer: Observer = harness.observer()
         self.clock = self.observer.listen(topics.CLOCK)
         self.states = self.observer.listen(topics.WINCH_STATE)
         self.events = self.observer.listen(topics.EVENTS)
@@ -182,8 +182,8 @@ def length(state: JointSample) -> float:
 
 
 @pytest.fixture(scope="module")
-def rig(shared_stage: Stage, compiled_in_space: None) -> Iterator[Rig]:
-    made = Rig(shared_stage)
+def rig(shared_harness: NodeHarness, compiled_in_space: None) -> Iterator[Rig]:
+    made = Rig(shared_harness)
     yield made
     made.close()
 

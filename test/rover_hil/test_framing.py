@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rover_hil.framing import Decoder, Frame, encode
 from rover_hil.serial_bus import CobsSerialBus
 from rover_hil.transport import TransportError, open_bus
-from rover_verify.stage.ros_domain import multicast_link, reserved_domain
+from rover_verify.harness.ros_domain import multicast_link, reserved_domain
 
 DATA = st.binary(max_size=8)
 PLAIN = st.builds(Frame, st.integers(0, 0x7FF), DATA, st.just(False), st.booleans(), st.booleans())

@@ -17,7 +17,7 @@ from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -55,17 +55,17 @@ def serial_line() -> Iterator[tuple[str, str]]:
             os.close(descriptor)
 
 
-def start(stage: Stage, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
+def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
     """Start emulator and bridge; returns the bridge, and an observer when both are ready.
 
     In lockstep, also with the winch's commander, a busy machine is slow and not wrong.
     """
     lockstep: dict[str, object] = {"lockstep": True, "lockstep_patience": 10.0}
-    stage.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
+    harness.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
     commander = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
     parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | commander
-    bridge = stage.processes.start(BRIDGE, parameters)
-    observer = stage.observer()
+    bridge = harness.processes.start(BRIDGE, parameters)
+    observer = harness.observer()
     for name in (topics.CLOCK, topics.DIAGNOSTICS, topics.WINCH_STATE, topics.WINCH_MODE,
                  topics.LINK_STATUS):  # fmt: skip
         observer.listen(name)
@@ -78,10 +78,12 @@ def drum(sample: JointSample) -> JointValue:
     return sample.joints[WINCH_DRUM]
 
 
-def test_the_winch_moves_the_tether_through_a_serial_link(stage: Stage, compiled_in_space: None):
+def test_the_winch_moves_the_tether_through_a_serial_link(
+    harness: NodeHarness, compiled_in_space: None
+):
     with serial_line() as (one, other):
-        bridge, observer = start(stage, one, other)
-        stage.processes.start(WINCH, {"use_sim_time": True})
+        bridge, observer = start(harness, one, other)
+        harness.processes.start(WINCH, {"use_sim_time": True})
         observer.wait_until_ready("winch_node")
         assert observer.call(topics.DRIVES_ARM, True).success
         assert observer.call(topics.WINCH_REARM).success

@@ -21,7 +21,7 @@ from msg_schemas.table import (
     WINCH_LIMIT,
 )
 from rover_sim.actuators import COMMANDS, Actuators, DriveStates, Equipment
-from rover_sim.happenings import Happening
+from rover_sim.event_reports import EventReport
 from rover_sim.plant import (
     Command,
     FlywheelCommand,
@@ -35,7 +35,7 @@ from rover_sim.sim_loop import NANO, Simulation
 
 TICK = 0.01
 PAYING_OUT = 0.3
-BRAKED_AFTER = TOPICS[topics.WINCH_COMMAND].stale.moving_silence
+BRAKED_AFTER = TOPICS[topics.WINCH_COMMAND].stale.timeout_moving
 HANGING = DriveStates(Phase.HANGING, -0.03)
 
 
@@ -88,10 +88,10 @@ def simulation() -> Simulation[FakeState]:
     return Simulation(fake_interface(EVERYTHING), TICK)
 
 
-def run_to(simulation: Simulation[FakeState], time: float) -> list[Happening]:
-    happened: list[Happening] = []
+def run_to(simulation: Simulation[FakeState], time: float) -> list[EventReport]:
+    happened: list[EventReport] = []
     while simulation.stamp_ns < round(time * NANO):
-        happened += simulation.tick().happenings
+        happened += simulation.tick().event_reports
     return happened
 
 
@@ -220,9 +220,9 @@ def test_other_motors_are_off_after_the_contract_s_silence(
     simulation.take(topic, GOOD[topic])
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == [event]
-    assert happened[0].stamp_ns == round(TOPICS[topic].stale.silence * NANO)
+    assert happened[0].stamp_ns == round(TOPICS[topic].stale.timeout * NANO)
     at_work = [c for c in orders(simulation) if c.jump or c.wheel]
-    assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.silence)
+    assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.timeout)
 
 
 def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(

@@ -12,7 +12,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_sim.actuators import Equipment
-from rover_sim.happenings import Happening
+from rover_sim.event_reports import EventReport
 from rover_sim.plant import Phase
 from rover_sim.sim_loop import NANO, Pacer, Schedule, Simulation
 
@@ -38,11 +38,11 @@ def simulation() -> Simulation[Any]:
     return Simulation(fake_interface(), TICK)
 
 
-def run_to(simulation: Simulation[Any], time: float) -> list[Happening]:
+def run_to(simulation: Simulation[Any], time: float) -> list[EventReport]:
     """All that happens up to a time."""
-    happened: list[Happening] = []
+    happened: list[EventReport] = []
     while simulation.stamp_ns < round(time * NANO):
-        happened += simulation.tick().happenings
+        happened += simulation.tick().event_reports
     return happened
 
 

@@ -29,7 +29,7 @@ from rover_sim import build_plant, jump, load_planar, load_scenario
 from rover_sim.sim_node import RateParameters, SimParameters, load
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Processes, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process, Processes
 
     Sim = tuple[Process, Observer]
 
@@ -41,9 +41,9 @@ NANO = 1_000_000_000
 DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}'
 
 
-def start(stage: Stage, **parameters: object) -> Sim:
-    process = stage.processes.start(MODULE, {"scenario": "paper_table1_high", **parameters})
-    observer = stage.observer()
+def start(harness: NodeHarness, **parameters: object) -> Sim:
+    process = harness.processes.start(MODULE, {"scenario": "paper_table1_high", **parameters})
+    observer = harness.observer()
     observer.listen(topics.EVENTS)
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.CLOCK)
@@ -67,8 +67,8 @@ def pause(observer: Observer) -> int:
 # ------------------------------------------------------------------------------------ it is heard
 
 
-def test_every_topic_is_heard_at_its_rate_in_simulated_time(stage: Stage):
-    _, observer = start(stage)
+def test_every_topic_is_heard_at_its_rate_in_simulated_time(harness: NodeHarness):
+    _, observer = start(harness)
     rows = [
         row
         for row in TOPICS.values()
@@ -85,8 +85,8 @@ def test_every_topic_is_heard_at_its_rate_in_simulated_time(stage: Stage):
         assert gaps == {round(NANO / row.rate)}, row.name
 
 
-def test_standing_it_shows_a_rover_at_rest(stage: Stage):
-    _, observer = start(stage)
+def test_standing_it_shows_a_rover_at_rest(harness: NodeHarness):
+    _, observer = start(harness)
     assert observer.wait_for_text(topics.TRUTH_PHASE, "held")
     assert observer.listen(topics.CONTACT).wait().joints[FLOOR_SWITCH].position == 1.0
     force = observer.listen(topics.IMU).wait().linear_acceleration
@@ -96,9 +96,9 @@ def test_standing_it_shows_a_rover_at_rest(stage: Stage):
     assert body.linear == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
-def test_its_configuration_is_latched_with_all_values_and_the_seed(stage: Stage):
+def test_its_configuration_is_latched_with_all_values_and_the_seed(harness: NodeHarness):
     _, observer = start(
-        stage, overrides='{"start.slack": 1.5, "tether.elements": 7}', seed=42, tick=0.02,
+        harness, overrides='{"start.slack": 1.5, "tether.elements": 7}', seed=42, tick=0.02,
         clock_rate=50.0, sensor_rate=50.0, truth_rate=50.0,
     )  # fmt: skip
     content = json.loads(observer.listen(topics.CONFIG).wait().text)
@@ -115,9 +115,9 @@ def test_its_configuration_is_latched_with_all_values_and_the_seed(stage: Stage)
 
 @pytest.mark.parametrize("changes", [{}, {"start.geometry": "+K", "start.slack": 2.0}])
 def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
-    stage: Stage, changes: dict[str, object]
+    harness: NodeHarness, changes: dict[str, object]
 ):
-    _, observer = start(stage, overrides=json.dumps(changes), real_time_factor=2.0)
+    _, observer = start(harness, overrides=json.dumps(changes), real_time_factor=2.0)
     bodies = observer.listen(topics.TRUTH_BODY1)
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     for feed in (bodies, nut):
@@ -142,10 +142,10 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
 
 
 @pytest.fixture(scope="module")
-def sim(shared_stage: Stage) -> Sim:
+def sim(shared_harness: NodeHarness) -> Sim:
     """A running simulation, for tests after which the nut is at zero again."""
     # Slow, so that on a busy machine a command is not stale for that alone.
-    running = start(shared_stage, real_time_factor=0.5)
+    running = start(shared_harness, real_time_factor=0.5)
     running[1].listen(topics.JUMP_MOTOR_STATE).wait()
     return running
 
@@ -242,8 +242,8 @@ def test_after_all_refusals_a_good_command_is_obeyed(sim: Sim):
     drive_nut(observer, 0.0, 0.1, lambda: compression() == 0.0)
 
 
-def test_commands_in_flight_are_refused(stage: Stage):
-    _, observer = start(stage, real_time_factor=0.1)
+def test_commands_in_flight_are_refused(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=0.1)
     drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
     took_off = next(
         e.stamp_ns
@@ -256,8 +256,8 @@ def test_commands_in_flight_are_refused(stage: Stage):
     assert "flight" in refusal.message
 
 
-def test_a_scenario_without_a_rover_refuses_to_jump(stage: Stage):
-    _, observer = start(stage, scenario="tether_pendulum", real_time_factor=0.1)
+def test_a_scenario_without_a_rover_refuses_to_jump(harness: NodeHarness):
+    _, observer = start(harness, scenario="tether_pendulum", real_time_factor=0.1)
     observer.wait_for_text(topics.TRUTH_PHASE, "free")
     observer.wait_for_time(1)
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
@@ -266,8 +266,8 @@ def test_a_scenario_without_a_rover_refuses_to_jump(stage: Stage):
     assert observer.node.count_publishers(f"/{topics.IMU}") == 0
 
 
-def test_when_commands_cease_the_nut_stops_where_it_is(stage: Stage):
-    _, observer = start(stage, real_time_factor=0.5)
+def test_when_commands_cease_the_nut_stops_where_it_is(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=0.5)
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     observer.wait_for_time(1)
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.3, 0.1, 400.0)
@@ -286,8 +286,8 @@ def test_when_commands_cease_the_nut_stops_where_it_is(stage: Stage):
 # -------------------------------------------------------------------------- pause, step and reset
 
 
-def test_pause_stops_time_and_step_advances_it_by_one_tick(stage: Stage):
-    _, observer = start(stage)
+def test_pause_stops_time_and_step_advances_it_by_one_tick(harness: NodeHarness):
+    _, observer = start(harness)
     clock, body = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
     body.wait()
     assert not observer.call(topics.SIM_STEP).success
@@ -303,8 +303,8 @@ def test_pause_stops_time_and_step_advances_it_by_one_tick(stage: Stage):
     observer.wait_for_time(stamp + NANO // 2)
 
 
-def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(stage: Stage):
-    _, observer = start(stage, start_paused=True)
+def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(harness: NodeHarness):
+    _, observer = start(harness, start_paused=True)
     status(observer, "paused", "true")
     observer.wait_until(
         lambda: observer.call(topics.SIM_STEP).success and observer.time_ns() > 0,
@@ -318,8 +318,8 @@ def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(stag
     )
 
 
-def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(stage: Stage):
-    _, observer = start(stage, real_time_factor=2.0)
+def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=2.0)
     heights = []
     for _ in range(2):
         since = len(observer.listen(topics.EVENTS))
@@ -334,8 +334,8 @@ def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(stage: Stage):
     assert heights[1] == pytest.approx(heights[0], abs=1e-6)
 
 
-def test_reset_plant_puts_the_plant_back_and_time_runs_on(stage: Stage):
-    _, observer = start(stage, real_time_factor=2.0)
+def test_reset_plant_puts_the_plant_back_and_time_runs_on(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=2.0)
     clock, bodies = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
     start_position = bodies.wait().position
     drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
@@ -352,8 +352,10 @@ def test_reset_plant_puts_the_plant_back_and_time_runs_on(stage: Stage):
 # ------------------------------------------------------------------------------------- divergence
 
 
-def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(stage: Stage):
-    process, observer = start(stage, overrides=DIVERGING, start_paused=True, real_time_factor=0.25)
+def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(harness: NodeHarness):
+    process, observer = start(
+        harness, overrides=DIVERGING, start_paused=True, real_time_factor=0.25
+    )
     bodies = observer.listen(topics.TRUTH_BODY1)
     observer.call(topics.SIM_PAUSE, False)
     observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
@@ -387,8 +389,8 @@ def test_a_run_of_given_duration_that_diverges_ends_with_code_3(processes: Proce
 # ------------------------------------------------------------------------------------------- pace
 
 
-def test_a_run_of_given_duration_ends_by_itself(stage: Stage):
-    process, observer = start(stage, duration=3.0, real_time_factor=0.0, start_paused=True)
+def test_a_run_of_given_duration_ends_by_itself(harness: NodeHarness):
+    process, observer = start(harness, duration=3.0, real_time_factor=0.0, start_paused=True)
     observer.call(topics.SIM_PAUSE, False)
     assert process.wait() == 0
     assert "simulated 3 s" in observer.wait_for_event("finished").message
@@ -396,8 +398,8 @@ def test_a_run_of_given_duration_ends_by_itself(stage: Stage):
     assert process.group_is_gone()
 
 
-def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(stage: Stage):
-    _, observer = start(stage)
+def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(harness: NodeHarness):
+    _, observer = start(harness)
     feed = observer.listen(topics.SIM_STATUS)
 
     def measured(condition: Callable[[float], bool]) -> Callable[[Any], bool]:
@@ -412,19 +414,21 @@ def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(stage: 
     feed.wait(measured(lambda factor: 0.4 < factor < 0.53), len(feed))
 
 
-def test_too_slow_for_its_factor_it_says_so(stage: Stage):
-    _, observer = start(stage, real_time_factor=1000.0)
+def test_too_slow_for_its_factor_it_says_so(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=1000.0)
     told = observer.wait_for_status(topics.SIM_STATUS, lambda s: s.level is Level.WARN)
     assert "too slow for a real-time factor of 1000" in told.message
     assert float(told.values["wall_time_given_up"]) > 0.0
 
 
-def test_two_simulations_in_namespaces_do_not_disturb_each_other(stage: Stage):
+def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHarness):
     remap = {topics.CLOCK: topics.CLOCK.strip("/")}
     observers = {}
     for name in ("one", "two"):
-        stage.processes.start(MODULE, {"scenario": "paper_table1_low"}, namespace=name, remap=remap)
-        observers[name] = stage.observer(name, remap)
+        harness.processes.start(
+            MODULE, {"scenario": "paper_table1_low"}, namespace=name, remap=remap
+        )
+        observers[name] = harness.observer(name, remap)
     one, two = observers["one"], observers["two"]
     two_nut, two_phase = two.listen(topics.JUMP_MOTOR_STATE), two.listen(topics.TRUTH_PHASE)
     two_nut.wait()
@@ -443,8 +447,8 @@ def test_two_simulations_in_namespaces_do_not_disturb_each_other(stage: Stage):
 # --------------------------------------------------------------------------------------- lifecycle
 
 
-def test_deactivated_time_stands_and_activated_it_goes_on(stage: Stage):
-    _, observer = start(stage)
+def test_deactivated_time_stands_and_activated_it_goes_on(harness: NodeHarness):
+    _, observer = start(harness)
     clock = observer.listen(topics.CLOCK)
     observer.wait_for_time(NANO // 2)
     assert observer.change_state(NODE, "deactivate")
@@ -460,8 +464,8 @@ def test_deactivated_time_stands_and_activated_it_goes_on(stage: Stage):
     assert stamps == sorted(stamps)
 
 
-def test_cleaned_up_and_configured_again_it_starts_at_zero(stage: Stage):
-    _, observer = start(stage)
+def test_cleaned_up_and_configured_again_it_starts_at_zero(harness: NodeHarness):
+    _, observer = start(harness)
     observer.wait_for_time(NANO // 2)
     for transition in ("deactivate", "cleanup", "configure"):
         assert observer.change_state(NODE, transition)
@@ -490,17 +494,17 @@ def terminate(process: Process) -> None:
 @pytest.mark.parametrize("end", [interrupt, interrupt_twice, terminate])
 @pytest.mark.parametrize("factor", [0.0, 1.0])
 def test_a_signal_ends_it_and_leaves_no_process(
-    stage: Stage, end: Callable[[Process], None], factor: float
+    harness: NodeHarness, end: Callable[[Process], None], factor: float
 ):
-    process, _ = start(stage, real_time_factor=factor)
+    process, _ = start(harness, real_time_factor=factor)
     end(process)
     assert process.wait() == 0
     assert process.group_is_gone()
     assert "Traceback" not in process.output
 
 
-def test_a_signal_ends_it_while_paused(stage: Stage):
-    process, observer = start(stage, start_paused=True)
+def test_a_signal_ends_it_while_paused(harness: NodeHarness):
+    process, observer = start(harness, start_paused=True)
     status(observer, "paused", "true")
     assert process.stop(signal.SIGTERM) == 0
     assert process.group_is_gone()

@@ -14,7 +14,7 @@ from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
-from rover_sim.happenings import Happening
+from rover_sim.event_reports import EventReport
 from rover_sim.plant import Phase
 from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
@@ -29,7 +29,7 @@ class Listening:
         self.changed = threading.Condition()
         self.ticks: list[int] = []
         self.walls: list[float] = []
-        self.happenings: list[str] = []
+        self.event_reports: list[str] = []
         self.restarts = 0
         self.ends = 0
         self.error: Exception | None = None
@@ -43,15 +43,15 @@ class Listening:
         def note() -> None:
             self.ticks.append(tick.stamp_ns)
             self.walls.append(time.monotonic())
-            self.happenings.extend(h.name for h in tick.happenings)
+            self.event_reports.extend(h.name for h in tick.event_reports)
 
         self._note(note)
 
     def restarted(self) -> None:
         self._note(lambda: setattr(self, "restarts", self.restarts + 1))
 
-    def happened(self, happening: Happening) -> None:
-        self._note(lambda: self.happenings.append(happening.name))
+    def happened(self, happening: EventReport) -> None:
+        self._note(lambda: self.event_reports.append(happening.name))
 
     def finished(self) -> None:
         self._note(lambda: setattr(self, "ends", self.ends + 1))
@@ -138,7 +138,7 @@ def test_paused_time_stands_and_steps_by_single_ticks(listening: Listening):
         count = len(listening.ticks)
         runner.step()
         assert len(listening.ticks) == count + 1
-    assert listening.happenings == ["resumed", "paused"]
+    assert listening.event_reports == ["resumed", "paused"]
 
 
 def test_a_step_while_running_is_refused(listening: Listening):
@@ -157,13 +157,13 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
-    assert listening.happenings == ["reset_plant", "reset"]
+    assert listening.event_reports == ["reset_plant", "reset"]
 
 
 def test_a_diverged_plant_leaves_time_running_at_the_wall_s_pace(listening: Listening):
     running = Running(listening, 0.0, diverges_at=0.05)
     with running as runner:
-        listening.wait(lambda: "diverged" in listening.happenings)
+        listening.wait(lambda: "diverged" in listening.event_reports)
         count = len(listening.ticks)
         listening.wait(lambda: len(listening.ticks) > count + 3)
         assert runner.pacer.factor == 1.0

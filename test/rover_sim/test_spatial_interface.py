@@ -75,7 +75,7 @@ def run(
 
 def happened(every: list[Told]) -> list[str]:
     ticks: list[Tick[SpatialState]] = [each["tick"] for each in every]
-    return [happening.name for tick in ticks for happening in tick.happenings]
+    return [happening.name for tick in ticks for happening in tick.event_reports]
 
 
 def joints(sample: JointSample, name: str) -> JointValue:

@@ -22,8 +22,8 @@ from rover_sim import (
 )
 from rover_sim.ground import Floor, Hole, Place
 from rover_sim.machine import Rover, Winch, jump_height, rest_slide
-from rover_sim.mirrored import Mirrored
 from rover_sim.physics import places
+from rover_sim.physics_section import PhysicsSection
 from rover_sim.sensors import Sensors
 from rover_sim.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
 
@@ -129,7 +129,7 @@ class TestMeaning:
 
     def test_mirrored_sections_have_the_physics_fields_and_no_others(self):
         for kind in configurations(SpatialScenario):
-            if not issubclass(kind, Mirrored):
+            if not issubclass(kind, PhysicsSection):
                 continue
             own = {item.name for item in dataclasses.fields(kind)}
             physics = {item.name for item in dataclasses.fields(kind.KIND)}

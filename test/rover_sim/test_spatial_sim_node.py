@@ -29,7 +29,7 @@ from msg_schemas.table import (
 )
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
     Sim = tuple[Process, Observer]
 
@@ -44,10 +44,10 @@ PERFECT = '{"sensors.quality": "perfect"}'
 SLOW = 0.2
 
 
-def start(stage: Stage, **parameters: object) -> Sim:
+def start(harness: NodeHarness, **parameters: object) -> Sim:
     given = {"scenario": "free_hang", "overrides": PERFECT, **parameters}
-    process = stage.processes.start(MODULE, given)
-    observer = stage.observer()
+    process = harness.processes.start(MODULE, given)
+    observer = harness.observer()
     observer.listen(topics.CLOCK)
     observer.wait_until_ready(NODE)
     return process, observer
@@ -79,8 +79,8 @@ def drum(observer: Observer) -> JointValue:
 # ------------------------------------------------------------------------------------ it is heard
 
 
-def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(stage: Stage):
-    process, observer = start(stage)
+def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(harness: NodeHarness):
+    process, observer = start(harness)
     process.wait_for_output("scenario free_hang: compiling")
     process.wait_for_output(r"compiled and at rest after \d+\.\d s")
     observer.wait_for_text(topics.TRUTH_PHASE, "hanging")
@@ -90,8 +90,8 @@ def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(stage: Stage):
     assert content["parameters"]["model"] == "scenario"
 
 
-def test_every_topic_of_the_plant_is_heard_at_its_rate(stage: Stage):
-    _, observer = start(stage)
+def test_every_topic_of_the_plant_is_heard_at_its_rate(harness: NodeHarness):
+    _, observer = start(harness)
     rows = [
         row
         for row in TOPICS.values()
@@ -106,8 +106,8 @@ def test_every_topic_of_the_plant_is_heard_at_its_rate(stage: Stage):
     assert switch.position == 0.0
 
 
-def test_a_scenario_of_the_other_model_is_refused(stage: Stage):
-    process = stage.processes.start(MODULE, {"scenario": "free_hang", "model": "planar"})
+def test_a_scenario_of_the_other_model_is_refused(harness: NodeHarness):
+    process = harness.processes.start(MODULE, {"scenario": "free_hang", "model": "planar"})
     assert process.wait() == 2
     assert "free_hang is spatial: should be spatial" in process.output
     assert "Traceback" not in process.output
@@ -116,8 +116,8 @@ def test_a_scenario_of_the_other_model_is_refused(stage: Stage):
 # ------------------------------------------------------------------------------------- it is moved
 
 
-def test_the_winch_pays_out_until_silence_closes_its_brake(stage: Stage):
-    _, observer = start(stage, real_time_factor=SLOW)
+def test_the_winch_pays_out_until_silence_closes_its_brake(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=SLOW)
     states = observer.listen(topics.WINCH_STATE)
     states.wait()
     drive(observer, topics.WINCH_COMMAND, winch(0.3), lambda: drum(observer).position > 20.3)
@@ -143,9 +143,9 @@ def test_the_winch_pays_out_until_silence_closes_its_brake(stage: Stage):
     ids=["wheels, about y", "flywheel, about x"],
 )
 def test_what_turns_in_the_hanging_body_turns_it_the_other_way(
-    stage: Stage, command: str, state: str, joint: str, rate: float, axis: int, turn: float
+    harness: NodeHarness, command: str, state: str, joint: str, rate: float, axis: int, turn: float
 ):
-    _, observer = start(stage, real_time_factor=SLOW)
+    _, observer = start(harness, real_time_factor=SLOW)
     bodies, drives = observer.listen(topics.TRUTH_BODY1), observer.listen(state)
     for feed in (bodies, drives):
         feed.wait()
@@ -162,9 +162,9 @@ def test_what_turns_in_the_hanging_body_turns_it_the_other_way(
 
 
 @pytest.fixture(scope="module")
-def sim(shared_stage: Stage) -> Sim:
+def sim(shared_harness: NodeHarness) -> Sim:
     """A running simulation, for tests that move nothing."""
-    running = start(shared_stage, real_time_factor=SLOW)
+    running = start(shared_harness, real_time_factor=SLOW)
     running[1].listen(topics.WINCH_STATE).wait()
     return running
 
@@ -246,8 +246,8 @@ def test_what_the_drives_cannot_do_is_refused_with_the_reason(
 # ------------------------------------------------------------------------------ reset and lockstep
 
 
-def test_resets_put_tether_and_rover_back_and_only_one_of_them_the_clock(stage: Stage):
-    _, observer = start(stage, real_time_factor=SLOW)
+def test_resets_put_tether_and_rover_back_and_only_one_of_them_the_clock(harness: NodeHarness):
+    _, observer = start(harness, real_time_factor=SLOW)
     bodies = observer.listen(topics.TRUTH_BODY1)
     begin = bodies.wait().position
     for service in (topics.SIM_RESET_PLANT, topics.SIM_RESET):
@@ -286,12 +286,12 @@ def is_stamped(stamp_ns: int, sample: Any) -> bool:
     return bool(sample.stamp_ns == stamp_ns)
 
 
-def lockstep_run(stage: Stage, ticks: int) -> dict[str, list[Any]]:
+def lockstep_run(harness: NodeHarness, ticks: int) -> dict[str, list[Any]]:
     """What a simulation tells that is stepped tick by tick, commands being heard before each.
 
     Stamps are counted from the start of the plant, which is put back once everything is heard.
     """
-    process, observer = start(stage, start_paused=True, overrides="", seed=7, tether_rate=100.0)
+    process, observer = start(harness, start_paused=True, overrides="", seed=7, tether_rate=100.0)
     feeds = {name: observer.listen(name) for name in TOLD}
     status = observer.listen(topics.SIM_STATUS)
     observer.wait_until(
@@ -317,8 +317,8 @@ def lockstep_run(stage: Stage, ticks: int) -> dict[str, list[Any]]:
     }
 
 
-def test_two_runs_in_lockstep_are_the_same_to_the_last_bit(stage: Stage):
-    one, two = (lockstep_run(stage, 12) for _ in range(2))
+def test_two_runs_in_lockstep_are_the_same_to_the_last_bit(harness: NodeHarness):
+    one, two = (lockstep_run(harness, 12) for _ in range(2))
     for name in TOLD:
         assert len(one[name]) == len(two[name]) == 12
         for a, b in zip(one[name], two[name], strict=True):

@@ -8,9 +8,9 @@ import pytest
 
 from msg_schemas import topics
 from rover_verify import demo
+from rover_verify.harness import Process
+from rover_verify.harness.processes import environment
 from rover_verify.jump_show import judge
-from rover_verify.stage import Process
-from rover_verify.stage.processes import environment
 
 GOOD = {
     "jump_height_m": 0.3084,

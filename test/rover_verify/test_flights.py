@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rover_verify.checks.flights import fly_kept
-from rover_verify.checks.phase_a import Descent
+from rover_verify.checks.hanging import Descent
 
 
 def test_a_flight_that_is_kept_is_not_flown_again(tmp_path: Path):

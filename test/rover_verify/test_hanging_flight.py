@@ -9,8 +9,8 @@ import pytest
 
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.descent_profile import DescentPhase
+from rover_verify.checks.hanging import kicked
 from rover_verify.checks.hanging_rig import HangingFlight, Start
-from rover_verify.checks.phase_a import kicked
 from rover_verify.checks.pointing import turn
 
 
@@ -48,7 +48,7 @@ def test_the_swing_is_known_again_soon_after_a_kick_between_two_readings():
 
 
 @pytest.mark.parametrize("index", [24, 49])  # 14 % heavier at 15 m, 18 % lighter at 30 m
-def test_a_turn_takes_as_long_as_the_rover_s_weight_and_swing_foretell(index: int):
+def test_a_turn_takes_as_long_as_the_rover_s_weight_and_swing_predict(index: int):
     flown = turn(3, index)
     assert flown.asked is not None
     # By the mass that is known, and without the spin that the swing leaves, it were 92 s for both.

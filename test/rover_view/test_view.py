@@ -27,9 +27,9 @@ from msg_schemas.table import (
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
-from rover_view.foretold_jump import foretold
 from rover_view.machine import DescriptionError, Machine, about_y, about_z, turn
 from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
+from rover_view.predicted_jump import predicted
 
 SCENARIO = load_overridden("marius_hills", "")
 assert isinstance(SCENARIO, SpatialScenario)
@@ -131,19 +131,19 @@ def test_without_a_wall_in_sight_nothing_is_drawn(more: dict[str, float]):
     assert not wall.drawing(0).shapes
 
 
-def test_a_jump_that_is_foretold_is_marked_where_the_rover_stands():
+def test_a_jump_that_is_predicted_is_marked_where_the_rover_stands():
     joints = {
         JUMP_HEIGHT: JointValue(0.30, 0.25, 0.35),
         JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
     }
     stands = OdometrySample(0, (1.0, 2.0, -4.8), (0.0, 0.0, 0.0, 1.0), (0, 0, 0), (0, 0, 0))
-    drawing = foretold(JointSample(5, joints), stands, 7)
+    drawing = predicted(JointSample(5, joints), stands, 7)
     mark, inner, outer = drawing.shapes
     assert mark.points[0] == pytest.approx((1.0, 2.0, -4.55))
     assert mark.points[1] == pytest.approx((1.0, 2.0, -4.45))
     for ring, radius in ((inner, 0.3), (outer, 0.5)):
         assert {round(math.dist(point, stands.position), 9) for point in ring.points} == {radius}
         assert ring.points[0] == pytest.approx(ring.points[-1])
-    assert len(decode(topics.FORETOLD_JUMP, encode(topics.FORETOLD_JUMP, drawing)).shapes) == 3
+    assert len(decode(topics.PREDICTED_JUMP, encode(topics.PREDICTED_JUMP, drawing)).shapes) == 3
     still = {**joints, JUMP_RANGE: JointValue()}
-    assert len(foretold(JointSample(5, still), stands, 7).shapes) == 1
+    assert len(predicted(JointSample(5, still), stands, 7).shapes) == 1

@@ -38,7 +38,7 @@ ARROWS: dict[str, set[str]] = {
 # Within a package: what knows nothing of the package but what is named here.
 LAYERS: dict[str, set[str]] = {
     "rover_bags.files": set(),
-    "rover_bags.findings": {"rover_bags.read", "rover_bags.tracks"},
+    "rover_bags.analysis": {"rover_bags.read", "rover_bags.time_series"},
 }
 # Single modules that may follow one arrow more.
 EXCEPTIONS: dict[str, set[str]] = {"rover_control.jump_predictor": {"rover_sim"}}

@@ -17,8 +17,8 @@ from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample
 from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE
 from rover_verify.checks.winch_rig import TICK, Readings
-from rover_verify.stage import Observer
-from rover_verify.stage.observer import Feed
+from rover_verify.harness import Observer
+from rover_verify.harness.observer import Feed
 
 _LAG_NS = 60_000_000  # by which the descent's commands may be behind
 _ESTIMATE_LAG_NS = 200_000_000  # by which its estimates may be, that it tells ten times a second
@@ -42,7 +42,7 @@ class DescentMother(Mother):
         self._flywheel = observer.listen(topics.FLYWHEEL_COMMAND)
         self._estimate = observer.listen(topics.DESCENT_STATE)
         for name in (topics.IMU, topics.WHEEL_STATE, topics.FLYWHEEL_STATE, topics.CAMERA):
-            self._outlets[name] = observer.publisher(name)
+            self._publishers[name] = observer.publisher(name)
 
     def _heeded(self, feed: Feed) -> JointSample | None:
         """The last command of a drive, while it is not too old."""
@@ -50,7 +50,7 @@ class DescentMother(Mother):
         if sample is None:
             return None
         silence = (self.now_ns - sample.stamp_ns) * 1e-9
-        return sample if 0.0 <= silence < TOPICS[feed.name].stale.silence else None
+        return sample if 0.0 <= silence < TOPICS[feed.name].stale.timeout else None
 
     def _tell(self, readings: Readings) -> None:
         wheel, flywheel = self._heeded(self._wheel), self._heeded(self._flywheel)
@@ -62,7 +62,7 @@ class DescentMother(Mother):
         for name, sample in self.rover.samples(self.now_ns):
             message = self.spoil(name, encode(name, sample))
             if message is not None:
-                self._outlets[name].publish(message)
+                self._publishers[name].publish(message)
         super()._tell(readings)
 
     def _await_answer(self, heard: int) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from msg_schemas import topics
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW, TOPICS
-from rover_verify.stage import Observer
+from rover_verify.harness import Observer
 
 
 def drive(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from msg_schemas.table import TOPICS, Audience
-from rover_verify.stage import Observer
+from rover_verify.harness import Observer
 
 
 def subscriptions_of(observer: Observer, node_name: str, last: str | None = None) -> set[str]:

@@ -21,7 +21,7 @@ class Machine:
     """How good the machine is, and how well the computer does."""
 
     rate: float = 200.0  # of the winch's state [Hz]
-    silence: float = 0.5  # after which the bridge's watchdog acts [s]; inf: it has none
+    timeout: float = 0.5  # after which the bridge's watchdog acts [s]; inf: it has none
     refuses: bool = True  # commands while disarmed, and those beyond the limits
     owner: str = ""  # who commands already
     real_time: bool = True
@@ -115,7 +115,7 @@ class MadeUpStand:
     def _play(self) -> None:
         machine = self.machine
         silent = (self.time_ns - self._commanded_ns) * 1e-9
-        if self.brake and silent > machine.silence:
+        if self.brake and silent > machine.timeout:
             self.brake = 0.0
             self.event("winch_commands_ceased", "no command")
         if self.time_ns - self._told_ns >= 1e9 / machine.rate - 1:
@@ -152,7 +152,7 @@ class MadeUpStand:
         stamp_ns = getattr(sample, "stamp_ns", self.time_ns)
         self.history.add(topic, Heard(stamp_ns, heard_ns, self.time_ns, sample))
 
-    def hear_bad(self, topic: str, refusal: str) -> None:
+    def on_bad(self, topic: str, refusal: str) -> None:
         self.history.add(topic, Heard(self.time_ns, self.time_ns, self.time_ns, None, refusal))
 
     def event(self, name: str, message: str, values: dict[str, str] | None = None) -> None:

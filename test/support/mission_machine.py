@@ -7,7 +7,7 @@ import math
 from msg_schemas import topics
 from msg_schemas.machine import (
     HEADING,
-    JUMP_OUTLOOK,
+    JUMP_PREDICTION,
     JUMP_SCREW,
     OBSERVATION_STOP,
     PAYOUT,
@@ -48,7 +48,7 @@ class MissionMachine:
     Attributes:
         slope: nose up, of what the rover stands on [rad].
         stuck: how often the driving gets stuck from now on.
-        upright: probability of landing so that is foretold.
+        upright: probability of landing so that is predicted.
         advice: against jumps.
         turned: by the descent's gyro, since its start [rad].
         swings: so much that no stop is reached.
@@ -71,7 +71,7 @@ class MissionMachine:
         self.stuck = 0
         self.cannot_turn = False  # where it is stuck
         self.jump_fails = False  # the next one does not leave the ground
-        self.upright, self.advice = 1.0, ""  # of jumps, as they are foretold; advice against
+        self.upright, self.advice = 1.0, ""  # of jumps, as they are predicted; advice against
         self.turned = 0.0
         self.swings = False
         self.rate = math.nan
@@ -240,12 +240,12 @@ class MissionMachine:
             self.slack, self.winch = amount, "slack"
         elif topic == topics.WINCH_REQUEST:
             self._length_goal, self.winch, self.rate = amount, "length", rate
-        elif name == JUMP_OUTLOOK:
-            self._foretell()
+        elif name == JUMP_PREDICTION:
+            self._predict()
         elif topic == topics.JUMP_REQUEST:
             self.jump, self._busy = "flight", 3.0
 
-    def _foretell(self) -> None:
+    def _predict(self) -> None:
         level = Level.WARN if self.advice else Level.OK
         status = Status(
             "jump_standby", self.advice, level, "jump_node",

@@ -129,25 +129,25 @@ class RollingRover:
             yaw + self.gyro_bias + 8.7e-5 / root * noise[2],
         )
         forward = getattr(self, "_acceleration", 0.0) + 1e-3 / root * noise[3]
-        drive.hear_contact(
+        drive.on_contact(
             JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
         )
         force = (forward, GRAVITY * math.sin(self.roll), GRAVITY * math.cos(self.roll))
-        drive.hear_imu(ImuSample(stamp, gyro, force), stamp)
+        drive.on_imu(ImuSample(stamp, gyro, force), stamp)
         wheels = {
             name: JointValue(angle, rate)
             for name, angle, rate in zip(
                 (WHEEL_LEFT, WHEEL_RIGHT), self.angles, self.rates, strict=True
             )
         }
-        drive.hear_wheels(JointSample(stamp, wheels), stamp)
+        drive.on_wheels(JointSample(stamp, wheels), stamp)
         current = math.copysign(self.current, self.rates[0]) if any(self.rates) else 0.0
         currents = {
             JUMP_MOTOR: JointValue(),
             WHEEL_MOTOR: JointValue(effort=current + 0.01 * float(noise[4])),
             WINCH_MOTOR: JointValue(),
         }
-        drive.hear_currents(JointSample(stamp, currents), stamp)
+        drive.on_currents(JointSample(stamp, currents), stamp)
         if self.mode == "tension":
             self._length = self._distance()
         weight = DENSITY * GRAVITY * self._length
@@ -159,8 +159,8 @@ class RollingRover:
             TETHER_OUT: JointValue(weight / GRAVITY, 0.0, weight),
             REFERENCE: JointValue(),
         }
-        drive.hear_winch_mode(self.mode)
-        drive.hear_winch_estimate(JointSample(stamp, estimate), stamp)
+        drive.on_winch_mode(self.mode)
+        drive.on_winch_estimate(JointSample(stamp, estimate), stamp)
 
     def run(self, drive: Drive, limit: float) -> None:
         """Go on until nothing is driven and all stands, or so long [s]."""

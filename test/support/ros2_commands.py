@@ -22,7 +22,7 @@ from msg_schemas.access import ACCESS, Act, check_access
 from msg_schemas.codecs import decode, message_class
 from msg_schemas.node import ContractNode, parameter_classes
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
-from msg_schemas.row_kinds import Service, Topic
+from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
 from rover_launch.plan import PACKAGE, Plan, arguments_of, plan
 from rover_verify.checks.launches import described

@@ -1,4 +1,4 @@
-"""A session of the documents, played command by command on the null plant, over DDS.
+"""A session of the documents, played command by command on the mock plant, over DDS.
 
 What a sourced ROS 2 would start is started as its launch file says, a `topic pub` sends its message
 when so many listen, a `topic echo` hears something, a `service call` succeeds, and what is typed to
@@ -22,7 +22,7 @@ from msg_schemas.codecs import message_class
 from msg_schemas.refusal import REQUEST_ACCEPTED
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
 ASKER = "the document"
 FACTOR = 0.15
@@ -34,7 +34,7 @@ NEVER_ENDS = {"watch"}
 # On a busy machine sensors may seem old for a moment: an order refused for it is given again, and a
 # descent that is held for it is resumed first.
 OLD, HELD, TRIALS = "[stale]", "it goes on when it is resumed", 5
-# Nothing damps a swing of the null plant, which has no mechanics: a descent is taken there and does
+# Nothing damps a swing of the mock plant, which has no mechanics: a descent is taken there and does
 # not end, so what is to wait for that does not, and what is refused until then is left out.
 UNTIL_ITS_END, AFTER_ITS_END = "--wait", {"release"}
 MODULES = {
@@ -46,12 +46,12 @@ MODULES = {
 class Session:
     """One operator, in one domain."""
 
-    stage: Stage
+    harness: NodeHarness
     observer: Observer = field(init=False)
     started: dict[str, Process] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.observer = self.stage.observer()
+        self.observer = self.harness.observer()
 
     def do(self, command: Command) -> None:
         """Carry a command out, to its end if it has one."""
@@ -69,7 +69,7 @@ class Session:
             return
         given = [word for word in words if word != UNTIL_ITS_END]
         for _ in range(TRIALS):
-            process = self.stage.processes.start("operator_console.command_line", None, *given)
+            process = self.harness.processes.start("operator_console.command_line", None, *given)
             if words[0] in NEVER_ENDS:
                 process.wait_for_output("depth")
                 process.stop()
@@ -91,14 +91,14 @@ class Session:
             return
         _, parameters = ros2_commands.split_ros_arguments(words[at:])
         name = Path(words[at]).stem
-        if name == "null_plant":
+        if name == "mock_plant":
             parameters = parameters | {"real_time_factor": FACTOR, "overrides": NEAR_THE_FLOOR}
         if "scenario" in parameters:
             parameters = parameters | {"scenario": str(ROOT / str(parameters["scenario"]))}
         parameters = parameters | PATIENT.get(name, {})
         module = name if script else MODULES[name]
         extra = {"PYTHONPATH": f"{ROOT / 'docs' / 'tutorials'}:{ROOT}"} if script else None
-        begun = self.stage.processes.start(module, parameters, extra_environment=extra)
+        begun = self.harness.processes.start(module, parameters, extra_environment=extra)
         self.started[name] = begun
         self.observer.wait_until_ready(name)
 
@@ -124,7 +124,7 @@ class Session:
         planned = meant.plan(plant="null", real_time_factor=str(FACTOR))
         for each in planned.started:
             files = [part for file in each.files for part in ("--params-file", file)]
-            begun = self.stage.processes.start(
+            begun = self.harness.processes.start(
                 MODULES[each.executable], {**each.parameters, **PATIENT.get(each.executable, {})},
                 *each.arguments, "--ros-args", *files, "--",
             )  # fmt: skip
@@ -137,13 +137,13 @@ class Session:
         message = meant.message()
         message.header.frame_id = message.header.frame_id or ASKER
         kind = message_class(meant.row.message)
-        outlet: Any = self.observer.node.create_publisher(
+        publisher: Any = self.observer.node.create_publisher(
             kind, meant.row.name, qos.profile(meant.row.intent)
         )
         self.observer.wait_until(
-            lambda: outlet.get_subscription_count() >= listeners, f"{listeners} do not listen"
+            lambda: publisher.get_subscription_count() >= listeners, f"{listeners} do not listen"
         )
         since = len(self.observer.listen(topics.EVENTS))
-        outlet.publish(message)
+        publisher.publish(message)
         taken = self.observer.wait_for_event(REQUEST_ACCEPTED, since)
         assert taken.values["commander"] == ASKER

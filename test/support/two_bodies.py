@@ -35,13 +35,13 @@ def settled(drive: JumpDrive, slider: Slider, compression: float) -> JumpState:
 
 
 class JumpRun:
-    """A rig with a jump drive, stepped with ledgers.
+    """A rig with a jump drive, stepped with energy balances.
 
     Attributes:
         visited: states of the latch in the order in which they were first seen.
         books: sums of the drive's books [J].
         slider_heat: what the slider's forces turned into heat [J].
-        drift: what all ledgers leave unexplained [J].
+        drift: what all energy balances leave unexplained [J].
         fastest: Body 2's greatest speed upwards [m/s].
     """
 

@@ -27,7 +27,7 @@ from msg_schemas.table import (
     WINCH_MOTOR,
 )
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
-from rover_verify.stage import Observer
+from rover_verify.harness import Observer
 from tether_winch.servo import DriveCommand
 
 PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
@@ -52,7 +52,7 @@ class Mother:
         self.history: list[tuple[float, Readings, DriveCommand | None]] = []
         self._observer = observer
         self._commands = observer.listen(topics.WINCH_COMMAND)
-        self._outlets = {
+        self._publishers = {
             name: observer.publisher(name)
             for name in (topics.CLOCK, topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
         }
@@ -114,7 +114,7 @@ class Mother:
             return None
         moves = bool(self.history) and abs(self.history[-1][1].rate) > 1e-3
         stale = TOPICS[topics.WINCH_COMMAND].stale
-        oldest = stale.moving_silence if moves else stale.silence
+        oldest = stale.timeout_moving if moves else stale.timeout
         if not 0.0 <= (self.now_ns - sample.stamp_ns) * 1e-9 < oldest:
             return None
         drum, brake, limit = (sample.joints[n] for n in (WINCH_DRUM, WINCH_BRAKE, WINCH_LIMIT))
@@ -140,7 +140,7 @@ class Mother:
         ):
             message = self.spoil(name, encode(name, sample))
             if message is not None:
-                self._outlets[name].publish(message)
+                self._publishers[name].publish(message)
 
     def _await_answer(self, heard: int) -> None:
         """Wait for the command of this tick, where so many have been heard before it."""

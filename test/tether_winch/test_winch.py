@@ -194,7 +194,7 @@ def test_a_held_tension_never_runs_faster_than_asked():
         rates = made.column("rate")[begun:]
         assert np.abs(rates[200:] - sign * 0.1).max() < 0.02
     made.run(2.5)
-    assert made.winch.fault is Fault.COMMAND_SILENCE
+    assert made.winch.fault is Fault.COMMAND_TIMEOUT
     assert made.ticks[-1].rate == 0.0
 
 
@@ -224,10 +224,10 @@ def test_nothing_is_reeled_in_while_the_rover_jumps():
     made = standing()
     made.ask(WINCH_SLACK, 0.0)
     made.run(1.0)
-    made.winch.hear_jump("compressing", made.now_ns)
+    made.winch.on_jump("compressing", made.now_ns)
     made.run(0.5)
     before = made.ticks[-1].length
-    made.winch.hear_jump("flight", made.now_ns)
+    made.winch.on_jump("flight", made.now_ns)
     made.run(3.0)
     assert made.ticks[-1].length >= before - 1e-6
     assert "jumps" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason

@@ -28,7 +28,7 @@ from msg_schemas.table import (
 )
 
 if TYPE_CHECKING:
-    from rover_verify.stage import Observer, Process, Stage
+    from rover_verify.harness import NodeHarness, Observer, Process
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -88,14 +88,14 @@ class Bench:
 
 
 @pytest.fixture
-def bench(stage: Stage) -> Iterator[Bench]:
-    yield from make_bench(stage, Hoist(HoistParameters(start_length=5.0)))
+def bench(harness: NodeHarness) -> Iterator[Bench]:
+    yield from make_bench(harness, Hoist(HoistParameters(start_length=5.0)))
 
 
-def make_bench(stage: Stage, hoist: Hoist) -> Iterator[Bench]:
+def make_bench(harness: NodeHarness, hoist: Hoist) -> Iterator[Bench]:
     hoist.step(None, 0.01)  # compiled here, not while time runs
-    process = stage.processes.start(MODULE, {"use_sim_time": True})
-    observer = stage.observer()
+    process = harness.processes.start(MODULE, {"use_sim_time": True})
+    observer = harness.observer()
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.WINCH_MODE)
     mother = Mother(observer, hoist)
@@ -181,9 +181,9 @@ def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     assert bench.mother.last.rate == 0.0
 
 
-def test_every_mode_does_what_it_says_with_the_rover_on_the_floor(stage: Stage):
+def test_every_mode_does_what_it_says_with_the_rover_on_the_floor(harness: NodeHarness):
     hoist = Hoist(HoistParameters(start_length=5.4, floor_depth=5.6))
-    for bench in make_bench(stage, hoist):
+    for bench in make_bench(harness, hoist):
         use_every_mode(bench)
 
 
@@ -342,7 +342,7 @@ def test_a_request_that_is_not_renewed_ends_in_a_fault_and_a_renewed_one_goes_on
         bench.mother.wait_for(0.25)
     assert "fault" not in {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]}
     assert bench.mother.last.brake_is_open
-    reason = bench.wait_for_fault("command_silence", since)
+    reason = bench.wait_for_fault("command_timeout", since)
     assert "not renewed within 1 s" in reason
     bench.wait_until_braked()
 
@@ -375,8 +375,10 @@ def test_deactivated_it_brakes(bench: Bench):
 
 
 @pytest.mark.parametrize("length", [5.0, 15.0, 45.0])
-def test_killed_while_it_pays_out_the_drum_stops_in_time_and_softly(stage: Stage, length: float):
-    for bench in make_bench(stage, Hoist(HoistParameters(start_length=length))):
+def test_killed_while_it_pays_out_the_drum_stops_in_time_and_softly(
+    harness: NodeHarness, length: float
+):
+    for bench in make_bench(harness, Hoist(HoistParameters(start_length=length))):
         kill_while_paying_out(bench, length)
 
 
@@ -404,9 +406,9 @@ def kill_while_paying_out(bench: Bench, length: float) -> None:
 # ----------------------------------------------------------------------------------------- the rest
 
 
-def test_touchdown_is_told_and_stops_the_payout(stage: Stage):
+def test_touchdown_is_told_and_stops_the_payout(harness: NodeHarness):
     hoist = Hoist(HoistParameters(start_length=5.0, floor_depth=5.6))
-    for bench in make_bench(stage, hoist):
+    for bench in make_bench(harness, hoist):
         bench.arm()
         bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
         event = bench.observer.wait_for_event("alarm_touchdown")
@@ -436,19 +438,21 @@ def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
     assert bench.observer.get_parameter(NODE, "touchdown_below") == 0.5
 
 
-def test_thresholds_that_cross_end_it_with_code_2(stage: Stage):
-    process = stage.processes.start(MODULE, {"touchdown_below": 0.9, "snag_above": 1.1})
+def test_thresholds_that_cross_end_it_with_code_2(harness: NodeHarness):
+    process = harness.processes.start(MODULE, {"touchdown_below": 0.9, "snag_above": 1.1})
     assert process.wait() == 2
     assert "further apart" in process.output
     assert "Traceback" not in process.output
 
 
 @pytest.mark.usefixtures("compiled")
-def test_with_the_planar_simulator_it_holds_and_sees_the_slack_tether_and_its_death(stage: Stage):
-    observer = stage.observer()
+def test_with_the_planar_simulator_it_holds_and_sees_the_slack_tether_and_its_death(
+    harness: NodeHarness,
+):
+    observer = harness.observer()
     observer.listen(topics.DIAGNOSTICS)
-    stage.processes.start(MODULE, {"use_sim_time": True, "weight_reference": 49.0})
-    sim = stage.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
+    harness.processes.start(MODULE, {"use_sim_time": True, "weight_reference": 49.0})
+    sim = harness.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
     observer.wait_for_text(topics.TENSION_WATCH, "slack")
     observer.listen(topics.WINCH_COMMAND).wait_for_count(20)
     refused = [

@@ -181,7 +181,7 @@ def test_energy_is_conserved_over_an_undamped_jump(name: str, geometry: str) -> 
     start = plant.take_off(plant.initial_state())
     history = run(plant, start, 0.6)
     stored = [plant.energies(state).stored for state in history.states]
-    assert history.final.ledger.dissipated == 0.0
+    assert history.final.energy_balance.dissipated == 0.0
     assert np.abs(np.array(stored) - stored[0]).max() < 1e-6 * plant.scenario.take_off_energy
 
 
@@ -189,8 +189,10 @@ def test_what_damping_takes_is_booked() -> None:
     plant = plant_of("taut_jump", tether__bending_damping_time=0.1)
     history = run(plant, plant.take_off(plant.initial_state()), 0.6, until="touchdown")
     assert history.final.phase is Phase.LANDED
-    assert history.final.ledger.dissipated > 1.0
-    assert history.final.ledger.input == pytest.approx(plant.scenario.take_off_energy, rel=1e-2)
+    assert history.final.energy_balance.dissipated > 1.0
+    assert history.final.energy_balance.input == pytest.approx(
+        plant.scenario.take_off_energy, rel=1e-2
+    )
     assert abs(history.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 

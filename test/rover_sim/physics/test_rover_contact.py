@@ -8,7 +8,6 @@ import pytest
 from rover_sim.physics.boulders import BoulderParameters
 from rover_sim.physics.contact import REGOLITH, ROCK, contact_energy
 from rover_sim.physics.places import TerrainParameters
-from rover_sim.physics.rim import NO_ROCK, deepest_rocks, rim_on_rock
 from rover_sim.physics.rover_contact import (
     KINDS,
     Feet,
@@ -20,6 +19,7 @@ from rover_sim.physics.rover_contact import (
 from rover_sim.physics.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
 from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain, cell_boulders
 from rover_sim.physics.wheel_contact import WheelLaw
+from rover_sim.physics.wheel_ground_geometry import NO_ROCK, deepest_rocks, rim_on_rock
 from rover_sim.physics.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
 
 RADIUS = 0.16

@@ -1,0 +1,226 @@
+"""Rows of jumping: what operators ask for, and what its controller tells."""
+
+from __future__ import annotations
+
+from math import pi
+
+from msg_schemas import samples, topics
+from msg_schemas.machine import (
+    JUMP_CLEARANCE,
+    JUMP_HEIGHT,
+    JUMP_PREDICTION,
+    JUMP_RANGE,
+    JUMP_SLACK,
+    JUMP_STROKE,
+    JUMP_TENSION,
+    JUMP_TILT,
+    JUMP_TIME,
+    JUMP_TURN,
+    JUMP_WANTED,
+    MAX_JUMP_HEIGHT,
+    MAX_NUT_SPEED,
+    MAX_STROKE,
+    PREDICTION_TIME,
+    SPRING_GAIN,
+    SPRING_ZERO,
+    UPRIGHT,
+    WORLD_FRAME,
+)
+from msg_schemas.specifications import (
+    UNUSED,
+    Entry,
+    Field,
+    Intent,
+    Service,
+    StalePolicy,
+    Topic,
+    joint_fields,
+)
+
+_NODE = "jump_node"
+_LATER_0 = (None, 0.0, 0.0)  # an operator may leave the speed to the node
+_NUT_SPEED: Entry = ("m/s", "nut speed while compressing; 0 = the node's own", 0.0, MAX_NUT_SPEED)
+
+Row = tuple[str, Entry, Entry, Entry]
+
+
+def _predicted(name: str, unit: str, about: str, low: float, high: float) -> Row:
+    """Median and interval of a prediction."""
+    return (
+        name,
+        (unit, f"{about}: median", low, high),
+        (unit, "lower end of the interval that holds 90 %", low, high),
+        (unit, "its upper end", low, high),
+    )
+
+
+def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
+    """What was measured, and the interval that was predicted."""
+    return (
+        name,
+        (unit, f"{about}, as flown", low, high),
+        (unit, "lower end of the interval of 90 % that was predicted; both 0: none was", low, high),
+        (unit, "its upper end", low, high),
+    )
+
+
+_RISE = (JUMP_HEIGHT, "m", "largest rise of base_link", 0.0, 1e3)
+_WAY = (JUMP_RANGE, "m", "horizontal way from release to rest", 0.0, 1e3)
+_TURN = (JUMP_TURN, "rad", "about the vertical", -pi, pi)
+_PULL = (JUMP_TENSION, "N", "largest tension of the tether at the rover", 0.0, 1e6)
+
+_PREDICTION: tuple[Row, ...] = (
+    _predicted(*_RISE),
+    _predicted(*_WAY),
+    _predicted(*_TURN),
+    _predicted(*_PULL),
+    (JUMP_STROKE, ("m", "compression that was picked", 0.0, 1.0), UNUSED, UNUSED),
+    (
+        JUMP_SLACK,
+        ("m", "slack of the tether for the jump", -1e3, 1e3),
+        UNUSED,
+        UNUSED,
+    ),
+    (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0), UNUSED, UNUSED),
+    (
+        PREDICTION_TIME,
+        ("s", "wall time that it took", 0.0, 1e4),
+        UNUSED,
+        ("-", "number of jumps of the model", 0.0, 1e4),
+    ),
+)
+
+_FLOWN: tuple[Row, ...] = (
+    _flown(*_RISE),
+    _flown(*_WAY),
+    _flown(*_TURN),
+    _flown(*_PULL),
+    (
+        JUMP_WANTED,
+        ("m", "height or clearance that was asked for; 0 = a stroke was", 0.0, MAX_JUMP_HEIGHT),
+        UNUSED,
+        UNUSED,
+    ),
+    (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE), UNUSED, UNUSED),
+    (JUMP_TILT, ("rad", "of base_link z at rest against before", 0.0, pi), UNUSED, UNUSED),
+    (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3), UNUSED, UNUSED),
+    (
+        SPRING_GAIN,
+        ("-", "height over what the parameters say, as learnt with this jump", 0.0, 10.0),
+        UNUSED,
+        UNUSED,
+    ),
+    (
+        SPRING_ZERO,
+        ("m", "stroke beyond what the nut says, as learnt with this jump", -0.1, 0.1),
+        UNUSED,
+        UNUSED,
+    ),
+)
+
+JUMP_TOPICS = (
+    Topic(
+        topics.JUMP_REQUEST,
+        "an operator or the mission asks for a jump: by the spring's stroke; by the height, for "
+        "which the node finds the stroke by what it has learnt of the spring; or by a clearance, "
+        "for which it predicts the jump first, picks stroke and slack, or says why not; an "
+        "outlook is such a prediction alone, and moves nothing",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "operator",
+        None,
+        fields=(
+            *joint_fields(
+                JUMP_STROKE,
+                ("m", "compression of the spring at take-off", 0.005, MAX_STROKE),
+                _NUT_SPEED,
+                UNUSED,
+                _LATER_0,
+            ),
+            *joint_fields(
+                JUMP_HEIGHT,
+                ("m", "largest rise of base_link", 0.01, MAX_JUMP_HEIGHT),
+                _NUT_SPEED,
+                UNUSED,
+                _LATER_0,
+            ),
+            *joint_fields(
+                JUMP_CLEARANCE,
+                ("m", "rise of base_link that is reached but for a risk", 0.01, MAX_JUMP_HEIGHT),
+                _NUT_SPEED,
+                UNUSED,
+                _LATER_0,
+            ),
+            *joint_fields(
+                JUMP_PREDICTION,
+                ("m", "clearance of a jump that is only predicted", 0.01, MAX_JUMP_HEIGHT),
+                UNUSED,
+                UNUSED,
+                _LATER_0,
+            ),
+        ),
+        joints=(JUMP_STROKE, JUMP_HEIGHT, JUMP_CLEARANCE, JUMP_PREDICTION),
+        one_joint=True,
+        stale=StalePolicy(max_age=2.0, max_lead=0.5),
+    ),
+    Topic(
+        topics.JUMP_PHASE,
+        "what the jump sequencer is doing",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        _NODE,
+        None,
+        words=(
+            "standby", "predicting", "giving_slack", "compressing", "settling", "releasing",
+            "flight", "landed", "hooking", "letting_down", "fault",
+        ),
+    ),
+    Topic(
+        topics.JUMP_PREDICTION,
+        "what a jump is predicted to come to, by many jumps of the model; events tell why one is "
+        "not flown",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.LATCHED,
+        _NODE,
+        None,
+        fields=tuple(row for entry in _PREDICTION for row in joint_fields(*entry)),
+        joints=tuple(name for name, *_ in _PREDICTION),
+    ),
+    Topic(
+        topics.JUMP_FLOWN,
+        "what a jump came to by the rover's own IMU, beside what was predicted of it",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.LATCHED,
+        _NODE,
+        None,
+        fields=tuple(row for entry in _FLOWN for row in joint_fields(*entry)),
+        joints=tuple(name for name, *_ in _FLOWN),
+    ),
+    Topic(
+        topics.PREDICTED_JUMP,
+        "how high and how far from where the rover stands the next jump is predicted to go: a mark "
+        "from the lower to the upper end of the height's interval of 90 %, and rings at the ends "
+        "of the range's, as no direction is predicted",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.LATCHED,
+        "view_node",
+        None,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        spatial_only=True,
+    ),
+)  # fmt: skip
+
+JUMP_SERVICES = (
+    Service(
+        topics.JUMP_ABORT,
+        "ends a compression and lets the spring down softly",
+        "std_srvs/srv/Trigger",
+        _NODE,
+    ),
+)

@@ -1,0 +1,31 @@
+"""Rows of the bridge that joins the contract to the drives of a real or emulated machine."""
+
+from __future__ import annotations
+
+from msg_schemas import samples, topics
+from msg_schemas.specifications import Intent, Service, Topic
+
+_BRIDGE = "hil_bridge"
+
+LINK_TOPICS = (
+    Topic(
+        topics.LINK_STATUS,
+        "how the link to the drives goes: round trips, missed deadlines and lost frames; of each "
+        "device its state, its clock's offset and what it missed; at its rate by the wall clock",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        samples.StatusSample,
+        Intent.STATE,
+        _BRIDGE,
+        2.0,
+    ),
+)
+
+LINK_SERVICES = (
+    Service(
+        topics.DRIVES_ARM,
+        "true arms all drives, which then move on command, refused while one is not heard; false "
+        "takes their power and closes the brake, always done",
+        "std_srvs/srv/SetBool",
+        _BRIDGE,
+    ),
+)

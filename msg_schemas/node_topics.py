@@ -1,0 +1,268 @@
+"""Rows of what operators ask for, what the controllers tell, and what every node tells."""
+
+from __future__ import annotations
+
+from msg_schemas import samples, topics
+from msg_schemas.machine import (
+    ALARM_NAMES,
+    MAX_LENGTH,
+    MAX_PAYOUT_RATE,
+    MAX_RATE_TRIM,
+    MAX_SLACK,
+    MAX_TENSION,
+    PAYOUT,
+    REFERENCE,
+    STRETCHED,
+    TENSION,
+    TETHER_OUT,
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
+    WINCH_DRUM,
+    WINCH_SLACK,
+    WINCH_TO_LENGTH,
+    WINCH_WHILE_RENEWED,
+)
+from msg_schemas.specifications import (
+    UNUSED,
+    Entry,
+    Intent,
+    Service,
+    StalePolicy,
+    Topic,
+    Unstamped,
+    joint_fields,
+)
+
+_STALE_REQUEST = StalePolicy(max_age=2.0, max_lead=0.5)
+_LATER_0 = (None, 0.0, 0.0)  # an operator may leave speed and force to the node
+_ALL_BUT_SPEED_0 = (0.0, None, 0.0)
+_ALL_BUT_FORCE_0 = (0.0, 0.0, None)
+_LARGEST_RATE: Entry = ("m/s", "largest rate; 0 = the node's own", 0.0, MAX_PAYOUT_RATE)
+_LARGEST_TENSION: Entry = ("N", "largest tension to use; 0 = the node's own", 0.0, MAX_TENSION)
+
+_WINCH = (
+    Topic(
+        topics.WINCH_REQUEST,
+        "an operator or the mission asks the winch for a motion; the joint's name is the mode. "
+        "Length and slack end by themselves. Others must be renewed within the node's own timeout: "
+        "rate and tension end in a fault otherwise, a renewed length that is not reached in a hold",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "operator",
+        None,
+        fields=(
+            *joint_fields(
+                WINCH_TO_LENGTH,
+                ("m", "length at the drum to go to", 0.0, MAX_LENGTH),
+                _LARGEST_RATE,
+                _LARGEST_TENSION,
+                _LATER_0,
+            ),
+            *joint_fields(
+                WINCH_WHILE_RENEWED,
+                (
+                    "m",
+                    "length at the drum to go to for a controller that may die on the way",
+                    0.0,
+                    MAX_LENGTH,
+                ),
+                _LARGEST_RATE,
+                _LARGEST_TENSION,
+                _LATER_0,
+            ),
+            *joint_fields(
+                WINCH_AT_RATE,
+                UNUSED,
+                ("m/s", "payout rate, positive lengthens", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
+                _LARGEST_TENSION,
+                _ALL_BUT_SPEED_0,
+            ),
+            *joint_fields(
+                WINCH_AT_TENSION,
+                ("m", "longest length to pay out; 0 = the node's own", 0.0, MAX_LENGTH),
+                _LARGEST_RATE,
+                ("N", "tension to hold at the fairlead", 0.0, MAX_TENSION),
+                _ALL_BUT_FORCE_0,
+            ),
+            *joint_fields(
+                WINCH_SLACK,
+                ("m", "slack to give beyond the taut length; 0 takes it up", 0.0, MAX_SLACK),
+                _LARGEST_RATE,
+                UNUSED,
+                _LATER_0,
+            ),
+        ),
+        joints=(
+            WINCH_TO_LENGTH, WINCH_WHILE_RENEWED, WINCH_AT_RATE, WINCH_AT_TENSION, WINCH_SLACK,
+        ),
+        one_joint=True,
+        stale=_STALE_REQUEST,
+    ),
+    Topic(
+        topics.WINCH_TRIM,
+        "payout rate added to the winch's own to damp the swing; the node bounds it further",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "descent_node",
+        50.0,
+        fields=joint_fields(
+            WINCH_DRUM,
+            velocity=("m/s", "rate to add, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
+        ),
+        joints=(WINCH_DRUM,),
+        one_owner=True,
+        stale=StalePolicy(
+            max_age=0.5,
+            max_lead=0.1,
+            unstamped=Unstamped.REFUSE,
+            timeout=0.5,
+            on_timeout="nothing is added",
+        ),
+    ),
+    Topic(
+        topics.WINCH_ESTIMATE,
+        "what the winch makes of encoder, motor current and load cell, and what it aims at",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.STATE,
+        "winch_node",
+        50.0,
+        fields=(
+            *joint_fields(
+                PAYOUT,
+                ("m", "length paid out at the drum (unstretched)", 0.0, MAX_LENGTH),
+                ("m/s", "its rate", -5.0, 5.0),
+            ),
+            *joint_fields(
+                STRETCHED,
+                ("m", "length from the fairlead to the rover, stretched", 0.0, 2.0 * MAX_LENGTH),
+                ("m/s", "its rate", -50.0, 50.0),
+            ),
+            *joint_fields(
+                TENSION,
+                ("-", "1 = the tension is valid, 0 = it is not known and told as 0", 0.0, 1.0),
+                effort=("N", "tension at the fairlead", 0.0, 1e6),
+            ),
+            *joint_fields(
+                TETHER_OUT,
+                ("kg", "mass of the tether paid out", 0.0, 1e3),
+                effort=("N", "its weight", 0.0, 1e4),
+            ),
+            *joint_fields(
+                REFERENCE,
+                ("m", "length aimed at now", 0.0, MAX_LENGTH),
+                ("m/s", "rate aimed at now, trim included", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
+                ("N", "tension aimed at or fed forward now", 0.0, MAX_TENSION),
+            ),
+        ),
+        joints=(PAYOUT, STRETCHED, TENSION, TETHER_OUT, REFERENCE),
+    ),
+    Topic(
+        topics.WINCH_MODE,
+        "what the winch is doing; disarmed and fault leave the brake closed until it is armed",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        "winch_node",
+        None,
+        words=(
+            "disarmed", "hold", "length", "rate", "tension", "slack", "relax", "stop", "fault",
+        ),
+    ),
+    Topic(
+        topics.WINCH_ALARMS,
+        "conditions that the winch has found, each with hysteresis; every change is an event too",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.LATCHED,
+        "winch_node",
+        None,
+        fields=tuple(
+            row
+            for name in ALARM_NAMES
+            for row in joint_fields(
+                name,
+                ("-", "1 = it is so, 0 = it is not", 0.0, 1.0),
+                effort=("N", "tension when this was found", 0.0, 1e6),
+            )
+        ),
+        joints=ALARM_NAMES,
+    ),
+    Topic(
+        topics.TENSION_WATCH,
+        "what the winch makes of its load cell",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        "winch_node",
+        None,
+        words=("unknown", "normal", "slack", "over_tension"),
+    ),
+)  # fmt: skip
+
+_EVERY_NODE = (
+    Topic(
+        topics.CONFIG,
+        "configuration of each node as JSON: node, package and contract version, parameters; "
+        "the sim node adds scenario and seed",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        "every node",
+        None,
+        is_json=True,
+    ),
+    Topic(
+        topics.EVENTS,
+        "every transition with its reason and its values",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        samples.StatusSample,
+        Intent.EVENT,
+        "every node",
+        None,
+    ),
+    Topic(
+        topics.DIAGNOSTICS,
+        "health of every node at 1 Hz and when it changes (`ready`, or what it waits for), and "
+        "each refusal with its reason as it happens; of a flood on one topic the first ones, then "
+        "the last one of each second and how many there were",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        samples.StatusSample,
+        Intent.STATE,
+        "every node",
+        1.0,
+    ),
+)
+
+NODE_TOPICS = (*_WINCH, *_EVERY_NODE)
+
+NODE_SERVICES = (
+    Service(
+        topics.WINCH_HOLD,
+        "comes to rest smoothly, closes the brake and holds the length",
+        "std_srvs/srv/Trigger",
+        "winch_node",
+    ),
+    Service(
+        topics.WINCH_RELAX,
+        "lets the pull down: pays out slowly until the tether carries little more than its own "
+        "weight, then holds",
+        "std_srvs/srv/Trigger",
+        "winch_node",
+    ),
+    Service(
+        topics.WINCH_STOP,
+        "closes the brake at once, motor off; always done",
+        "std_srvs/srv/Trigger",
+        "winch_node",
+    ),
+    Service(
+        topics.WINCH_REARM,
+        "arms the winch after its start, a stop or a fault, when what caused it is gone; refused "
+        "with the reason otherwise",
+        "std_srvs/srv/Trigger",
+        "winch_node",
+    ),
+)

@@ -1,0 +1,587 @@
+"""Rows of what a plant, simulated or real, tells and obeys, and of the simulation itself."""
+
+from __future__ import annotations
+
+from msg_schemas import samples, topics
+from msg_schemas.machine import (
+    BODY1_FRAME,
+    BODY2_FRAME,
+    BODY_SWITCH,
+    ENERGY_NAMES,
+    FLOOR_SWITCH,
+    FLYWHEEL,
+    JUMP_LATCH,
+    JUMP_MOTOR,
+    JUMP_SCREW,
+    MAX_FLYWHEEL_TORQUE,
+    MAX_FREE_TRAVEL,
+    MAX_LENGTH,
+    MAX_NUT_FORCE,
+    MAX_NUT_SPEED,
+    MAX_PAYOUT_RATE,
+    MAX_STROKE,
+    MAX_TENSION,
+    MAX_WHEEL_RATE,
+    MAX_WHEEL_TORQUE,
+    SMALLEST_LIMIT,
+    SMEAR,
+    WALL_DISTANCE,
+    WHEEL_DRIVE,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+    WINCH_MOTOR,
+    WORLD_FRAME,
+)
+from msg_schemas.specifications import (
+    Audience,
+    Entry,
+    Field,
+    Intent,
+    Service,
+    StalePolicy,
+    Topic,
+    Unstamped,
+    axis_fields,
+    joint_fields,
+    scalar_fields,
+)
+
+_SIM = "sim_node"
+_SENSORS = "sim_node or hardware bridge"
+
+
+def _stale_drive(on_timeout: str) -> StalePolicy:
+    return StalePolicy(
+        max_age=0.5,
+        max_lead=0.1,
+        unstamped=Unstamped.REFUSE,
+        timeout=0.5,
+        on_timeout=on_timeout,
+    )
+
+
+_SWITCH: Entry = ("-", "1 = closed (it touches), 0 = open", 0.0, 1.0)
+_AMPERES: Entry = ("A", "current, positive drives the motor forward", -1e4, 1e4)
+
+_BODY_FIELDS = (
+    *axis_fields("position", "m", "centre of mass in the world frame", 1e4),
+    *axis_fields("orientation", "-", "unit quaternion, body to world", 1.0 + 1e-9, "xyzw"),
+    *axis_fields("linear", "m/s", "velocity in the body's frame", 1e3),
+    *axis_fields("angular", "rad/s", "angular velocity in the body's frame", 1e4),
+)
+
+_TRUTH = (
+    Topic(
+        topics.CLOCK,
+        "simulated time; every node with use_sim_time follows it",
+        "rosgraph_msgs/msg/Clock",
+        samples.ClockSample,
+        Intent.CLOCK,
+        _SIM,
+        100.0,
+        fields=(Field("clock", "s", "simulated time since the start", 0.0),),
+    ),
+    Topic(
+        topics.TRUTH_BODY1,
+        "true motion of Body 1",
+        "nav_msgs/msg/Odometry",
+        samples.OdometrySample,
+        Intent.STATE,
+        _SIM,
+        100.0,
+        WORLD_FRAME,
+        BODY1_FRAME,
+        _BODY_FIELDS,
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.TRUTH_BODY2,
+        "true motion of Body 2",
+        "nav_msgs/msg/Odometry",
+        samples.OdometrySample,
+        Intent.STATE,
+        _SIM,
+        100.0,
+        WORLD_FRAME,
+        BODY2_FRAME,
+        _BODY_FIELDS,
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.TRUTH_TETHER,
+        "true shape and tension of the tether, node by node from the fairlead to the rover; "
+        "the number of nodes changes with the length paid out",
+        "sensor_msgs/msg/PointCloud2",
+        samples.TetherSample,
+        Intent.STATE,
+        _SIM,
+        50.0,
+        WORLD_FRAME,
+        fields=(
+            Field("x", "m", "node position, x", -1e4, 1e4),
+            Field("y", "m", "node position, y", -1e4, 1e4),
+            Field("z", "m", "node position, z", -1e4, 1e4),
+            Field("tx", "-", "slope dr/ds, x"),
+            Field("ty", "-", "slope dr/ds, y"),
+            Field("tz", "-", "slope dr/ds, z"),
+            Field("tension", "N", "axial force, negative when pressed"),
+        ),
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.TRUTH_ENERGY,
+        "energy balance of the plant; what a plant does not have is 0",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.STATE,
+        _SIM,
+        100.0,
+        fields=scalar_fields(
+            "J",
+            kinetic="kinetic energy of tether and bodies",
+            rotors="kinetic energy of flywheel, wheels, motors and drum",
+            gravity="potential energy of gravity, zero at the level of the fairlead",
+            axial="stored by stretching the tether",
+            bending="stored by bending the tether",
+            twist="stored by twisting the tether",
+            spring="stored in the jump spring and the slider's end stops",
+            contact="stored in what is pressed against the ground",
+            input="put in since the start by motors, take-offs and the tether that came in",
+            dissipated="lost to damping and friction since the start",
+            drift="stored - initially stored - input + dissipated: zero for a perfect integrator",
+        ),
+        joints=ENERGY_NAMES,
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.TRUTH_PHASE,
+        "what the plant is doing; the planar plant's rover is held and landed, the spatial one's "
+        "hangs and is grounded",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        _SIM,
+        None,
+        words=(
+            "held", "flight", "landed", "free", "hanging", "grounded", "diverged", "tether_broken",
+        ),
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+)  # fmt: skip
+
+_SENSOR_ROWS = (
+    Topic(
+        topics.IMU,
+        "gyro and accelerometer of Body 1",
+        "sensor_msgs/msg/Imu",
+        samples.ImuSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        BODY1_FRAME,
+        fields=(
+            *axis_fields("angular_velocity", "rad/s", "angular rate", 1e4),
+            *axis_fields(
+                "linear_acceleration", "m/s^2", "specific force (at rest: +g upwards)", 1e6
+            ),
+        ),
+    ),
+    Topic(
+        topics.CONTACT,
+        "contact switches of Body 1; a machine may have the floor's alone",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=(
+            *joint_fields(FLOOR_SWITCH, ("-", "1 = closed (standing), 0 = open", 0.0, 1.0)),
+            *joint_fields(WHEEL_LEFT, _SWITCH),
+            *joint_fields(WHEEL_RIGHT, _SWITCH),
+            *joint_fields(BODY_SWITCH, _SWITCH),
+        ),
+        joints=(FLOOR_SWITCH,),
+        optional_joints=(WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH),
+    ),
+    Topic(
+        topics.LOAD_CELL,
+        "pull of the tether on the mother machine at the fairlead; its size is the tension. A cell "
+        "of one axis, as the spatial plant's, tells it along -z whatever the tether's direction",
+        "geometry_msgs/msg/WrenchStamped",
+        samples.WrenchSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        WORLD_FRAME,
+        fields=(
+            *axis_fields("force", "N", "force of the tether on the fairlead", 1e6),
+            *axis_fields("torque", "N m", "zero: the fairlead is a point", 0.0),
+        ),
+    ),
+    Topic(
+        topics.ROVER_LOAD_CELL,
+        "pull of the tether on the rover at its attachment; its size is the tension. A cell of one "
+        "axis, as the spatial plant's, tells it along z whatever the tether's direction",
+        "geometry_msgs/msg/WrenchStamped",
+        samples.WrenchSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        BODY1_FRAME,
+        fields=(
+            *axis_fields("force", "N", "force of the tether on Body 1", 1e6),
+            *axis_fields("torque", "N m", "zero: the cell measures forces", 0.0),
+        ),
+    ),
+    Topic(
+        topics.MOTOR_CURRENTS,
+        "currents of the three motors",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=(
+            *joint_fields(JUMP_MOTOR, effort=_AMPERES),
+            *joint_fields(WHEEL_MOTOR, effort=_AMPERES),
+            *joint_fields(WINCH_MOTOR, effort=_AMPERES),
+        ),
+        joints=(JUMP_MOTOR, WHEEL_MOTOR, WINCH_MOTOR),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.CAMERA,
+        "how steady the wall camera is",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        10.0,
+        fields=(
+            *joint_fields(
+                WALL_DISTANCE,
+                ("m", "distance of the wall along the camera's axis; 1000 = none seen", 0.0, 1e3),
+            ),
+            *joint_fields(SMEAR, ("px", "smear of the wall's image in one exposure", 0.0, 1e6)),
+        ),
+        joints=(WALL_DISTANCE, SMEAR),
+        spatial_only=True,
+    ),
+)
+
+_DRIVE_STATES = (
+    Topic(
+        topics.JUMP_MOTOR_STATE,
+        "ball screw of the jump motor",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=joint_fields(
+            JUMP_SCREW,
+            (
+                "m",
+                "compression of the spring by the nut; below 0 the nut stands clear of the latch",
+                -MAX_FREE_TRAVEL,
+                MAX_STROKE,
+            ),
+            ("m/s", "nut speed, positive compresses", -MAX_NUT_SPEED, MAX_NUT_SPEED),
+            ("N", "spring force on the nut", 0.0, MAX_NUT_FORCE),
+        ),
+        joints=(JUMP_SCREW,),
+    ),
+    Topic(
+        topics.FLYWHEEL_STATE,
+        "flywheel on the jump motor's shaft",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=joint_fields(
+            FLYWHEEL,
+            ("rad", "angle turned about base_link x, positive drives the nut down", -1e9, 1e9),
+            ("rad/s", "rate relative to Body 1", -1e5, 1e5),
+        ),
+        joints=(FLYWHEEL,),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.WHEEL_STATE,
+        "encoders of the two wheels",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=(
+            *joint_fields(
+                WHEEL_LEFT,
+                ("rad", "angle turned, positive rolls forward", -1e9, 1e9),
+                ("rad/s", "rate relative to Body 1", -1e4, 1e4),
+            ),
+            *joint_fields(
+                WHEEL_RIGHT,
+                ("rad", "angle turned, positive rolls forward", -1e9, 1e9),
+                ("rad/s", "rate relative to Body 1", -1e4, 1e4),
+            ),
+        ),
+        joints=(WHEEL_LEFT, WHEEL_RIGHT),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.WINCH_STATE,
+        "drum and brake of the winch",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.SENSOR,
+        _SENSORS,
+        100.0,
+        fields=(
+            *joint_fields(
+                WINCH_DRUM,
+                ("m", "length paid out, measured at the drum (unstretched)", 0.0, MAX_LENGTH),
+                ("m/s", "payout rate, positive lengthens", -5.0, 5.0),
+                ("N", "tension that the motor carries (its torque)", -MAX_TENSION, MAX_TENSION),
+            ),
+            *joint_fields(WINCH_BRAKE, ("-", "1 = released, 0 = closed", 0.0, 1.0)),
+        ),
+        joints=(WINCH_DRUM, WINCH_BRAKE),
+    ),
+)
+
+_DRIVE_COMMANDS = (
+    Topic(
+        topics.JUMP_MOTOR_COMMAND,
+        "drives the nut of the ball screw; at a setpoint above 0 the latch trips and the rover "
+        "jumps, unless the joint of the latch says to hold",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "jump_node",
+        20.0,
+        fields=(
+            *joint_fields(
+                JUMP_SCREW,
+                (
+                    "m",
+                    "compression at which the latch trips; 0 lets the spring down, less clears it",
+                    -MAX_FREE_TRAVEL,
+                    MAX_STROKE,
+                ),
+                ("m/s", "nut speed", 1e-4, MAX_NUT_SPEED),
+                ("N", "largest force that the nut may use", SMALLEST_LIMIT, MAX_NUT_FORCE),
+            ),
+            *joint_fields(
+                JUMP_LATCH,
+                ("-", "1 = trips at the setpoint, 0 = the nut stays there; left out: 1", 0.0, 1.0),
+            ),
+        ),
+        joints=(JUMP_SCREW,),
+        optional_joints=(JUMP_LATCH,),
+        one_owner=True,
+        stale=_stale_drive("the nut stays where it is"),
+    ),
+    Topic(
+        topics.FLYWHEEL_COMMAND,
+        "drives the jump motor as a reaction wheel, while the nut is clear of the latch; it "
+        "replaces a command for the nut and is replaced by one",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "attitude controller",
+        50.0,
+        fields=joint_fields(
+            FLYWHEEL,
+            effort=(
+                "N m",
+                "torque at the shaft, positive drives the nut down",
+                -MAX_FLYWHEEL_TORQUE,
+                MAX_FLYWHEEL_TORQUE,
+            ),
+        ),
+        joints=(FLYWHEEL,),
+        one_owner=True,
+        stale=_stale_drive("the motor is off: the flywheel coasts"),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.WHEEL_COMMAND,
+        "drives the wheel motor at a rate; forward both wheels turn, backward the left one alone; "
+        "it replaces a torque command and is replaced by one",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "drive controller",
+        20.0,
+        fields=joint_fields(
+            WHEEL_DRIVE,
+            velocity=("rad/s", "rate of the left wheel", -MAX_WHEEL_RATE, MAX_WHEEL_RATE),
+            effort=(
+                "N m",
+                "largest torque that the motor may use, at the wheel",
+                SMALLEST_LIMIT,
+                MAX_WHEEL_TORQUE,
+            ),
+        ),
+        joints=(WHEEL_DRIVE,),
+        one_owner=True,
+        stale=_stale_drive("the motor is off: the wheels coast"),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.WHEEL_TORQUE_COMMAND,
+        "drives the wheel motor with a torque, as for attitude control; it replaces a rate "
+        "command and is replaced by one",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "attitude controller",
+        50.0,
+        fields=joint_fields(
+            WHEEL_DRIVE,
+            effort=(
+                "N m",
+                "torque at the wheel, positive forward",
+                -MAX_WHEEL_TORQUE,
+                MAX_WHEEL_TORQUE,
+            ),
+        ),
+        joints=(WHEEL_DRIVE,),
+        one_owner=True,
+        stale=_stale_drive("the motor is off: the wheels coast"),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.WINCH_COMMAND,
+        "drives the drum at a payout rate; a drum without a motor accepts holding only",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.COMMAND,
+        "winch_node",
+        50.0,
+        fields=(
+            *joint_fields(
+                WINCH_DRUM,
+                (
+                    "m",
+                    "length setpoint at the drum, for who watches; the drive does not use it",
+                    0.0,
+                    MAX_LENGTH,
+                ),
+                ("m/s", "payout rate, which the drive holds", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
+                ("N", "tension that the motor is to carry (fed forward)", 0.0, MAX_TENSION),
+            ),
+            *joint_fields(WINCH_BRAKE, ("-", "1 = release, 0 = close", 0.0, 1.0)),
+            *joint_fields(
+                WINCH_LIMIT,
+                effort=("N", "largest tension that the motor may use", SMALLEST_LIMIT, MAX_TENSION),
+            ),
+        ),
+        joints=(WINCH_DRUM, WINCH_BRAKE, WINCH_LIMIT),
+        one_owner=True,
+        stale=StalePolicy(
+            max_age=0.5,
+            max_lead=0.1,
+            unstamped=Unstamped.REFUSE,
+            timeout=0.5,
+            on_timeout="the motor is off and the brake closes",
+            timeout_moving=0.08,  # and 0.02 s until the brake bites: 0.1 s together
+            on_timeout_moving="the motor is off and the brake closes",
+        ),
+    ),
+)
+
+_SIMULATION = (
+    Topic(
+        topics.SIM_STATUS,
+        "how the integration goes: outcome, iterations, halvings, measured real-time factor; at "
+        "its rate by the wall clock, also while paused",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        samples.StatusSample,
+        Intent.STATE,
+        _SIM,
+        10.0,
+    ),
+    Topic(
+        topics.MARKERS,
+        "tether, bodies and contact forces to look at",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.STATE,
+        _SIM,
+        20.0,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.PLACE,
+        "floor, boulders and the wall of the hole to look at",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.LATCHED,
+        _SIM,
+        None,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.ROBOT_DESCRIPTION,
+        "rover and drum as URDF, of a plant in space; its root is the world frame",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.LATCHED,
+        _SIM,
+        None,
+        spatial_only=True,
+    ),
+    Topic(
+        topics.OBSERVED_WALL,
+        "where the pictures of the wall were taken: at their depths and headings, as far away as "
+        "the range finder told; green steady, red smeared",
+        "visualization_msgs/msg/MarkerArray",
+        samples.DrawingSample,
+        Intent.LATCHED,
+        "view_node",
+        None,
+        WORLD_FRAME,
+        fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
+        spatial_only=True,
+    ),
+)
+
+PLANT_TOPICS = (*_TRUTH, *_SENSOR_ROWS, *_DRIVE_STATES, *_DRIVE_COMMANDS, *_SIMULATION)
+
+PLANT_SERVICES = (
+    Service(
+        topics.SIM_PAUSE,
+        "true stops simulated time, false lets it run on",
+        "std_srvs/srv/SetBool",
+        _SIM,
+    ),
+    Service(
+        topics.SIM_STEP,
+        "while paused: advances one tick and publishes the clock and the state",
+        "std_srvs/srv/Trigger",
+        _SIM,
+    ),
+    Service(
+        topics.SIM_RESET,
+        "starts again: plant, clock and energy balance at zero (simulated time jumps back)",
+        "std_srvs/srv/Trigger",
+        _SIM,
+    ),
+    Service(
+        topics.SIM_RESET_PLANT,
+        "puts the plant back to its start; simulated time runs on",
+        "std_srvs/srv/Trigger",
+        _SIM,
+    ),
+)

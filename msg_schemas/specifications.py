@@ -1,0 +1,190 @@
+"""What a row of the contract's table says: kinds of topics, services, fields, stale policies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from math import inf
+
+from msg_schemas.samples import JointSample, JointValue, Sample
+
+
+class Intent(StrEnum):
+    """Why something is sent; it fixes the quality of service."""
+
+    COMMAND = "command"
+    STATE = "state"
+    SENSOR = "sensor"
+    LATCHED = "latched"
+    EVENT = "event"
+    CLOCK = "clock"
+
+
+class Audience(StrEnum):
+    """Who may read a topic."""
+
+    ALL = "all"
+    NOT_CONTROLLERS = "bags, console and tests; never controllers"
+
+
+class Unstamped(StrEnum):
+    """What to do with a zero stamp."""
+
+    REFUSE = "refused"
+    NOW = "taken as sent on arrival"
+
+
+@dataclass(frozen=True)
+class Field:
+    """One number of a message.
+
+    Attributes:
+        path: field path as the sample's ``scalars`` yields it.
+        unit: SI unit, or ``-``.
+        about: what it means.
+        minimum, maximum: limits, inclusive; outside them the message is refused.
+        default: value taken when a joint message leaves the whole array out
+            (operators' topics only); None = the array must be given.
+    """
+
+    path: str
+    unit: str
+    about: str
+    minimum: float = -inf
+    maximum: float = inf
+    default: float | None = None
+
+
+@dataclass(frozen=True)
+class StalePolicy:
+    """What late, early and missing messages mean.
+
+    Attributes:
+        max_age: older than this on arrival is refused [s]; inf = any age.
+        max_lead: stamped further ahead than this is refused [s].
+        unstamped: what a zero stamp means.
+        timeout: after this long without an accepted message ``on_timeout`` happens [s].
+        on_timeout: what then happens, in words.
+        timeout_moving: as ``timeout``, sooner, for a drive that moves [s].
+        on_timeout_moving: what then happens, in words.
+    """
+
+    max_age: float = inf
+    max_lead: float = inf
+    unstamped: Unstamped = Unstamped.NOW
+    timeout: float = inf
+    on_timeout: str = "nothing"
+    timeout_moving: float = inf
+    on_timeout_moving: str = "nothing"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Attributes:
+        rate: how often it is sent [Hz]; None = when something changes.
+        fields: the numbers of a message with units and limits.
+        joints: names that a joint message holds, each once.
+        optional_joints: further names, of parts that a machine may lack.
+        one_joint: a message names exactly one of ``joints``: the one it is about.
+        words: texts that are allowed; empty = any.
+        one_owner: commands of one publisher at a time alone are accepted.
+        spatial_only: of parts that the planar plant does not have.
+    """
+
+    name: str
+    about: str
+    message: str
+    sample: type[Sample]
+    intent: Intent
+    publisher: str
+    rate: float | None
+    frame: str = ""
+    child_frame: str = ""
+    fields: tuple[Field, ...] = ()
+    joints: tuple[str, ...] = ()
+    optional_joints: tuple[str, ...] = ()
+    one_joint: bool = False
+    words: tuple[str, ...] = ()
+    is_json: bool = False
+    stale: StalePolicy = field(default_factory=StalePolicy)
+    audience: Audience = Audience.ALL
+    one_owner: bool = False
+    spatial_only: bool = False
+
+    @cached_property
+    def by_path(self) -> Mapping[str, Field]:
+        """Fields by their path."""
+        return {item.path: item for item in self.fields}
+
+    def saturated(self, stamp_ns: int, joints: Mapping[str, JointValue]) -> JointSample:
+        """The sample as a sensor of this range tells it: what lies beyond is held at its end."""
+
+        def held(name: str, part: str, value: float) -> float:
+            row = self.by_path[f"{name}.{part}"]
+            return min(max(value, row.minimum), row.maximum)
+
+        return JointSample(
+            stamp_ns,
+            {
+                name: JointValue(
+                    *(held(name, part, getattr(value, part)) for part in value._fields)
+                )
+                for name, value in joints.items()
+            },
+        )
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service of the suite."""
+
+    name: str
+    about: str
+    service: str
+    server: str
+
+
+# --- groups of fields that many rows share ------------------------------------------------------
+
+Entry = tuple[str, str, float, float]
+"""Unit, meaning, smallest and largest value of one number."""
+
+UNUSED: Entry = ("-", "not used, 0", 0.0, 0.0)
+
+
+def joint_fields(
+    name: str,
+    position: Entry = UNUSED,
+    velocity: Entry = UNUSED,
+    effort: Entry = UNUSED,
+    defaults: tuple[float | None, float | None, float | None] = (None, None, None),
+) -> tuple[Field, ...]:
+    """Return the three fields of one joint."""
+    parts = zip(
+        ("position", "velocity", "effort"), (position, velocity, effort), defaults, strict=True
+    )
+    return tuple(
+        Field(f"{name}.{part}", unit, about, low, high, default)
+        for part, (unit, about, low, high), default in parts
+    )
+
+
+def scalar_fields(unit: str, **about: str) -> tuple[Field, ...]:
+    """Return the fields of named scalars: joints that use their position alone."""
+    rows: tuple[Field, ...] = ()
+    for name, text in about.items():
+        rows += joint_fields(name, (unit, text, -inf, inf))
+    return rows
+
+
+def axis_fields(
+    prefix: str, unit: str, about: str, limit: float = inf, axes: str = "xyz"
+) -> tuple[Field, ...]:
+    """Return one field for each axis of a vector or quaternion."""
+    return tuple(
+        Field(f"{prefix}.{axis}", unit, f"{about}, {axis}", -limit, limit) for axis in axes
+    )

@@ -1,0 +1,499 @@
+"""Finds jumps in a bag and says what they amount to.
+
+Jumps are found from the recorded motion of Body 1: where the recorded phase or the contact switch
+says flight, or, in bags without both, where the body rises from rest and comes down again. Of a
+rover that hangs and stands in space a jump is a flight from the ground, as the timeline finds it.
+Their figures come from the motion itself: instants between samples by Taylor expansion from the
+nearest sample in flight. Angles are the planar model's theta: counter-clockwise seen with x to the
+right and z up, so minus the rotation about y (REP-103).
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas import topics
+from msg_schemas.table import FLOOR_SWITCH
+from rover_bags.analysis.entries import Entry
+from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
+from rover_bags.analysis.timeline import Phase, Timeline, TimelineEventKind
+from rover_bags.read import Bag, Floats, Stamps, TimeSeries
+from rover_bags.time_series import LARGEST
+
+FLIGHT = "flight"
+_STANDING: Final = ("held", "landed")
+_AT_REST: Final = 1e-3
+"""Speed [m/s] and rate [rad/s] below which a body counts as standing."""
+_LEAST_RISE: Final = 5e-3
+"""Rise [m] from which a motion without phase or contact counts as a jump."""
+_REPORTED_NEAR: Final = 0.1
+"""An event so near to a flight's begin or end is of it [s]."""
+
+
+@dataclass(frozen=True)
+class Jump:
+    """One jump, in simulated time.
+
+    Attributes:
+        take_off_s, apex_s, touchdown_s: Instants [s]; touchdown None for a flight that the bag
+            does not see end (the figures then end with the last sample).
+        start_height_m: z of Body 1 at take-off, in the world [m].
+        jump_height_m: Largest rise of Body 1 over its start, H [m].
+        attitude_variation_rad: theta at touchdown minus theta at take-off [rad]; of a rover that
+            turns in space the part of its turn about minus its own y axis, nose up positive.
+        range_m: Horizontal distance from take-off to touchdown, in any direction [m].
+        turned_rad: Angle by which Body 1 turned in flight, about whatever axis.
+        tilt_rad: Of Body 1 from the vertical at touchdown.
+        landing_speed_m_s: Of Body 1 at the last sample in flight.
+        travel_m: Way of Body 1 over ground from take-off to touchdown, forwards positive [m].
+        flight_time_s: From take-off to touchdown [s].
+        slack: dh/df of the tether's end points before take-off [-].
+        peak_tension_N: Largest tension anywhere in the tether [N].
+        energy_drift_J: What the plant's energy balance missed from take-off to touchdown [J].
+        drop_samples: Samples of Body 1 missing during the flight.
+        reported: What the plant's own events say of this jump, by their names.
+    """
+
+    take_off_s: float
+    apex_s: float
+    touchdown_s: float | None
+    start_height_m: float
+    jump_height_m: float
+    attitude_variation_rad: float
+    range_m: float
+    turned_rad: float
+    tilt_rad: float
+    landing_speed_m_s: float
+    travel_m: float
+    flight_time_s: float
+    slack: float | None
+    peak_tension_N: float | None
+    energy_drift_J: float | None
+    drop_samples: int
+    reported: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of a body in the world.
+
+    Attributes:
+        time: Simulated time [s], shape (N,).
+        log_ns: Time of reception [ns since 1970], shape (N,).
+        position: Of its centre [m], shape (N, 3).
+        velocity: Of its centre, in the world's axes [m/s], shape (N, 3).
+        theta: Angle in the plane of x and z [rad], unwrapped, shape (N,).
+        theta_rate: Its rate [rad/s], shape (N,).
+    """
+
+    time: Floats
+    log_ns: Stamps
+    position: Floats
+    velocity: Floats
+    theta: Floats
+    theta_rate: Floats
+
+
+def motion(track: TimeSeries) -> Motion:
+    """World motion from a body's odometry, whose twist is in the body's own frame."""
+    turned = rotations(track)
+    velocity = np.einsum("nij,nj->ni", turned, track.vector("linear"))
+    # The body's x axis against the horizontal, in the plane of x and z.
+    theta = np.unwrap(np.arctan2(turned[:, 2, 0], turned[:, 0, 0]))
+    return Motion(
+        track.time,
+        track.log_ns,
+        track.vector("position"),
+        velocity,
+        theta,
+        -track.columns["angular.y"],
+    )
+
+
+def is_spatial(bag: Bag) -> bool:
+    """Whether the rover may hang as well as stand."""
+    model = bag.scenario.get("model")
+    if model is not None:
+        return bool(model == "spatial")
+    phase = bag.track(topics.TRUTH_PHASE)
+    words = set(phase.texts) if phase is not None else set()
+    return bool(words & {"hanging", "grounded"}) or bag.track(topics.ROVER_LOAD_CELL) is not None
+
+
+def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[Jump]:
+    """Every jump."""
+    track = bag.track(topics.TRUTH_BODY1)
+    if track is None or len(track) < 3:
+        return
+    body = motion(track)
+    if is_spatial(bag):
+        for phase, ended in jumped(timeline):
+            part = inside(track, phase.begin_s, phase.end_s, (phase.log_begin, phase.log_end))
+            if len(part) > 2:
+                yield _spatial_jump(bag, body, part, ended=ended, events=events)
+        return
+    for first, last, ended in flights(bag, body):
+        yield _jump(bag, body, first, last, ended=ended, events=events)
+
+
+def jumped(timeline: Timeline) -> Iterable[tuple[Phase, bool]]:
+    """Flights that begin on the ground, and whether they ended in the bag."""
+    starts = {m.log_ns for m in timeline.moments if m.what is TimelineEventKind.TAKE_OFF}
+    last = max((phase.log_end for phase in timeline.phases), default=0)
+    for phase in timeline.phases:
+        if phase.what == FLIGHT and phase.log_begin in starts:
+            yield phase, phase.log_end < last
+
+
+def _spatial_jump(
+    bag: Bag, body: Motion, part: NDArray[np.intp], *, ended: bool, events: Iterable[Entry]
+) -> Jump:
+    """Figures of a flight over rough ground: it ends where something touches."""
+    first, last = int(part[0]), int(part[-1])
+    events = _told_near(events, body, first, last)
+    near = _REPORTED_NEAR
+    took_off = _reported(events, "take_off", body.time[first] - near, body.time[first] + near)
+    landed = _reported(events, "touchdown", body.time[last] - near, body.time[last] + near)
+    take_off = took_off.time_s if took_off is not None else float(body.time[first])
+    end = landed.time_s if landed is not None else float(body.time[last])
+    # The sample before the feet leave the ground is the start.
+    first = latest(body, first, take_off)
+    last = max(first + 1, latest(body, last, end))
+    z0 = float(np.interp(take_off, body.time[first : last + 1], body.position[first : last + 1, 2]))
+    apex, top = _apex(body, first, last)
+    way = body.position[last] - body.position[first]
+    window = Window.of(body, first, last)
+    track = bag.tracks[topics.TRUTH_BODY1]
+    peaks = [entry for entry in events if entry.name == "apex" and take_off < entry.time_s < end]
+    values: dict[str, str] = {}
+    for entry in (took_off, *peaks, landed):
+        values.update(entry.values if entry is not None else {})
+    return Jump(
+        take_off_s=take_off,
+        apex_s=apex,
+        touchdown_s=end if ended else None,
+        start_height_m=z0,
+        jump_height_m=top - z0,
+        attitude_variation_rad=-turned_about(track, first, last)[1],
+        range_m=float(np.hypot(way[0], way[1])),
+        turned_rad=float(np.linalg.norm(turned_about(track, first, last))),
+        tilt_rad=float(tilts(track)[last]),
+        landing_speed_m_s=float(np.linalg.norm(body.velocity[last])),
+        travel_m=float(rotations(track)[first, :2, 0] @ way[:2]),
+        flight_time_s=end - take_off,
+        slack=_slack(bag, window),
+        peak_tension_N=_peak_tension(bag, window),
+        energy_drift_J=_drift(bag, window),
+        drop_samples=_missing(body.time[first : last + 1]),
+        reported=_numbers(values),
+    )
+
+
+def latest(body: Motion, near: int, time: float) -> int:
+    """The last sample at or before a time [s], near a sample and of its run."""
+    while near > 0 and body.time[near] > time and body.time[near - 1] <= body.time[near]:
+        near -= 1
+    while near + 1 < len(body.time) and body.time[near] <= body.time[near + 1] <= time:
+        near += 1
+    return near
+
+
+def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
+    """Flights as samples of Body 1: first and last one in the air, and whether it ended."""
+    aloft = _aloft_by_phase(bag, body)
+    if aloft is None:
+        aloft = _aloft_by_contact(bag, body)
+    if aloft is None:
+        aloft = _aloft_by_motion(body)
+    restarts = np.flatnonzero(np.diff(body.time) < 0.0)
+    changes = np.diff(aloft.astype(np.int8))
+    found = []
+    for first in (np.flatnonzero(changes == 1) + 1).tolist():
+        after = np.flatnonzero(changes[first:] == -1)
+        last = first + int(after[0]) if len(after) else len(aloft) - 1
+        # Simulated time that jumps back ends a flight without a landing.
+        cut = restarts[(restarts >= first) & (restarts <= last)]
+        ended = bool(len(after)) and not len(cut)
+        last = int(cut[0]) if len(cut) else last
+        # Back below its starting height it has landed, whether or not it is stopped there.
+        height = body.position[first : last + 1, 2] - body.position[max(first - 1, 0), 2]
+        below = np.flatnonzero((height < 0.0) & (body.velocity[first : last + 1, 2] < 0.0))
+        if len(below):
+            last, ended = int(first + below[0]) - 1, True
+        if last > first:
+            found.append((first, last, ended))
+    return found
+
+
+def _aloft_by_phase(bag: Bag, body: Motion) -> Any:
+    """In the air by the recorded phase; samples at a change are settled by their motion."""
+    track = bag.track(topics.TRUTH_PHASE)
+    if track is None or not set(track.texts) & {FLIGHT, *_STANDING}:
+        return None
+    index = np.searchsorted(track.log_ns, body.log_ns, side="right") - 1
+    words = np.array([*track.texts, track.texts[0]])
+    aloft = words[index] == FLIGHT
+    # Phase and motion travel on topics of their own: near a change their order is not theirs.
+    near = np.zeros(len(aloft), dtype=bool)
+    for change in track.log_ns:
+        near |= np.abs(body.log_ns - change) < 200_000_000
+    near &= np.isin(words[index], [FLIGHT, *_STANDING])
+    moving = ~_resting(body)
+    flown = FLIGHT in track.texts
+    return np.where(near, moving & flown, aloft)
+
+
+def _aloft_by_contact(bag: Bag, body: Motion) -> Any:
+    track = bag.track(topics.CONTACT)
+    if track is None:
+        return None
+    closed = track.columns[f"{FLOOR_SWITCH}.position"]
+    if not (closed > 0.5).any():
+        return None
+    index = np.clip(np.searchsorted(track.time, body.time, side="right") - 1, 0, len(track) - 1)
+    return closed[index] < 0.5
+
+
+def _aloft_by_motion(body: Motion) -> Any:
+    """Above the last place of rest; a motion that never rises by 5 mm is none."""
+    resting = _resting(body)
+    aloft = np.zeros(len(resting), dtype=bool)
+    start = None
+    for index in range(len(resting)):
+        if resting[index]:
+            start = index
+        elif start is not None:
+            height = body.position[index, 2] - body.position[start, 2]
+            falling = body.velocity[index, 2] < 0.0
+            if height > 0.0 or not falling:
+                aloft[index] = True
+            else:
+                start = None
+    for first in np.flatnonzero(np.diff(aloft.astype(np.int8)) == 1) + 1:
+        last = first
+        while last < len(aloft) and aloft[last]:
+            last += 1
+        rise = body.position[first:last, 2].max() - body.position[first - 1, 2]
+        if rise < _LEAST_RISE:
+            aloft[first:last] = False
+    return aloft
+
+
+def _resting(body: Motion) -> Any:
+    """At rest in this sample and in a neighbour: at the apex a body is slow in one only."""
+    speed = np.linalg.norm(body.velocity, axis=1)
+    slow = (speed < _AT_REST) & (np.abs(body.theta_rate) < _AT_REST)
+    beside = np.zeros(len(slow), dtype=bool)
+    beside[1:] |= slow[:-1]
+    beside[:-1] |= slow[1:]
+    return slow & beside
+
+
+def _jump(
+    bag: Bag, body: Motion, first: int, last: int, *, ended: bool, events: Iterable[Entry]
+) -> Jump:
+    start = max(first - 1, 0)
+    events = _told_near(events, body, start, last)
+    z0 = float(body.position[start, 2])
+    reported_start = _reported(events, "take_off", body.time[start], body.time[first])
+    take_off = (
+        reported_start.time_s
+        if reported_start is not None
+        else body.time[first] - _since_level(body, first, z0, back=True)
+    )
+    touchdown, landing, theta = _landing(body, last, z0, ended=ended)
+    reported_end = (
+        _reported(
+            events, "touchdown", body.time[last], body.time[min(last + 1, len(body.time) - 1)]
+        )
+        if ended
+        else None
+    )
+    if reported_end is not None:
+        touchdown = reported_end.time_s
+    apex, top = _apex(body, first, last)
+    way = landing - body.position[start]
+    travel = math.copysign(math.hypot(way[0], way[1]), way[0])
+    end = touchdown if ended else float(body.time[last])
+    values = reported_end.values if reported_end is not None else {}
+    window = Window.of(body, start, min(last + 1, len(body.time) - 1))
+    return Jump(
+        take_off_s=float(take_off),
+        apex_s=apex,
+        touchdown_s=float(touchdown) if ended else None,
+        start_height_m=z0,
+        jump_height_m=top - z0,
+        attitude_variation_rad=float(theta - body.theta[start]),
+        range_m=math.hypot(way[0], way[1]),
+        turned_rad=abs(float(theta - body.theta[start])),
+        tilt_rad=abs(math.remainder(float(theta), math.tau)),
+        landing_speed_m_s=float(np.linalg.norm(body.velocity[last])),
+        travel_m=travel,
+        flight_time_s=float(end - take_off),
+        slack=_slack(bag, window),
+        peak_tension_N=_peak_tension(bag, window),
+        energy_drift_J=_drift(bag, window),
+        drop_samples=_missing(body.time[first : last + 1]),
+        reported=_numbers(values),
+    )
+
+
+def _landing(body: Motion, last: int, z0: float, *, ended: bool) -> tuple[float, Floats, float]:
+    """Time, place and theta at which Body 1 is back at its starting height."""
+    if ended and last + 1 < len(body.time):
+        beyond = last + 1
+        step = _since_level(body, last, z0, back=False)
+        step = min(step, float(body.time[beyond] - body.time[last]))
+        time = float(body.time[last]) + step
+        if _resting(body)[beyond]:
+            # Held where it came down: the first sample at rest is the landing itself.
+            return time, body.position[beyond], float(body.theta[beyond])
+        share = 0.5 * step**2 / float(body.time[beyond] - body.time[last])
+        velocity, rate = body.velocity, body.theta_rate
+        place = body.position[last] + velocity[last] * step
+        place = place + (velocity[beyond] - velocity[last]) * share
+        theta = body.theta[last] + rate[last] * step + (rate[beyond] - rate[last]) * share
+        return time, place, float(theta)
+    return float(body.time[last]), body.position[last], float(body.theta[last])
+
+
+def _since_level(body: Motion, index: int, z0: float, *, back: bool) -> float:
+    """Time between a sample in flight and the passage of the height z0 nearest to it."""
+    other = index + 1 if back else index - 1
+    height = float(body.position[index, 2]) - z0
+    speed = float(body.velocity[index, 2])
+    span = float(body.time[other] - body.time[index])
+    gain = float(body.velocity[other, 2] - speed) / span if span else 0.0
+    # height + speed t + gain t^2 / 2 = 0, the root nearest to t = 0 on the side that is asked.
+    roots = np.roots([0.5 * gain, speed, height])  # of a line where there is no gain
+    real = roots[np.isreal(roots)].real
+    fitting = -real[real <= 0.0] if back else real[real >= 0.0]
+    return float(fitting.min()) if len(fitting) else 0.0
+
+
+def _apex(body: Motion, first: int, last: int) -> tuple[float, float]:
+    """Time and height of the highest point, by cubic Hermite between samples."""
+    z, v, t = body.position[:, 2], body.velocity[:, 2], body.time
+    best = max(range(first, last + 1), key=lambda index: float(z[index]))
+    time, top = float(t[best]), float(z[best])
+    for left in (best - 1, best):
+        if left < first or left + 1 > last:
+            continue
+        h = float(t[left + 1] - t[left])
+        if h <= 0.0:
+            continue
+        rise = (z[left + 1] - z[left]) / h
+        # z(s) = z0 + v0 s + c2 s^2 + c3 s^3 on 0..h
+        c2 = (3 * rise - 2 * v[left] - v[left + 1]) / h
+        c3 = (v[left] + v[left + 1] - 2 * rise) / h**2
+        for root in np.roots([3 * c3, 2 * c2, v[left]]):
+            if np.isreal(root) and 0.0 <= root.real <= h:
+                s = float(root.real)
+                height = float(z[left] + v[left] * s + c2 * s**2 + c3 * s**3)
+                if height > top:
+                    time, top = float(t[left]) + s, height
+    return time, top
+
+
+class Window(NamedTuple):
+    """A stretch of simulated time [s] and, as that may be passed twice, of log time [ns]."""
+
+    begin: float
+    end: float
+    log_begin: int
+    log_end: int
+
+    @classmethod
+    def of(cls, body: Motion, first: int, last: int) -> "Window":
+        """From one sample of a body to another."""
+        margin = 1_000_000_000
+        return cls(
+            float(body.time[first]) - 1e-9,
+            float(body.time[last]) + 1e-9,
+            int(body.log_ns[first]) - margin,
+            int(body.log_ns[last]) + margin,
+        )
+
+    def indices(self, track: TimeSeries) -> NDArray[np.intp]:
+        """Messages of a track inside."""
+        in_time = (track.time >= self.begin) & (track.time <= self.end)
+        in_log = (track.log_ns >= self.log_begin) & (track.log_ns <= self.log_end)
+        return np.flatnonzero(in_time & in_log)
+
+    def before(self, track: TimeSeries) -> int:
+        """The last message of a track up to the beginning."""
+        near = (track.log_ns <= self.log_end) & (track.time <= self.begin + 2e-9)
+        found = np.flatnonzero(near)
+        return int(found[-1]) if len(found) else 0
+
+
+def _slack(bag: Bag, window: Window) -> float | None:
+    """dh/df of the tether's end points in the last shape before take-off."""
+    track = bag.track(topics.TRUTH_TETHER)
+    if track is None or not track.shapes:
+        return None
+    nodes = track.shapes[window.before(track)]
+    way = nodes[-1, :3] - nodes[0, :3]
+    level = math.hypot(way[0], way[1])
+    return float(abs(way[2]) / level) if level > 0.0 else None
+
+
+def _peak_tension(bag: Bag, window: Window) -> float | None:
+    """Largest recorded tension during a flight, along the tether and at the load cell."""
+    peaks = []
+    track = bag.track(topics.TRUTH_TETHER)
+    if track is not None and LARGEST in track.columns:
+        peaks += track.highest(LARGEST)[window.indices(track)].tolist()
+    load = bag.track(topics.LOAD_CELL)
+    if load is not None:
+        peaks += load.largest("force")[window.indices(load)].tolist()
+    return max(peaks) if peaks else None
+
+
+def _drift(bag: Bag, window: Window) -> float | None:
+    """Change of the plant's energy balance over a flight."""
+    track = bag.track(topics.TRUTH_ENERGY)
+    if track is None:
+        return None
+    inside = window.indices(track)
+    if len(inside) < 2:
+        return None
+    drift = track.columns["drift.position"]
+    return float(drift[inside[-1]] - drift[inside[0]])
+
+
+def _missing(time: Floats) -> int:
+    """Samples that are not there, by the usual step."""
+    steps = np.diff(time)
+    if not len(steps):
+        return 0
+    usual = float(np.median(steps))
+    return int(np.maximum(np.round(steps / usual) - 1, 0).sum()) if usual > 0.0 else 0
+
+
+def _told_near(events: Iterable[Entry], body: Motion, first: int, last: int) -> list[Entry]:
+    """What was told while a body went from one sample to another: time may be passed twice."""
+    window = Window.of(body, first, last)
+    return [entry for entry in events if window.log_begin <= entry.log_ns <= window.log_end]
+
+
+def _reported(events: Iterable[Entry], name: str, begin: float, end: float) -> Entry | None:
+    near = [e for e in events if e.name == name and begin - 1e-6 <= e.time_s <= end + 1e-6]
+    return near[0] if near else None
+
+
+def _numbers(values: Mapping[str, str]) -> dict[str, float]:
+    """Those values that are finite numbers."""
+    found = {}
+    for name, text in values.items():
+        try:
+            value = float(text)
+        except ValueError:
+            continue
+        if math.isfinite(value):
+            found[name] = value
+    return found

@@ -1,0 +1,195 @@
+"""Numbers of several topics at the same instants: what activities are told apart by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas import topics
+from msg_schemas.table import (
+    BODY_SWITCH,
+    FLOOR_SWITCH,
+    JUMP_SCREW,
+    WHEEL_LEFT,
+    WHEEL_MOTOR,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+)
+from rover_bags.read import Bag, Floats, Stamps, TimeSeries
+
+Flags = NDArray[np.bool_]
+
+_FINEST: Final = 0.02
+"""Instants follow one another no closer than this [s]."""
+_SILENT: Final = 1.0
+"""What a sensor said is not taken to hold for longer than so [s], or five of its periods."""
+_SWITCHES: Final = (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH)
+_BASES: Final = (
+    topics.CONTACT,
+    topics.WINCH_STATE,
+    topics.TRUTH_BODY1,
+    topics.IMU,
+    topics.JUMP_MOTOR_STATE,
+)
+_NUMBERS: Final[Mapping[str, tuple[str, str]]] = {
+    "length": (topics.WINCH_STATE, f"{WINCH_DRUM}.position"),
+    "rate": (topics.WINCH_STATE, f"{WINCH_DRUM}.velocity"),
+    "brake": (topics.WINCH_STATE, f"{WINCH_BRAKE}.position"),
+    "left": (topics.WHEEL_STATE, f"{WHEEL_LEFT}.velocity"),
+    "right": (topics.WHEEL_STATE, f"{WHEEL_RIGHT}.velocity"),
+    "wheel_current": (topics.MOTOR_CURRENTS, f"{WHEEL_MOTOR}.effort"),
+    "nut": (topics.JUMP_MOTOR_STATE, f"{JUMP_SCREW}.position"),
+    "nut_force": (topics.JUMP_MOTOR_STATE, f"{JUMP_SCREW}.effort"),
+}
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a bag tells at common instants; what it does not hold is None.
+
+    Attributes:
+        time: Simulated time [s], shape (N,); it jumps back where the clock was put back.
+        log_ns: When the instants' messages were received [ns since 1970].
+        touches: Whether any contact switch is closed.
+        pull: Of the tether on the rover [N].
+        numbers: Length [m] and rate [m/s] of the drum, brake (1 released), wheels' rates [rad/s],
+            the wheel motor's current [A], the nut's place [m] and force [N]; NaN where their
+            sensor was silent.
+        phase: The plant's own word for what it does.
+    """
+
+    time: Floats
+    log_ns: Stamps
+    touches: Flags | None
+    pull: Floats | None
+    numbers: Mapping[str, Floats]
+    phase: NDArray[np.str_] | None
+
+    def get(self, name: str) -> Floats | None:
+        """One of the numbers, None where it is not recorded."""
+        return self.numbers.get(name)
+
+
+def signals_of(bag: Bag) -> Signals | None:
+    """The bag's signals, None where it holds nothing of a rover or winch."""
+    base = next((track for name in _BASES if (track := bag.track(name)) is not None), None)
+    if base is None:
+        return None
+    chosen = _spaced(base.time)
+    matcher = _Matcher(base, chosen)
+    numbers = {}
+    for name, (topic, path) in _NUMBERS.items():
+        track = bag.track(topic)
+        if track is not None and path in track.columns:
+            numbers[name] = matcher.last(track, track.columns[path])
+    return Signals(
+        time=base.time[chosen],
+        log_ns=base.log_ns[chosen],
+        touches=_touches(bag, matcher),
+        pull=_pull(bag, matcher),
+        numbers=numbers,
+        phase=_phase(bag, matcher),
+    )
+
+
+class _Matcher:
+    """Finds what a track said last at given instants: by stamps, or by arrival after a reset."""
+
+    def __init__(self, base: TimeSeries, chosen: NDArray[np.intp]) -> None:
+        self._by_time = bool((np.diff(base.time) >= 0.0).all())
+        self._time = base.time[chosen] + 1e-9
+        self._log = base.log_ns[chosen]
+
+    def last(self, track: TimeSeries, values: Floats) -> Floats:
+        """The last value at each instant; before the first, the first; NaN while it is silent."""
+        index = self.indices(track)
+        found = np.array(values[index], dtype=np.float64)
+        if self._follows(track):
+            usual = float(np.median(np.diff(track.time))) if len(track) > 1 else 0.0
+            apart = np.abs(self._time - track.time[index])
+        else:
+            usual = float(np.median(np.diff(track.log_ns))) * 1e-9 if len(track) > 1 else 0.0
+            apart = np.abs(self._log - track.log_ns[index]) * 1e-9
+        found[apart > max(_SILENT, 5.0 * usual)] = np.nan
+        return found
+
+    def indices(self, track: TimeSeries) -> NDArray[np.intp]:
+        if self._follows(track):
+            found = np.searchsorted(track.time, self._time, side="right")
+        else:
+            found = np.searchsorted(track.log_ns, self._log, side="right")
+        return np.maximum(found - 1, 0)
+
+    def _follows(self, track: TimeSeries) -> bool:
+        return self._by_time and bool((np.diff(track.time) >= 0.0).all())
+
+
+def _spaced(time: Floats) -> NDArray[np.intp]:
+    """Indices of samples at least so far apart."""
+    usual = float(np.median(np.diff(time))) if len(time) > 1 else _FINEST
+    every = max(1, round(_FINEST / usual)) if usual > 0.0 else 1
+    return np.arange(0, len(time), every)
+
+
+def _touches(bag: Bag, matcher: _Matcher) -> Flags | None:
+    track = bag.track(topics.CONTACT)
+    if track is None:
+        return None
+    closed = np.zeros(len(track), dtype=bool)
+    for name in _SWITCHES:
+        column = track.columns.get(f"{name}.position")
+        if column is not None:
+            closed |= column > 0.5
+    return matcher.last(track, closed.astype(np.float64)) > 0.5
+
+
+def _pull(bag: Bag, matcher: _Matcher) -> Floats | None:
+    track = bag.track(topics.ROVER_LOAD_CELL)
+    if track is None:
+        return None
+    return matcher.last(track, np.linalg.norm(track.vector("force"), axis=1))
+
+
+def _phase(bag: Bag, matcher: _Matcher) -> NDArray[np.str_] | None:
+    track = bag.track(topics.TRUTH_PHASE)
+    if track is None:
+        return None
+    return np.array(track.texts)[matcher.indices(track)]
+
+
+# --- runs of equal values -----------------------------------------------------------------------
+
+
+def runs(flags: NDArray[np.generic]) -> list[tuple[int, int]]:
+    """First and last index of each stretch of equal values."""
+    if not len(flags):
+        return []
+    edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
+    begins = np.concatenate([[0], edges])
+    ends = np.concatenate([edges, [len(flags)]]) - 1
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+
+
+def closed(flags: Flags, time: Floats, longest: float) -> Flags:
+    """Flags with gaps no longer than so many seconds filled."""
+    filled = flags.copy()
+    for begin, end in runs(flags):
+        inside = begin > 0 and end + 1 < len(flags)
+        if inside and not flags[begin] and 0.0 <= time[end + 1] - time[begin] <= longest:
+            filled[begin : end + 1] = True
+    return filled
+
+
+def opened(flags: Flags, time: Floats, shortest: float) -> Flags:
+    """Flags without stretches shorter than so many seconds."""
+    kept = flags.copy()
+    for begin, end in runs(flags):
+        after = time[end + 1] if end + 1 < len(time) else time[end]
+        if flags[begin] and 0.0 <= after - time[begin] < shortest:
+            kept[begin : end + 1] = False
+    return kept

@@ -1,0 +1,496 @@
+"""The hanging rover's controller: estimator, damping, attitude and the descent's sequence. Pure.
+
+It is told what sensors and operators say, and stepped by time; it returns what wheels, flywheel and
+winch are to do. It knows nothing but IMU, encoders of drum and rotors, load cell and the winch's
+mode.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
+from msg_schemas.table import (
+    FLYWHEEL,
+    SMEAR,
+    WALL_DISTANCE,
+    WHEEL_LEFT,
+    WHEEL_RIGHT,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+)
+from msg_schemas.transition import Transition
+from rover_control.attitude import FlywheelReaction, RotorParameters, WheelReaction
+from rover_control.attitude_gains import AttitudeDesign
+from rover_control.descent_profile import (
+    SUBJECT,
+    DescentProfile,
+    ProfileParameters,
+    Stop,
+    Wish,
+)
+from rover_control.hanging_rover import HangingParameters
+from rover_control.pointing import SUBJECT as POINTING
+from rover_control.pointing import Pointing, PointingParameters, Prediction
+from rover_control.rotor_pump import Pumping, RotorPump
+from rover_control.steady_swing import SteadySwing
+from rover_control.suspended_mass import SuspendedMassEstimator
+from rover_control.swing_damping import DampingParameters, WinchTrim
+from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
+from rover_control.yaw_momentum import Handing, YawMomentumController, YawParameters
+
+_NANO = 1e9
+_SILENCE = 0.3  # a sensor that was not heard for longer is lost [s]
+_LONGEST_STEP = 0.2  # of the estimator; after a longer gap it starts anew [s]
+_OPEN = 0.5  # a brake's position from here on means released
+_RENEWAL = 1.0  # between two requests to the winch while its rate changes [s]
+_EASING = 5.0  # in which the pumping comes and goes [s]
+_LENGTH = "length"  # modes of the winch that take a trim
+_ARMED = frozenset({"hold", _LENGTH, "rate"})
+
+
+@dataclass(frozen=True)
+class HangingControllerParameters:
+    """All that the controller is told."""
+
+    hanging: HangingParameters = field(default_factory=HangingParameters)
+    estimator: EstimatorParameters = field(default_factory=EstimatorParameters)
+    damping: DampingParameters = field(default_factory=DampingParameters)
+    yaw: YawParameters = field(default_factory=YawParameters)
+    design: AttitudeDesign = field(default_factory=AttitudeDesign)
+    pointing: PointingParameters = field(default_factory=PointingParameters)
+    rotors: RotorParameters = field(default_factory=RotorParameters)
+    profile: ProfileParameters = field(default_factory=ProfileParameters)
+    uses_winch: bool = True  # for the swing
+    uses_rotors: bool = True
+
+
+class WinchAsk(NamedTuple):
+    """A request to the winch."""
+
+    length: float  # [m]
+    rate: float  # at most [m/s]
+
+
+class Exposure(NamedTuple):
+    """A picture of the wall."""
+
+    time: float  # [s]
+    depth: float  # length at the drum [m]
+    heading: float  # about the plumb line, since the start, by the gyro [rad]
+    camera_rate: float  # as estimated [rad/s]
+    smear: float  # as the camera tells of its last picture [px]; NaN = not heard
+    wall_distance: float  # [m]; NaN = not heard
+
+
+class Orders(NamedTuple):
+    """What the drives are to do; None = nothing is sent."""
+
+    wheel_rate: float | None  # of the left wheel [rad/s]
+    flywheel_torque: float | None  # [N m]
+    winch: WinchAsk | None
+    trim: float | None  # [m/s]
+    exposure: Exposure | None
+
+
+_NOTHING = Orders(None, None, None, None, None)
+
+
+class HangingController:
+    """Controller of the rover on the tether.
+
+    Args:
+        parameters: all of them.
+    """
+
+    def __init__(self, parameters: HangingControllerParameters) -> None:
+        self.parameters = parameters
+        p = parameters
+        self.estimator = SwingEstimator(p.estimator, p.hanging)
+        self.trim = WinchTrim(p.damping)
+        self.pump = RotorPump(p.damping, p.hanging)
+        self.steady = SteadySwing()
+        self._pushes = 0
+        self._losses = 0
+        self._is_lost = False  # what the gyro shows is no hanging rover's motion
+        self.yaw = YawMomentumController(p.yaw, p.hanging)
+        self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
+        self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
+        self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
+        self.pointing = Pointing(p.pointing, p.hanging)
+        self.suspended_mass = SuspendedMassEstimator(p.hanging)
+        self.twist = 0.0  # of the tether: the heading, without ever jumping [rad]
+        self._heard: dict[str, int] = {}
+        self._imu_ns: int | None = None
+        self._load_ns: int | None = None
+        self._length = math.nan
+        self._brake_is_open = False
+        self._mode = ""
+        self._left_rate = 0.0  # of the left wheel [rad/s]
+        self._wheel_momentum = 0.0  # about +y [N m s]
+        self._flywheel_momentum = 0.0  # about +x
+        self._screw = (0.0, 0.0)  # angle [rad], rate [rad/s]
+        self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
+        self._camera = (math.nan, math.nan)
+        self._stepped: float | None = None
+        self._looks_away = False  # the rover may not hang: nothing is learnt from it
+        self._asked: WinchAsk | None = None
+        self._asked_at = -math.inf
+        self._trims = False
+        self._ease = 0.0  # of the pumping, 0..1
+        self._told: dict[str, str] = {}
+        self._changes: list[Transition] = []
+
+    @property
+    def heading(self) -> float:
+        """About the plumb line, since the start, by the gyro [rad]; setting it sets the twist."""
+        return math.remainder(self.twist, math.tau)
+
+    @heading.setter
+    def heading(self, heading: float) -> None:
+        self.twist = heading
+
+    def _decay_time(self, length: float) -> float:
+        if not self.parameters.uses_winch:
+            return math.inf
+        return 1.0 / self.trim.decay(length, self.parameters.hanging.swing_frequency(length))
+
+    def take_changes(self) -> list[Transition]:
+        """Return what changed since the last call, and forget it."""
+        taken = self._changes + self.profile.take_changes()
+        self._changes = []
+        return taken
+
+    # --- sensors ---------------------------------------------------------------------------------
+
+    def on_drum(self, sample: JointSample, now_ns: int) -> None:
+        """Take length and rate of the drum, and its brake."""
+        length, rate, _ = sample.joints[WINCH_DRUM]
+        self._heard[topics.WINCH_STATE] = now_ns
+        self._length = length
+        self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
+        self.estimator.on_drum(length, rate)
+
+    def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
+        """Take the tension at the fairlead: it weighs the rover."""
+        stamp = sample.stamp_ns or now_ns
+        last, self._load_ns = self._load_ns, stamp
+        hangs = not (self._looks_away or math.isnan(self._length))
+        if hangs and last is not None and stamp > last:
+            h = (stamp - last) / _NANO
+            self.suspended_mass.hear(math.hypot(*sample.force), self._length, h)
+
+    def on_wheels(self, sample: JointSample, now_ns: int) -> None:
+        """Take the wheels' rates."""
+        self._heard[topics.WHEEL_STATE] = now_ns
+        self._left_rate = sample.joints[WHEEL_LEFT].velocity
+        rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
+        self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
+
+    def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
+        """Take angle and rate of the flywheel."""
+        self._heard[topics.FLYWHEEL_STATE] = now_ns
+        angle, rate, _ = sample.joints[FLYWHEEL]
+        self._screw = (angle, rate)
+        self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
+
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
+        """Take a reading of the IMU; the estimate follows at once."""
+        self._heard[topics.IMU] = now_ns
+        stamp = sample.stamp_ns or now_ns
+        last, self._imu_ns = self._imu_ns, stamp
+        momentum = (-self._wheel_momentum, self._flywheel_momentum)
+        before, self._momentum = self._momentum, momentum
+        if last is None or before is None or stamp <= last:
+            return
+        h = (stamp - last) / _NANO
+        if h > _LONGEST_STEP:
+            self.estimator.restart()
+            return
+        if self._looks_away:
+            self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
+            return
+        # What turns with the rover changes in space, too.
+        turned = self.estimator.yaw_rate * h
+        change = (
+            momentum[0] - before[0] - turned * momentum[1],
+            momentum[1] - before[1] + turned * momentum[0],
+        )
+        self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
+        self.twist += self.estimator.twisted
+        self._publish_of_losses()
+
+    def _publish_of_losses(self) -> None:
+        """Say that the estimate had to be begun anew, once for as long as it does not settle."""
+        if self.estimator.losses != self._losses:
+            self._losses = self.estimator.losses
+            self.profile.look_again()
+            if not self._is_lost:
+                self._is_lost = True
+                text = (
+                    "gyro, accelerometer and rotors do not agree with a rover that hangs on a taut "
+                    "tether; the swing is learnt anew"
+                )
+                self._changes.append(Transition("swing_lost", text, Level.WARN))
+        elif self._is_lost and self.estimator.is_settled:
+            self._is_lost = False
+            self._changes.append(Transition("swing_found", "the swing is known again", Level.OK))
+
+    def look_away(self) -> None:
+        """Learn nothing more: the rover may be set down. How it turns is followed."""
+        self._looks_away = True
+
+    def look_again(self) -> None:
+        """The rover hangs again, and its swing is another one; its wheel may still turn."""
+        self.wheels.take_over(self._left_rate)
+        if self._looks_away:
+            self._looks_away = False
+            self.estimator.look_again()
+            self.steady = SteadySwing()
+            self.suspended_mass.restart()
+            self.profile.look_again()
+
+    def on_winch_mode(self, mode: str) -> None:
+        """Take what the winch is doing."""
+        self._mode = mode
+
+    def on_camera(self, sample: JointSample) -> None:
+        """Take what the camera tells of its last picture."""
+        self._camera = (
+            sample.joints[SMEAR].position,
+            sample.joints[WALL_DISTANCE].position,
+        )
+
+    def waiting_for(self, now_ns: int) -> tuple[str, ...]:
+        """Topics of the sensors that are silent: nothing is driven without them."""
+        needed = [topics.IMU, topics.WINCH_STATE]
+        if self.parameters.uses_rotors:
+            needed += [topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
+        limit = _SILENCE * _NANO
+        never = -1 << 62
+        return tuple(name for name in needed if now_ns - self._heard.get(name, never) > limit)
+
+    @property
+    def swing(self) -> SwingEstimate | None:
+        """What is known of the swing."""
+        if self._momentum is None or math.isnan(self._length):
+            return None
+        return self.estimator.estimate
+
+    # --- asked from outside ----------------------------------------------------------------------
+
+    def request(self, stop: Stop, now_ns: int) -> None:
+        """Add a stop.
+
+        Raises:
+            Refusal: sensors are silent, the winch is not armed, or what the profile refuses.
+        """
+        silent = self.waiting_for(now_ns)
+        if silent:
+            raise Refusal(SUBJECT, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        if self._mode not in _ARMED:
+            raise Refusal(
+                SUBJECT,
+                RefusalCode.NOT_ARMED,
+                f"the winch is in {self._mode or 'no known mode'}, it must hold or go to a length; "
+                f"{topics.WINCH_REARM} arms it",
+            )
+        self.profile.request(stop, self.swing, self._length)
+
+    def point(self, turn: float, now_ns: int) -> Prediction:
+        """Turn about the tether by so much [rad], and hold the heading until another request.
+
+        Returns:
+            How long it takes, and how long the heading is held.
+
+        Raises:
+            Refusal: sensors are silent, a stop is being worked at, or the turn cannot be held.
+        """
+        silent = self.waiting_for(now_ns)
+        swing = self.swing
+        if silent or swing is None:
+            raise Refusal(
+                POINTING, RefusalCode.STALE, f"{', '.join(silent) or 'the swing'} not heard"
+            )
+        if not self.parameters.uses_rotors or not self.profile.is_idle:
+            raise Refusal(
+                POINTING,
+                RefusalCode.WRONG_PHASE,
+                f"the descent is in {self.profile.phase}, headings are turned to in standby"
+                if self.parameters.uses_rotors
+                else "the rotors are not used",
+            )
+        prediction = self.pointing.request(
+            turn,
+            self.twist,
+            self._length,
+            yaw_error=swing.yaw_error,
+            twist=self.twist,
+            mass=self.suspended_mass.ratio,
+            spin=self._spin_by_bias(swing),
+        )
+        text = (
+            f"turns by {math.degrees(turn):.0f} deg within {prediction.turning:.0f} s, holds for "
+            f"{prediction.holding:.0f} s, limited by {prediction.limit}"
+        )
+        self._changes.append(Transition("pointing_begun", text, Level.OK))
+        return prediction
+
+    def _spin_by_bias(self, swing: SwingEstimate) -> float:
+        """Spin [rad/s] that is left when the wheels' bias has come up.
+
+        Their motor's torque tilts the rover, and the tether then pulls past its centre of mass, by
+        where the swing is at that time: the swing gets momentum about the plumb line, and the
+        rover the opposite.
+        """
+        hanging, rotors = self.parameters.hanging, self.parameters.rotors
+        change = rotors.wheel_bias - self._left_rate
+        angle = swing.frequency * 0.5 * abs(change) / rotors.wheel_ramp
+        aside = swing.direction[1] * math.cos(angle)
+        aside += swing.direction_rate[1] / swing.frequency * math.sin(angle)
+        inertia = self.suspended_mass.ratio * hanging.inertia_about_z
+        return hanging.wheel_inertia * change * aside / inertia
+
+    def hold(self, now_ns: int) -> str:
+        """Stand still."""
+        return self.profile.hold(self._length, now_ns / _NANO)
+
+    def resume(self, now_ns: int) -> str:
+        """Go on after a hold.
+
+        Raises:
+            Refusal: nothing is held.
+        """
+        return self.profile.resume(now_ns / _NANO)
+
+    def abort(self, now_ns: int) -> str:
+        """Forget what was to be done and stay."""
+        return self.profile.abort(self._length, now_ns / _NANO)
+
+    # --- stepped by time -------------------------------------------------------------------------
+
+    def step(self, now_ns: int) -> Orders:
+        """Advance to now; returns what the drives are to do."""
+        now = now_ns / _NANO
+        h = 0.0 if self._stepped is None else now - self._stepped
+        self._stepped = now
+        swing = self.swing
+        if swing is None or self.waiting_for(now_ns) or h <= 0.0:
+            return _NOTHING
+        h = min(h, _LONGEST_STEP)
+        wish = self.profile.step(
+            swing,
+            self._length,
+            winch_rests=not self._brake_is_open,
+            handing=self._handing(swing),
+            rotors_rest=(self.wheels.is_quiet and self._ease == 0.0)
+            or not self.parameters.uses_rotors,
+            now=now,
+        )
+        wheel_rate, torque = self._react(swing, wish, h)
+        ask, trim = self._winch(swing, wish, now)
+        exposure = None
+        if wish.exposes:
+            exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
+        return Orders(wheel_rate, torque, ask, trim, exposure)
+
+    def _handing(self, swing: SwingEstimate) -> Handing:
+        handing = self.yaw.handing(swing, self.twist, self._length)
+        return handing if self.parameters.uses_rotors else handing._replace(time=math.inf)
+
+    def _react(
+        self, swing: SwingEstimate, wish: Wish, h: float
+    ) -> tuple[float | None, float | None]:
+        if not self.parameters.uses_rotors:
+            return None, None
+        # Comes and goes softly, as its steps would tilt the rover.
+        change = h / _EASING
+        self._ease = min(max(float(wish.pumps), self._ease - change), self._ease + change)
+        if self.estimator.pushes != self._pushes:
+            self._pushes = self.estimator.pushes
+            self.steady.restart()
+            self.yaw.restart()
+        lasting = self.steady.step(swing, self.twist, h)
+        torque = self.yaw.step(
+            swing,
+            self.twist,
+            self._length,
+            self.pump.largest_torque(lasting, self._length),
+            h,
+            hands_on=wish.hands_on,
+            unwinds=wish.unwinds,
+        )
+        wanted = self.pump.momenta(
+            lasting, self._length, torque, damps=not (wish.hands_on or wish.unwinds)
+        )
+        pumped = Pumping(*(self._ease * each for each in wanted))
+        coned = self._cone(swing, h)
+        own = self.pointing.own_tilt_rates(coned)
+        own_x = self.pump.own_tilt_rate(pumped.x, swing.frequency) + own[0]
+        own_y = self.pump.own_tilt_rate(pumped.y, swing.frequency) + own[1]
+        pumped = Pumping(*(sum(each) for each in zip(pumped, coned, strict=True)))
+        pumps = wish.pumps or self.pointing.is_active
+        rate = self.wheels.step(swing.tilt_rate[0] - own_x, pumped.x, h, pumps=pumps)
+        quiet = wish.quiet and not self.flywheel.far_off
+        torque = self.flywheel.step(
+            swing.tilt_rate[1] - own_y, pumped.y, pumped.y_swept, *self._screw, h, quiet=quiet
+        )
+        for axis in (self.wheels.axis, self.flywheel.axis):
+            if axis.cannot_hold != self._told.get(axis.name, ""):
+                self._told[axis.name] = axis.cannot_hold
+                level = Level.WARN if axis.cannot_hold else Level.OK
+                text = axis.cannot_hold or f"{axis.name} holds the attitude again"
+                self._changes.append(Transition("attitude_budget", text, level))
+        return rate, torque
+
+    def _cone(self, swing: SwingEstimate, h: float) -> Pumping:
+        """Momenta that turn the rover to its heading; with a stop to go to, none."""
+        if self.pointing.is_active and not self.profile.is_idle:
+            self.pointing.stop()
+            text = "the heading is let go, a stop was asked for"
+            self._changes.append(Transition("pointing_ended", text, Level.OK))
+        # The tilt of the coning, over a hundred times as fast as the swing, hides how that turns.
+        self.estimator.keeps_yaw_bias = self.pointing.is_coning
+        momenta = self.pointing.step(
+            self.twist,
+            self._length,
+            swing,
+            (self._flywheel_momentum, self._wheel_momentum),
+            h,
+        )
+        reached = self.pointing.take_reached()
+        if reached is not None:
+            text = (
+                f"the heading is reached after {reached.turning:.0f} s, and will be held for "
+                f"{reached.holding:.0f} s, limited by {reached.limit}"
+            )
+            values = reached._asdict()
+            self._changes.append(Transition("pointing_reached", text, Level.OK, values))
+        lost = self.pointing.take_lost()
+        if lost:
+            self._changes.append(Transition("pointing_ended", lost, Level.WARN))
+        return momenta
+
+    def _winch(
+        self, swing: SwingEstimate, wish: Wish, now: float
+    ) -> tuple[WinchAsk | None, float | None]:
+        length = wish.length
+        if math.isnan(length) or self._mode not in _ARMED:
+            return None, None
+        trims = wish.trims and self.parameters.uses_winch
+        ask = WinchAsk(length, wish.rate)
+        asks = self._asked is None or self._asked.length != length
+        if self._asked is not None and not asks and now - self._asked_at >= _RENEWAL:
+            away = abs(self._length - length) > self.parameters.profile.near_enough
+            asks = (trims and self._mode != _LENGTH) or (away and not trims)
+        trim = None
+        if trims and self._mode == _LENGTH and not asks:
+            trim = self.trim.rate(swing, length, self._length - length)
+        if not asks:
+            return None, trim
+        self._asked, self._asked_at = ask, now
+        return ask, trim

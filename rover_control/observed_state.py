@@ -1,0 +1,237 @@
+"""What the mission sees: what the nodes that it asks tell of themselves and of the rover. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    HEADING,
+    JUMP_SCREW,
+    PAYOUT,
+    PITCH,
+    ROLL,
+    TENSION,
+    TETHER_OUT,
+)
+from msg_schemas.samples import (
+    JointSample,
+    OdometrySample,
+    Sample,
+    Status,
+    StatusSample,
+    TextSample,
+)
+from rover_control.drive_attitude import LYING
+
+_NANO = 1e9
+_TOUCHDOWN = "touchdown"
+_WORDS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
+_DRIVES = frozenset({"standing", "turning", "driving", "steered"})
+_NO_JUMP = frozenset({"", "standby", "fault"})
+_FLIES = frozenset({"releasing", "flight", "landed", "hooking"})
+_IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
+_WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
+NUT_ZERO = 2.0e-3
+"""Compression [m] up to which the nut counts as clear of the spring."""
+_UNSURE = frozenset({"", "disarmed", "fault"})  # modes of a winch that does not feel for the floor
+_HANGS = 15.0  # so long: a winch that was started again has to find that the rover stands [s]
+_LIES = 3.0  # so long, before that is believed [s]
+_STEP, _TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
+
+HEARD = (
+    *_WORDS,
+    topics.WINCH_ALARMS,
+    topics.WINCH_ESTIMATE,
+    topics.DESCENT_STATE,
+    topics.DRIVE_STATE,
+    topics.ODOMETRY,
+    topics.JUMP_MOTOR_STATE,
+    topics.EVENTS,
+    topics.DIAGNOSTICS,
+)
+"""Topics that the mission must be told of."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where base_link is on the floor, in map [m, rad]."""
+
+    x: float
+    y: float
+    heading: float
+
+
+_ORIGIN = Place(0.0, 0.0, 0.0)
+
+
+class ObservedState:
+    """The last that was heard of everybody.
+
+    Args:
+        silence: after which a node that tells of itself all the time is lost [s].
+    """
+
+    def __init__(self, silence: float) -> None:
+        self.silence = silence
+        self.words: dict[str, str] = {}
+        self.since: dict[str, float] = {}  # when each word was said first [s]
+        self.stands = False  # something else than the tether carries most of the rover
+        self.stands_since = -math.inf
+        self.length = math.nan  # paid out at the drum [m]
+        self.pull = math.nan  # of the rover on the tether, beyond the tether's weight [N]
+        self.nut = math.nan  # compression at which the nut stands [m]
+        self.heading = math.nan  # of the hanging rover since its controller's start [rad]
+        self.slope = math.nan  # of what the rover stands on, by its tilt [rad]
+        self._tilted_since = math.inf  # as if it lay on its side [s]
+        self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
+        self.place: Place | None = None  # where the rover is, as the mission goes by it
+        self.place_told: Place | None = None  # where drive_node says it is
+        self._heard: dict[str, float] = {}
+        self._news: list[Status] = []
+        self._begun_ns: int | None = None
+
+    # --- heard -----------------------------------------------------------------------------------
+
+    def hear(self, topic: str, sample: Sample, now_ns: int) -> None:
+        """Take what was said on one of `HEARD`."""
+        now = now_ns / _NANO
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
+        self._heard[topic] = now
+        if isinstance(sample, StatusSample):
+            # What happened before is told again to who comes late.
+            if topic != topics.EVENTS or sample.stamp_ns >= self._begun_ns:
+                self._news += sample.statuses
+        elif isinstance(sample, TextSample):
+            if self.words.get(topic) != sample.text:
+                self.words[topic], self.since[topic] = sample.text, now
+        elif isinstance(sample, OdometrySample):
+            self._on_place(sample)
+        elif isinstance(sample, JointSample):
+            self._on_joints(topic, sample, now)
+
+    def _on_joints(self, topic: str, sample: JointSample, now: float) -> None:
+        joints = sample.joints
+        if topic == topics.WINCH_ALARMS:
+            stands = joints[_TOUCHDOWN].position >= 0.5
+            if stands is not self.stands:
+                self.stands, self.stands_since = stands, now
+        elif topic == topics.WINCH_ESTIMATE:
+            self.length = joints[PAYOUT].position
+            known = joints[TENSION].position >= 0.5
+            self.pull = joints[TENSION].effort - joints[TETHER_OUT].effort if known else math.nan
+        elif topic == topics.JUMP_MOTOR_STATE:
+            self.nut = joints[JUMP_SCREW].position
+        elif topic == topics.DESCENT_STATE:
+            self.heading = joints[HEADING].position
+        elif topic == topics.DRIVE_STATE:
+            upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
+            self.slope = math.acos(upright)
+            self._tilted_since = min(self._tilted_since, now) if self.slope > LYING else math.inf
+
+    def _on_place(self, sample: OdometrySample) -> None:
+        x, y, z, w = sample.orientation
+        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        told = Place(sample.position[0], sample.position[1], heading)
+        before, self.place_told = self.place_told, told
+        self.drop = -sample.position[2] if sample.position[2] < 0.0 else math.nan
+        followed = before is not None and self.place is not None and near(before, self.place)
+        # An odometry that begins anew leaps to where maps begin; where it was is remembered.
+        begins_anew = before is not None and not near(before, told) and near(told, _ORIGIN)
+        if followed and not begins_anew:
+            self.place = told
+
+    @property
+    def knows_place(self) -> bool:
+        """Whether drive_node goes by the place that the mission goes by."""
+        told, place = self.place_told, self.place
+        return told is not None and place is not None and near(told, place)
+
+    def take_news(self) -> list[Status]:
+        """Return the events and refusals that were told since the last call."""
+        taken, self._news = self._news, []
+        return taken
+
+    # --- what it means ---------------------------------------------------------------------------
+
+    def silent(self, topic: str, now: float) -> bool:
+        """Whether a topic that is told all the time was not heard for too long."""
+        return now - self._heard.get(topic, -math.inf) > self.silence
+
+    def lies(self, now: float) -> bool:
+        """Whether the rover lies on its side, or on its back."""
+        return now - self._tilted_since > _LIES
+
+    def hangs(self, now: float, begun: float) -> bool:
+        """Whether a rover that should stand since a time [s] has hung for a while."""
+        if self.stands or topics.WINCH_ALARMS not in self._heard:
+            return False
+        known = not self.silent(topics.WINCH_ESTIMATE, now) and self.winch not in _UNSURE
+        return known and now - max(self.stands_since, begun) > _HANGS
+
+    def set_down(self, heading: float) -> None:
+        """The rover stands below the fairlead.
+
+        Args:
+            heading: in map, where the odometry has not followed it from a place before [rad].
+        """
+        self.place = Place(0.0, 0.0, heading if self.place is None else self.place.heading)
+
+    @property
+    def winch(self) -> str:
+        """Mode of the winch; empty = never heard."""
+        return self.words.get(topics.WINCH_MODE, "")
+
+    @property
+    def descent(self) -> str:
+        """Phase of the descent."""
+        return self.words.get(topics.DESCENT_PHASE, "")
+
+    @property
+    def drive(self) -> str:
+        """Phase of the driving."""
+        return self.words.get(topics.DRIVE_PHASE, "")
+
+    @property
+    def jump(self) -> str:
+        """Phase of the jump."""
+        return self.words.get(topics.JUMP_PHASE, "")
+
+    @property
+    def descent_engaged(self) -> bool:
+        """Whether the descent has winch, wheels and flywheel."""
+        return self.descent not in ("", "released")
+
+    @property
+    def descent_busy(self) -> bool:
+        """Whether it is on its way to something."""
+        return self.descent not in _IDLE_DESCENT
+
+    @property
+    def drives(self) -> bool:
+        """Whether the rover is driven."""
+        return self.drive in _DRIVES
+
+    @property
+    def compressed(self) -> bool:
+        """Whether the latch holds the spring, or the nut stands where it may."""
+        prepares = self.jump not in _NO_JUMP and not self.flies
+        return prepares or self.nut > NUT_ZERO
+
+    @property
+    def flies(self) -> bool:
+        """Whether a jump is on its way from the release to the latch that is hooked again."""
+        return self.jump in _FLIES
+
+    @property
+    def winch_moves(self) -> bool:
+        """Whether somebody moves the tether."""
+        return self.winch in _WINCH_MOVES
+
+
+def near(one: Place, other: Place) -> bool:
+    """Whether two places may be one after the other of one odometry."""
+    turned = abs(math.remainder(one.heading - other.heading, math.tau))
+    return math.hypot(one.x - other.x, one.y - other.y) < _STEP and turned < _TURN

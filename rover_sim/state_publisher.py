@@ -1,0 +1,200 @@
+"""What every node that runs a simulation does alike: get it ready, and tell what it does."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msg_schemas import topics
+from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.samples import Level, Status, TextSample
+from msg_schemas.table import TOPICS
+from rover_sim.ahead_of_time import compile_ahead
+from rover_sim.event_reports import EventReport
+from rover_sim.interfaces import build_interface
+from rover_sim.plant import Phase
+from rover_sim.plants import build_plant
+from rover_sim.robot_description import robot_description
+from rover_sim.scenario import AnyScenario, SpatialScenario
+from rover_sim.sim_loop import NANO, Schedule, Simulation, Tick
+
+if TYPE_CHECKING:
+    from msg_schemas.node import ContractNode
+
+
+def table_rate(name: str) -> float:
+    """Rate of a topic as the contract's table has it [Hz]."""
+    rate = TOPICS[name].rate
+    if rate is None:
+        raise AssertionError(f"{name} has no rate")
+    return rate
+
+
+def rate_parameter(about: str, name: str) -> Any:
+    """A parameter with a topic's rate in simulated time."""
+    return parameter(
+        table_rate(name), "Hz", f"{about}, in simulated time", 0.1, 1e4, read_only=True
+    )
+
+
+@dataclass(frozen=True)
+class TruthRates:
+    """How often is published what no drive and no sensor on it tells; at most once a tick."""
+
+    truth_rate: float = rate_parameter(
+        "rate of the bodies' true motion and the energy", topics.TRUTH_BODY1
+    )
+    tether_rate: float = rate_parameter("rate of the tether's true shape", topics.TRUTH_TETHER)
+    camera_rate: float = rate_parameter("rate of the wall camera's figures", topics.CAMERA)
+    marker_rate: float = rate_parameter("rate of markers to look at", topics.MARKERS)
+
+    def check(self, tick: float) -> None:
+        """Refuse rates that the tick does not allow."""
+        for field in dataclasses.fields(self):
+            rate = getattr(self, field.name)
+            if rate * tick > 1.0 + 1e-9:
+                msg = (
+                    f"{field.name} is {rate:g} Hz, it must be at most {1.0 / tick:g} Hz, "
+                    f"once per tick of {tick:g} s"
+                )
+                raise ParameterError(msg)
+
+    def of_topics(self, wanted: Iterable[str], otherwise: float) -> dict[str, float]:
+        """Rate [Hz] of each of the wanted topics; of others, `otherwise`."""
+        rates = {
+            topics.TRUTH_BODY1: self.truth_rate,
+            topics.TRUTH_BODY2: self.truth_rate,
+            topics.TRUTH_ENERGY: self.truth_rate,
+            topics.TRUTH_TETHER: self.tether_rate,
+            topics.CAMERA: self.camera_rate,
+            topics.MARKERS: self.marker_rate,
+        }
+        return {name: rates.get(name, otherwise) for name in wanted}
+
+
+def ready_simulation(
+    scenario: AnyScenario, seed: int, tick: float, node: ContractNode
+) -> Simulation[Any]:
+    """Compile and build a scenario's plant, and say how that goes.
+
+    Args:
+        scenario: what is simulated.
+        seed: of the sensors' errors.
+        tick: [s].
+        node: that says it, and may be told to stop meanwhile.
+
+    Raises:
+        ShutdownRequested: it was.
+    """
+    log = node.get_logger()  # type: ignore[no-untyped-call]
+    log.info(
+        f"scenario {scenario.name}: compiling (tens of seconds the first time on a machine, "
+        "a second or two from then on)"
+    )
+    begin = time.monotonic()
+    is_kept = compile_ahead(scenario, node.shutdown_requested)
+    node.heed_stop()
+    if not is_kept:
+        log.warning(
+            "the compiled code cannot be kept: results may differ from other runs in their "
+            "last bits"
+        )
+    plant = build_plant(scenario)
+    plant.warm_up()
+    simulation = Simulation(build_interface(plant, seed), tick)
+    log.info(f"compiled and at rest after {time.monotonic() - begin:.1f} s")
+    return simulation
+
+
+class StatePublisher:
+    """Publishes a simulation's topics, phase and events; called in the plant's thread.
+
+    Args:
+        node: that publishes.
+        simulation: what is told of.
+        rates: topics that are told, each with its rate in simulated time [Hz].
+    """
+
+    def __init__(
+        self, node: ContractNode, simulation: Simulation[Any], rates: Mapping[str, float]
+    ) -> None:
+        self._node = node
+        self._simulation = simulation
+        self._schedule = Schedule(rates)
+        self._publishers = {name: node.publisher(name) for name in rates}
+        self._phase_publisher = node.publisher(topics.TRUTH_PHASE)
+        self._place_publisher = node.publisher(topics.PLACE)
+        self._told_phase: Phase | None = None
+        scenario = simulation.plant.scenario
+        self._description = ""
+        if isinstance(scenario, SpatialScenario) and scenario.rover is not None:
+            self._description = robot_description(scenario)
+            self._description_publisher = node.publisher(topics.ROBOT_DESCRIPTION)
+
+    def begin(self) -> None:
+        """Tell what stands around the plant, and what the machine looks like."""
+        stamp_ns = self._simulation.stamp_ns
+        self._place_publisher.send(self._simulation.interface.place(stamp_ns))
+        if self._description:
+            self._description_publisher.send(TextSample(self._description))
+
+    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+        """Publish what is due after a tick that began at `before_ns`."""
+        self._tell(self._schedule.due(before_ns, tick.stamp_ns))
+        self._publish_phase(tick.after.phase)
+        for happening in tick.event_reports:
+            self.happened(happening)
+
+    def restarted(self) -> None:
+        """Publish everything once that can be told without a tick before it."""
+        outside = self._simulation.interface
+        self._tell(name for name in self._publishers if name not in outside.measured_over_a_tick)
+        self._publish_phase(self._simulation.phase)
+
+    def happened(self, happening: EventReport) -> None:
+        """Publish an event; what is not well goes to the diagnostics too."""
+        self._node.event(
+            happening.name,
+            happening.message,
+            happening.level,
+            happening.values,
+            happening.stamp_ns,
+        )
+        if happening.level is not Level.OK:
+            name = f"{self._node.NAME}: {happening.name}"
+            self._node.report(Status(name, happening.message, happening.level, self._node.NAME))
+
+    def _tell(self, due: Iterable[str]) -> None:
+        heard = [name for name in due if self._publishers[name].is_heard]
+        for name, sample in self._simulation.interface.samples(heard):
+            self._publishers[name].send(sample)
+
+    def _publish_phase(self, phase: Phase) -> None:
+        if phase is not self._told_phase:
+            self._told_phase = phase
+            self._phase_publisher.send(TextSample(phase.value))
+
+
+def totals(simulation: Simulation[Any]) -> dict[str, str]:
+    """What a simulation has come to, as a status's values."""
+    result = simulation.last
+    values = {
+        "phase": simulation.phase.value,
+        "simulated_time": repr(simulation.stamp_ns / NANO),
+        "ticks": str(simulation.ticks),
+        "commands": str(simulation.commands),
+        "halved_ticks": str(simulation.halved_ticks),
+        "peak_tension": repr(simulation.peak_tension),
+    }
+    if result is not None:
+        values |= {
+            "outcome": result.outcome.value,
+            "newton_iterations": str(result.newton_iterations),
+            "smallest_step": repr(result.smallest_step),
+            "constraint_drift": repr(result.constraint_drift),
+            "energy_drift": repr(result.energies.drift),
+        }
+    return values

@@ -1,0 +1,320 @@
+"""Descent, damping and ascent of the hanging rover: batches on the spatial plant with its sensors.
+
+Each run has its own sensor errors, its own directions of swing, heading and kick, and a mass and
+friction that are off by up to 20 % from what the controllers take them for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_control.descent_profile import ProfileParameters
+from rover_control.hanging_controller import HangingControllerParameters
+from rover_verify.checks import Batch, Measured
+from rover_verify.checks.flights import fly_batch
+from rover_verify.checks.hanging_rig import HangingFlight, Picture, Start
+
+STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
+KICK_AT, KICK = 30.0, math.radians(1.5)
+_LEARNT = 10.0  # after a kick, from when on the swing is to be known [s]
+LONGEST = 1200.0  # of a descent [s]
+SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
+_OFF = 0.2  # by which mass and friction may be off
+ALL = "everything"
+MODES = {
+    ALL: (True, True),
+    "winch only": (True, False),
+    "wheels only": (False, True),
+    "everything off": (False, False),
+}
+
+
+class Descent(NamedTuple):
+    """How one descent went."""
+
+    duration: float  # [s]; NaN = not done within the limit
+    settled: int  # stops with pictures
+    reasons: tuple[str, ...]  # of stops without
+    unexplained: int  # stops with neither
+    pictures: tuple[Picture, ...]
+    budgets_said: int  # times that an axis said that it cannot hold
+    unsaid: int  # axes that were spent without a word
+    swing: float  # major amplitude at the end [rad]
+
+
+def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> Start:
+    """A start with directions, sensor errors, mass and friction of its own."""
+    plane, heading = rng.uniform(0.0, 360.0, 2)
+    tilt = rng.uniform(-1.0, 1.0, 2)
+    mass, friction = rng.uniform(1.0 - _OFF, 1.0 + _OFF, 2)
+    return Start(
+        length=length,
+        major=major,
+        minor=minor,
+        plane=float(plane),
+        heading=float(heading),
+        tilt=(float(tilt[0]), float(tilt[1])),
+        mass=float(mass),
+        friction=float(friction),
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def _parameters(mode: str) -> HangingControllerParameters:
+    winch, rotors = MODES[mode]
+    return HangingControllerParameters(uses_winch=winch, uses_rotors=rotors)
+
+
+def descend(seed: int, index: int, mode: str = ALL) -> Descent:
+    """One descent from 2 m to 45 m with six stops and a kick."""
+    rng = np.random.default_rng([seed, index])
+    flight = HangingFlight(draw(rng, 2.0, 3.0, 1.5), _parameters(mode))
+    kicked_toward = float(rng.uniform(0.0, math.tau))
+    flight.begin()
+    for depth in STOPS:
+        flight.ask(depth)
+    kicked, began = False, flight.time
+    profile = flight.rover.profile
+    while flight.time - began < LONGEST:
+        flight.tick()
+        if not kicked and abs(flight.state.length - KICK_AT) < 0.02 and flight.winch.servo.rests:
+            flight.kick(KICK, kicked_toward)
+            kicked = True
+        if profile.is_idle and flight.time - began > 20.0:
+            break
+    ended = [change for _, change in flight.changes if change.name == "stop_ended"]
+    settled = [change for change in ended if change.values["pictures"]]
+    reasons = tuple(change.reason for change in ended if not change.values["pictures"])
+    said, unsaid = _budgets(flight)
+    done = profile.is_idle
+    return Descent(
+        duration=flight.time - began if done else math.nan,
+        settled=len(settled),
+        reasons=reasons,
+        unexplained=len(STOPS) - len(settled) - sum(bool(reason) for reason in reasons),
+        pictures=tuple(flight.pictures),
+        budgets_said=said,
+        unsaid=unsaid,
+        swing=flight.true_swing().major,
+    )
+
+
+def _budgets(flight: HangingFlight) -> tuple[int, int]:
+    """How often an axis said that it cannot hold, and how many were spent before they said so."""
+    said = [
+        (time, change.reason)
+        for time, change in flight.changes
+        if change.name == "attitude_budget" and "cannot" in change.reason
+    ]
+    unsaid = sum(
+        not any(when <= spent and reason.startswith(name) for when, reason in said)
+        for name, spent in flight.spent.items()
+    )
+    return len(said), unsaid
+
+
+def damp(seed: int, index: int, length: float) -> float:
+    """Time [s] until 3 deg of plane swing have fallen below 0.3 deg; NaN = not in 1500 s."""
+    rng = np.random.default_rng([seed, index])
+    # Pictures need less than that on a long tether: damped on, until it is still all the time, and
+    # for as long as it takes.
+    profile = ProfileParameters(damped_rate=0.0008, steady_time=60.0, stop_limit=1500.0)
+    flight = HangingFlight(
+        draw(rng, length, 3.0, 0.0), HangingControllerParameters(profile=profile)
+    )
+    flight.begin()
+    flight.ask(length)
+    while flight.time < 1500.0:
+        flight.tick()
+        if flight.ticks % 5 == 0 and flight.true_swing().major < math.radians(0.3):
+            return flight.time
+        if flight.rover.profile.is_idle and flight.time > 20.0:
+            flight.ask(length)
+    return math.nan
+
+
+def watch(seed: int, index: int) -> tuple[float, float]:
+    """RMS errors of the swing's amplitudes and of the yaw rate, 40 s to 60 s after the start."""
+    rng = np.random.default_rng([seed, index])
+    length, major = float(rng.uniform(2.0, 45.0)), float(rng.uniform(0.3, 3.0))
+    minor = float(rng.uniform(-0.8, 0.8)) * major
+    flight = HangingFlight(draw(rng, length, major, minor))
+    flight.begin()
+    flight.run(40.0 - flight.time)
+    amplitudes, yaws = [], []
+    for _ in range(40):
+        flight.run(0.5)
+        true, told = flight.true_swing(), flight.rover.swing
+        assert told is not None
+        amplitudes += [told.ellipse.major - true.major, told.ellipse.minor - true.minor]
+        yaws.append(told.yaw_rate - float(flight.state.omega[2]))
+    return (
+        math.sqrt(float(np.mean(np.square(amplitudes)))),
+        math.sqrt(float(np.mean(np.square(yaws)))),
+    )
+
+
+def kicked(seed: int, index: int) -> float:
+    """Largest error of the swing's amplitude [rad], 10 s to 25 s after a kick."""
+    rng = np.random.default_rng([seed, index])
+    length, kick = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
+    flight = HangingFlight(draw(rng, length, 0.15, 0.05))
+    flight.begin()
+    flight.ask(length, observes=False)
+    flight.run(45.0)
+    flight.kick(kick, float(rng.uniform(0.0, math.tau)))
+    flight.run(_LEARNT)
+    worst = 0.0
+    for _ in range(150):
+        flight.run(0.1)
+        told = flight.rover.swing
+        assert told is not None
+        worst = max(worst, abs(told.ellipse.major - flight.true_swing().major))
+    return worst
+
+
+def ascend(seed: int, index: int) -> float:
+    """Swing [rad] after an ascent from 45 m to 2 m that began with a cone of 0.3 by 0.3 deg."""
+    rng = np.random.default_rng([seed, index])
+    flight = HangingFlight(draw(rng, 45.0, 0.3, 0.3))
+    flight.begin()
+    flight.ask(2.0, observes=False)
+    while flight.time < 3000.0:
+        flight.tick()
+        if flight.rover.profile.is_idle and flight.time > 20.0:
+            break
+    return flight.true_swing().major
+
+
+# --- batches ------------------------------------------------------------------------------------
+
+
+def _descents(batch: Batch) -> Sequence[Descent]:
+    return fly_batch(batch, batch.runs, descend)
+
+
+def estimate_error(batch: Batch) -> Measured:
+    """Worst RMS error of the swing's two amplitudes."""
+    errors = np.degrees(fly_batch(batch, batch.runs, watch))
+    return Measured(
+        float(errors[:, 0].max()),
+        f"{len(errors)} runs, median {np.median(errors[:, 0]):.3f} deg; yaw rate worst "
+        f"{errors[:, 1].max():.3f} deg/s",
+    )
+
+
+def error_after_kick(batch: Batch) -> Measured:
+    """Worst error of the swing's amplitude from 10 s after a kick on."""
+    errors = np.degrees(fly_batch(batch, batch.runs, kicked))
+    return Measured(float(errors.max()), f"{len(errors)} kicks, median {np.median(errors):.3f} deg")
+
+
+def unexplained_stops(batch: Batch) -> Measured:
+    """Stops that neither settled nor said why."""
+    flown = _descents(batch)
+    settled = sum(each.settled for each in flown)
+    return Measured(
+        sum(each.unexplained for each in flown),
+        f"{len(flown)} descents: {settled} of {len(STOPS) * len(flown)} stops settled, "
+        f"{sum(len(each.reasons) for each in flown)} said why not",
+    )
+
+
+def steady_pictures(batch: Batch) -> Measured:
+    """Share of the pictures within the smear limit; NaN without pictures."""
+    smears = [picture.smear for each in _descents(batch) for picture in each.pictures]
+    if not smears:
+        return Measured(math.nan, "no pictures were taken")
+    good = float(np.mean(np.array(smears) <= SMEAR_LIMIT))
+    return Measured(
+        good,
+        f"{len(smears)} pictures, smear median {np.median(smears):.2f} px, worst "
+        f"{max(smears):.2f} px, limit {SMEAR_LIMIT:.2f} px",
+    )
+
+
+def longest_descent(batch: Batch) -> Measured:
+    """Duration of the longest descent."""
+    times = [each.duration for each in _descents(batch)]
+    worst = math.nan if any(math.isnan(each) for each in times) else max(times)
+    return Measured(worst, f"median {np.nanmedian(times):.0f} s")
+
+
+def modes_as_good(batch: Batch) -> Measured:
+    """How many of winch only, wheels only and neither settle as many stops as both together."""
+    settled: dict[str, int] = {}
+    lines: dict[str, float | str] = {}
+    for mode in MODES:
+        flown = _descents(batch) if mode == ALL else fly_batch(batch, batch.runs, descend, mode)
+        smears = [picture.smear for each in flown for picture in each.pictures]
+        good = sum(smear <= SMEAR_LIMIT for smear in smears)
+        times = [LONGEST if math.isnan(each.duration) else each.duration for each in flown]
+        settled[mode] = sum(each.settled for each in flown)
+        lines[mode] = (
+            f"{settled[mode]} of {len(STOPS) * len(flown)} stops settled, {good} of {len(smears)} "
+            f"pictures within the limit, {np.median(times):.0f} s, at worst {max(times):.0f} s"
+        )
+    rivals = [mode for mode in MODES if mode != ALL and settled[mode] >= settled[ALL]]
+    return Measured(len(rivals), f"{len(MODES)} times {batch.runs} descents", lines)
+
+
+def swing_time_deep(batch: Batch) -> Measured:
+    """Worst time for 3 deg of plane swing at 45 m."""
+    return _damping_time(batch, 45.0)
+
+
+def swing_time_shallow(batch: Batch) -> Measured:
+    """Worst time for 3 deg of plane swing at 7.5 m."""
+    return _damping_time(batch, 7.5)
+
+
+def _damping_time(batch: Batch, length: float) -> Measured:
+    times = fly_batch(batch, batch.runs, damp, length)
+    return Measured(float(np.max(times)), f"{len(times)} runs, median {np.nanmedian(times):.0f} s")
+
+
+def attitude_error(batch: Batch) -> Measured:
+    """RMS of the tilt against the tether in all pictures, the worse axis."""
+    tilts = [picture.tilt for each in _descents(batch) for picture in each.pictures]
+    if not tilts:
+        return Measured(math.nan, "no pictures were taken")
+    rms = np.degrees(np.sqrt(np.mean(np.square(tilts), axis=0)))
+    return Measured(float(rms.max()), f"{rms[0]:.3f} deg about x, {rms[1]:.3f} deg about y")
+
+
+def unsaid_budgets(batch: Batch) -> Measured:
+    """Descents in which a rotor left its budget without a word."""
+    flown = _descents(batch)
+    said = sum(each.budgets_said for each in flown)
+    return Measured(sum(each.unsaid > 0 for each in flown), f"said {said} times")
+
+
+def swing_after_ascent(batch: Batch) -> Measured:
+    """Worst swing at the end of an ascent."""
+    swings = np.degrees(fly_batch(batch, batch.runs, ascend))
+    return Measured(float(np.max(swings)), f"median {np.median(swings):.2f} deg")
+
+
+@cache
+def _cone(seed: int) -> tuple[float, float]:
+    """What a cone lost in momentum about the plumb line, and what the rover got [N m s]."""
+    flight = HangingFlight(Start(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
+    flight.begin()
+    flight.ask(2.5, observes=False)
+    flight.run(12.0)
+    before = flight.true_momentum()
+    flight.run(60.0)
+    after = flight.true_momentum()
+    return before[0] - after[0], after[1] - before[1]
+
+
+def cone_momentum(batch: Batch) -> Measured:
+    """Momentum that a pumped cone lost and the rover's spin did not get, relative."""
+    lost, gained = _cone(batch.seed)
+    note = f"the cone lost {lost:.4f} N m s, the rover's spin got {gained:.4f} N m s"
+    return Measured(abs(lost - gained) / abs(lost), note)

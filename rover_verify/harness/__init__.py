@@ -1,0 +1,42 @@
+"""A harness: one ROS domain of its own, with the processes and observers that play in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from rover_verify.harness.observer import Observer
+from rover_verify.harness.processes import Process, Processes, clean_shared_memory
+from rover_verify.harness.ros_domain import multicast_link, reserved_domain
+
+__all__ = ["NodeHarness", "Observer", "Process", "Processes", "clean_shared_memory", "open_harness"]
+
+
+class NodeHarness:
+    """Processes and observers in one domain; closing it stops them all.
+
+    Attributes:
+        domain: of ROS.
+        link: to drives, as `hil_bridge` names it, for those of this harness.
+    """
+
+    def __init__(self, domain: int, folder: Path, closing: ExitStack) -> None:
+        self.domain = domain
+        self.link = multicast_link(domain)
+        self.processes = Processes(domain, folder)
+        self._closing = closing
+        closing.callback(self.processes.end)
+
+    def observer(self, namespace: str = "", remap: Mapping[str, str] | None = None) -> Observer:
+        """Return a new observer in this domain, closed with the harness."""
+        made = Observer(self.domain, namespace, remap)
+        self._closing.callback(made.close)
+        return made
+
+
+@contextmanager
+def open_harness(folder: Path) -> Iterator[NodeHarness]:
+    """Open a harness in a domain of its own; its processes run in ``folder``."""
+    with reserved_domain() as domain, ExitStack() as closing:
+        yield NodeHarness(domain, folder, closing)

@@ -1,0 +1,41 @@
+"""A node that answers each of the winch's states at once, with a command that bears its stamp.
+
+The motor holds what hangs there, brake open: a loop as tight as a controller can make it.
+``python -m rover_verify.harness.answerer``
+"""
+
+from __future__ import annotations
+
+import sys
+
+from msg_schemas import topics
+from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.node import ContractNode
+from msg_schemas.node_process import run
+from msg_schemas.samples import JointSample, JointValue
+
+_CARRIED = 16.2  # by the motor [N]
+_LIMIT = 100.0  # [N]
+
+
+class Answerer(ContractNode):
+    """Holds the drum by its motor, and answers every state."""
+
+    NAME = "answerer"
+
+    def setup(self) -> None:
+        """Open both topics."""
+        self._publisher = self.publisher(topics.WINCH_COMMAND)
+        self.subscribe(topics.WINCH_STATE, self._answer)
+
+    def _answer(self, state: JointSample) -> None:
+        joints = {
+            WINCH_DRUM: JointValue(state.joints[WINCH_DRUM].position, 0.0, _CARRIED),
+            WINCH_BRAKE: JointValue(1.0),
+            WINCH_LIMIT: JointValue(0.0, 0.0, _LIMIT),
+        }
+        self._publisher.send(JointSample(state.stamp_ns, joints))
+
+
+if __name__ == "__main__":
+    sys.exit(run(Answerer))

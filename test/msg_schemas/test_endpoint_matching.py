@@ -1,0 +1,55 @@
+"""Who knows what a node has opened: whoever was heard by subscriptions that are newer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from msg_schemas import qos, topics
+from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.endpoint_matching import EndpointMatching
+from msg_schemas.samples import Level, Status, StatusSample
+from rover_verify.harness.ros_domain import reserved_domain
+
+pytestmark = [pytest.mark.ros]
+
+TRIALS = 100  # of 0.1 s each
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    with reserved_domain() as domain:
+        context = Context()
+        rclpy.init(args=[], context=context, domain_id=domain)
+        made = rclpy.create_node("caller", context=context, start_parameter_services=False)
+        yield made
+        made.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.parametrize("topic", [topics.EVENTS, topics.DIAGNOSTICS])
+def test_a_node_that_is_heard_knows_what_is_older(node: Node, topic: str):
+    row, told = topic_row(topic), []
+    publisher = node.create_publisher(message_class(row.message), topic, qos.profile(row.intent))
+    before = len(list(node.subscriptions))
+    discovery = EndpointMatching(node, lambda: told.append(topic))
+    assert not discovery.is_with("server")
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    for _ in range(TRIALS):
+        publisher.publish(
+            encode(topic, StatusSample(1, (Status("n", "m", Level.OK, "server", {}),)))
+        )
+        executor.spin_once(timeout_sec=0.1)
+        if told:
+            break
+    assert discovery.is_with("server")
+    assert not discovery.is_with("caller")
+    discovery.close()
+    assert len(list(node.subscriptions)) == before
+    executor.shutdown()

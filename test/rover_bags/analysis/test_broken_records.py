@@ -1,0 +1,126 @@
+"""What is told of bags whose record pauses, starts anew or lacks messages."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from contract_bag import MadeUp, Parabola
+from made_up_mission import SHORT, SLIP, Leg, mission
+
+from msg_schemas import topics
+from rover_bags.analysis.activities import way_length
+from rover_bags.analysis.metrics import Metrics, measure
+from rover_bags.analysis.timeline import TimelineEventKind
+from rover_bags.read import read_bag
+
+LENGTH = sum(leg.duration for leg in SHORT)
+
+
+def measured(made: MadeUp, folder: Path) -> Metrics:
+    return measure(read_bag(made.write(folder / "bag")))
+
+
+def shown(metrics: Metrics) -> list[str]:
+    return [phase.what.value for phase in metrics.timeline.phases]
+
+
+@pytest.fixture(scope="module")
+def twice(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
+    """Two runs in one bag, the clock put back between them; the second goes down slower."""
+    made = mission(legs=SHORT)
+    slower = tuple(
+        dataclasses.replace(leg, rate=0.2) if leg.what == "descending" else leg for leg in SHORT
+    )
+    made.rows += [(row[0] + LENGTH + 3.0, *row[1:]) for row in mission(legs=slower).rows]
+    return measured(made, tmp_path_factory.mktemp("twice"))
+
+
+def test_each_of_two_runs_has_its_own_phases_and_instants(twice: Metrics):
+    words = [leg.what for leg in SHORT]
+    assert shown(twice) == [*words, *words]
+    kinds = [moment.what for moment in twice.timeline.moments]
+    half = len(kinds) // 2
+    assert kinds[:half] == kinds[half:]
+    assert kinds.count(TimelineEventKind.TOUCHDOWN) == kinds.count(TimelineEventKind.LANDING) == 2
+    assert [d.rate_m_s for d in twice.descents] == pytest.approx([0.25, 0.2], rel=0.01)
+    assert len(twice.jumps) == 2
+    assert len(twice.travels) == 2
+    for travel in twice.travels:
+        assert travel.path_m == pytest.approx((1.0 - SLIP) * 0.6, rel=0.02)
+
+
+def test_each_of_two_runs_has_its_own_energy_balance(twice: Metrics):
+    energy = twice.audits.energy
+    assert energy is not None
+    assert energy.turnover_J == pytest.approx(2 * 3.5 * LENGTH, rel=0.01)
+    assert energy.missed_J == pytest.approx(1e-6 * LENGTH, rel=0.01)
+    assert len(energy.lines) == 2 * len(SHORT)
+    first, second = energy.lines[: len(SHORT)], energy.lines[len(SHORT) :]
+    for one, other in zip(first, second, strict=True):
+        assert one.input_J == pytest.approx(2.0 * (one.end_s - one.begin_s), rel=1e-6)
+        assert other.input_J == pytest.approx(one.input_J, rel=1e-6)
+
+
+def test_rates_and_time_are_those_of_both_runs(twice: Metrics):
+    assert twice.simulated_s == pytest.approx(2 * LENGTH, abs=0.1)
+    for name in (topics.CLOCK, topics.CONTACT, topics.TRUTH_BODY1):
+        assert twice.topics[name].rate_hz == pytest.approx(50.0, rel=1e-3)
+
+
+def test_events_are_those_of_their_own_run(tmp_path: Path):
+    made = MadeUp()
+    jump = Parabola()
+    for offset, height in ((0.0, 0.25), (5.0, 0.5)):
+        made.jumps([jump], until=1.8, offset=offset)
+        landing = jump.take_off + jump.flight_time
+        made.event(landing, "touchdown", "down", {"height": str(height)})
+        told = made.rows.pop()
+        made.rows.append((told[0] + offset, *told[1:]))
+    found = measured(made, tmp_path).jumps
+    assert [jump.reported for jump in found] == [{"height": 0.25}, {"height": 0.5}]
+
+
+def test_a_pause_of_the_record_ends_what_went_on_and_invents_nothing(tmp_path: Path):
+    legs = (Leg("hanging", 3.0), Leg("descending", 5.0, 0.2), Leg("standing", 6.0))
+    made = mission(legs=legs)
+    made.rows = [row for row in made.rows if not 5.0 < row[0] < 10.0]
+    found = measured(made, tmp_path)
+    assert shown(found) == ["hanging", "descending", "standing"]
+    assert found.timeline.phases[1].end_s == pytest.approx(5.0, abs=0.05)
+    assert found.timeline.phases[2].begin_s == pytest.approx(10.0, abs=0.05)
+    assert found.timeline.moments == ()  # the touchdown was not seen
+
+
+def test_a_sensor_that_falls_silent_goes_on_with_nothing(tmp_path: Path):
+    legs = (Leg("standing", 2.0), Leg("driving", 3.0, 2.0), Leg("standing", 10.0))
+    made = mission(legs=legs)
+    made.rows = [row for row in made.rows if row[1] != topics.WHEEL_STATE or row[0] < 4.0]
+    (drive,) = measured(made, tmp_path).drives
+    assert drive.end_s <= 5.1
+
+
+def test_a_missing_sample_of_one_body_gives_no_momentum(tmp_path: Path):
+    made = mission(legs=(Leg("standing", 2.0), Leg("compressing", 2.0, 0.06), Leg("flight", 1.2),
+                         Leg("standing", 2.0)))  # fmt: skip
+    made.rows = [
+        row for row in made.rows if row[1] != topics.TRUTH_BODY2 or not 4.5 < row[0] < 4.53
+    ]
+    (flight,) = measured(made, tmp_path).audits.flights
+    assert flight.gained_N_s < 1e-9
+
+
+def test_a_brake_is_judged_by_simulated_time(tmp_path: Path):
+    legs = (Leg("hanging", 1.0), Leg("descending", 9.0, 0.3), Leg("hanging", 3.0))
+    made = mission(legs=legs)
+    # The run came fifty times faster than real time; the brake closed long after the drum stood.
+    made.rows = [(row[0] / 50.0, *row[1:]) for row in made.rows]
+    found = measured(made, tmp_path)
+    assert "descending" in shown(found)
+    assert [m for m in found.timeline.moments if m.what is TimelineEventKind.FAULT] == []
+
+
+def test_the_way_up_a_slope_is_longer_than_its_plan():
+    time = np.linspace(0.0, 5.0, 251)
+    way = np.stack([0.3 * time, np.zeros_like(time), 0.4 * time], axis=1)
+    assert way_length(time, way) == pytest.approx(2.5)

@@ -1,0 +1,123 @@
+"""Wall coverage: figures against closed forms, the drawing, and the way from a bag's track."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, PICTURE, SMEAR, WALL_DISTANCE
+from msg_schemas.samples import JointSample, JointValue
+from rover_bags.analysis.wall_coverage import (
+    NO_WALL,
+    Observations,
+    View,
+    measure_coverage,
+    observations_of,
+)
+from rover_bags.read import TimeSeries
+from rover_bags.views.coverage_plot import draw_coverage
+
+VIEW = View(width=0.5, height=0.4, sharp=0.5, wall_distance=3.0)
+HIGH = 2.0 * 3.0 * math.tan(0.2)  # of a picture on the wall [m]
+WIDE = 0.5 * 3.0  # of the same [m]
+
+
+def pictures(*rows: tuple[float, float, float]) -> Observations:
+    """Pictures from depth [m], heading [rad] and smear [px]."""
+    depth, heading, smear = np.array(rows, dtype=float).reshape(-1, 3).T
+    count = len(depth)
+    return Observations(
+        np.arange(float(count)), depth, heading, np.full(count, 1e-3), smear, np.full(count, 3.0)
+    )
+
+
+def test_a_picture_covers_its_view_on_the_wall_at_its_distance():
+    found = measure_coverage(pictures((10.0, 0.3, 0.1)), VIEW)
+    assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
+    assert found.headings == pytest.approx(VIEW.width, abs=math.radians(0.6))
+    assert found.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
+    assert (found.pictures, found.sharp, found.stops) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi, -math.pi + 0.1, 40.0])
+def test_where_it_looks_does_not_matter_also_across_the_turn(heading: float):
+    found = measure_coverage(pictures((10.0, heading, 0.1)), VIEW)
+    assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
+
+
+def test_what_is_seen_twice_counts_once_and_halves_overlap_by_half():
+    twice = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0, 2.0 * math.pi, 0.1)), VIEW)
+    assert twice.area == pytest.approx(WIDE * HIGH, rel=0.03)
+    beside = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0, 0.25, 0.1)), VIEW)
+    assert beside.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
+    below = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0 + 0.5 * HIGH, 0.0, 0.1)), VIEW)
+    assert below.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
+    assert below.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
+
+
+def test_only_sharp_pictures_cover_and_stops_are_told_apart():
+    seen = pictures((10.0, 0.0, 0.2), (10.01, 0.0, 0.9), (20.0, 0.0, math.nan), (20.0, 1.0, 0.4))
+    found = measure_coverage(seen, VIEW)
+    assert (found.pictures, found.sharp, found.smeared, found.unknown) == (4, 2, 1, 1)
+    assert found.stops == 2
+    assert (found.depth_first, found.depth_last) == (10.0, 20.0)
+    assert found.area == pytest.approx(2.0 * WIDE * HIGH, rel=0.03)
+    assert (found.smear_median, found.smear_worst) == (0.4, 0.9)
+    whole = (10.0 + HIGH) * 2.0 * math.pi * 3.0
+    assert found.share == pytest.approx(found.area / whole, rel=1e-6)
+    assert found.summary.startswith("4 pictures at 2 stops from 10.0 to 20.0 m, 2 sharp, 1 smeared")
+
+
+@pytest.mark.parametrize("told", [math.nan, NO_WALL])
+def test_where_no_wall_was_measured_the_view_s_own_distance_holds(told: float):
+    seen = pictures((10.0, 0.0, 0.1))._replace(wall_distance=np.array([told]))
+    assert measure_coverage(seen, VIEW).area == pytest.approx(WIDE * HIGH, rel=0.03)
+
+
+def test_without_pictures_there_is_nothing_to_tell_or_draw():
+    found = measure_coverage(pictures(), VIEW)
+    assert found.pictures == found.stops == 0
+    assert math.isnan(found.share)
+    assert found.summary == "no pictures of the wall"
+    assert draw_coverage(pictures(), VIEW) is None
+
+
+def test_each_picture_is_drawn_where_it_looks_also_at_both_sides_of_the_turn():
+    seen = pictures((10.0, 0.0, 0.1), (12.0, math.pi, 0.1), (14.0, 0.0, 0.9), (16.0, 0.0, math.nan))
+    figure = draw_coverage(seen, VIEW)
+    assert figure is not None
+    (axes,) = figure.axes
+    boxes = [len(each.get_paths()) for each in axes.collections]
+    assert boxes == [3, 1, 1]  # the one at the turn stands at both edges
+    first = axes.collections[0].get_paths()[0].get_extents()
+    assert (first.width, first.height) == pytest.approx((math.degrees(0.5), HIGH), rel=1e-6)
+    top, bottom = axes.get_ylim()
+    assert top > 16.0 + 0.5 * HIGH > 10.0 - 0.5 * HIGH > bottom  # depth downward
+    legend = axes.get_legend()
+    assert legend is not None
+    words = [text.get_text() for text in legend.get_texts()]
+    assert [text.split()[0] for text in words] == ["2", "1", "1"]
+    figure.savefig(io.BytesIO(), format="svg")
+
+
+def test_a_track_without_the_camera_s_words_is_read_too():
+    sample = JointSample(
+        5_000_000_000,
+        {PICTURE: JointValue(1.0), DEPTH: JointValue(10.0), HEADING: JointValue(0.2),
+         CAMERA_RATE: JointValue(velocity=1e-3)},
+    )  # fmt: skip
+    columns = {path: np.array([value]) for path, value in sample.scalars()}
+    stamps = np.array([0], dtype=np.int64)
+    track = TimeSeries(topics.DESCENT_OBSERVATION, "", np.array([5.0]), stamps, stamps, columns)
+    seen = observations_of(track)
+    assert (seen.time[0], seen.depth[0], seen.heading[0]) == (5.0, 10.0, 0.2)
+    assert seen.camera_rate[0] == 1e-3
+    assert math.isnan(seen.smear[0])
+    columns.update({f"{SMEAR}.position": np.array([0.3])})
+    columns.update({f"{WALL_DISTANCE}.position": np.array([2.5])})
+    seen = observations_of(track)
+    assert (seen.smear[0], seen.wall_distance[0]) == (0.3, 2.5)

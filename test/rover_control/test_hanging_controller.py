@@ -1,0 +1,32 @@
+"""What the controller of the hanging rover says of its own estimate."""
+
+from __future__ import annotations
+
+from msg_schemas.machine import FLYWHEEL, WHEEL_LEFT, WHEEL_RIGHT, WINCH_BRAKE, WINCH_DRUM
+from msg_schemas.samples import ImuSample, JointSample, JointValue
+from rover_control.hanging_controller import HangingController, HangingControllerParameters
+
+TICK_NS = 10_000_000
+PULL = 1.62
+
+
+def hear(rover: HangingController, first: int, seconds: float, rate: float) -> list[str]:
+    """Names of what it says while the gyro about x reads a rate [rad/s]."""
+    rest = JointValue()
+    for k in range(first, first + round(100 * seconds)):
+        now = k * TICK_NS
+        drum = {WINCH_DRUM: JointValue(5.0), WINCH_BRAKE: rest}
+        rover.on_drum(JointSample(now, drum), now)
+        rover.on_wheels(JointSample(now, {WHEEL_LEFT: rest, WHEEL_RIGHT: rest}), now)
+        rover.on_flywheel(JointSample(now, {FLYWHEEL: rest}), now)
+        rover.on_imu(ImuSample(now, (rate, 0.0, 0.0), (0.0, 0.0, PULL)), now)
+    return [change.name for change in rover.take_changes()]
+
+
+def test_an_estimate_that_is_begun_anew_is_told_once_and_again_when_the_swing_is_known():
+    rover = HangingController(HangingControllerParameters())
+    assert hear(rover, 1, 10.0, 0.0) == []
+    # As of a rover that is turned over, and not of one that hangs.
+    assert hear(rover, 1001, 20.0, 1.0) == ["swing_lost"]
+    assert rover.estimator.losses > 1
+    assert hear(rover, 3001, 60.0, 0.0) == ["swing_found"]
