@@ -40,8 +40,11 @@ study: $(VENV)/.ready-run  ## the paper's study of the tethered jump, figures 11
 bench: $(VENV)/.ready-bench  ## speed and error side by side with Exudyn, into out/bench.json
 	@$(BIN)/bench
 
-lint: $(VENV)/.ready-test-dev  ## ruff
+lint: $(VENV)/.ready-test-dev  ## ruff, the glossary's words, the subjects of commits
 	@$(RUN) ruff check .
+	@$(RUN) ruff format --check --quiet .
+	@$(BIN)/python tools/check_words.py
+	@$(BIN)/python tools/check_commits.py
 
 types: $(VENV)/.ready-test-dev  ## mypy, strict
 	@$(RUN) mypy
