@@ -90,7 +90,7 @@ class SimRunner:
         self._listener = listener
         self._duration_ns = round(duration * NANO)
         self._finished = False
-        self._requests: queue.SimpleQueue[_Request[Any] | None] = queue.SimpleQueue()
+        self._requests: queue.Queue[_Request[Any] | None] = queue.Queue()
         self._thread: threading.Thread | None = None
 
     @property
@@ -103,7 +103,7 @@ class SimRunner:
     def start(self) -> None:
         """Let the thread run."""
         self.pacer.restart()
-        self._requests = queue.SimpleQueue()
+        self._requests = queue.Queue()
         self._thread = threading.Thread(target=self._run, name="plant")
         self._thread.start()
 
@@ -179,6 +179,7 @@ class SimRunner:
         """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
         if self.paused:
             return self._requests.get()
+        # No SimpleQueue: preempted, its get() may compute a negative timeout, which waits for ever.
         try:
             return self._requests.get(block=due_in > 0.0, timeout=due_in)
         except queue.Empty:
