@@ -293,23 +293,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
-    rows = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
+    planar = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
+    spatial: list[Row] = []
     if in_space:
         print("spatial plant ...", file=sys.stderr)
-        rows += bench_spatial.measure(in_space, options.repetitions, lambda _text: None)
+        spatial = bench_spatial.measure(in_space, options.repetitions, lambda _text: None)
     scaling: list[Row] = []
     if costs:
         print("sweep of jumps over the number of workers ...", file=sys.stderr)
         scaling = bench_sweep.measure_scaling(_SWEEP_RUNS)
-        rows += scaling
+    rows = [*planar, *spatial, *scaling]
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if chosen or costs:
-        print(table(rows))
+        print(table(planar))
         print()
         print(notes(peer=peer))
-    if in_space:
-        print("\n" + bench_spatial.table(rows))
+    if spatial:
+        print("\n" + bench_spatial.table(spatial))
     if scaling:
         print("\n" + bench_sweep.table(scaling) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]

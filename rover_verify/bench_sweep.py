@@ -42,6 +42,9 @@ def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
     """Wall time [s] of a plan's runs once each worker has made its first ones.
 
     The first batches load (or compile) the code and are not counted.
+
+    Raises:
+        ValueError: the first batches are all there is.
     """
     store = SweepStore(folder, plan, package_version())
     begin, first = 0.0, 0
@@ -57,6 +60,8 @@ def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
     counted = plan.count - first
     store.finish()
     store.close()
+    if not (begin and counted):
+        raise ValueError(f"{plan.count} runs are too few to time {workers} workers")
     return spent * plan.count / counted
 
 

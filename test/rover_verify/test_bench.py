@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rover_verify import bench, bench_cases, core_peak, exudyn_peer
+from rover_verify import bench, bench_cases, bench_spatial, core_peak, exudyn_peer
 from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
 from rover_verify.bench_row import Row
 from rover_verify.trial import SAMPLE, Setting, Trial
@@ -154,6 +154,22 @@ def test_the_file_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setattr(bench, "cases", lambda: [TINY])
     assert bench.main(["--out", str(tmp_path), "--repetitions", "1", "--case", "tiny"]) == 0
     check_rows(json.loads((tmp_path / "bench.json").read_text()), peer=False)
+
+
+@pytest.mark.slow
+def test_the_smallest_bench_runs_to_its_tables(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(bench, "cases", lambda: [TINY])
+    monkeypatch.setattr(bench, "COST_ELEMENTS", (3, 5))
+    monkeypatch.setattr(bench, "_SWEEP_RUNS", 100)
+    monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
+    assert bench.main(["--out", str(tmp_path), "--repetitions", "1"]) == 0
+    printed = capsys.readouterr().out
+    for heading in ("tiny", "cost per step", "resting on rubble", "workers", "Written:"):
+        assert heading in printed
+    rows = json.loads((tmp_path / "bench.json").read_text())
+    assert {"tiny", "cost per step"} < {row["case"] for row in rows}
 
 
 @pytest.mark.parametrize("arguments", [["--repetitions", "0"], ["--case", "nothing"]])
