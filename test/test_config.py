@@ -73,7 +73,7 @@ def test_the_unit_of_every_quantity_stands_beside_it(node: type[ContractNode]):
         assert f"[{rule_of(field).unit}]" in line
 
 
-def test_the_winch_of_a_descent_has_room_for_all_that_the_trim_may_ask_for():
+def test_the_winch_of_a_descent_permits_the_largest_trim_of_the_damping():
     given = values_of(WinchNode, "winch_descent")
     servo = from_mapping(ServoParameters, given)
     assert servo.trim_rate >= DampingParameters().trim_rate > ServoParameters().trim_rate

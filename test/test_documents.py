@@ -1,4 +1,4 @@
-"""What the documents point at is there: files, requirements, modules."""
+"""Files, requirements and modules that the documents name exist."""
 
 import fnmatch
 import re
@@ -44,8 +44,8 @@ def test_modules_of_the_physics_are_there():
 
 # ------------------------------------------------------------- the diagrams of the architecture
 
-Said = tuple[str, str, str]
-"""Who says something, what, and to whom."""
+Edge = tuple[str, str, str]
+"""Publisher or client, topic or service, subscriber or server."""
 
 
 def drawn(number: int) -> str:
@@ -58,25 +58,25 @@ def drawn(number: int) -> str:
     return found[number]
 
 
-def said() -> set[Said]:
-    """What the first diagram has nodes say."""
+def drawn_edges() -> set[Edge]:
+    """Topics and services between the nodes of the first diagram."""
     arrows = re.findall(r'(\w+) -- "([^"]+)" --> (\w+)', drawn(0))
     return {(one, name, other) for one, names, other in arrows for name in names.split(", ")}
 
 
-def test_what_nodes_are_drawn_to_say_they_may_say_and_hear():
+def test_the_access_table_permits_every_edge_that_is_drawn():
     def may(granted: tuple[str, ...], name: str) -> bool:
         return granted == ALL or name in granted
 
-    for one, name, other in said():
+    for one, name, other in drawn_edges():
         first, second = ACCESS[one], ACCESS[other]
-        told = may(first.publishes, name) and may(second.subscribes, name)
+        published = may(first.publishes, name) and may(second.subscribes, name)
         called = may(first.calls, name) and name in second.serves
-        assert told or called, f"{one} cannot tell {other} {name}"
+        assert published or called, f"{one} has no access to {name} of {other}"
 
 
 def test_every_command_between_the_nodes_that_are_drawn_is_drawn():
-    nodes = {node for one, _, other in said() for node in (one, other)}
+    nodes = {node for one, _, other in drawn_edges() for node in (one, other)}
     commands = [name for name, row in TOPICS.items() if row.intent is Intent.COMMAND]
     assert {
         (one, name, other)
@@ -84,21 +84,21 @@ def test_every_command_between_the_nodes_that_are_drawn_is_drawn():
         for other in nodes - {one}
         for name in commands
         if name in ACCESS[one].publishes and name in ACCESS[other].subscribes
-    } <= said()
+    } <= drawn_edges()
 
 
-def behind(arrows: dict[str, set[str]], one: str) -> set[str]:
-    """All that one knows, and what stands behind it."""
-    return {other for each in arrows[one] for other in {each} | behind(arrows, each)}
+def reachable(arrows: dict[str, set[str]], one: str) -> set[str]:
+    """All that a package imports, transitively."""
+    return {other for each in arrows[one] for other in {each} | reachable(arrows, each)}
 
 
-def test_the_packages_are_drawn_as_they_know_one_another():
+def test_the_diagram_of_packages_draws_the_permitted_imports():
     text = re.sub(r'\["[^"]*"\]', "", drawn(1))
     arrows: dict[str, set[str]] = {name: set() for name in architecture.ARROWS}
     for one, other in re.findall(r"(\w+) --> (\w+)", text):
         arrows[one].add(other)
     for name in architecture.ARROWS:
-        assert behind(arrows, name) == behind(architecture.ARROWS, name), name
+        assert reachable(arrows, name) == reachable(architecture.ARROWS, name), name
     exceptional = {
         (name.partition(".")[0], other)
         for found in (architecture.EXCEPTIONS, architecture.EXCEPTIONAL_FOLDERS)

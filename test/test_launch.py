@@ -122,7 +122,7 @@ def test_emulated_drives_and_bridge_share_the_link_of_a_rover():
     assert started["drive_emulator"].parameters == {"scenario": "free_hang", "link": link}
 
 
-def test_the_loop_s_processes_have_the_priority_that_is_asked_for():
+def test_the_processes_of_the_loop_get_the_requested_priority():
     _, started = planned(
         *MISSION, plant="hil", realtime_priority="20", record="bag", console="true"
     )
@@ -133,7 +133,7 @@ def test_the_loop_s_processes_have_the_priority_that_is_asked_for():
     assert not any("realtime_priority" in each.parameters for each in without.values())
 
 
-def test_without_rviz_that_is_said_and_everything_else_is_started():
+def test_without_rviz_a_message_reports_it_and_everything_else_is_started():
     without, started = planned(*MISSION, rviz="true")
     assert "rviz2" not in started
     assert "view_node" in started

@@ -90,7 +90,7 @@ def test_rviz_s_topics_are_the_contract_s_with_their_types():
     assert drawn <= shown
 
 
-def test_rviz_hears_what_was_told_before_it_came():
+def test_rviz_receives_latched_messages_published_before_it_started():
     for _, topic in rviz_topics():
         assert topic.keys() == RVIZ_QOS
         durability = topic["Durability Policy"].lower()

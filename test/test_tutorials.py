@@ -69,7 +69,7 @@ def ends() -> Any:
         network.disconnect()
 
 
-def test_the_own_load_cell_is_what_the_bridge_asks_for(ends: list[canopen.Network]):
+def test_the_own_load_cell_answers_as_the_bridge_requires(ends: list[canopen.Network]):
     mine, bridges = ends
     imported("own_load_cell").OwnLoadCell(
         mine, str(ROOT / "rover_hil" / "eds" / "load_cell.eds"), read=lambda: PULL
@@ -82,11 +82,11 @@ def test_the_own_load_cell_is_what_the_bridge_asks_for(ends: list[canopen.Networ
     answers: list[dict[str, int] | None] = []
     answered = threading.Event()
 
-    def hear(_can_id: int, data: bytearray, _timestamp: float) -> None:
+    def receive(_can_id: int, data: bytearray, _timestamp: float) -> None:
         answers.append(unpack(pdo, bytes(data)))
         answered.set()
 
-    bridges.subscribe(pdo.can_id(LOAD_CELL.node_id), hear)
+    bridges.subscribe(pdo.can_id(LOAD_CELL.node_id), receive)
     node.nmt.wait_for_heartbeat(PATIENCE)
     bridges.send_message(0, bytes([1, LOAD_CELL.node_id]))  # NMT: operational
     for counter in range(1, 200):

@@ -350,8 +350,8 @@ def broken_executables(root: Path) -> list[str]:
         if name not in shims:
             found.append(f"executable {name} has no scripts/{name}: `ros2 run` cannot find it")
             continue
-        wanted = f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n'
-        if shims[name].read_text(encoding="utf-8") != wanted:
+        required = f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n'
+        if shims[name].read_text(encoding="utf-8") != required:
             found.append(f"scripts/{name} does not start ../../bin/{name} as the others do")
         if not shims[name].stat().st_mode & 0o100:
             found.append(f"scripts/{name} is not executable")

@@ -70,14 +70,14 @@ def blocks(document: Path) -> list[Block]:
         elif fence is not None:
             begin, language, held = number, fence[1], []
         elif line.strip():
-            told = _FILE.fullmatch(line.strip())
-            before = "" if told is None else told[1]
+            marker = _FILE.fullmatch(line.strip())
+            before = "" if marker is None else marker[1]
     assert not begin, f"{name}:{begin} is not closed"
     return found
 
 
 def indented(document: Path) -> list[str]:
-    """Lines that are code by their indentation alone, which nobody says what it is."""
+    """Lines that are code by their indentation alone, without a language."""
     found, fenced, previous = [], False, ""
     for number, line in enumerate(document.read_text(encoding="utf-8").splitlines(), start=1):
         fenced ^= line.startswith("```")

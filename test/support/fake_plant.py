@@ -1,4 +1,4 @@
-"""A plant that costs nothing, and its interface, for tests of what runs around a plant."""
+"""A plant without mechanics, and its interface, for tests of the code around a plant."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class FakeState:
 class FakePlant:
     """A nut that follows its setpoint, a latch that trips there, and a flight of 0.5 s.
 
-    The drum pays out at the commanded rate while its brake is released, wheels and flywheel do
-    what they are told.
+    The drum pays out at the commanded rate while its brake is released; wheels and flywheel follow
+    their commands.
 
     Attributes:
         diverges_at: time at which it diverges [s].
-        commands: every command it was given.
+        commands: every command that it received.
     """
 
     def __init__(self, diverges_at: float = math.inf) -> None:
@@ -84,10 +84,10 @@ class FakePlant:
         jump = command.jump
         if not isinstance(jump, JumpMotorCommand):
             return after, self._result(Outcome.CONVERGED)
-        way = jump.compression - state.compression
-        moved = state.compression + math.copysign(min(abs(way), jump.rate * dt), way)
-        if jump.trips and jump.compression > 0.0 and abs(way) <= jump.rate * dt:
-            event = Event("take_off", state.time + abs(way) / jump.rate, {"speed": 1.0})
+        travel = jump.compression - state.compression
+        moved = state.compression + math.copysign(min(abs(travel), jump.rate * dt), travel)
+        if jump.trips and jump.compression > 0.0 and abs(travel) <= jump.rate * dt:
+            event = Event("take_off", state.time + abs(travel) / jump.rate, {"speed": 1.0})
             flying = replace(after, phase=Phase.FLIGHT, compression=0.0)
             return flying, self._result(Outcome.CONVERGED, event)
         return replace(after, compression=moved), self._result(Outcome.HALVED)
@@ -131,7 +131,7 @@ class FakeInterface:
     """The outside of a fake plant: a clock and a drum.
 
     Attributes:
-        measured: time of each state that it was given to measure [s].
+        measured: time of each measured state [s].
     """
 
     topics = (topics.CLOCK, topics.WINCH_STATE)

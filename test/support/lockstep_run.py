@@ -1,4 +1,4 @@
-"""A simulation run tick by tick and recorded, as nodes in lockstep would leave it."""
+"""A simulation stepped tick by tick and recorded like a run of nodes in lockstep."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TICK = 0.01
 PLANAR, SPATIAL = "paper_table1_high", "free_hang"
 NUT = {JUMP_SCREW: JointValue(0.1, 0.4, 400.0)}
 
-Orders = Callable[[int], Iterable[tuple[str, Mapping[str, JointValue]]]]
+CommandSource = Callable[[int], Iterable[tuple[str, Mapping[str, JointValue]]]]
 Change = Callable[[str, int, Sample], Sample]
 
 
@@ -50,7 +50,7 @@ def same(_name: str, _stamp: int, sample: Sample) -> Sample:
 
 
 class Recorder:
-    """Runs a simulation tick by tick and records it, as nodes in lockstep would."""
+    """Steps a simulation tick by tick and records it like a run of nodes in lockstep."""
 
     def __init__(self, scenario: str, seed: int = 7, **overrides: object) -> None:
         given = {name.replace("__", "."): value for name, value in overrides.items()}
@@ -68,27 +68,29 @@ class Recorder:
         }
         self.made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
 
-    def run(self, ticks: int, orders: Orders, *, late: int = 0, change: Change = same) -> None:
-        """Record some ticks; commands come `late` ticks after they were sent."""
-        coming: list[tuple[int, str, JointSample]] = []
+    def run(
+        self, ticks: int, commands: CommandSource, *, late: int = 0, change: Change = same
+    ) -> None:
+        """Record some ticks; each command arrives `late` ticks after it was sent."""
+        in_transit: list[tuple[int, str, JointSample]] = []
         for tick in range(ticks):
             now = self.simulation.stamp_ns
             # At time 0 a command would count as unstamped.
-            for name, joints in orders(tick) if now else ():
+            for name, joints in commands(tick) if now else ():
                 sample = JointSample(now, dict(joints))
                 self.made.add(self.wall + 0.002, name, sample)
-                coming.append((tick + late, name, sample))
-            for due, name, sample in list(coming):
+                in_transit.append((tick + late, name, sample))
+            for due, name, sample in list(in_transit):
                 if due <= tick:
                     self.simulation.take(name, sample)
-                    coming.remove((due, name, sample))
+                    in_transit.remove((due, name, sample))
             self.simulation.tick()
             self.wall += TICK
-            self.tell(change)
+            self.record(change)
 
-    def tell(self, change: Change = same) -> None:
+    def record(self, change: Change = same) -> None:
         stamp = self.simulation.stamp_ns
         self.made.add(self.wall, topics.CLOCK, ClockSample(stamp))
-        told = set(self.simulation.interface.topics) - {topics.CLOCK, topics.MARKERS}
-        for name, sample in self.simulation.interface.samples(told):
+        recorded = set(self.simulation.interface.topics) - {topics.CLOCK, topics.MARKERS}
+        for name, sample in self.simulation.interface.samples(recorded):
             self.made.add(self.wall, name, change(name, stamp, sample))

@@ -1,12 +1,13 @@
 """A publisher for recorders under test: ``python -m numbered_source MODE RATE``.
 
-Prints for each message its number, the time [ns] and how many so far went to someone who listens.
+Prints a line for each message: its number, the time [ns], and the number of messages sent so far
+while a subscription was matched.
 Modes:
 
 * ``contract``: numbered states of the jump motor, now and then a word on the winch's tension
   topic, and a latched configuration, as the contract has them;
 * ``stranger``: a topic outside the contract, best effort;
-* ``volatile``: a latched topic of the contract from someone who does not latch.
+* ``volatile``: a latched topic of the contract, published without latching.
 """
 
 import json
@@ -66,7 +67,7 @@ def _volatile(node: Any) -> tuple[Any, Callable[[int], None]]:
 
 
 def main() -> None:
-    """Send until told to stop."""
+    """Publish until SIGINT or SIGTERM."""
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -75,13 +76,13 @@ def main() -> None:
     modes = {"contract": _contract, "stranger": _stranger, "volatile": _volatile}
     publisher, send = modes[sys.argv[1]](node)
     rate = float(sys.argv[2])
-    count = heard = 0
+    count = delivered = 0
     while not stop.wait(1.0 / rate):
         count += 1
         send(count)
-        heard += publisher.get_subscription_count() > 0
-        print(count, time.time_ns(), heard, flush=True)
-    # What is on its way when its sender ends may be lost: that would say nothing of the recorder.
+        delivered += publisher.get_subscription_count() > 0
+        print(count, time.time_ns(), delivered, flush=True)
+    # Messages in transit may be lost when their publisher ends, whatever the recorder does.
     publisher.wait_for_all_acked(Duration(seconds=_PATIENCE))
     node.destroy_node()
     rclpy.shutdown()

@@ -140,7 +140,7 @@ class Run:
     words: tuple[str, ...]
 
     def check(self) -> None:
-        """There is such an executable; its arguments are held to it by whoever knows them."""
+        """Check that the executable exists; its own test checks the arguments."""
         assert self.words[0] in architecture.executables(ROOT), self.words[0]
 
 
