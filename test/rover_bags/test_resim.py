@@ -138,11 +138,11 @@ def test_resets_of_plant_and_clock_are_followed(tmp_path: Path):
     stamp = simulation.stamp_ns * 1e-9
     recorder.made.rows.append(event(recorder, stamp, "reset_plant"))
     recorder.wall += 0.5
-    recorder.tell()
+    recorder.record()
     recorder.run(20, nut_until_trip)
     simulation.reset()
     recorder.wall += 0.5
-    recorder.tell()
+    recorder.record()
     recorder.run(30, nut_until_trip)
     # An accelerometer tells nothing before the first tick.
     recorder.made.rows = [
