@@ -1,7 +1,7 @@
 """The whole mission: the plant, all controllers and their supervisor; arguments as sim.launch.py.
 
 ros2 launch mother_rover mission.launch.py rviz:=true
-ros2 launch mother_rover mission.launch.py plant:=null namespace:=rover1
+ros2 launch mother_rover mission.launch.py plant:=mock namespace:=rover1
 ros2 launch mother_rover mission.launch.py plant:=hil drives:=socketcan:can0
 """
 

@@ -1,7 +1,7 @@
 """The plant alone, and on request a recorder and RViz.
 
 ros2 launch mother_rover sim.launch.py scenario:=lunar_jump real_time_factor:=2.0 record:=bag1
-ros2 launch mother_rover sim.launch.py plant:=null namespace:=rover2
+ros2 launch mother_rover sim.launch.py plant:=mock namespace:=rover2
 """
 
 from launch import LaunchDescription

@@ -203,19 +203,19 @@ class JumpPredictor:
         scenario = rover_sim.load_spatial(
             p.predicted_scenario,
             {
-                "place.hole": None,
-                "place.relief": None,
-                "place.boulders": None,
-                "place.floor": {
+                "environment.hole": None,
+                "environment.relief": None,
+                "environment.boulders": None,
+                "environment.floor": {
                     "height": height,
                     "slope": math.degrees(slope),
                     "downhill": math.degrees(downhill),
                 },
-                "start.kind": "standing",
+                "start.kind": "grounded",
                 "start.position": [x, y],
                 "start.heading": math.degrees(heading),
-                "start.settling": _SETTLES,
-                "start.creep": _CREEP,
+                "start.settling_time": _SETTLES,
+                "start.residual_speed": _CREEP,
                 "tether.length": length,
                 "tether.max_length": max(length + 1.0, 60.0),
                 "tether.elements": None,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 PACKAGE = "mother_rover"
-SIM, NULL, HIL = "sim", "null", "hil"
+SIM, MOCK, HIL = "sim", "mock", "hil"
 SPATIAL = "spatial"
 EMULATED = "emulated"
 FALSE, TRUE = "false", "true"
@@ -25,7 +25,7 @@ Value: TypeAlias = str | float | int | bool
 
 PLANTS: Mapping[str, str] = {
     SIM: "sim_node",
-    NULL: "mock_plant",
+    MOCK: "mock_plant",
     HIL: "hil_bridge",
 }
 """Executable that stands for the plant towards the controllers."""
@@ -148,7 +148,7 @@ def arguments_of(
         Argument(
             "plant",
             SIM,
-            "sim: simulated; null: follows commands perfectly; hil: behind a link to its drives",
+            "sim: simulated; mock: follows commands perfectly; hil: behind a link to its drives",
             tuple(PLANTS),
         ),
         *(

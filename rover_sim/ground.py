@@ -105,16 +105,16 @@ class Patch(Configuration):
 class Hole(Configuration):
     """A vertical hole: a known one, or one by its numbers.
 
-    A hole by numbers has a straight wall that widens by `overhang` below `overhang_from`.
+    A hole by numbers has a straight wall that widens by `overhang` below `overhang_depth`.
     """
 
-    known: str | None = choice(tuple(_KNOWN_HOLES), "a hole of the Moon", None, optional=True)
+    preset: str | None = choice(tuple(_KNOWN_HOLES), "a hole of the Moon", None, optional=True)
     diameter: float | None = quantity("m", "of the mouth", None, above=0.0, optional=True)
     depth: float | None = quantity("m", "from ground to floor", None, above=0.0, optional=True)
     overhang: float | None = quantity(
         "m", "radius of the floor beyond the mouth's, of a hole by numbers", None, optional=True
     )
-    overhang_from: float | None = quantity(
+    overhang_depth: float | None = quantity(
         "m", "depth at which the wall begins to widen", None, above=0.0, optional=True
     )
     wall_distance: float = quantity("m", "fairlead's, at the narrowest", 3.0, above=0.0)
@@ -124,18 +124,18 @@ class Hole(Configuration):
     def check(self) -> None:
         """Refuse a hole that is given in no way or in two."""
         numbers = ("diameter", "depth")
-        for name in (*numbers, "overhang", "overhang_from"):
+        for name in (*numbers, "overhang", "overhang_depth"):
             value = getattr(self, name)
-            if self.known is not None and value is not None:
-                raise ConfigurationError(name, value, f"should be null, as {self.known} is known")
+            if self.preset is not None and value is not None:
+                raise ConfigurationError(name, value, f"should be null, as {self.preset} is given")
         for name in numbers:
-            if self.known is None and getattr(self, name) is None:
+            if self.preset is None and getattr(self, name) is None:
                 raise ConfigurationError(
-                    name, None, f"needed, unless known is one of {', '.join(_KNOWN_HOLES)}"
+                    name, None, f"needed, unless preset is one of {', '.join(_KNOWN_HOLES)}"
                 )
-        if (self.overhang is None) != (self.overhang_from is None):
+        if (self.overhang is None) != (self.overhang_depth is None):
             raise ConfigurationError(
-                "overhang_from", self.overhang_from, "should be given together with overhang"
+                "overhang_depth", self.overhang_depth, "should be given together with overhang"
             )
         refuse_what_is_refused_by(self.parameters)
 
@@ -146,17 +146,17 @@ class Hole(Configuration):
             "fairlead_height": self.fairlead_height,
             "rim_radius": self.rim_radius,
         }
-        if self.known is not None:
-            return dataclasses.replace(_KNOWN_HOLES[self.known], **place)
+        if self.preset is not None:
+            return dataclasses.replace(_KNOWN_HOLES[self.preset], **place)
         assert self.diameter is not None
         assert self.depth is not None
         profile: tuple[tuple[float, float], ...] = ()
-        if self.overhang is not None and self.overhang_from is not None:
-            if not self.overhang_from < self.depth:
+        if self.overhang is not None and self.overhang_depth is not None:
+            if not self.overhang_depth < self.depth:
                 raise ConfigurationError(
-                    "overhang_from", self.overhang_from, f"should be below {self.depth:g} m"
+                    "overhang_depth", self.overhang_depth, f"should be below {self.depth:g} m"
                 )
-            profile = ((self.overhang_from, 0.0), (self.depth, self.overhang))
+            profile = ((self.overhang_depth, 0.0), (self.depth, self.overhang))
         return places.HoleParameters(
             diameter=self.diameter, depth=self.depth, profile=profile, **place
         )
@@ -242,7 +242,7 @@ class WheelOnSoil(Configuration):
 
 
 @dataclass(frozen=True)
-class Place(Configuration):
+class Environment(Configuration):
     """Where it all happens."""
 
     gravity: float = quantity("m/s^2", "g, along -z", minimum=0.0, maximum=1e3)

@@ -195,7 +195,7 @@ class Wheels(PhysicsSection):
         minimum=0.0,
         maximum=1.0,
     )
-    track: float = quantity("m", "between the wheels' middles", 0.44, above=0.0)
+    track_width: float = quantity("m", "between the wheels' middles", 0.44, above=0.0)
     axle_x: float = quantity("m", "x of the axle", 0.08)
     axle_z: float = quantity("m", "z of the axle", 0.0)
 
@@ -213,12 +213,12 @@ class Wheels(PhysicsSection):
     @property
     def left(self) -> Vector:
         """Centre of the left wheel in base_link [m]."""
-        return self.axle_x, 0.5 * self.track, self.axle_z
+        return self.axle_x, 0.5 * self.track_width, self.axle_z
 
     @property
     def right(self) -> Vector:
         """Centre of the right wheel in base_link [m]."""
-        return self.axle_x, -0.5 * self.track, self.axle_z
+        return self.axle_x, -0.5 * self.track_width, self.axle_z
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ class MockInterface:
 
     def place(self, stamp_ns: int) -> DrawingSample:
         """The level floor that it stands on, if there is one."""
-        height = self._scenario.place.floor_height
+        height = self._scenario.environment.floor_height
         shapes = (bare_floor(height),) if math.isfinite(height) else ()
         return DrawingSample(stamp_ns, shapes)
 
@@ -221,7 +221,7 @@ class MockInterface:
         return JointSample(stamp_ns, joints)
 
     def _camera(self, state: MockState, stamp_ns: int) -> Sample:  # noqa: ARG002
-        hole = self._scenario.place.hole
+        hole = self._scenario.environment.hole
         distance = _NONE_SEEN if hole is None else hole.wall_distance
         return JointSample(stamp_ns, {WALL_DISTANCE: JointValue(distance), SMEAR: JointValue()})
 

@@ -96,7 +96,7 @@ class MockPlant:
         self.pitch = self.rover.jump_drive.lead / _FULL_TURN
         """Of the screw [m/rad]."""
         self.floor_drop = -(
-            scenario.place.floor_height
+            scenario.environment.floor_height
             + wheels.tip_radius
             - wheels.axle_z
             + self.rover.attachment[2]
@@ -108,7 +108,7 @@ class MockPlant:
     def initial_state(self) -> MockState:
         """Hanging at the scenario's length, or standing where it starts."""
         start = self.scenario.start
-        x, y = start.position if start.kind == "standing" else (0.0, 0.0)
+        x, y = start.position if start.kind == "grounded" else (0.0, 0.0)
         state = MockState(
             time=0.0,
             phase=Phase.HANGING,
@@ -286,7 +286,7 @@ class MockPlant:
         if state.phase is Phase.GROUNDED:
             left, right = state.wheel_rates
             speed = 0.5 * wheels.tip_radius * (left + right)
-            yaw_rate = wheels.tip_radius * (right - left) / wheels.track
+            yaw_rate = wheels.tip_radius * (right - left) / wheels.track_width
         # The attachment lies above base_link's origin or not far from it: it takes the same way.
         middle = state.heading + 0.5 * yaw_rate * dt
         moved = replace(

@@ -63,13 +63,13 @@ def robot_description(scenario: SpatialScenario) -> str:
     look = (0.0, math.atan2(-z, math.hypot(x, y)), math.atan2(y, x))
     link = _link(robot, CAMERA_FRAME)
     _shape(link, "box", _CAMERA_COLOUR, size=_text(_CAMERA_SIZE))
-    _joint(robot, "camera_mount", "fixed", BODY1_FRAME, CAMERA_FRAME, camera.place, look)
+    _joint(robot, "camera_mount", "fixed", BODY1_FRAME, CAMERA_FRAME, camera.position, look)
     # REP-103: an optical frame looks along z, x to the right and y down in the picture.
     _link(robot, CAMERA_OPTICAL_FRAME)
     turned = (-_QUARTER, 0.0, -_QUARTER)
     _joint(robot, "camera_optics", "fixed", CAMERA_FRAME, CAMERA_OPTICAL_FRAME, _ORIGIN, turned)
     for frame, place in (
-        (IMU_FRAME, scenario.sensors.imu_place),
+        (IMU_FRAME, scenario.sensors.imu_position),
         (TETHER_FRAME, rover.attachment),
     ):
         _link(robot, frame)

@@ -41,7 +41,7 @@ from rover_sim.physics.ray import distance_to_ground
 from rover_sim.physics.terrain import Terrain
 from rover_sim.physics.vectors import Vector, dot
 
-Quality: TypeAlias = Literal["real", "perfect"]
+ErrorModel: TypeAlias = Literal["full", "ideal"]
 
 
 # ---------------------------------------------------------------------------------- parameters
@@ -65,11 +65,11 @@ class Channel(Configuration):
 class Camera(Configuration):
     """A camera that looks at the wall, with a range finder along its axis."""
 
-    place: Vector = quantity("m", "in base_link", (-0.16, 0.0, 0.05), length=3)
+    position: Vector = quantity("m", "in base_link", (-0.16, 0.0, 0.05), length=3)
     axis: Vector = quantity("-", "where it looks in base_link", (-1.0, 0.0, 0.0), length=3)
-    pixel: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
+    pixel_angle: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
     exposure: float = quantity("s", "exposure time", 0.1, above=0.0, maximum=10.0)
-    reach: float = quantity("m", "how far the range finder sees", 60.0, above=0.0, maximum=500.0)
+    max_range: float = quantity("m", "how far the range finder sees", 60.0, above=0.0, maximum=500.0)
     range_finder: Channel = configuration.section(
         Channel, "wall distance [m]", Channel(noise_density=5e-4, resolution=1e-3)
     )
@@ -95,13 +95,13 @@ _LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_walk=5e-4, range=500.0)
 
 @dataclass(frozen=True)
 class Sensors(Configuration):
-    """All that measures; `quality: perfect` takes every error away."""
+    """All that measures; `error_model: ideal` takes every error away."""
 
-    quality: Quality = choice(
-        get_args(Quality), "real: with the errors below; perfect: with none", "real"
+    error_model: ErrorModel = choice(
+        get_args(ErrorModel), "real: with the errors below; perfect: with none", "full"
     )
     seed: int = quantity("-", "of all errors", 0, kind=int, minimum=0, maximum=2**31 - 1)
-    imu_place: Vector = quantity("m", "of the IMU in base_link", (0.05, 0.0, 0.0), length=3)
+    imu_position: Vector = quantity("m", "of the IMU in base_link", (0.05, 0.0, 0.0), length=3)
     gyro: Channel = configuration.section(Channel, "angular velocity [rad/s]", _GYRO)
     accelerometer: Channel = configuration.section(
         Channel, "specific force [m/s^2]", _ACCELEROMETER
@@ -122,7 +122,7 @@ class Sensors(Configuration):
     rover_load_cell: Channel = configuration.section(
         Channel, "tension at the rover [N]", _LOAD_CELL
     )
-    switch_load: float = quantity("N", "load that closes a contact switch", 0.5, above=0.0)
+    contact_threshold: float = quantity("N", "load that closes a contact switch", 0.5, above=0.0)
     camera: Camera = configuration.section(Camera, "the wall camera", Camera())
 
 
@@ -254,7 +254,7 @@ class SensorSuite:
         self._noise, self._bias, self._walk, self._resolution = np.zeros((4, _Row.SIZE))
         self._range = np.full(_Row.SIZE, math.inf)
         self._delay = np.zeros(_Row.SIZE)
-        if parameters.quality == "real":
+        if parameters.error_model == "full":
             self._take_over(parameters)
         look = _unit(parameters.camera.axis)
         self._look = _vector(look.tolist())
@@ -344,7 +344,7 @@ class SensorSuite:
                     before.body.orientation, after.body.orientation, dt
                 )
                 row[_Row.FORCE : _Row.FORCE + 3] = specific_force(
-                    before.body, after.body, self.parameters.imu_place, self._gravity, dt
+                    before.body, after.body, self.parameters.imu_position, self._gravity, dt
                 )
         row[_Row.NUT] = after.nut
         row[_Row.FLYWHEEL], row[_Row.FLYWHEEL_RATE] = after.flywheel_angle, after.flywheel_rate
@@ -360,8 +360,8 @@ class SensorSuite:
         if body is None or self._terrain is None:
             return math.inf
         camera = self.parameters.camera
-        place, look = ray_of(body, camera.place, self._look)
-        return float(distance_to_ground(self._terrain, place, look, camera.reach))
+        place, look = ray_of(body, camera.position, self._look)
+        return float(distance_to_ground(self._terrain, place, look, camera.max_range))
 
     def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:
         """Without what is older than the longest delay needs."""
@@ -393,8 +393,8 @@ class SensorSuite:
         camera = self.parameters.camera
         if truth.body is None or state.truth.body is None:
             return state.picture, 0.0
-        before = image_rate(state.truth.body, camera.place, self._look, distance)
-        after = image_rate(truth.body, camera.place, self._look, distance)
+        before = image_rate(state.truth.body, camera.position, self._look, distance)
+        after = image_rate(truth.body, camera.position, self._look, distance)
         _, x, y = state.picture[-1]
         side_x, side_y = (0.5 * dt * (dot(side, before) + dot(side, after)) for side in self._sides)
         picture = (*state.picture, (truth.time, x + side_x, y + side_y))
@@ -408,11 +408,11 @@ class SensorSuite:
             points = [first, *((px, py) for _, px, py in picture[1:])]
         else:
             points = [(px, py) for _, px, py in picture]
-        return picture, spread(points) / camera.pixel
+        return picture, spread(points) / camera.pixel_angle
 
     def _readings(self, truth: Truth, row: Array, smear: float) -> Readings:
         values = row.tolist()
-        switch = self.parameters.switch_load
+        switch = self.parameters.contact_threshold
         return Readings(
             time=truth.time,
             gyro=_vector(values[_Row.GYRO : _Row.GYRO + 3]),

@@ -218,7 +218,7 @@ class SimNode(ContractNode):
             "paused": str(runner.paused).lower(),
             "real_time_factor": repr(pacer.factor),
             "measured_real_time_factor": "" if measured is None else f"{measured:.4g}",
-            "wall_time_given_up": f"{pacer.given_up:.4g}",
+            "wall_time_dropped": f"{pacer.given_up:.4g}",
         }
         level, message = Level.OK, "running"
         if phase.final:

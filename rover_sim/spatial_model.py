@@ -40,7 +40,7 @@ _known_table = lru_cache(maxsize=16)(wheel_table)
 
 def make_model(scenario: SpatialScenario) -> Model:
     """Everything that is constant during a run."""
-    tether, place, integration = scenario.tether, scenario.place, scenario.integration
+    tether, environment, integration = scenario.tether, scenario.environment, scenario.integration
     rover = scenario.rover if scenario.rover is not None else Rover()
     winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
     if scenario.winch is not None:
@@ -70,8 +70,8 @@ def make_model(scenario: SpatialScenario) -> Model:
         jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
         wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
         feet=_feet(scenario, rover),
-        has_ground=place.floor is not None,
-        terrain=place.build(),
+        has_ground=environment.floor is not None,
+        terrain=environment.build(),
         tether_ground=law,
         torsion=float(tether.twist_stiffness),
         swivel_torque=float(tether.swivel_friction),
@@ -83,9 +83,9 @@ def make_model(scenario: SpatialScenario) -> Model:
 
 
 def _feet(scenario: SpatialScenario, rover: Rover) -> Feet:
-    place, wheels = scenario.place, rover.wheels
+    environment, wheels = scenario.environment, rover.wheels
     corners, first = rover.corners
-    table = _known_table(wheel_on_soil(wheels.parameters(), place.soil.parameters()))
+    table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
     return Feet(
         corners=np.ascontiguousarray(corners),
         first_of_body2=first,
@@ -93,9 +93,9 @@ def _feet(scenario: SpatialScenario, rover: Rover) -> Feet:
         right_wheel=wheels.right,
         radius=float(wheels.radius),
         tip_radius=float(wheels.tip_radius),
-        regolith=place.regolith.parameters().law(),
-        rock=place.rock.parameters().law(),
-        wheel=place.wheel_law(table),
+        regolith=environment.regolith.parameters().law(),
+        rock=environment.rock.parameters().law(),
+        wheel=environment.wheel_law(table),
     )
 
 

@@ -280,7 +280,7 @@ class SpatialPlant:
         """Simulate with a strongly damped tether and fading velocities until all is at rest."""
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
-        longest = self.scenario.start.settling
+        longest = self.scenario.start.settling_time
         speed = math.inf
         while state.time < longest:
             before = _tether_speed(state)
@@ -298,10 +298,10 @@ class SpatialPlant:
             gains = state.time > _SETTLING_SLOW and _tether_speed(state) > before
             tether = 1.0 if gains else _SETTLING_SCALE
             state = _slowed(state, _SETTLING_SCALE, tether)
-        if speed > max(self.scenario.start.creep, _AT_REST):
+        if speed > max(self.scenario.start.residual_speed, _AT_REST):
             raise SettlingError(
                 f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
-                " settling; give start.settling more, or another start.position"
+                " settling; give start.settling_time more, or another start.position"
             )
         return self._started(_slowed(state, 0.0), 0.0, state.phase)
 

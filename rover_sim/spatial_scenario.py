@@ -15,14 +15,14 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, quantity, text
-from rover_sim.ground import Place, TetherContact
+from rover_sim.ground import Environment, TetherContact
 from rover_sim.machine import Rover, Vector, Winch
 from rover_sim.physics.drum import DrumParameters
 from rover_sim.scenario_parts import CrossSection, Integration, ScenarioError
 from rover_sim.sensors import Sensors
 
 Model: TypeAlias = Literal["spatial"]
-StartKind: TypeAlias = Literal["hanging", "standing", "straight"]
+StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
 # Undeformed length of the element at the fairlead over the nominal one, smallest and largest.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
@@ -124,10 +124,10 @@ class Start(Configuration):
     )
     twist: float = quantity("deg", "of the tether, rover against fairlead", 0.0)
     position: tuple[float, float] = quantity("m", "x and y of base_link", (0.0, 0.0), length=2)
-    settling: float = quantity(
+    settling_time: float = quantity(
         "s", "longest simulated time of settling", 60.0, above=0.0, maximum=600.0
     )
-    creep: float = quantity(
+    residual_speed: float = quantity(
         "m/s", "speed of rover and tether that is borne when that is over, as of wheels that roll "
         "down a slope", 1.0e-6, above=0.0, maximum=0.1,
     )  # fmt: skip
@@ -162,7 +162,7 @@ _USED_BY: dict[str, set[str]] = {
         "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
         "body_rate", "twist", "payout_rate",
     },
-    "standing": {"kind", "position", "heading", "settling", "creep"},
+    "grounded": {"kind", "position", "heading", "settling_time", "residual_speed"},
     "straight": {"kind", "direction", "tip_velocity", "attitude", "angular_velocity"},
 }  # fmt: skip
 
@@ -172,7 +172,7 @@ class SpatialScenario(Configuration):
     """Everything that a simulation in space starts from."""
 
     name: str = text("short name, the file's name without .yaml")
-    place: Place = configuration.section(Place, "gravity and ground")
+    environment: Environment = configuration.section(Environment, "gravity and ground")
     tether: SpatialTether = configuration.section(SpatialTether, "the tether")
     start: Start = configuration.section(Start, "how all is at the start")
     about: str = text("what it is and where its numbers come from", "")
@@ -194,7 +194,7 @@ class SpatialScenario(Configuration):
         if self.rover is not None and self.tip is not None:
             raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
         self._check_winch()
-        if self.start.kind == "standing":
+        if self.start.kind == "grounded":
             self._check_standing()
 
     def _check_winch(self) -> None:
@@ -235,8 +235,8 @@ class SpatialScenario(Configuration):
     def _check_standing(self) -> None:
         if self.rover is None:
             raise ScenarioError("rover", None, "a standing start needs a rover")
-        if self.place.floor is None:
-            raise ScenarioError("place.floor", None, "a standing start needs a floor")
+        if self.environment.floor is None:
+            raise ScenarioError("environment.floor", None, "a standing start needs a floor")
         reach = math.hypot(*self.start.position, self._attachment_height(self.rover))
         if reach >= self.tether.length:
             raise ScenarioError(
@@ -248,7 +248,7 @@ class SpatialScenario(Configuration):
     def _attachment_height(self, rover: Rover) -> float:
         """Of a rover that stands level on the floor, in map [m]."""
         above_floor = rover.attachment[2] - rover.wheels.axle_z + rover.wheels.tip_radius
-        return self.place.floor_height + above_floor
+        return self.environment.floor_height + above_floor
 
     @classmethod
     def from_mapping(cls, mapping: object) -> SpatialScenario:
@@ -272,7 +272,7 @@ class SpatialScenario(Configuration):
     @property
     def gravity(self) -> float:
         """Strength of gravity [m/s^2]."""
-        return self.place.gravity
+        return self.environment.gravity
 
     @property
     def tip_mass(self) -> float:

@@ -53,11 +53,11 @@ class Moments:
 def draw(mission: Mission, moments: Moments) -> Figure:
     """Three views from the side: the way down, a drive and a jump."""
     plant = mission.plant
-    floor = plant.scenario.place.floor_height
+    floor = plant.scenario.environment.floor_height
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     down, drive, jump = figure.subplots(1, 3, width_ratios=(1.0, 1.45, 1.45))
     for axes in (down, drive, jump):
-        for line in plant.scenario.place.outline():
+        for line in plant.scenario.environment.outline():
             axes.fill_between(line[:, 0], line[:, 1], -99.0, color=_GROUND, linewidth=0.0)
         axes.set_aspect("equal")
         axes.set(xlabel="x [m]")

@@ -329,11 +329,11 @@ def record_mission(path: Path, generator: np.random.Generator) -> list[Deed]:
     """
     seed = int(generator.integers(1, 1000))
     overrides = {
-        "place.seed": seed,
-        "place.floor": {"height": -DEPTH},
-        "place.patch": {"centre": [0.0, 0.0], "half_width": 8.0},
-        "place.boulders.density": 0.3,
-        "place.boulders.clear_radius": 2.5,
+        "environment.seed": seed,
+        "environment.floor": {"height": -DEPTH},
+        "environment.patch": {"centre": [0.0, 0.0], "half_width": 8.0},
+        "environment.boulders.density": 0.3,
+        "environment.boulders.clear_radius": 2.5,
         "tether.length": 2.0,
         "tether.max_length": 30.0,
         "winch.min_length": 1.0,

@@ -101,9 +101,9 @@ def make_plant(seed: int, overrides: dict[str, object] | None = None) -> Spatial
         load_spatial(
             "floor_rubble",
             {
-                "place.seed": seed,
-                "place.floor": {"height": -DEPTH},
-                "place.patch": {"centre": [0.0, 0.0], "half_width": 8.0},
+                "environment.seed": seed,
+                "environment.floor": {"height": -DEPTH},
+                "environment.patch": {"centre": [0.0, 0.0], "half_width": 8.0},
                 "tether.length": 2.0,
                 "tether.max_length": 30.0,
                 "winch.min_length": 1.0,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-MACHINE = ("ros2", "launch", "mother_rover", "mission.launch.py", "plant:=null")
+MACHINE = ("ros2", "launch", "mother_rover", "mission.launch.py", "plant:=mock")
 DOCUMENTS = (
     "docs/winch.md", "docs/launch.md", "docs/descent.md", "docs/rover.md", "docs/jumping.md",
     "docs/driving.md", "docs/mission.md",

@@ -88,7 +88,7 @@ def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: t
 
 
 def test_only_what_is_given_goes_before_the_plant_s_file():
-    _, started = planned(plant="null", real_time_factor="2", start_paused="True", seed="7")
+    _, started = planned(plant="mock", real_time_factor="2", start_paused="True", seed="7")
     assert started["mock_plant"].parameters == {
         "real_time_factor": 2.0,
         "start_paused": True,
@@ -155,7 +155,7 @@ def test_the_operators_page_is_started_on_request():
 @pytest.mark.parametrize(
     ("values", "complaint"),
     [
-        ({"plant": "toy"}, "plant is 'toy', it must be one of sim, null, hil"),
+        ({"plant": "toy"}, "plant is 'toy', it must be one of sim, mock, hil"),
         ({"real_time_factor": "fast"}, "real_time_factor is 'fast', it must be of type float"),
         ({"start_paused": "maybe"}, "start_paused is 'maybe', it must be true or false"),
         ({"plant": "hil", "real_time_factor": "2"}, "real_time_factor is '2': with plant:=hil"),

@@ -21,13 +21,13 @@ ROOT = Path(__file__).parents[1]
 NAMESPACE = "rover7"
 OWN_CLOCK = {topics.CLOCK: topics.CLOCK.strip("/")}
 # Slow, so that on a busy machine no sensor and no command is lost for that.
-NULL = {"plant": "null", "namespace": NAMESPACE, "real_time_factor": "0.4"}
+MOCK = {"plant": "mock", "namespace": NAMESPACE, "real_time_factor": "0.4"}
 
 
 def start(harness: NodeHarness, *controllers: str, **given: str) -> Observer:
     """Start what a launch file with these controllers starts; returns who hears it when ready."""
     arguments = arguments_of(controllers, str(ROOT / "config"), {})
-    values = {each.name: each.default for each in arguments} | NULL | given
+    values = {each.name: each.default for each in arguments} | MOCK | given
     modules = architecture.executables(ROOT)
     observer = harness.observer(NAMESPACE, OWN_CLOCK)
     for each in plan(controllers, values).started:

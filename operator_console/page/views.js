@@ -166,7 +166,7 @@ export class View {
     pen.fillStyle = this.colour("boulder");
     pen.strokeStyle = this.colour("wall");
     pen.lineWidth = 1;
-    for (const [x, y, z, radius] of place.boulders) {
+    for (const [x, y, z, radius] of environment.boulders) {
       const isNear = this.isSide ? Math.abs(y - (rover?.[1] ?? 0)) < 1.5 + radius : true;
       if (!isNear || radius * this.scale < 1) continue;
       pen.beginPath();
@@ -346,7 +346,7 @@ export class View {
       for (let step = 0; step <= 24; step++) {
         const angle = (step / 24) * 2 * Math.PI;
         const arm = turn(pose.slice(3), [
-          wheels.axle_x + wheels.radius * Math.cos(angle), side * wheels.track / 2,
+          wheels.axle_x + wheels.radius * Math.cos(angle), side * wheels.track_width / 2,
           wheels.axle_z + wheels.radius * Math.sin(angle),
         ]);
         pen[step ? "lineTo" : "moveTo"](...this.to([pose[0] + arm[0], pose[1] + arm[1], pose[2] + arm[2]]));

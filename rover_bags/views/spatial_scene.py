@@ -153,10 +153,10 @@ def _ground(bag: Bag, y: float) -> tuple[Floats, ...]:
     if not bag.scenario:
         return ()
     try:
-        place = getattr(scenario_from_mapping(dict(bag.scenario)), "place", None)
+        environment = getattr(scenario_from_mapping(dict(bag.scenario)), "environment", None)
     except (ScenarioError, TypeError, KeyError):
         return ()  # of another version: the rover moves over nothing
-    return () if place is None else tuple(place.outline(y))
+    return () if environment is None else tuple(environment.outline(y))
 
 
 def _near_by(line: Floats, low: Floats, high: Floats) -> Floats:

@@ -369,7 +369,7 @@ class EmulatorNode(ContractNode):
             "real_time": str(real_time).lower(),
             "real_time_factor": "lockstep" if lockstep else "1.0",
             "measured_real_time_factor": measured,
-            "wall_time_given_up": f"{pace.given_up:.4g}",
+            "wall_time_dropped": f"{pace.given_up:.4g}",
             "synchronised": str(machine.synchronised),
         }
         if link is not None:

@@ -23,7 +23,7 @@ def disturbance(history: History, since_ns: int) -> str:
         status.values.get("real_time_factor") == "lockstep" for _, status in plant
     ):
         return "the emulated machine did not keep real time"
-    given_up = _change(plant, "wall_time_given_up")
+    given_up = _change(plant, "wall_time_dropped")
     if given_up:
         return f"the emulated machine gave up {given_up:.2g} s"
     lacking = _lacking(_reports(history.of(topics.LINK_STATUS), since_ns, ": link"))

@@ -85,11 +85,11 @@ class _Walker:
             load_scenario(
                 "floor_rubble",
                 {
-                    "place.seed": int(generator.integers(1, 2**31 - 1)),
-                    "place.boulders": {**_BOULDERS, **_GROUNDS[ground]},
+                    "environment.seed": int(generator.integers(1, 2**31 - 1)),
+                    "environment.boulders": {**_BOULDERS, **_GROUNDS[ground]},
                     "start.position": [round(float(generator.uniform(1.0, 6.0)), 3), 0.0],
                     "start.heading": round(float(generator.uniform(-180.0, 180.0)), 2),
-                    "start.settling": 300.0,
+                    "start.settling_time": 300.0,
                     "tether.length": 14.0,
                     "tether.element_length": 1.0,
                     "integration.h": 2.0e-3,

@@ -57,9 +57,9 @@ def level_floor(x: float, y: float, heading: float = 0.0) -> dict[str, object]:
     """Overrides of a scenario in which the rover stands so [m, rad] on a level floor."""
     reach = math.hypot(x, y, _FLOOR - _ATTACHMENT)
     return {
-        "place.relief": None,
-        "place.boulders": None,
-        "place.floor": {"height": -_FLOOR},
+        "environment.relief": None,
+        "environment.boulders": None,
+        "environment.floor": {"height": -_FLOOR},
         "start.position": [x, y],
         "start.heading": math.degrees(heading),
         "tether.length": round(reach + _SLACK, 3),
@@ -170,7 +170,7 @@ class DrivenRover:
         """Put the rover back by what each wheel slips beyond the ground's own."""
         rover = self.plant.scenario.rover
         assert rover is not None
-        radius, track = rover.wheels.radius, rover.wheels.track
+        radius, track = rover.wheels.radius, rover.wheels.track_width
         back = [radius * max(angle, 0.0) * share for angle, share in
                 zip((left, right), self.slip, strict=True)]  # fmt: skip
         if not any(back):

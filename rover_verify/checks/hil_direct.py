@@ -227,7 +227,7 @@ def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
             "winch.min_length": 1.4,
             "start.swing_angle": generator.uniform(1.0, 2.0),
             "start.swing_heading": generator.uniform(0.0, 360.0),
-            "sensors.quality": "real",
+            "sensors.error_model": "full",
         },
     }
     with _machine(kind, folder, scenario, seed, ("winch_node", "descent_node")) as (run, machine):
@@ -240,7 +240,7 @@ def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
 def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
     """A standing rover jumps on a slack tether; returns the bag."""
     overrides = {**Stand(spring=random.Random(seed).uniform(0.97, 1.03)).overrides(),
-                 "sensors.quality": "real"}  # fmt: skip
+                 "sensors.error_model": "full"}  # fmt: skip
     scenario = {"name": "floor_rubble", "overrides": overrides}
     with _machine(kind, folder, scenario, seed, ("winch_node", "jump_node")) as (run, machine):
         since = len(run.observer.listen(topics.EVENTS))

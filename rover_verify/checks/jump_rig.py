@@ -56,9 +56,9 @@ class Stand:
         drop = self.away * math.tan(self.slope) * math.cos(self.downhill)
         chord = math.hypot(self.away, _FLOOR + drop - _ATTACHMENT)
         return {
-            "place.relief": None,
-            "place.boulders": None,
-            "place.floor": {
+            "environment.relief": None,
+            "environment.boulders": None,
+            "environment.floor": {
                 "height": -_FLOOR,
                 "slope": round(math.degrees(self.slope), 6),
                 "downhill": round(math.degrees(self.downhill), 6),
@@ -66,7 +66,7 @@ class Stand:
             "rover.slider.spring_rate": round(824.0 * self.spring, 3),
             "start.position": [self.away, 0.0],
             "start.heading": round(math.degrees(self.heading), 6),
-            "start.settling": 300.0,
+            "start.settling_time": 300.0,
             "tether.length": round(chord + self.slack, 3),
             "tether.element_length": 1.0,
             "integration.h": 2.0e-3,

@@ -34,7 +34,7 @@ _STARTED: tuple[tuple[str, Mapping[str, str]], ...] = (
     ("descent", {}),
     ("rehearsal", {}),
     ("mission", {}),
-    ("mission", {"plant": launching.NULL}),
+    ("mission", {"plant": launching.MOCK}),
     ("mission", {"plant": launching.HIL}),
 )
 
@@ -137,7 +137,7 @@ def _side_by_side(folder: Path) -> None:
         processes: list[Process] = []
         observers: list[Observer] = []
         for name in names:
-            planned = _planned(harness, "descent", {"plant": launching.NULL, "namespace": name})
+            planned = _planned(harness, "descent", {"plant": launching.MOCK, "namespace": name})
             processes += _start(harness, planned)
             observers.append(harness.observer(name, _OWN_CLOCK))
         for observer in observers:

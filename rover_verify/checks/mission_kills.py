@@ -35,7 +35,7 @@ _MODULES = {
     "mission_node": "rover_control.mission_node",
 }
 _OVERRIDES = {
-    "place.floor": {"height": -5.0},
+    "environment.floor": {"height": -5.0},
     "tether.length": 2.0,
     "winch.min_length": 1.4,
     "start": {"kind": "hanging"},

@@ -14,9 +14,9 @@ def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
     """Overrides of `floor_rubble`: the rover hangs at the stow over rubble of its own."""
     return {
         **hanging(rng),
-        "place.floor": {"height": -depth},
-        "place.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
-        "place.boulders.clear_radius": 1.0,
+        "environment.floor": {"height": -depth},
+        "environment.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
+        "environment.boulders.clear_radius": 1.0,
         "tether.element_length": 0.9,
         "integration.h": 2.0e-3,
     }
@@ -27,7 +27,7 @@ def hanging(rng: np.random.Generator) -> dict[str, object]:
     swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     return {
-        "place.seed": int(rng.integers(1, 2**31)),
+        "environment.seed": int(rng.integers(1, 2**31)),
         "tether.length": 2.0,
         "winch.min_length": 1.4,
         "start": {

@@ -65,15 +65,15 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
     """A rover that stands upright on rubble of its own."""
     while True:
         overrides = {
-            "place.seed": int(rng.integers(1, 2**31)),
-            "place.floor": {"height": -_DEPTH},
-            "place.boulders": {
+            "environment.seed": int(rng.integers(1, 2**31)),
+            "environment.floor": {"height": -_DEPTH},
+            "environment.boulders": {
                 "density": 2.0, "smallest": 0.12, "largest": 0.6, "exponent": 2.5,
                 "height_ratio": 0.5, "clear_radius": 0.3,
             },
             "start.position": [0.0, 0.0],
             "start.heading": 0.0,
-            "start.settling": 300.0,
+            "start.settling_time": 300.0,
             "tether.length": _DEPTH + 0.2,
             "tether.element_length": 0.9,
             "winch.min_length": 1.4,

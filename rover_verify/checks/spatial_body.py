@@ -67,7 +67,7 @@ def swung_body(_batch: Batch) -> Measured:
             5.0, 40, youngs_modulus=0.5e9, radius=3.45e-4, density=1.0e4, axial_damping_time=2.0e-3
         ),
         {
-            "place.gravity": 9.81,
+            "environment.gravity": 9.81,
             "start": {
                 "kind": "straight",
                 "direction": direction.tolist(),
@@ -106,7 +106,7 @@ def _bob(length: float, gravity: float, mass: float, h: float, **start: object) 
         {"rover": None, "tip": {"mass": mass}},
         without_winch(length, 4, **_ROPE),
         {
-            "place.gravity": gravity,
+            "environment.gravity": gravity,
             "start": {"kind": "hanging", **start},
             "integration.h": h,
             "integration.tolerance": 1.0e-10,
@@ -242,7 +242,7 @@ def _gyrostat(generator: np.random.Generator) -> tuple[SpatialPlant, SpatialStat
         free,
         without_winch(0.5, 2, **nothing),
         {
-            "place.gravity": 0.0,
+            "environment.gravity": 0.0,
             "rover.m1": float(masses[0]),
             "rover.m2": float(masses[1]),
             "rover.inertia1": inertia.tolist(),
@@ -337,7 +337,7 @@ def _coning_plant(
         one_body(_MASS, (inertia, inertia, about_z), _LEVER),
         without_winch(length, elements, **tether),
         {
-            "place.gravity": _MOON,
+            "environment.gravity": _MOON,
             "rover.jump_drive.inertia": 1.0e-3,
             "rover.jump_drive.motor": _STRONG_MOTOR,
             "rover.wheel_drive.wheel_inertia": 6.0e-3,

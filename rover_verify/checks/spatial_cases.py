@@ -94,7 +94,7 @@ def spatial_twin(scenario: Scenario) -> SpatialPlant:
             bending_damping_time=section.bending_damping_time,
         ),
         {
-            "place.gravity": scenario.gravity,
+            "environment.gravity": scenario.gravity,
             "rover.m1": rover.m1,
             "rover.m2": rover.m2,
             "rover.inertia1": [0.7 * rover.inertia1, rover.inertia1, 1.3 * rover.inertia1],

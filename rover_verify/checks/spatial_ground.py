@@ -58,7 +58,7 @@ def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
     fall = math.radians(downhill)
     floor = {"height": -4.0, "slope": _SLOPE, "downhill": downhill % 360.0, "material": material}
     overrides = {
-        "place.floor": floor,
+        "environment.floor": floor,
         "tether.length": 8.0,
         "start.position": [-2.0 * math.cos(fall), -2.0 * math.sin(fall)],
         "start.heading": math.remainder(heading, 360.0),
@@ -148,8 +148,8 @@ def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, mate
     }
     plant, state = _placed_block(
         {
-            "place.gravity": gravity,
-            "place.floor": {
+            "environment.gravity": gravity,
+            "environment.floor": {
                 "height": -1.0 - 3.0 * math.tan(alpha),
                 "slope": math.degrees(alpha),
                 "downhill": math.degrees(downhill),
@@ -224,9 +224,9 @@ def _rebound(law: ContactParameters, turn: Rotation, speed: float, step: float) 
     height = 2.0 * step * speed - float(turn.apply(low)[2])
     plant, state = _placed_block(
         {
-            "place.gravity": 0.0,
-            "place.floor": {"height": 0.0, "material": "rock"},
-            "place.rock": {
+            "environment.gravity": 0.0,
+            "environment.floor": {"height": 0.0, "material": "rock"},
+            "environment.rock": {
                 "stiffness": law.stiffness,
                 "damping": law.damping,
                 "static_friction": 0.0,

@@ -25,8 +25,8 @@ _MOON = 1.62  # [m/s^2]
 
 # A bare level floor, the rover standing on it, slack tether about.
 _STANDING: dict[str, object] = {
-    "place.relief": None,
-    "place.boulders": None,
+    "environment.relief": None,
+    "environment.boulders": None,
     "start.position": [1.5, 0.0],
     "tether.length": 8.0,
 }
@@ -35,7 +35,7 @@ _STANDING: dict[str, object] = {
 def _standing(overrides: Mapping[str, object], material: str = "rock") -> SpatialPlant:
     floor = {"height": -4.0, "material": material}
     return SpatialPlant(
-        load_spatial("floor_rubble", {**_STANDING, "place.floor": floor, **overrides})
+        load_spatial("floor_rubble", {**_STANDING, "environment.floor": floor, **overrides})
     )
 
 
@@ -44,7 +44,7 @@ def _standing(overrides: Mapping[str, object], material: str = "rock") -> Spatia
 # The closed form's floor does not give way, and its slider has no friction. A light Body 2 meets
 # the end stop within a fraction of a millisecond.
 _UNYIELDING: dict[str, object] = {
-    "place.rock": {"stiffness": 1.0e8, "damping": 1.0e3},
+    "environment.rock": {"stiffness": 1.0e8, "damping": 1.0e3},
     "rover.slider.damping": 0.0,
     "rover.slider.friction": 0.0,
     "integration.h": 1.0e-4,

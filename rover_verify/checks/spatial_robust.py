@@ -36,14 +36,14 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "tether.element_length": (0.3, 1.2),  # [m]
     "tether.twist_stiffness": (1.0e-6, 1.0e-2),  # [N m^2]
     "tether.swivel_friction": (1.0e-7, 1.0e-2),  # [N m]
-    "place.gravity": (0.5, 10.0),  # [m/s^2]
+    "environment.gravity": (0.5, 10.0),  # [m/s^2]
     "rover.m1": (4.0, 12.0),  # [kg]
     "rover.m2": (0.5, 6.0),  # [kg]
     "rover.slider.spring_rate": (300.0, 2.0e3),  # [N/m]
     "winch.friction.viscous": (1.0e-3, 2.0e-2),  # [N m s/rad]
     "integration.h": (2.5e-4, 1.0e-3),  # [s]
 }
-LOGARITHMIC = frozenset(RANGES) - {"rover.m1", "rover.m2", "place.gravity"}
+LOGARITHMIC = frozenset(RANGES) - {"rover.m1", "rover.m2", "environment.gravity"}
 STARTS: Mapping[str, tuple[float, float]] = {
     "start.swing_angle": (-60.0, 60.0),  # [deg]
     "start.swing_heading": (-180.0, 180.0),
@@ -121,7 +121,7 @@ def random_trial(chance: Chance) -> Trial:
             overrides[path] = chance.uniform(low, high)
     kind = chance.choice(["free", "floor", "rubble"])
     if kind == "rubble":
-        overrides["place.seed"] = chance.integers(1000)
+        overrides["environment.seed"] = chance.integers(1000)
         overrides["start.heading"] = chance.uniform(-180.0, 180.0)
         return Trial("floor_rubble", overrides, chance.integers(2**31))
     for path, bounds in STARTS.items():
@@ -132,7 +132,7 @@ def random_trial(chance: Chance) -> Trial:
     overrides["tether.length"] = length
     if kind == "floor":
         # Near enough to be struck, and swung into.
-        overrides["place.floor"] = {
+        overrides["environment.floor"] = {
             "height": -length - chance.uniform(0.8, 2.0),
             "slope": chance.uniform(0.0, 20.0),
             "material": chance.choice(["rock", "regolith"]),

@@ -47,7 +47,7 @@ def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[
     speed = float(generator.uniform(0.5, 4.0))
     velocity = speed * (0.3 * aside / np.linalg.norm(aside) - direction)
     start: dict[str, object] = {"kind": "straight", "direction": direction.tolist()}
-    overrides: dict[str, object] = {"place.gravity": float(generator.choice([1.62, 9.81]))}
+    overrides: dict[str, object] = {"environment.gravity": float(generator.choice([1.62, 9.81]))}
     if kind != "whip":
         start["tip_velocity"] = velocity.tolist()
     if kind != "rover":

@@ -54,10 +54,10 @@ class Jump(NamedTuple):
         chord = math.hypot(self.depth, self.away)
         height = -self.depth + self.away * math.tan(math.radians(self.slope))
         return {
-            "place.floor": {"height": height, "slope": self.slope, "downhill": 0.0},
-            "start.kind": "standing",
+            "environment.floor": {"height": height, "slope": self.slope, "downhill": 0.0},
+            "start.kind": "grounded",
             "start.position": [self.away, 0.0],
-            "start.settling": 300.0,
+            "start.settling_time": 300.0,
             "start.heading": 180.0,  # the tail downhill: so it does not topple
             "tether.length": round(chord + 0.8, 3),
             "tether.element_length": 0.5 if self.depth < 20.0 else 1.0,

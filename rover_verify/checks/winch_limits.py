@@ -79,7 +79,7 @@ def layered_length_error(batch: Batch) -> Measured:
 
 def largest_heat(batch: Batch) -> Measured:
     """Largest heat of the winding over what it bears, lifting 98 N until the motor is too hot."""
-    rig = SpatialRig({"tether.length": 20.0, "place.gravity": 9.81, "winch.brake_torque": 12.0})
+    rig = SpatialRig({"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0})
     values = WinchParameters()
     values = replace(
         values,
@@ -193,10 +193,10 @@ def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tupl
     """RMS deviation of the held tension while the rover drives off [N], and its way [m]."""
     rig = SpatialRig(
         {
-            "place.floor": {"height": -depth},
-            "start.kind": "standing",
+            "environment.floor": {"height": -depth},
+            "start.kind": "grounded",
             "start.position": [away, 0.0],
-            "start.settling": 300.0,
+            "start.settling_time": 300.0,
             "tether.length": round(math.hypot(depth, away) + 0.5, 3),
         }
     )

@@ -75,7 +75,7 @@ def start_winch_and_sim(
         The winch's process, and an observer, once both nodes are ready.
     """
     spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
-    overrides = {"tether.length": length, "sensors.quality": "real"}
+    overrides = {"tether.length": length, "sensors.error_model": "full"}
     given = {
         "scenario": SCENARIO,
         "overrides": json.dumps(overrides),

@@ -46,7 +46,7 @@ def spatial_plant(overrides: Mapping[str, object]) -> SpatialPlant:
 
 def on_floor(depth: float) -> dict[str, object]:
     """Overrides for a bare floor of rock, which a rover reaches on so much tether [m]."""
-    return {"place.floor": {"height": -(depth + TALLEST), "material": "rock"}}
+    return {"environment.floor": {"height": -(depth + TALLEST), "material": "rock"}}
 
 
 def winch_command(order: DriveCommand) -> WinchCommand:
@@ -69,7 +69,7 @@ class SpatialRig:
     """
 
     def __init__(self, overrides: Mapping[str, object] | None = None) -> None:
-        self._overrides = {"sensors.quality": "perfect", **(overrides or {})}
+        self._overrides = {"sensors.error_model": "ideal", **(overrides or {})}
         self._plant = spatial_plant(self._overrides)
         self.state = self._plant.initial_state()
         self.peak_tension = 0.0
@@ -126,11 +126,11 @@ class SpatialRig:
 
     @property
     def _is_above_floor(self) -> bool:
-        place = self._plant.scenario.place
-        if place.hole is None or place.hole.depth is None:
+        environment = self._plant.scenario.environment
+        if environment.hole is None or environment.hole.depth is None:
             return False
         # From the fairlead, which hangs above the ground, to the attachment of a rover that stands.
-        floor = place.hole.depth + place.hole.fairlead_height - TALLEST
+        floor = environment.hole.depth + environment.hole.fairlead_height - TALLEST
         return self.depth < floor - _NEAR_FLOOR
 
     @property
@@ -155,16 +155,16 @@ class SpatialRig:
             "diameter": _SHAFT,
             "depth": depth + 30.0,
             "overhang": 20.0,
-            "overhang_from": depth - 1.0,
+            "overhang_depth": depth - 1.0,
             "wall_distance": 0.5 * _SHAFT,
             "fairlead_height": 0.5,
             "rim_radius": 0.05,
         }
         caught = {
             **self._overrides,
-            "place.floor": {"material": "rock"},
-            "place.rock.stiffness": _LIP_STIFFNESS,
-            "place.hole": shaft,
+            "environment.floor": {"material": "rock"},
+            "environment.rock.stiffness": _LIP_STIFFNESS,
+            "environment.hole": shaft,
         }
         self._plant = SpatialPlant(load_scenario(_SCENARIO, caught))
         self._has_lip = True
@@ -188,7 +188,7 @@ def trial_rig(plan: TrialPlan) -> SpatialRig:
             "winch.friction.coulomb": 0.05 * plan.friction,
             "winch.friction.breakaway": 0.07 * plan.friction,
             "winch.friction.viscous": 0.005 * plan.friction,
-            "place.floor": {"material": "rock"},
-            "place.hole": hole,
+            "environment.floor": {"material": "rock"},
+            "environment.hole": hole,
         }
     )

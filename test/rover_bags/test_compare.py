@@ -49,7 +49,7 @@ def test_a_figure_that_a_bag_lacks_is_a_difference(bags: list[Path], tmp_path: P
     row = rows["descents", "descent 1: rate [m/s]"]
     assert row.values[1] is None
     assert row.differs
-    assert any(row.group == "settings" and row.name == "place.gravity" for row in found.rows)
+    assert any(row.group == "settings" and row.name == "environment.gravity" for row in found.rows)
 
 
 def test_page_json_and_terminal(

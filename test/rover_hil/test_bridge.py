@@ -35,8 +35,8 @@ PRE_OPERATIONAL = 127
 STOP = 0.6  # watchdog, brake and 20 kg that it stops together [s]
 
 
-def simulation(quality: str = "perfect") -> Simulation[Any]:
-    scenario = load_spatial("free_hang", {"sensors.quality": quality})
+def simulation(error_model: str = "ideal") -> Simulation[Any]:
+    scenario = load_spatial("free_hang", {"sensors.error_model": error_model})
     return Simulation(build_interface(build_plant(scenario), 1), SYNC_PERIOD)
 
 

@@ -33,7 +33,7 @@ WITHIN = 0.5  # of silence, everything stands [s]
 
 
 def simulation() -> Simulation[Any]:
-    scenario = load_spatial("free_hang", {"sensors.quality": "perfect"})
+    scenario = load_spatial("free_hang", {"sensors.error_model": "ideal"})
     return Simulation(build_interface(build_plant(scenario), 1), SYNC_PERIOD)
 
 

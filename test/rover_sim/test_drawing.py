@@ -52,7 +52,7 @@ def test_a_force_is_an_arrow_to_where_it_acts():
 
 
 def test_floor_and_boulders_are_those_of_the_terrain():
-    terrain = load_spatial("floor_rubble").place.build()
+    terrain = load_spatial("floor_rubble").environment.build()
     shapes = ground(terrain)
     floor = next(shape for shape in shapes if shape.namespace == "floor")
     for x, y, z in corners(floor).reshape(-1, 3)[::101]:
@@ -70,7 +70,7 @@ def test_floor_and_boulders_are_those_of_the_terrain():
 
 
 def test_the_wall_of_a_hole_is_where_the_rover_would_touch_it():
-    terrain = load_spatial("marius_hills").place.build()
+    terrain = load_spatial("marius_hills").environment.build()
     wall = next(shape for shape in ground(terrain) if shape.namespace == "wall")
     x, y, z = corners(wall).reshape(-1, 3).T
     distance = np.hypot(x - terrain.axis_x, y)
@@ -85,7 +85,7 @@ def test_the_wall_of_a_hole_is_where_the_rover_would_touch_it():
 
 
 def test_the_floor_fills_the_hole_and_no_more():
-    terrain = load_spatial("marius_hills").place.build()
+    terrain = load_spatial("marius_hills").environment.build()
     floor = corners(next(shape for shape in ground(terrain) if shape.namespace == "floor"))
     radius = wall_radius(terrain, terrain.floor_height)[0]
     distance = np.hypot(floor[:, :, 0] - terrain.axis_x, floor[:, :, 1])

@@ -151,7 +151,7 @@ def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
 
 
 def test_without_weight_a_drum_follows_however_little_its_motor_may():
-    plant = build(overrides='{"place.gravity": 0.0}')
+    plant = build(overrides='{"environment.gravity": 0.0}')
     weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 0.1))
     state, _ = follow(plant, plant.initial_state(), weak, 1.0)
     assert state.length == pytest.approx(9.7)
@@ -194,7 +194,7 @@ def test_backward_it_turns_left_about_its_right_wheel():
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(-1.0)), 2.0)
     assert state.wheel_rates == (-1.0, 0.0)
     wheels = plant.rover.wheels
-    assert state.heading == pytest.approx(2.0 * wheels.tip_radius / wheels.track)
+    assert state.heading == pytest.approx(2.0 * wheels.tip_radius / wheels.track_width)
 
 
 def test_a_torque_speeds_the_wheels_up_to_what_the_motor_can():
@@ -310,7 +310,7 @@ def test_the_tether_runs_from_the_fairlead_to_its_attachment():
     position = samples[topics.TRUTH_BODY1].position  # type: ignore[attr-defined]
     assert nodes[0, :3].tolist() == [0.0, 0.0, 0.0]
     assert nodes[-1, :3] == pytest.approx(np.add(position, plant.rover.attachment))
-    floor = plant.scenario.place.floor_height
+    floor = plant.scenario.environment.floor_height
     assert position[2] - plant.rover.wheels.tip_radius == pytest.approx(floor)
 
 

@@ -23,7 +23,7 @@ from rover_sim.sensors import (
     spread,
 )
 
-PERFECT = Sensors(quality="perfect")
+PERFECT = Sensors(error_model="ideal")
 QUIET = Channel()
 G = 1.62
 

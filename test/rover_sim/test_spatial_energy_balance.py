@@ -7,9 +7,9 @@ import pytest
 from rover_sim import Command, SpatialPlant, WheelRateCommand, load_spatial
 
 BARE_ROCK = {
-    "place.relief": None,
-    "place.boulders": None,
-    "place.floor": {"height": -4.0, "material": "rock"},
+    "environment.relief": None,
+    "environment.boulders": None,
+    "environment.floor": {"height": -4.0, "material": "rock"},
     "start.position": [1.5, 0.0],
     "tether.length": 8.0,
 }

@@ -41,7 +41,7 @@ from rover_sim.spatial_state import SpatialState
 
 TICK = 0.01
 MOON = 1.62
-PERFECT = {"sensors.quality": "perfect"}
+PERFECT = {"sensors.error_model": "ideal"}
 Told = dict[str, Any]
 
 
@@ -322,7 +322,7 @@ def nut(position: float, latch: float = 1.0) -> JointSample:
 
 
 def test_a_standing_rover_compresses_waits_and_jumps():
-    simulation = simulate(load_spatial("floor_rubble", {**PERFECT, "place.boulders": None}))
+    simulation = simulate(load_spatial("floor_rubble", {**PERFECT, "environment.boulders": None}))
     height = simulation.state.G1[2]
 
     def to(setpoint: float, latch: float) -> Callable[[Simulation[SpatialState]], None]:
@@ -389,7 +389,7 @@ def test_after_a_reset_everything_is_as_the_first_time():
 
 
 def test_numbers_of_sensors_saturate_at_the_contract_s_range():
-    simulation = simulate(load_spatial("free_hang", {**PERFECT, "place.hole": None}))
+    simulation = simulate(load_spatial("free_hang", {**PERFECT, "environment.hole": None}))
     outside = simulation.interface
     assert isinstance(outside, SpatialInterface)
     run(simulation, TICK)

@@ -153,11 +153,11 @@ def test_the_books_know_that_stretched_tether_passes_the_fairlead(rate: float):
 @pytest.mark.parametrize("seed", [3, 5])
 def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(seed: int):
     # The tether's loop may lie any way about the vertical, nearly: that it lies still takes long.
-    start = {"position": [0.0, 0.0], "settling": 150.0}
+    start = {"position": [0.0, 0.0], "settling_time": 150.0}
     changes = {
-        "place.seed": seed,
-        "place.floor": {"height": -5.0},
-        "start": {"kind": "standing", "heading": 0.0, **start},
+        "environment.seed": seed,
+        "environment.floor": {"height": -5.0},
+        "start": {"kind": "grounded", "heading": 0.0, **start},
         "tether.length": 5.2,
         "tether.element_length": 0.9,
         "integration.h": 2e-3,
@@ -172,16 +172,16 @@ def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(s
 
 def test_what_rolls_on_down_its_slope_is_refused_unless_a_creep_is_borne():
     changes: dict[str, Any] = {
-        "place.relief": None,
-        "place.boulders": None,
-        "place.floor": {"height": -6.0, "slope": 9.0, "downhill": 0.0},
-        "start": {"kind": "standing", "position": [1.0, 0.0], "heading": 0.0, "settling": 30.0},
+        "environment.relief": None,
+        "environment.boulders": None,
+        "environment.floor": {"height": -6.0, "slope": 9.0, "downhill": 0.0},
+        "start": {"kind": "grounded", "position": [1.0, 0.0], "heading": 0.0, "settling_time": 30.0},
         "tether.length": 7.0,
         "integration.h": 2e-3,
     }
     with pytest.raises(SettlingError, match="still moving"):
         SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
-    changes["start"]["creep"] = 0.1
+    changes["start"]["residual_speed"] = 0.1
     began = SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
     assert began.phase is Phase.GROUNDED
     assert not began.G1_rate.any()

@@ -20,7 +20,7 @@ from rover_sim import (
     load_spatial,
     scenario_from_mapping,
 )
-from rover_sim.ground import Floor, Hole, Place
+from rover_sim.ground import Floor, Hole, Environment
 from rover_sim.machine import Rover, Winch, jump_height, rest_slide
 from rover_sim.physics import places
 from rover_sim.physics_section import PhysicsSection
@@ -63,7 +63,7 @@ class TestShipped:
             assert SHORTEST_EXIT <= share <= LONGEST_EXIT
         if scenario.rover is not None and scenario.start.kind == "hanging":
             reach = scenario.tether.length + 0.28 + scenario.rover.wheels.tip_radius
-            assert reach < -scenario.place.floor_height
+            assert reach < -scenario.environment.floor_height
 
     def test_holes_are_as_wide_and_deep_as_published(self):
         for name, least, most, depth in (
@@ -71,7 +71,7 @@ class TestShipped:
             ("tranquillitatis", 88.0, 100.0, 105.0),
             ("ingenii", 124.0, 130.0, 60.0),
         ):
-            hole = load_spatial(name).place.parameters.hole
+            hole = load_spatial(name).environment.parameters.hole
             assert hole is not None
             assert 2.0 * hole.narrowest == pytest.approx(least, abs=1e-9)
             assert (hole.diameter, hole.depth) == (most, depth)
@@ -99,7 +99,7 @@ class TestShipped:
         rover = Rover()
         assert rover.tail is not None
         height = rover.centre_of_mass(rover.slider.free_length)[2] + rover.wheels.tip_radius
-        for support in (rover.wheels.axle_x, -rover.tail[0], 0.5 * rover.wheels.track * 0.7):
+        for support in (rover.wheels.axle_x, -rover.tail[0], 0.5 * rover.wheels.track_width * 0.7):
             assert math.degrees(math.atan(support / height)) > 15.0
 
 
@@ -136,7 +136,7 @@ class TestMeaning:
             # The drum's longest length is the tether's, and one wheel does not know where it is.
             extra = {"max_length"} if kind is Winch else set()
             assert physics - extra <= own, kind
-            assert own - physics <= {"track", "axle_x", "axle_z"}, kind
+            assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind
 
     def test_a_slope_falls_to_where_it_says(self):
         x, y = Floor(slope=15.0, downhill=90.0).gradient
@@ -144,11 +144,11 @@ class TestMeaning:
         assert y == pytest.approx(-math.tan(math.radians(15.0)))
 
     def test_a_known_hole_or_one_by_numbers(self):
-        known = Hole(known="marius_hills", wall_distance=2.0)
+        known = Hole(preset="marius_hills", wall_distance=2.0)
         assert known.parameters() == dataclasses.replace(places.MARIUS_HILLS, wall_distance=2.0)
-        own = Hole(diameter=20.0, depth=30.0, overhang=2.0, overhang_from=10.0)
+        own = Hole(diameter=20.0, depth=30.0, overhang=2.0, overhang_depth=10.0)
         assert own.parameters().profile == ((10.0, 0.0), (30.0, 2.0))
-        place = Place(gravity=1.62, hole=own)
+        place = Environment(gravity=1.62, hole=own)
         assert place.floor_height == -31.0
 
     def test_without_a_floor_nothing_is_ever_touched(self):
@@ -180,7 +180,7 @@ class TestBases:
         assert own.rover is not None
         assert base.rover is not None
         assert (own.rover.m1, own.rover.m2, own.gravity) == (6.0, 2.0, 3.7)
-        assert own.place.floor is None
+        assert own.environment.floor is None
         assert own.winch == base.winch
 
     def test_null_takes_a_section_away(self, tmp_path: Path):
@@ -230,10 +230,10 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("path", "value", "words"),
         [
-            ("place.gravity", -1.62, "at least 0"),
-            ("place.gravity", math.nan, "finite"),
-            ("place.seed", -1, "at least 0"),
-            ("place.hole", {"known": "copernicus"}, "one of marius_hills"),
+            ("environment.gravity", -1.62, "at least 0"),
+            ("environment.gravity", math.nan, "finite"),
+            ("environment.seed", -1, "at least 0"),
+            ("environment.hole", {"preset": "copernicus"}, "one of marius_hills"),
             ("tether.length", 100.0, "at least the length"),
             ("tether.max_length", 10.0, "at least the length"),
             ("tether.elements", 10, "exactly one of"),
@@ -251,11 +251,11 @@ class TestRefusals:
             ("rover.wheels.grouser_height", 0.2, "below the radius"),
             ("rover.attachment", [0.0, 0.0], "list of 3"),
             ("rover.wheel_drive.gear_ratio", "fast", "a number"),
-            ("sensors.quality", "good", "one of real, perfect"),
+            ("sensors.error_model", "good", "one of full, ideal"),
             ("sensors.gyro.noise_density", -1.0, "at least 0"),
             ("sensors.camera.axis", [0.0, 0.0, 0.0], "point somewhere"),
             ("start.kind", "lying", "one of hanging, standing, straight"),
-            ("start.kind", "standing", "needs a floor"),
+            ("start.kind", "grounded", "needs a floor"),
             ("start.kind", "straight", "needs a direction"),
             ("start.position", [1.0, 0.0], "of no use to a hanging start"),
             ("tip", {"mass": 1.0}, "should be null"),
@@ -271,11 +271,11 @@ class TestRefusals:
 
     def test_a_hole_given_twice_or_half(self):
         assert "marius_hills is known" in str(
-            refusal({"place.hole.diameter": 10.0}, "marius_hills")
+            refusal({"environment.hole.diameter": 10.0}, "marius_hills")
         )
-        assert "needed" in str(refusal({"place.hole.known": None}, "marius_hills"))
+        assert "needed" in str(refusal({"environment.hole.preset": None}, "marius_hills"))
         assert "together" in str(
-            refusal({"place.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii")
+            refusal({"environment.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii")
         )
 
     def test_a_rover_out_of_the_tether_s_reach(self):

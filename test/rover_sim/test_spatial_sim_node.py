@@ -39,7 +39,7 @@ MODULE = "rover_sim.sim_node"
 NODE = "sim_node"
 NANO = 1_000_000_000
 TICK_NS = 10_000_000
-PERFECT = '{"sensors.quality": "perfect"}'
+PERFECT = '{"sensors.error_model": "ideal"}'
 # Slow, so that on a busy machine a winch that moves is not braked for want of commands.
 SLOW = 0.2
 

@@ -48,7 +48,7 @@ RIPPLE = 0.02  # of the tension, as amplitude over mean
 SCENARIO = {
     "name": "made up",
     "model": "spatial",
-    "place": {"gravity": GRAVITY},
+    "environment": {"gravity": GRAVITY},
     "rover": {
         "m1": M1,
         "m2": M2,

@@ -142,7 +142,7 @@ class MadeUpStand:
             plant = {
                 "real_time": str(self.machine.real_time).lower(),
                 "real_time_factor": "1.0",
-                "wall_time_given_up": "0",
+                "wall_time_dropped": "0",
             }
             told = (Status("drive_emulator: plant", "", Level.OK, "drive_emulator", plant),)
             self.hear(topics.SIM_STATUS, StatusSample(self.time_ns, told))

@@ -121,7 +121,7 @@ class Session:
             raise AssertionError(f"{command} is not for a session")
 
     def launch(self, meant: Launch) -> None:
-        planned = meant.plan(plant="null", real_time_factor=str(FACTOR))
+        planned = meant.plan(plant="mock", real_time_factor=str(FACTOR))
         for each in planned.started:
             files = [part for file in each.files for part in ("--params-file", file)]
             begun = self.harness.processes.start(
