@@ -46,7 +46,11 @@ def inside(track: TimeSeries, begin: float, end: float, log: tuple[int, int]) ->
 def gravity_of(bag: Bag) -> float | None:
     """Of the simulated environment [m/s^2], None where no configuration tells."""
     environment = bag.scenario.get("environment")
-    value = environment.get("gravity") if isinstance(environment, Mapping) else bag.scenario.get("gravity")
+    value = (
+        environment.get("gravity")
+        if isinstance(environment, Mapping)
+        else bag.scenario.get("gravity")
+    )
     return float(value) if isinstance(value, float | int) else None
 
 

@@ -280,8 +280,8 @@ def _experiment(
     for place, signal in enumerate(SIGNALS):
         channel = getattr(scenario.sensors, signal.channel)
         column = readings[:, place]
-        real = scenario.sensors.error_model == "real"
-        resolution = channel.resolution if real else 0.0
+        has_errors = scenario.sensors.error_model == "full"
+        resolution = channel.resolution if has_errors else 0.0
         if resolution > 0.0:
             _leave_out_standing(column, _CREEPING * resolution)
         if signal.topic == topics.LOAD_CELL:

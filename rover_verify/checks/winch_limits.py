@@ -79,7 +79,9 @@ def layered_length_error(batch: Batch) -> Measured:
 
 def largest_heat(batch: Batch) -> Measured:
     """Largest heat of the winding over what it bears, lifting 98 N until the motor is too hot."""
-    rig = SpatialRig({"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0})
+    rig = SpatialRig(
+        {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0}
+    )
     values = WinchParameters()
     values = replace(
         values,

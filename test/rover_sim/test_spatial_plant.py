@@ -175,7 +175,12 @@ def test_what_rolls_on_down_its_slope_is_refused_unless_a_creep_is_borne():
         "environment.relief": None,
         "environment.boulders": None,
         "environment.floor": {"height": -6.0, "slope": 9.0, "downhill": 0.0},
-        "start": {"kind": "grounded", "position": [1.0, 0.0], "heading": 0.0, "settling_time": 30.0},
+        "start": {
+            "kind": "grounded",
+            "position": [1.0, 0.0],
+            "heading": 0.0,
+            "settling_time": 30.0,
+        },
         "tether.length": 7.0,
         "integration.h": 2e-3,
     }

@@ -20,7 +20,7 @@ from rover_sim import (
     load_spatial,
     scenario_from_mapping,
 )
-from rover_sim.ground import Floor, Hole, Environment
+from rover_sim.ground import Environment, Floor, Hole
 from rover_sim.machine import Rover, Winch, jump_height, rest_slide
 from rover_sim.physics import places
 from rover_sim.physics_section import PhysicsSection
@@ -148,13 +148,13 @@ class TestMeaning:
         assert known.parameters() == dataclasses.replace(places.MARIUS_HILLS, wall_distance=2.0)
         own = Hole(diameter=20.0, depth=30.0, overhang=2.0, overhang_depth=10.0)
         assert own.parameters().profile == ((10.0, 0.0), (30.0, 2.0))
-        place = Environment(gravity=1.62, hole=own)
-        assert place.floor_height == -31.0
+        environment = Environment(gravity=1.62, hole=own)
+        assert environment.floor_height == -31.0
 
     def test_without_a_floor_nothing_is_ever_touched(self):
-        place = load_spatial(HANG).place
-        assert place.floor_height == -math.inf
-        assert place.parameters.floor_height < -1e5
+        environment = load_spatial(HANG).environment
+        assert environment.floor_height == -math.inf
+        assert environment.parameters.floor_height < -1e5
 
     @pytest.mark.parametrize("length", [2.0, 2.4999, 2.5, 3.7, 20.0, 59.9])
     def test_the_element_at_the_fairlead_starts_within_its_limits(self, length: float):
@@ -275,7 +275,9 @@ class TestRefusals:
         )
         assert "needed" in str(refusal({"environment.hole.preset": None}, "marius_hills"))
         assert "together" in str(
-            refusal({"environment.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii")
+            refusal(
+                {"environment.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii"
+            )
         )
 
     def test_a_rover_out_of_the_tether_s_reach(self):
