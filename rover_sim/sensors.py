@@ -69,9 +69,7 @@ class Camera(Configuration):
     axis: Vector = quantity("-", "where it looks in base_link", (-1.0, 0.0, 0.0), length=3)
     pixel_angle: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
     exposure: float = quantity("s", "exposure time", 0.1, above=0.0, maximum=10.0)
-    max_range: float = quantity(
-        "m", "how far the range finder sees", 60.0, above=0.0, maximum=500.0
-    )
+    max_range: float = quantity("m", "range of the range finder", 60.0, above=0.0, maximum=500.0)
     range_finder: Channel = configuration.section(
         Channel, "wall distance [m]", Channel(noise_density=5e-4, resolution=1e-3)
     )

@@ -290,11 +290,11 @@ def _experiment(
         least = _LEAST_NOISE * float(np.nanstd(column)) if np.isfinite(column).any() else 0.0
         errors.append(
             Errors(
-                (channel.noise_density**2 / tick if real else 0.0)
+                (channel.noise_density**2 / tick if has_errors else 0.0)
                 + resolution**2 / 12.0
                 + max(least, 1e-12) ** 2,
-                channel.bias_walk**2 if real else 0.0,
-                channel.bias**2 if real else 0.0,
+                channel.bias_walk**2 if has_errors else 0.0,
+                channel.bias**2 if has_errors else 0.0,
             )
         )
     used = [place for place in range(len(SIGNALS)) if np.isfinite(readings[:, place]).sum() > 2]

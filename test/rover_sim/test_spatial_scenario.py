@@ -174,7 +174,7 @@ class TestBases:
         path = self.write(
             tmp_path,
             "own.yaml",
-            "name: own\nbase: free_hang\nrover: {m2: 2.0}\nplace: {gravity: 3.7}\n",
+            "name: own\nbase: free_hang\nrover: {m2: 2.0}\nenvironment: {gravity: 3.7}\n",
         )
         own, base = load_spatial(path), load_spatial(HANG)
         assert own.rover is not None
