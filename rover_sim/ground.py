@@ -127,7 +127,7 @@ class Hole(Configuration):
         for name in (*numbers, "overhang", "overhang_depth"):
             value = getattr(self, name)
             if self.preset is not None and value is not None:
-                raise ConfigurationError(name, value, f"should be null, as {self.preset} is given")
+                raise ConfigurationError(name, value, f"should be null, as preset is {self.preset}")
         for name in numbers:
             if self.preset is None and getattr(self, name) is None:
                 raise ConfigurationError(

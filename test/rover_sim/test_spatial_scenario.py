@@ -254,7 +254,7 @@ class TestRefusals:
             ("sensors.error_model", "good", "one of full, ideal"),
             ("sensors.gyro.noise_density", -1.0, "at least 0"),
             ("sensors.camera.axis", [0.0, 0.0, 0.0], "point somewhere"),
-            ("start.kind", "lying", "one of hanging, standing, straight"),
+            ("start.kind", "lying", "one of hanging, grounded, straight"),
             ("start.kind", "grounded", "needs a floor"),
             ("start.kind", "straight", "needs a direction"),
             ("start.position", [1.0, 0.0], "of no use to a hanging start"),
@@ -270,7 +270,7 @@ class TestRefusals:
         assert "\n" not in str(error)
 
     def test_a_hole_given_twice_or_half(self):
-        assert "marius_hills is known" in str(
+        assert "preset is marius_hills" in str(
             refusal({"environment.hole.diameter": 10.0}, "marius_hills")
         )
         assert "needed" in str(refusal({"environment.hole.preset": None}, "marius_hills"))
