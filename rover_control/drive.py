@@ -27,7 +27,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, PathSample, PoseSample, TwistSample
 from msg_schemas.table import TOPICS
 from msg_schemas.transition import Transition
-from rover_control.drive_attitude import LYING
+from rover_control.drive_attitude import ROLLOVER_TILT
 from rover_control.drive_follower import (
     DriveFollower,
     DrivePhase,
@@ -51,21 +51,23 @@ _STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
 
 @dataclass(frozen=True)
 class DriveParameters:
-    """What the machine is like, and patience with its sensors."""
+    """Motor, gravity and supervision of the sensors."""
 
     torque_per_ampere: float = parameter(
-        0.96, "N m/A", "at the wheels by the motor's current, gears included", 1e-3, 1e3
+        0.96, "N m/A", "wheel torque per ampere of motor current, gear included", 1e-3, 1e3
     )
-    drive_gravity: float = parameter(1.62, "m/s^2", "where the rover drives", 0.01, 100.0)
-    sensor_timeout: float = parameter(0.5, "s", "after which a sensor is lost", 0.02, 60.0)
+    drive_gravity: float = parameter(1.62, "m/s^2", "gravity where the rover drives", 0.01, 100.0)
+    sensor_timeout: float = parameter(
+        0.5, "s", "age of the last sample at which a sensor is stale", 0.02, 60.0
+    )
     sensor_steps: int = parameter(
-        25, "-", "steps on end with a silent sensor after which the rover stops", 1, 10000
+        25, "-", "consecutive control steps with a stale sensor before the rover stops", 1, 10000
     )
-    lying_tilt: float = parameter(
-        LYING, "rad", "from which on the rover lies on its side and does not drive", 0.1, 3.2
+    rollover_tilt: float = parameter(
+        ROLLOVER_TILT, "rad", "tilt above which the rover counts as rolled over", 0.1, 3.2
     )
-    lost_floor: float = parameter(
-        1.0, "s", "without touching the floor, after which the rover stops", 0.0, 60.0
+    floor_contact_timeout: float = parameter(
+        1.0, "s", "time without floor contact after which the rover stops", 0.0, 60.0
     )
 
 
@@ -314,7 +316,7 @@ class Drive:
         return "wheels and winch are free"
 
     def _check_reach(self, subject: str, goal: Goal) -> None:
-        far, longest = math.hypot(goal.x, goal.y), self.settings.tether.longest_tether
+        far, longest = math.hypot(goal.x, goal.y), self.settings.tether.max_tether_length
         drop = self.odometry.drop
         reach = math.sqrt(max(longest**2 - drop**2, 0.0))
         if far > reach:
@@ -335,7 +337,7 @@ class Drive:
                 RefusalCode.WRONG_PHASE,
                 "the rover does not stand on the floor, it must before it drives",
             )
-        tilt, lying = self.odometry.attitude.inclination, self.settings.drive.lying_tilt
+        tilt, lying = self.odometry.attitude.inclination, self.settings.drive.rollover_tilt
         if tilt > lying:
             raise Refusal(
                 subject,
@@ -387,7 +389,10 @@ class Drive:
         reason = self.tether.trouble(now) or self._other_user()
         if self._silent_steps >= self.settings.drive.sensor_steps:
             reason = f"{', '.join(silent)} not heard"
-        elif self._off_floor is not None and now - self._off_floor > self.settings.drive.lost_floor:
+        elif (
+            self._off_floor is not None
+            and now - self._off_floor > self.settings.drive.floor_contact_timeout
+        ):
             reason = "the rover does not touch the floor any more"
         if reason:
             self.follower.fail(reason, now)

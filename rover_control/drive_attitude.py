@@ -12,7 +12,7 @@ import math
 
 from msg_schemas.samples import Vector
 
-LYING = 1.05
+ROLLOVER_TILT = 1.05
 """Tilt [rad] from which on a rover lies on its side."""
 
 

@@ -44,25 +44,32 @@ class DrivePhase(StrEnum):
 
 @dataclass(frozen=True)
 class FollowerParameters:
-    """How fast the rover moves, and its patience."""
+    """Speeds and time limits of the motions."""
 
-    drive_speed: float = parameter(0.10, "m/s", "straight ahead", 0.005, 1.0)
-    turn_rate: float = parameter(0.20, "rad/s", "of a turn", 0.01, 3.0)
+    drive_speed: float = parameter(0.10, "m/s", "speed straight ahead", 0.005, 1.0)
+    turn_rate: float = parameter(0.20, "rad/s", "yaw rate of a turn", 0.01, 3.0)
     wheel_acceleration: float = parameter(
-        0.8, "rad/s^2", "of the motor's wheel, up and down", 0.05, 20.0
+        0.8, "rad/s^2", "acceleration limit of the driven wheel", 0.05, 20.0
     )
-    drive_lag: float = parameter(0.05, "s", "from a command to the wheel's rate", 0.0, 1.0)
-    settle_time: float = parameter(0.5, "s", "at rest before the gyro is believed", 0.0, 10.0)
-    gyro_error: float = parameter(
-        2.5e-5, "rad/s", "error of the gyro's bias with which the rover drives on", 1e-6, 0.1
+    command_delay: float = parameter(
+        0.05, "s", "delay from a command to the wheel's rate", 0.0, 1.0
     )
-    longest_stop: float = parameter(20.0, "s", "for the gyro at most", 0.1, 100.0)
-    largest_bend: float = parameter(
-        0.15, "rad", "by which a straight way may turn before it is planned anew", 0.01, 3.0
+    settle_time: float = parameter(
+        0.5, "s", "time at rest before the gyro's bias is estimated", 0.0, 10.0
     )
-    most_pieces: int = parameter(40, "-", "of a way to one goal", 1, 1000)
-    motion_patience: float = parameter(
-        3.0, "-", "times its usual time that a motion may take, 10 s more", 1.0, 100.0
+    gyro_bias_tolerance: float = parameter(
+        2.5e-5, "rad/s", "standard deviation of the gyro's bias at which the rover drives on",
+        1e-6, 0.1,
+    )  # fmt: skip
+    max_stop_time: float = parameter(
+        20.0, "s", "longest stop for the estimate of the gyro's bias", 0.1, 100.0
+    )
+    max_heading_drift: float = parameter(
+        0.15, "rad", "heading change on a straight segment at which it is planned again", 0.01, 3.0
+    )
+    max_segments: int = parameter(40, "-", "most segments on the path to one goal", 1, 1000)
+    motion_timeout_factor: float = parameter(
+        3.0, "-", "time limit of a motion over its nominal time, plus 10 s", 1.0, 100.0
     )
 
 
@@ -190,8 +197,8 @@ class DriveFollower:
 
     def _stand(self, now: float) -> None:
         p = self.parameters
-        known = self.is_at_rest and self.odometry.bias_error <= p.gyro_error
-        waited = now - self._since > p.settle_time + p.longest_stop
+        known = self.is_at_rest and self.odometry.bias_error <= p.gyro_bias_tolerance
+        waited = now - self._since > p.settle_time + p.max_stop_time
         if not known and not (waited and self.rate == 0.0):
             return
         self._end_piece()
@@ -215,7 +222,7 @@ class DriveFollower:
             )  # fmt: skip
             self._new_goal()
             return
-        if self._pieces >= p.most_pieces:
+        if self._pieces >= p.max_segments:
             self.fail(f"the goal is not reached in {self._pieces} pieces", now)
             return
         piece = self.planner.next_piece(pose, goal)
@@ -263,10 +270,10 @@ class DriveFollower:
             done = odometry.way - self._from[1]
             moving = odometry.speed
             per_rate = odometry.kinematics.speed(1.0)
-        left = amount - done - moving * p.drive_lag
+        left = amount - done - moving * p.command_delay
         if self._watched(sensed, now, h) or self._took_too_long(amount / full, now):
             return 0.0
-        bent = not turning and abs(odometry.turned - self._from[0]) > p.largest_bend
+        bent = not turning and abs(odometry.turned - self._from[0]) > p.max_heading_drift
         if left <= 0.0 or bent:
             self._finish(turning, now)
             return 0.0
@@ -289,7 +296,7 @@ class DriveFollower:
             self._begin(DrivePhase.STANDING, now)
 
     def _took_too_long(self, usual: float, now: float) -> bool:
-        limit = self.parameters.motion_patience * usual + 10.0
+        limit = self.parameters.motion_timeout_factor * usual + 10.0
         if now - self._since <= limit:
             return False
         self.fail(f"{self.phase} takes longer than {limit:.3g} s", now)

@@ -34,19 +34,21 @@ _PARTS: Mapping[str, type[Any]] = {
 
 @dataclass(frozen=True)
 class DriveNodeParameters:
-    """How often the node acts, and with what."""
+    """Rates of the node and the torque limit of the wheel motor."""
 
     command_rate: float = parameter(
-        50.0, "Hz", "how often the controller is stepped and the wheels told", 10.0, 100.0,
+        50.0, "Hz", "rate of the control loop and of the wheel commands", 10.0, 100.0,
         read_only=True,
     )  # fmt: skip
     odometry_rate: float = parameter(
-        20.0, "Hz", "how often the pose is told", 0.1, 100.0, read_only=True
+        20.0, "Hz", "publishing rate of the odometry", 0.1, 100.0, read_only=True
     )
     state_rate: float = parameter(
-        10.0, "Hz", "how often the estimates are told", 0.1, 50.0, read_only=True
+        10.0, "Hz", "publishing rate of the drive state", 0.1, 50.0, read_only=True
     )
-    wheel_torque: float = parameter(2.0, "N m", "that the wheel motor may use", 0.1, 20.0)
+    wheel_torque: float = parameter(
+        2.0, "N m", "torque limit sent with each wheel command", 0.1, 20.0
+    )
 
 
 class DriveNode(ContractNode):

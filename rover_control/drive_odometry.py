@@ -51,38 +51,48 @@ _QUIET = 0.5  # without rocking and jolts, after which the rover rests [s]
 
 @dataclass(frozen=True)
 class OdometryParameters:
-    """How much the odometry trusts its sensors and the ground."""
+    """Noise of sensors and ground, as the odometry's filter assumes it."""
 
-    yaw_noise: float = parameter(1.0e-4, "rad/s/sqrt(Hz)", "density of the gyro's noise", 0.0, 1.0)
-    yaw_bias: float = parameter(0.005, "rad/s", "gyro's bias when switched on", 0.0, 1.0)
-    yaw_bias_walk: float = parameter(5.0e-6, "rad/s/sqrt(s)", "density of its walk", 0.0, 1.0)
-    slip_scatter: float = parameter(0.03, "-", "by which the slip leaves its usual value", 0.0, 0.5)
-    slip_distance: float = parameter(5.0, "m", "over which it wanders there and back", 0.01, 1e3)
-    side_scatter: float = parameter(
-        0.01, "rad", "of the way's direction against the heading", 0.0, 1.0
+    gyro_noise_density: float = parameter(
+        1.0e-4, "rad/s/sqrt(Hz)", "noise density of the gyro", 0.0, 1.0
     )
-    gravity_time: float = parameter(
-        0.5, "s", "in which the accelerometer shows where up is, at rest", 0.05, 100.0
+    gyro_turn_on_bias: float = parameter(
+        0.005, "rad/s", "standard deviation of the gyro's turn-on bias", 0.0, 1.0
     )
-    gravity_time_moving: float = parameter(
-        20.0, "s", "the same while the rover moves and accelerates", 0.05, 1e3
+    gyro_bias_random_walk: float = parameter(
+        5.0e-6, "rad/s/sqrt(s)", "random walk of the gyro's bias", 0.0, 1.0
     )
-    start_error: float = parameter(
-        0.05, "m", "standard deviation of a position that is told", 0.0, 100.0
+    slip_std: float = parameter(
+        0.03, "-", "standard deviation of the slip about its nominal value", 0.0, 0.5
     )
-    start_heading_error: float = parameter(
-        0.01, "rad", "standard deviation of a heading that is told", 0.0, 7.0
+    slip_correlation_distance: float = parameter(
+        5.0, "m", "correlation distance of the slip", 0.01, 1e3
     )
-    tether_error: float = parameter(
-        0.05, "m", "standard deviation of the distance by a taut tether", 1e-3, 10.0
+    sideslip_std: float = parameter(
+        0.01, "rad", "standard deviation of the sideslip angle", 0.0, 1.0
     )
-    tether_spacing: float = parameter(
-        0.5, "m", "of way between two looks at the tether's length", 0.01, 100.0
+    tilt_time_constant: float = parameter(
+        0.5, "s", "time constant of the accelerometer's tilt correction at rest", 0.05, 100.0
     )
-    drop_error: float = parameter(
-        0.1, "m", "of the fairlead's height over the rover, at the start", 1e-3, 100.0
+    tilt_time_constant_moving: float = parameter(
+        20.0, "s", "time constant of the accelerometer's tilt correction in motion", 0.05, 1e3
     )
-    uses_tether: bool = parameter(True, "-", "the tether's length helps the odometry")
+    initial_position_std: float = parameter(
+        0.05, "m", "standard deviation of a position from drive/initial_pose", 0.0, 100.0
+    )
+    initial_heading_std: float = parameter(
+        0.01, "rad", "standard deviation of a heading from drive/initial_pose", 0.0, 7.0
+    )
+    tether_range_std: float = parameter(
+        0.05, "m", "standard deviation of the distance measured by a taut tether", 1e-3, 10.0
+    )
+    tether_update_distance: float = parameter(
+        0.5, "m", "distance driven between two updates by the tether's length", 0.01, 100.0
+    )
+    initial_drop_std: float = parameter(
+        0.1, "m", "initial standard deviation of the fairlead's height above the rover", 1e-3, 100.0
+    )
+    uses_tether: bool = parameter(True, "-", "correct the odometry by the tether's length")
 
 
 class Tether(NamedTuple):
@@ -135,8 +145,8 @@ class DriveOdometry:
         self._p = np.zeros((_STATES, _STATES))
         self._gyro_at: float | None = None
         self._torque = kinematics.parameters.driving_torque  # mean of the way [N m]
-        self._p[_BIAS, _BIAS] = parameters.yaw_bias**2
-        self._p[_SLIP, _SLIP] = parameters.slip_scatter**2
+        self._p[_BIAS, _BIAS] = parameters.gyro_turn_on_bias**2
+        self._p[_SLIP, _SLIP] = parameters.slip_std**2
         self._knows_drop = False
         self.place(GroundPose(0.0, 0.0, 0.0))
 
@@ -167,7 +177,7 @@ class DriveOdometry:
     def slip(self) -> float:
         """Of the driven wheels, as counted on [-]."""
         p = self.kinematics.parameters
-        by_torque = p.driving_slip + p.slip_by_torque * (self._torque - p.driving_torque)
+        by_torque = p.driving_slip + p.slip_per_torque * (self._torque - p.driving_torque)
         return min(max(by_torque + float(self._x[_SLIP]), 0.0), _LARGEST_SLIP)
 
     @property
@@ -193,11 +203,11 @@ class DriveOdometry:
         own = float(self._p[_HEADING, _HEADING])
         self._x[_HEADING] = heading
         self._x[[_PX, _PY]] = self.kinematics.pivot_of(GroundPose(pose.x, pose.y, heading))
-        for k, error in ((_PX, p.start_error), (_PY, p.start_error)):
+        for k, error in ((_PX, p.initial_position_std), (_PY, p.initial_position_std)):
             self._p[k, :] = self._p[:, k] = 0.0
             self._p[k, k] = error**2
         self._p[_HEADING, :] = self._p[:, _HEADING] = 0.0
-        self._p[_HEADING, _HEADING] = p.start_heading_error**2 if knows_heading else own
+        self._p[_HEADING, _HEADING] = p.initial_heading_std**2 if knows_heading else own
         self._p[_DROP, :] = self._p[:, _DROP] = 0.0
         self._knows_drop = False
         self._seen_at = -math.inf
@@ -217,12 +227,12 @@ class DriveOdometry:
             return
         h = now - before
         p = self.parameters
-        self._p[_BIAS, _BIAS] += p.yaw_bias_walk**2 * h
+        self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         left = rate[2] - self.bias
         # A rover that creeps under the tether's pull does not rest, whatever its encoders say.
         self._rest_rate += min(h / _REST_TIME, 1.0) * (left - self._rest_rate)
         creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
-        jolt = abs(rate[2] - self._last_rate) > _JOLT * p.yaw_noise / math.sqrt(h) + _CREEP
+        jolt = abs(rate[2] - self._last_rate) > _JOLT * p.gyro_noise_density / math.sqrt(h) + _CREEP
         self._last_rate = rate[2]
         if jolt or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKS:
             self._moved_at = now
@@ -230,18 +240,18 @@ class DriveOdometry:
         if rests:
             self._learn_level(rate, h)
         bx, by = self._level_bias
-        share = min(h / (p.gravity_time if rests else p.gravity_time_moving), 1.0)
+        share = min(h / (p.tilt_time_constant if rests else p.tilt_time_constant_moving), 1.0)
         turned = self.attitude.turn((rate[0] - bx, rate[1] - by, left), force, h, share)
         if rests and not creeps:
             self.yaw_rate = 0.0
             row = np.zeros(_STATES)
             row[_BIAS] = 1.0
-            self._update(row, left, p.yaw_noise**2 / h)
+            self._update(row, left, p.gyro_noise_density**2 / h)
             return
         self.yaw_rate = turned / h
         self._x[_HEADING] += turned
         self._follow(_HEADING, _BIAS, -h * self.attitude.up[2])
-        self._p[_HEADING, _HEADING] += p.yaw_noise**2 * h
+        self._p[_HEADING, _HEADING] += p.gyro_noise_density**2 * h
         if self._is_driven:
             # Half of what the sides differ by belongs to the right one.
             self._advance_pivot(0.5 * self.kinematics.parameters.track * turned)
@@ -281,13 +291,15 @@ class DriveOdometry:
 
     def _advance_pivot(self, way: float) -> None:
         c, s = math.cos(self.turned), math.sin(self.turned)
-        aside = self.kinematics.parameters.side_slip * self._side_pull() * way
+        aside = self.kinematics.parameters.sideslip_per_force * self._side_pull() * way
         self._x[_PX] += c * way - s * aside
         self._x[_PY] += s * way + c * aside
         self._follow(_PX, _HEADING, -s * way)
         self._follow(_PY, _HEADING, c * way)
         # Of a direction that wanders over the slip's distance, what a way leaves aside.
-        spread = self.parameters.side_scatter**2 * abs(way) * self.parameters.slip_distance
+        spread = (
+            self.parameters.sideslip_std**2 * abs(way) * self.parameters.slip_correlation_distance
+        )
         self._p[_PX, _PX] += s * s * spread
         self._p[_PY, _PY] += c * c * spread
         self._p[_PX, _PY] -= s * c * spread
@@ -307,11 +319,11 @@ class DriveOdometry:
         p = self.parameters
         self._follow(_PX, _SLIP, -math.cos(self.turned) * rolled)
         self._follow(_PY, _SLIP, -math.sin(self.turned) * rolled)
-        keep = math.exp(-way / p.slip_distance)
+        keep = math.exp(-way / p.slip_correlation_distance)
         self._x[_SLIP] *= keep
         self._p[_SLIP, :] *= keep
         self._p[:, _SLIP] *= keep
-        self._p[_SLIP, _SLIP] += p.slip_scatter**2 * (1.0 - keep * keep)
+        self._p[_SLIP, _SLIP] += p.slip_std**2 * (1.0 - keep * keep)
 
     def _follow(self, state: int, other: int, share: float) -> None:
         """A state has changed by a share of another's error: P = F P F^T with F one entry off I."""
@@ -342,10 +354,10 @@ class DriveOdometry:
                 self._begin_drop(chord, horizontal)
             return
         distance = math.hypot(horizontal, self.drop)
-        if is_taut and self.way - self._seen_at < p.tether_spacing:
+        if is_taut and self.way - self._seen_at < p.tether_update_distance:
             return
         beyond = distance - tether.length
-        if not is_taut and beyond <= 3.0 * p.tether_error:
+        if not is_taut and beyond <= 3.0 * p.tether_range_std:
             return
         self._seen_at = self.way
         row = np.zeros(_STATES)
@@ -355,14 +367,14 @@ class DriveOdometry:
         row[_HEADING] = row[_PX] * (s * ahead + c * left) + row[_PY] * (s * left - c * ahead)
         row[_DROP] = self.drop / distance
         miss = (chord if is_taut else tether.length) - distance
-        expected = float(row @ self._p @ row) + p.tether_error**2
+        expected = float(row @ self._p @ row) + p.tether_range_std**2
         if miss * miss < 16.0 * expected:
-            self._update(row, miss, p.tether_error**2)
+            self._update(row, miss, p.tether_range_std**2)
 
     def _begin_drop(self, chord: float, horizontal: float) -> None:
         """The height is what the first taut length leaves beside the known place."""
         self._x[_DROP] = math.sqrt(chord**2 - horizontal**2)
-        self._p[_DROP, _DROP] = self.parameters.drop_error**2
+        self._p[_DROP, _DROP] = self.parameters.initial_drop_std**2
         self._knows_drop = True
         self._seen_at = self.way
 

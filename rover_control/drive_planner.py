@@ -23,24 +23,25 @@ from rover_control.ratchet_kinematics import GroundPose, RatchetKinematics, left
 
 @dataclass(frozen=True)
 class PlannerParameters:
-    """How ways are cut into pieces and aimed, and how near is near enough."""
+    """Goal tolerances, and how a path is divided into segments and aimed."""
 
-    near_goal: float = parameter(0.10, "m", "so near is at the goal", 0.01, 10.0)
-    near_heading: float = parameter(0.05, "rad", "so near is at its heading", 0.005, 1.0)
-    aim_right: float = parameter(
-        0.03, "rad", "by which a piece that is not the last is aimed right of the goal", 0.0, 0.5
+    xy_goal_tolerance: float = parameter(0.10, "m", "position tolerance at a goal", 0.01, 10.0)
+    yaw_goal_tolerance: float = parameter(0.05, "rad", "heading tolerance at a goal", 0.005, 1.0)
+    aim_offset: float = parameter(
+        0.03, "rad", "offset of the aim to the right of the goal, except on the last segment",
+        0.0, 0.5,
+    )  # fmt: skip
+    first_segment: float = parameter(
+        1.0, "m", "length of a path's first segment, which measures the rover's curvature", 0.1, 1e3
     )
-    first_piece: float = parameter(
-        1.0, "m", "first piece of a way, to learn how it bends", 0.1, 1e3
+    segment_fraction: float = parameter(
+        0.5, "-", "length of a further segment as a fraction of the remaining path", 0.1, 0.9
     )
-    piece_share: float = parameter(
-        0.5, "-", "part of the way that is left, that a further piece makes", 0.1, 0.9
+    last_segment: float = parameter(
+        1.5, "m", "remaining path up to which one last segment follows", 0.1, 1e3
     )
-    last_piece: float = parameter(
-        1.5, "m", "a way that is no longer than this is made in one piece", 0.1, 1e3
-    )
-    bend_memory: float = parameter(
-        1.0, "m", "of way in which a new bend takes the old one's place", 0.01, 1e3
+    curvature_memory: float = parameter(
+        1.0, "m", "distance over which the curvature estimate forgets", 0.01, 1e3
     )
 
 
@@ -110,7 +111,7 @@ class DrivePlanner:
     def learn(self, turned: float, way: float) -> None:
         """Take how far the rover has turned [rad] by itself on a straight way [m]."""
         if way > 0.0:
-            share = way / (way + self.parameters.bend_memory)
+            share = way / (way + self.parameters.curvature_memory)
             self.bend += share * (turned / way - self.bend)
 
     def is_there(self, pose: GroundPose, goal: Goal) -> bool:
@@ -119,13 +120,13 @@ class DrivePlanner:
             # What a last turn makes of it.
             pivot = self.kinematics.pivot_of(pose)
             pose = self.kinematics.pose_at(pivot, goal.heading)
-        return pose.distance(goal.x, goal.y) <= self.parameters.near_goal
+        return pose.distance(goal.x, goal.y) <= self.parameters.xy_goal_tolerance
 
     def last_turn(self, pose: GroundPose, goal: Goal) -> float:
         """Left turn [rad] that the goal's heading still needs, 0 where it is near enough."""
         if not goal.wants_heading:
             return 0.0
-        if abs(wrapped(goal.heading - pose.heading)) <= self.parameters.near_heading:
+        if abs(wrapped(goal.heading - pose.heading)) <= self.parameters.yaw_goal_tolerance:
             return 0.0
         return left_turn(pose.heading, goal.heading)
 
@@ -135,13 +136,13 @@ class DrivePlanner:
         if _is_too_near(self.kinematics, pose, goal):
             return Piece(0.0, _AWAY, pose.heading, False)
         heading, left = course(self.kinematics, pose, goal)
-        is_last = left <= p.last_piece
+        is_last = left <= p.last_segment
         way = left
         if not is_last:
-            way = min(p.first_piece, left) if self._pieces == 0 else p.piece_share * left
+            way = min(p.first_segment, left) if self._pieces == 0 else p.segment_fraction * left
         self._pieces += 1
         # The chord of an arc lies half its bend off its first tangent.
-        aim = heading - 0.5 * self.bend * way - (0.0 if is_last else p.aim_right)
+        aim = heading - 0.5 * self.bend * way - (0.0 if is_last else p.aim_offset)
         turn = left_turn(pose.heading, aim)
         if self._may_stay(wrapped(pose.heading - aim), left, is_last=is_last):
             turn = 0.0
@@ -151,7 +152,7 @@ class DrivePlanner:
         """Whether a heading may be left as it is that lies `beyond` [rad] left of the aim."""
         p = self.parameters
         if beyond < 0.0:  # a left turn is cheap, but not for nothing
-            return -beyond * left < 0.1 * p.near_goal
+            return -beyond * left < 0.1 * p.xy_goal_tolerance
         if is_last:
-            return beyond * left < 0.8 * p.near_goal
-        return (beyond - p.aim_right) * left < 0.5 * p.near_goal
+            return beyond * left < 0.8 * p.xy_goal_tolerance
+        return (beyond - p.aim_offset) * left < 0.5 * p.xy_goal_tolerance

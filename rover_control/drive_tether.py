@@ -23,33 +23,39 @@ _MEAN = 1.0  # over so long [s]
 
 @dataclass(frozen=True)
 class TetherParameters:
-    """How the tether is led."""
+    """Tension of the tether while the rover drives, and time limits of the winch."""
 
     tension_margin: float = parameter(
-        0.8, "N", "that the winch holds beyond the weight of the tether that is out", 0.0, 100.0
+        0.8, "N", "tension setpoint above the weight of the paid-out tether", 0.0, 100.0
     )
-    largest_tension: float = parameter(
-        3.0, "N", "beyond that weight, at which the rover stops", 0.1, 1e3
+    tension_limit: float = parameter(
+        3.0, "N", "tension above that weight at which the rover stops", 0.1, 1e3
     )
-    tension_patience: float = parameter(1.0, "s", "for so long", 0.0, 60.0)
-    slack_patience: float = parameter(
-        60.0, "s", "without any pull, after which the rover waits no longer", 0.1, 600.0
+    tension_limit_time: float = parameter(
+        1.0, "s", "time above it after which the rover stops", 0.0, 60.0
+    )
+    slack_timeout: float = parameter(
+        60.0, "s", "time with a slack tether after which the drive fails", 0.1, 600.0
     )
     take_up_rate: float = parameter(
-        0.04, "m/s", "at which slack is taken up before the rover moves", 1e-3, 0.5
+        0.04, "m/s", "winch rate at which slack is taken up before the rover moves", 1e-3, 0.5
     )
-    lead_rate: float = parameter(
-        0.2, "m/s", "largest rate at which the winch follows the rover", 1e-3, 0.5
+    follow_rate: float = parameter(
+        0.2, "m/s", "largest winch rate while the rover moves", 1e-3, 0.5
     )
-    take_up_time: float = parameter(
-        20.0, "s", "for slack to be taken up, before the rover moves all the same", 0.0, 600.0
+    take_up_timeout: float = parameter(
+        20.0, "s", "time for taking up slack, after which the rover moves anyway", 0.0, 600.0
     )
-    request_renewal: float = parameter(0.25, "s", "between two renewals", 0.02, 1.0)
-    request_answer: float = parameter(
-        3.0, "s", "in which the winch must hold the tension", 0.1, 60.0
+    request_period: float = parameter(
+        0.25, "s", "period at which the winch request is renewed", 0.02, 1.0
     )
-    longest_tether: float = parameter(58.0, "m", "that the winch can pay out", 1.0, 1e3)
-    uses_winch: bool = parameter(True, "-", "false: the winch is left to others")
+    request_timeout: float = parameter(
+        3.0, "s", "time in which the winch must enter the mode tension", 0.1, 60.0
+    )
+    max_tether_length: float = parameter(
+        58.0, "m", "longest length that the winch can pay out", 1.0, 1e3
+    )
+    uses_winch: bool = parameter(True, "-", "false: drive_node sends the winch no requests")
 
 
 class TetherRequest(NamedTuple):
@@ -128,12 +134,12 @@ class TetherCare:
         pull = self.tension - self.weight
         if math.isfinite(pull):
             self._pull += min(h / _MEAN, 1.0) * (pull - self._pull)
-        self._pulls = self._pulls + h if pull > p.largest_tension else 0.0
+        self._pulls = self._pulls + h if pull > p.tension_limit else 0.0
         self._slack = self._slack + h if self._pull < 0.1 * p.tension_margin else 0.0
         self._had_it = leads and (self._had_it or self.mode == _TENSION)
-        waited = now - self._since > p.take_up_time
+        waited = now - self._since > p.take_up_timeout
         self._is_taken_up = leads and (self._is_taken_up or self.is_taut or waited)
-        if now - self._sent < p.request_renewal:
+        if now - self._sent < p.request_period:
             return None
         if leads and not self.trouble(now):
             self._sent = now
@@ -150,7 +156,7 @@ class TetherCare:
 
     def _hold(self) -> TetherRequest:
         p = self.parameters
-        rate = p.lead_rate if self._is_taken_up else p.take_up_rate
+        rate = p.follow_rate if self._is_taken_up else p.take_up_rate
         return TetherRequest(WINCH_AT_TENSION, 0.0, rate, self.weight + p.tension_margin)
 
     def trouble(self, now: float) -> str:
@@ -160,10 +166,10 @@ class TetherCare:
             return ""
         if self._had_it and self.mode != _TENSION:
             return f"the winch has left its tension for {self.mode}, its events say why"
-        if not self._had_it and now - self._since > p.request_answer:
+        if not self._had_it and now - self._since > p.request_timeout:
             return "the winch has not taken the request for a tension, its diagnostics say why"
-        if self._pulls > p.tension_patience:
+        if self._pulls > p.tension_limit_time:
             return f"the tether pulls with {self.tension:.3g} N, it is held somewhere"
-        if self._slack > p.slack_patience:
+        if self._slack > p.slack_timeout:
             return f"the tether is slack ({self.tension:.3g} N) and the winch does not take it up"
         return ""

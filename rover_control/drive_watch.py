@@ -26,38 +26,44 @@ _DOUBTS = 2  # ways in a row over which the tether does not follow
 
 @dataclass(frozen=True)
 class WatchParameters:
-    """When the rover counts as stuck, and what it will not drive on."""
+    """Thresholds of the detection of blocked wheels, immobilization, strain and slope."""
 
-    blocked_share: float = parameter(
-        0.3, "-", "of the commanded rate below which a wheel is blocked", 0.0, 1.0
+    blocked_fraction: float = parameter(
+        0.3, "-", "fraction of the commanded rate below which a wheel is blocked", 0.0, 1.0
     )
-    blocked_time: float = parameter(1.5, "s", "for so long", 0.1, 60.0)
-    stuck_share: float = parameter(
-        0.35, "-", "of the expected motion below which the rover is stuck", 0.0, 1.0
+    blocked_time: float = parameter(
+        1.5, "s", "time below it after which the motion ends", 0.1, 60.0
     )
-    watched_turn: float = parameter(
-        0.25, "rad", "expected turn over which the gyro is asked", 0.05, 7.0
+    stuck_fraction: float = parameter(
+        0.35, "-", "fraction of the expected motion below which the rover is stuck", 0.0, 1.0
     )
-    watched_way: float = parameter(
-        0.5, "m", "expected way over which the tether is asked", 0.05, 10.0
+    turn_check_angle: float = parameter(
+        0.25, "rad", "expected turn between two checks by the gyro", 0.05, 7.0
     )
-    seen_range: float = parameter(
-        0.25, "m", "expected change of the distance that the tether can see", 0.02, 10.0
+    tether_check_distance: float = parameter(
+        0.5, "m", "expected travel between two checks by the tether", 0.05, 10.0
     )
-    start_time: float = parameter(
-        3.0, "s", "after a start in which the accelerometer is asked", 0.5, 20.0
+    min_range_change: float = parameter(
+        0.25, "m", "least expected change of the range for a check by the tether", 0.02, 10.0
     )
-    start_speed: float = parameter(0.06, "m/s", "least expected speed that it can see", 0.005, 1.0)
-    torque_slow: float = parameter(
-        0.75, "N m", "torque at the wheels from which the rover slows down", 0.01, 100.0
+    start_check_time: float = parameter(
+        3.0, "s", "time after a start during which the accelerometer is checked", 0.5, 20.0
     )
-    torque_limit: float = parameter(
-        1.1, "N m", "torque at the wheels at which it gives up", 0.01, 100.0
+    start_check_speed: float = parameter(
+        0.06, "m/s", "least expected speed for a check by the accelerometer", 0.005, 1.0
     )
-    torque_time: float = parameter(3.0, "s", "for so long", 0.1, 60.0)
-    slowest_share: float = parameter(0.3, "-", "of the speed to which it slows down", 0.05, 1.0)
-    largest_slope: float = parameter(0.30, "rad", "inclination it still drives on", 0.02, 1.5)
-    slope_time: float = parameter(0.5, "s", "beyond it for so long", 0.0, 60.0)
+    slowdown_torque: float = parameter(
+        0.75, "N m", "wheel torque above which the rover slows down", 0.01, 100.0
+    )
+    torque_limit: float = parameter(1.1, "N m", "largest sustained wheel torque", 0.01, 100.0)
+    torque_limit_time: float = parameter(
+        3.0, "s", "time above it after which the motion ends", 0.1, 60.0
+    )
+    min_speed_fraction: float = parameter(
+        0.3, "-", "fraction of the speed that remains at the torque limit", 0.05, 1.0
+    )
+    max_slope: float = parameter(0.30, "rad", "largest slope that the rover drives on", 0.02, 1.5)
+    slope_time: float = parameter(0.5, "s", "time above it after which the motion ends", 0.0, 60.0)
 
 
 class DriveWatch:
@@ -86,9 +92,9 @@ class DriveWatch:
     def speed_share(self, torque: float) -> float:
         """What part of its speed the rover may use at a torque [N m]."""
         p = self.parameters
-        span = max(p.torque_limit - p.torque_slow, 1e-9)
-        over = min(max((abs(torque) - p.torque_slow) / span, 0.0), 1.0)
-        return 1.0 - over * (1.0 - p.slowest_share)
+        span = max(p.torque_limit - p.slowdown_torque, 1e-9)
+        over = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
+        return 1.0 - over * (1.0 - p.min_speed_fraction)
 
     def common(self, commanded: float, rate: float, torque: float, slope: float, h: float) -> str:
         """Watch what every motion shows; returns the reason to end it, empty = none.
@@ -102,23 +108,23 @@ class DriveWatch:
         """
         p = self.parameters
         asked = abs(commanded) > 0.05
-        slow = asked and abs(rate) < p.blocked_share * abs(commanded)
+        slow = asked and abs(rate) < p.blocked_fraction * abs(commanded)
         self._blocked = self._blocked + h if slow else 0.0
         if self._blocked > p.blocked_time:
             return (
                 f"the wheel motor is blocked: {rate:.3g} rad/s for {commanded:.3g} rad/s commanded"
             )
         self._strained = self._strained + h if abs(torque) > p.torque_limit else 0.0
-        if self._strained > p.torque_time:
+        if self._strained > p.torque_limit_time:
             return (
-                f"the wheels dig in: {abs(torque):.3g} N m for {p.torque_time:g} s, "
+                f"the wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, "
                 f"{p.torque_limit:g} N m are allowed"
             )
-        self._steep = self._steep + h if slope > p.largest_slope else 0.0
+        self._steep = self._steep + h if slope > p.max_slope else 0.0
         if self._steep > p.slope_time:
             return (
                 f"the ground is too steep: {math.degrees(slope):.3g} deg, "
-                f"{math.degrees(p.largest_slope):.3g} deg are allowed"
+                f"{math.degrees(p.max_slope):.3g} deg are allowed"
             )
         return ""
 
@@ -127,11 +133,11 @@ class DriveWatch:
         p = self.parameters
         self._turn += expected
         self._turned += turned
-        if self._turn < p.watched_turn:
+        if self._turn < p.turn_check_angle:
             return ""
         expected, turned = self._turn, self._turned
         self._turn = self._turned = 0.0
-        if turned < p.stuck_share * expected:
+        if turned < p.stuck_fraction * expected:
             return (
                 f"the wheel turns and the rover does not: {math.degrees(turned):.3g} deg of "
                 f"{math.degrees(expected):.3g} deg by the gyro"
@@ -147,13 +153,15 @@ class DriveWatch:
             h: time since the last call [s].
         """
         p = self.parameters
-        if self._age > p.start_time:
+        if self._age > p.start_check_time:
             return ""
         self._age += h
         self._inertial += forward * h
-        seen = speed >= p.start_speed
-        self._bogged = self._bogged + h if seen and self._inertial < p.stuck_share * speed else 0.0
-        if self._bogged > 0.4 * p.start_time:
+        seen = speed >= p.start_check_speed
+        self._bogged = (
+            self._bogged + h if seen and self._inertial < p.stuck_fraction * speed else 0.0
+        )
+        if self._bogged > 0.4 * p.start_check_time:
             return (
                 f"the wheels turn and the rover does not move: {self._inertial:.3g} m/s of "
                 f"{speed:.3g} m/s by the accelerometer"
@@ -177,11 +185,11 @@ class DriveWatch:
             return ""
         self._way += way
         self._range_expected += expected
-        if self._way < p.watched_way or abs(self._range_expected) < p.seen_range:
+        if self._way < p.tether_check_distance or abs(self._range_expected) < p.min_range_change:
             return ""
         moved, wanted = distance - self._range_from, self._range_expected
         self._range_from, self._range_expected, self._way = distance, 0.0, 0.0
-        doubted = moved * math.copysign(1.0, wanted) < p.stuck_share * abs(wanted)
+        doubted = moved * math.copysign(1.0, wanted) < p.stuck_fraction * abs(wanted)
         self._doubts = self._doubts + 1 if doubted else 0
         if self._doubts >= _DOUBTS:
             return (

@@ -29,10 +29,12 @@ _HOLD = "hold"  # mode of a winch that holds a length
 
 @dataclass(frozen=True)
 class FlightParameters:
-    """How a flight is measured."""
+    """IMU by which a flight is measured."""
 
-    imu_ahead: float = parameter(0.05, "m", "of the IMU along base_link x", -1.0, 1.0)
-    imu_range: float = parameter(80.0, "m/s^2", "of the accelerometer", 1.0, 1e4)
+    imu_offset: float = parameter(0.05, "m", "position of the IMU along base_link x", -1.0, 1.0)
+    accelerometer_range: float = parameter(
+        80.0, "m/s^2", "measuring range of the accelerometer", 1.0, 1e4
+    )
 
 
 class JumpRecord(NamedTuple):
@@ -87,7 +89,9 @@ class Jump:
         self.spring = SpringEstimate(settings.spring)
         self.sequence = JumpSequence(settings.sequence)
         self.sensors = Sensors()
-        self._recorder = FlightRecorder(settings.flight.imu_ahead, settings.flight.imu_range)
+        self._recorder = FlightRecorder(
+            settings.flight.imu_offset, settings.flight.accelerometer_range
+        )
         self._transitions: list[Transition] = []
         self._records: list[JumpRecord] = []
         self._settings = settings
@@ -188,7 +192,7 @@ class Jump:
         elif joint == JUMP_HEIGHT:
             self.sequence.check_request(self.sensors, now_ns)
             stroke = self.spring.stroke_for(value, self.sensors.tilt)
-            most = self.sequence.parameters.largest_stroke
+            most = self.sequence.parameters.max_stroke
             if stroke > most:
                 highest = self.spring.expected(most, self.sensors.tilt).mean
                 raise Refusal(
@@ -304,7 +308,7 @@ class Jump:
 
     def _wait(self, pending: _Pending, now_ns: int) -> None:
         """Go on with a jump that has not begun, or give it up."""
-        limit = self._settings.prediction.prediction_limit
+        limit = self._settings.prediction.prediction_timeout
         late = seconds(now_ns, pending.since_ns) > limit
         if pending.prediction is None:
             if late:

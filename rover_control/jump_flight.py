@@ -41,12 +41,12 @@ class FlightRecorder:
     """Listens to the IMU while a jump is under way.
 
     Args:
-        imu_ahead: place of the IMU along base_link x [m].
-        imu_range: of the accelerometer [m/s^2].
+        imu_offset: place of the IMU along base_link x [m].
+        accelerometer_range: of the accelerometer [m/s^2].
     """
 
-    imu_ahead: float = 0.05
-    imu_range: float = 80.0
+    imu_offset: float = 0.05
+    accelerometer_range: float = 80.0
     _samples: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
     _released_ns: int | None = None
 
@@ -138,7 +138,7 @@ class FlightRecorder:
         rates -= self._grown(t, values[:, 3:], resting)[:, None] * left_over
         steps = 0.5 * np.diff(t)[:, None] * (rates[1:] + rates[:-1])
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-        lever = np.array([self.imu_ahead, 0.0, 0.0])
+        lever = np.array([self.imu_offset, 0.0, 0.0])
         places -= np.array([(turn - turns[0]) @ lever for turn in turns])
         return turns, places
 
@@ -146,7 +146,7 @@ class FlightRecorder:
         self, t: NDArray[np.float64], forces: NDArray[np.float64], resting: int
     ) -> NDArray[np.float64]:
         """Share of the velocity left over at rest that there is at each sample already."""
-        beyond = np.abs(forces[:resting]).max(axis=1) >= _SATURATED * self.imu_range
+        beyond = np.abs(forces[:resting]).max(axis=1) >= _SATURATED * self.accelerometer_range
         if not beyond.any():
             return t / float(t[resting:].mean())
         share = np.ones(t.size)

@@ -45,14 +45,14 @@ _PARTS: Mapping[str, type[Any]] = {
 
 @dataclass(frozen=True)
 class JumpNodeParameters:
-    """How often the node acts."""
+    """Rate of the node, and when it loads the model."""
 
     command_rate: float = parameter(
-        20.0, "Hz", "how often the sequence is stepped and the jump motor told", 5.0, 200.0,
+        20.0, "Hz", "rate of the sequence and of the jump motor commands", 5.0, 200.0,
         read_only=True,
     )  # fmt: skip
-    predict_ready: bool = parameter(
-        False, "-", "build the model at the start: the first prediction is as fast as later ones",
+    preload_model: bool = parameter(
+        False, "-", "load the model at the start: the first prediction is as fast as later ones",
         read_only=True,
     )  # fmt: skip
 
@@ -87,7 +87,7 @@ class JumpNode(ContractNode):
         self._phase_publisher.send(TextSample(self._jump.phase))
         own = self.parameters_of(JumpNodeParameters)
         self.every(1.0 / own.command_rate, self._step)
-        if own.predict_ready:
+        if own.preload_model:
             self._predicter.submit(self._model.prepare)
 
     def stop(self) -> None:

@@ -12,43 +12,49 @@ from msg_schemas.table import MAX_STROKE
 
 @dataclass(frozen=True)
 class PredictionParameters:
-    """How jumps are predicted, and what is too risky."""
+    """Model that predicts jumps, and limits that a predicted jump must meet."""
 
-    predicted_scenario: str = parameter(
-        "floor_rubble", "-", "scenario that has the machine, its tether and gravity"
+    prediction_scenario: str = parameter(
+        "floor_rubble", "-", "scenario with the machine, its tether and gravity"
     )
     floor_depth: float = parameter(
-        5.0, "m", "of the floor below the fairlead, where the odometry tells no height", 0.5, 1e3
+        5.0, "m", "depth of the floor below the fairlead, where the odometry gives none", 0.5, 1e3
     )
     attachment_height: float = parameter(
-        0.43, "m", "of the tether's attachment above the floor, while the rover stands", 0.0, 10.0
+        0.43, "m", "height of the tether attachment above the floor, rover standing", 0.0, 10.0
     )
-    rollouts: int = parameter(32, "-", "jumps of the model for a prediction", 8, 256)
-    prediction_step: float = parameter(4.0e-3, "s", "largest time step of the model", 1e-4, 5e-3)
-    prediction_elements: int = parameter(12, "-", "of the model's tether, about", 4, 100)
-    prediction_limit: float = parameter(
-        60.0, "s", "longest wait for a prediction, and for slack, by the node's clock", 1.0, 600.0
+    rollouts: int = parameter(32, "-", "simulated jumps per prediction", 8, 256)
+    prediction_time_step: float = parameter(
+        4.0e-3, "s", "largest time step of the model", 1e-4, 5e-3
     )
-    stance_error: float = parameter(
-        3.0e-3, "rad", "standard deviation of the tilt on its floor against the model's, each axis",
-        0.0, 0.2,
+    prediction_elements: int = parameter(
+        12, "-", "approximate number of tether elements of the model", 4, 100
+    )
+    prediction_timeout: float = parameter(
+        60.0, "s", "time limit of a prediction, and of giving slack, by the node's clock",
+        1.0, 600.0,
     )  # fmt: skip
+    stance_tilt_std: float = parameter(
+        3.0e-3, "rad", "standard deviation of the modelled tilt on the floor, per axis", 0.0, 0.2
+    )
     clearance_risk: float = parameter(
-        0.10, "-", "probability with which a jump may stay below a clearance", 0.01, 0.5
+        0.10, "-", "probability that a jump stays below the requested clearance", 0.01, 0.5
     )
-    least_upright: float = parameter(
-        0.9, "-", "least probability of landing upright that a jump needs", 0.0, 1.0
+    min_upright_probability: float = parameter(
+        0.9, "-", "least probability of landing upright", 0.0, 1.0
     )
-    toppling: float = parameter(
-        0.8, "rad", "tilt against the floor from which a landed rover counts as toppled", 0.1, 1.6
+    upright_tilt: float = parameter(
+        0.8, "rad", "tilt against the floor up to which a landed rover is upright", 0.1, 1.6
     )
-    largest_jerk: float = parameter(
-        50.0, "N", "largest tension of the tether that a jump may cause", 0.1, 1e4
+    max_peak_tension: float = parameter(
+        50.0, "N", "largest tether tension that a jump may cause", 0.1, 1e4
     )
-    slack_margin: float = parameter(0.3, "m", "slack beyond what the jump is to need", 0.0, 10.0)
-    most_slack: float = parameter(3.0, "m", "that a jump may be given", 0.0, 20.0)
-    longest_stroke: float = parameter(
-        0.20, "m", "that the machine can compress its spring", 0.01, MAX_STROKE
+    slack_margin: float = parameter(
+        0.3, "m", "slack beyond the predicted need of a jump", 0.0, 10.0
+    )
+    max_slack: float = parameter(3.0, "m", "largest slack given for a jump", 0.0, 20.0)
+    spring_travel: float = parameter(
+        0.20, "m", "largest compression that the mechanism allows", 0.01, MAX_STROKE
     )
 
 

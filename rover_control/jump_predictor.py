@@ -82,12 +82,12 @@ class JumpPredictor:
         begun, p = time.monotonic(), self.parameters
         situation = question.situation
         guess = spring.stroke_for(question.height, situation.tilt)
-        if guess > p.longest_stroke * 1.15:
+        if guess > p.spring_travel * 1.15:
             return refused_prediction(self._too_high(question, spring, 1.0))
         try:
             slack, given = self._slack(situation, question.height)
             place = self._place(situation, slack)
-            stroke = min(guess, p.longest_stroke)
+            stroke = min(guess, p.spring_travel)
             drawn = spring.draw(np.random.default_rng(question.seed), p.rollouts)
             strokes = [spring.same_as(stroke, float(a), float(b)) for a, b in drawn]
             leaps = self._fly(place, strokes, question)
@@ -106,22 +106,22 @@ class JumpPredictor:
         peak = _band([leap.peak_tension for leap in leaps])
         upright = float(np.mean([leap.upright for leap in leaps]))
         refused = ""
-        if stroke > p.longest_stroke:
+        if stroke > p.spring_travel:
             refused = self._too_high(question, spring, ratio)
-        elif slack <= p.most_slack < growth + p.slack_margin:
+        elif slack <= p.max_slack < growth + p.slack_margin:
             refused = (
                 f"the tether would need {growth + p.slack_margin:.3g} m of slack, "
-                f"at most {p.most_slack:g} m are given"
+                f"at most {p.max_slack:g} m are given"
             )
-        elif peak.high > p.largest_jerk:
+        elif peak.high > p.max_peak_tension:
             refused = (
                 f"the tether would be jerked with up to {peak.high:.3g} N, "
-                f"at most {p.largest_jerk:g} N"
+                f"at most {p.max_peak_tension:g} N"
             )
-        elif upright < p.least_upright:
+        elif upright < p.min_upright_probability:
             refused = (
                 f"the rover would land upright with a probability of {upright:.2f} alone, "
-                f"{p.least_upright:g} is needed"
+                f"{p.min_upright_probability:g} is needed"
             )
         return Prediction(
             stroke=stroke,
@@ -160,7 +160,7 @@ class JumpPredictor:
         return question.height * height.mean / height.quantile(self.parameters.clearance_risk)
 
     def _too_high(self, question: Question, spring: SpringEstimate, ratio: float) -> str:
-        longest, tilt = self.parameters.longest_stroke, question.situation.tilt
+        longest, tilt = self.parameters.spring_travel, question.situation.tilt
         most = spring.expected(longest, tilt, ratio).mean
         kind = "a clearance" if question.is_clearance else "a height"
         return (
@@ -173,8 +173,8 @@ class JumpPredictor:
         p = self.parameters
         chord = math.hypot(situation.x, situation.y, self._drop(situation))
         # The rover goes aside with its tilt, up and down again, and rolls on a little.
-        aside = 4.0 * height * math.tan(situation.tilt + 3.0 * p.stance_error)
-        wanted = min(aside + p.slack_margin, p.most_slack)
+        aside = 4.0 * height * math.tan(situation.tilt + 3.0 * p.stance_tilt_std)
+        wanted = min(aside + p.slack_margin, p.max_slack)
         present = wanted if math.isnan(situation.length) else situation.length - chord
         return max(present, wanted), max(wanted - max(present, 0.0), 0.0)
 
@@ -201,7 +201,7 @@ class JumpPredictor:
         chord = math.hypot(x, y, drop)
         length = chord + max(slack, 0.05)
         scenario = rover_sim.load_spatial(
-            p.predicted_scenario,
+            p.prediction_scenario,
             {
                 "environment.hole": None,
                 "environment.relief": None,
@@ -220,7 +220,7 @@ class JumpPredictor:
                 "tether.max_length": max(length + 1.0, 60.0),
                 "tether.elements": None,
                 "tether.element_length": max(length / p.prediction_elements, 0.3),
-                "integration.h": p.prediction_step,
+                "integration.h": p.prediction_time_step,
             },
         )
         plant = rover_sim.SpatialPlant(scenario)
@@ -230,11 +230,11 @@ class JumpPredictor:
     def _fly(self, place: _Place, strokes: list[float], question: Question) -> list[_Leap]:
         p = self.parameters
         generator = np.random.default_rng([question.seed, 1])
-        tilts = p.stance_error * generator.standard_normal((len(strokes), 2))
+        tilts = p.stance_tilt_std * generator.standard_normal((len(strokes), 2))
         rover = place.plant.scenario.rover
         if rover is None:
             raise RuntimeError(f"the scenario {place.plant.scenario.name} has no rover")
-        longest = min(p.longest_stroke, rover.jump_drive.stroke)
+        longest = min(p.spring_travel, rover.jump_drive.stroke)
         states, commands = [], []
         for stroke, (about_x, about_y) in zip(strokes, tilts, strict=True):
             within = min(stroke, 0.99 * rover.slider.lower_stop)
@@ -276,7 +276,7 @@ class JumpPredictor:
             turn=turn,
             growth=max(map(_chord, run.states)) - place.chord,
             peak_tension=run.peak_tension,
-            upright=tilt < self.parameters.toppling,
+            upright=tilt < self.parameters.upright_tilt,
         )
 
 

@@ -109,7 +109,7 @@ class JumpSequence:
             raise _refused(
                 RefusalCode.WRONG_PHASE, "the contact switch is open, the rover must stand to jump"
             )
-        if compression.value > self.parameters.nut_zero:
+        if compression.value > self.parameters.nut_zero_tolerance:
             raise _refused(
                 RefusalCode.WRONG_PHASE,
                 f"the spring is compressed by {compression.value:.4g} m already, it must be let "
@@ -129,7 +129,7 @@ class JumpSequence:
             Refusal: as of `check_request`, or the stroke is too long.
         """
         self.check_request(sensors, now_ns)
-        limit = self.parameters.largest_stroke
+        limit = self.parameters.max_stroke
         if stroke > limit:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS, f"stroke is {stroke!r} m, it must be at most {limit:g} m"
@@ -197,13 +197,13 @@ class JumpSequence:
             step(sensors, now_ns)
         p = self.parameters
         if self.phase in (JumpPhase.COMPRESSING, JumpPhase.SETTLING):
-            return NutCommand(self._stroke, self._speed, p.nut_force)
+            return NutCommand(self._stroke, self._speed, p.max_nut_force)
         if self.phase is JumpPhase.RELEASING:
-            return NutCommand(self._stroke, self._speed, p.nut_force, trips=True)
+            return NutCommand(self._stroke, self._speed, p.max_nut_force, trips=True)
         if self.phase is JumpPhase.HOOKING:
-            return NutCommand(p.hooked_at, p.nut_speed, p.nut_force)
+            return NutCommand(p.nut_park_position, p.nut_speed, p.max_nut_force)
         if self.phase is JumpPhase.LETTING_DOWN:
-            return NutCommand(0.0, p.let_down_speed, p.nut_force)
+            return NutCommand(0.0, p.let_down_speed, p.max_nut_force)
         return None
 
     def _compress(self, sensors: Sensors, now_ns: int) -> None:
@@ -212,7 +212,7 @@ class JumpSequence:
         p = self.parameters
         compression, _ = _known(sensors)
         felt = 0.0 if sensors.nut_force is None else sensors.nut_force.value
-        if compression.value >= p.hook_check and felt < p.hook_force:
+        if compression.value >= p.hook_check_stroke and felt < p.hook_check_force:
             self._enter(
                 JumpPhase.LETTING_DOWN,
                 f"the nut feels {felt:.3g} N at {compression.value:.4g} m, so the latch has not "
@@ -222,7 +222,7 @@ class JumpSequence:
                 {"compression": compression.value, "force": felt},
             )
             return
-        if abs(compression.value - self._stroke) <= p.nut_tolerance:
+        if abs(compression.value - self._stroke) <= p.nut_position_tolerance:
             self._quiet_since_ns = None
             self._enter(
                 JumpPhase.SETTLING,
@@ -231,7 +231,7 @@ class JumpSequence:
                 values={"compression": compression.value, "force": felt},
             )
             return
-        limit = self._way / self._speed + p.compress_margin
+        limit = self._way / self._speed + p.nut_time_margin
         if self._elapsed(now_ns) > limit:
             self._enter(
                 JumpPhase.LETTING_DOWN,
@@ -254,10 +254,10 @@ class JumpSequence:
                 return
         else:
             self._quiet_since_ns = None
-        if self._elapsed(now_ns) > p.hold_limit:
+        if self._elapsed(now_ns) > p.hold_timeout:
             self._enter(
                 JumpPhase.LETTING_DOWN,
-                f"not quiet within {p.hold_limit:g} s with the spring held: it turns at "
+                f"not quiet within {p.hold_timeout:g} s with the spring held: it turns at "
                 f"{sensors.rate:.3g} rad/s, at most {p.quiet_rate:g}, or its accelerometer is "
                 "not quiet",
                 now_ns,
@@ -272,12 +272,12 @@ class JumpSequence:
         tension = pull.value if pull is not None and known else math.nan
         values = {"tilt": sensors.tilt, "pull": tension}
         wrong = ""
-        if sensors.tilt > p.largest_tilt:
-            wrong = f"the rover tilts by {sensors.tilt:.3g} rad, at most {p.largest_tilt:g} to jump"
-        elif tension > p.largest_pull:
+        if sensors.tilt > p.max_tilt:
+            wrong = f"the rover tilts by {sensors.tilt:.3g} rad, at most {p.max_tilt:g} to jump"
+        elif tension > p.max_tether_tension:
             wrong = (
-                f"the tether pulls with {tension:.3g} N, at most {p.largest_pull:g} N to jump: "
-                "it needs slack"
+                f"the tether tension is {tension:.3g} N, limit {p.max_tether_tension:g} N; "
+                "give slack"
             )
         if wrong:
             self._enter(JumpPhase.LETTING_DOWN, wrong, now_ns, Level.WARN, values)
@@ -287,7 +287,7 @@ class JumpSequence:
     def _release(self, sensors: Sensors, now_ns: int) -> None:
         if self._has_let_go(sensors, now_ns):
             return
-        limit = self.parameters.release_limit
+        limit = self.parameters.release_timeout
         if self._elapsed(now_ns) > limit:
             lost = self._lost(sensors, now_ns) or "the nut still feels the spring"
             self._enter(
@@ -322,7 +322,7 @@ class JumpSequence:
             return False
         compression, force = sensors.compression, sensors.nut_force.value
         p = self.parameters
-        sprang_back = self.highest > p.nut_zero and compression.value < 0.5 * self.highest
+        sprang_back = self.highest > p.nut_zero_tolerance and compression.value < 0.5 * self.highest
         let_go = self._strongest > _FELT and force < _LET_GO * self._strongest
         if sprang_back or let_go:
             self._enter(
@@ -341,17 +341,19 @@ class JumpSequence:
         if self._is_down(sensors, now_ns):
             self._enter(JumpPhase.STANDBY, "the spring is let down", now_ns)
             return
-        way = max(self.highest, self.parameters.largest_stroke)
-        limit = way / self.parameters.let_down_speed + self.parameters.compress_margin
+        way = max(self.highest, self.parameters.max_stroke)
+        limit = way / self.parameters.let_down_speed + self.parameters.nut_time_margin
         self._give_up(sensors, now_ns, limit, "spring not let down", "the nut does not come back")
 
     def _hook(self, sensors: Sensors, now_ns: int) -> None:
         p = self.parameters
-        if sensors.is_down(p.hooked_at + p.nut_tolerance, now_ns, p.sensor_timeout):
+        if sensors.is_down(
+            p.nut_park_position + p.nut_position_tolerance, now_ns, p.sensor_timeout
+        ):
             self._enter(JumpPhase.STANDBY, "the nut stands above the latch", now_ns)
             return
-        limit = (max(self.highest, p.largest_stroke) - p.hooked_at) / p.nut_speed
-        limit += p.compress_margin
+        limit = (max(self.highest, p.max_stroke) - p.nut_park_position) / p.nut_speed
+        limit += p.nut_time_margin
         self._give_up(sensors, now_ns, limit, "latch not hooked", "the nut does not come up")
 
     def _give_up(
@@ -369,12 +371,12 @@ class JumpSequence:
         if closed and has_opened:
             flown = sensors.open_time
             self._land(f"contact after about {flown:.3g} s of flight", flown, Level.OK, now_ns)
-        elif closed and self._elapsed(now_ns) > self.parameters.take_off_limit:
-            limit = self.parameters.take_off_limit
+        elif closed and self._elapsed(now_ns) > self.parameters.take_off_timeout:
+            limit = self.parameters.take_off_timeout
             text = f"the rover has not left the ground within {limit:g} s"
             self._land(text, 0.0, Level.WARN, now_ns)
-        elif self._elapsed(now_ns) > self.parameters.flight_limit:
-            limit = self.parameters.flight_limit
+        elif self._elapsed(now_ns) > self.parameters.flight_timeout:
+            limit = self.parameters.flight_timeout
             self._enter(JumpPhase.FAULT, f"no landing within {limit:g} s", now_ns, Level.ERROR)
 
     def _land(self, text: str, flown: float, level: Level, now_ns: int) -> None:
@@ -390,7 +392,7 @@ class JumpSequence:
                 return
         else:
             self._quiet_since_ns = None
-        limit = self.parameters.settle_limit
+        limit = self.parameters.settle_timeout
         otherwise = "contact or accelerometer are not quiet"
         self._give_up(sensors, now_ns, limit, "not at rest after landing", otherwise)
 
@@ -403,7 +405,7 @@ class JumpSequence:
             self._enter(JumpPhase.FAULT, text, now_ns, Level.ERROR, values)
             return
         compression, _ = _known(sensors)
-        if compression.value > p.nut_zero:
+        if compression.value > p.nut_zero_tolerance:
             text = "at rest on the ground, the nut is below the latch"
             self._enter(JumpPhase.HOOKING, text, now_ns, values=values)
             return
@@ -415,11 +417,13 @@ class JumpSequence:
         if self._lost(sensors, now_ns):
             return False
         _, force = _known(sensors)
-        spread = self.parameters.quiet_force * self._standing_force
+        spread = self.parameters.quiet_force_fraction * self._standing_force
         return not sensors.is_open and abs(force.value - self._standing_force) <= spread
 
     def _is_down(self, sensors: Sensors, now_ns: int) -> bool:
-        return sensors.is_down(self.parameters.nut_zero, now_ns, self.parameters.sensor_timeout)
+        return sensors.is_down(
+            self.parameters.nut_zero_tolerance, now_ns, self.parameters.sensor_timeout
+        )
 
     def _lost(self, sensors: Sensors, now_ns: int) -> str:
         return sensors.lost(now_ns, self.parameters.sensor_timeout)

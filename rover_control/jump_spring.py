@@ -35,30 +35,29 @@ _ROOT_3 = math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class SpringParameters:
-    """What the jump mechanism is like, and how well that is known."""
+    """Nominal jump mechanism and its uncertainty."""
 
-    spring_rate: float = parameter(824.0, "N/m", "of the jump spring", 1.0, 1e5)
-    rover_mass: float = parameter(10.0, "kg", "of both bodies", 0.1, 1e3)
-    jumping_mass: float = parameter(4.0, "kg", "of Body 2", 0.01, 1e3)
-    jump_gravity: float = parameter(1.62, "m/s^2", "where the rover jumps", 0.01, 30.0)
+    spring_rate: float = parameter(824.0, "N/m", "rate of the jump spring", 1.0, 1e5)
+    rover_mass: float = parameter(10.0, "kg", "mass of both bodies", 0.1, 1e3)
+    body2_mass: float = parameter(4.0, "kg", "mass of Body 2", 0.01, 1e3)
+    jump_gravity: float = parameter(1.62, "m/s^2", "gravity where the rover jumps", 0.01, 30.0)
     height_gain: float = parameter(
-        1.03, "-", "height over that of the masses and the spring alone", 0.1, 2.0
+        1.03, "-", "height over that of the energy and momentum balance", 0.1, 2.0
     )
-    gain_spread: float = parameter(
-        0.035, "-", "standard deviation of what is not known of it before the first jump", 0.0, 0.5
+    height_gain_std: float = parameter(
+        0.035, "-", "standard deviation of the height gain before the first jump", 0.0, 0.5
     )
-    zero_spread: float = parameter(
+    nut_zero_std: float = parameter(
         1.0e-3, "m", "standard deviation of the nut's zero before the first jump", 0.0, 0.02
     )
     stroke_tolerance: float = parameter(
-        2.0e-3, "m", "largest error of the stroke from jump to jump, any up to it equally likely",
-        0.0, 0.02,
-    )  # fmt: skip
-    height_error: float = parameter(
-        2.0e-3, "m", "standard deviation of a flown height as measured", 1e-4, 0.1
+        2.0e-3, "m", "bound of the stroke error of each jump, uniformly distributed", 0.0, 0.02
     )
-    height_scatter: float = parameter(
-        4.0e-3, "-", "standard deviation of a height for other reasons", 1e-4, 0.5
+    height_measurement_std: float = parameter(
+        2.0e-3, "m", "standard deviation of a measured height", 1e-4, 0.1
+    )
+    height_model_std: float = parameter(
+        4.0e-3, "-", "relative standard deviation of the height from other causes", 1e-4, 0.5
     )
 
 
@@ -126,7 +125,7 @@ class SpringEstimate:
         self.parameters = parameters
         self.jumps = 0
         self._mean: NDArray[np.float64] = np.zeros(2)  # a, b [m]
-        self._cov = np.diag([parameters.gain_spread**2, parameters.zero_spread**2])
+        self._cov = np.diag([parameters.height_gain_std**2, parameters.nut_zero_std**2])
 
     @property
     def gain(self) -> float:
@@ -142,7 +141,7 @@ class SpringEstimate:
     def shortest_stroke(self) -> float:
         """Below it the spring lifts nothing [m]."""
         p = self.parameters
-        return max(2.0 * p.jumping_mass * p.jump_gravity / p.spring_rate - self.zero, 0.0)
+        return max(2.0 * p.body2_mass * p.jump_gravity / p.spring_rate - self.zero, 0.0)
 
     def expected(self, stroke: float, tilt: float = 0.0, ratio: float = 1.0) -> Height:
         """The height of a jump.
@@ -157,7 +156,7 @@ class SpringEstimate:
         """
         mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
-        spread = float(row @ self._cov @ row) + p.height_scatter**2
+        spread = float(row @ self._cov @ row) + p.height_model_std**2
         return Height(mean, math.sqrt(spread), float(row[1]) * p.stroke_tolerance)
 
     def stroke_for(self, height: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
@@ -169,9 +168,9 @@ class SpringEstimate:
         if not (math.isfinite(height) and height > 0.0):
             raise ValueError(f"height = {height!r} m: must be finite and above 0 m")
         p = self.parameters
-        weight = p.jumping_mass * p.jump_gravity
+        weight = p.body2_mass * p.jump_gravity
         share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
-        work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.jumping_mass * share)
+        work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.body2_mass * share)
         return (weight + math.sqrt(weight**2 + p.spring_rate * work)) / p.spring_rate - self.zero
 
     def learn(self, stroke: float, height: float, tilt: float = 0.0, ratio: float = 1.0) -> bool:
@@ -187,7 +186,7 @@ class SpringEstimate:
             return False
         mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
-        error = (p.height_error / mean) ** 2 + p.height_scatter**2
+        error = (p.height_measurement_std / mean) ** 2 + p.height_model_std**2
         error += (row[1] * p.stroke_tolerance) ** 2 / 3.0
         surprise = math.log(height / mean)
         spread = float(row @ self._cov @ row) + error
@@ -204,7 +203,7 @@ class SpringEstimate:
         """Factors of the height and errors of the stroke [m] as they may truly be, (count, 2)."""
         p = self.parameters
         drawn = generator.multivariate_normal(self._mean, self._cov, count)
-        drawn[:, 0] = np.exp(drawn[:, 0] + p.height_scatter * generator.standard_normal(count))
+        drawn[:, 0] = np.exp(drawn[:, 0] + p.height_model_std * generator.standard_normal(count))
         drawn[:, 1] += p.stroke_tolerance * generator.uniform(-1.0, 1.0, count)
         return np.asarray(drawn)
 
@@ -217,7 +216,7 @@ class SpringEstimate:
             zero: error of the stroke [m].
         """
         p = self.parameters
-        x, weight = stroke + zero, p.jumping_mass * p.jump_gravity
+        x, weight = stroke + zero, p.body2_mass * p.jump_gravity
         work = gain * (p.spring_rate * x**2 - 2.0 * weight * x)
         return (weight + math.sqrt(weight**2 + p.spring_rate * max(work, 0.0))) / p.spring_rate
 
@@ -232,12 +231,12 @@ class SpringEstimate:
     def _model(self, stroke: float, tilt: float, ratio: float) -> tuple[float, NDArray[np.float64]]:
         """Mean height [m], and the derivatives of its logarithm by a and b."""
         p = self.parameters
-        x, weight = stroke + self.zero, p.jumping_mass * p.jump_gravity
+        x, weight = stroke + self.zero, p.body2_mass * p.jump_gravity
         work = p.spring_rate * x**2 - 2.0 * weight * x
         if not work > 0.0:
             raise ValueError(
                 f"stroke = {stroke!r} m: must be above {self.shortest_stroke:.4g} m to lift Body 2"
             )
         share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
-        mean = share * p.jumping_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
+        mean = share * p.body2_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
         return mean, np.array([1.0, (2.0 * p.spring_rate * x - 2.0 * weight) / work])

@@ -1,20 +1,20 @@
-"""Wheels or jump, by the risk of each. Pure.
+"""Choice between wheels and jump where the rover is stuck, by the risk of each. Pure.
 
-Two rules may be chosen between:
+The parameter `locomotion_rule` selects one of two rules:
 
 ``risk``
-    Wheels that got stuck n times here without getting on fail again with (n + 1)/(n + 2), Laplace's
-    rule of succession; wheels that have not got stuck, with `usual_risk`. On ground steeper than
-    they climb they fail. A jump fails if the rover topples, as its prediction tells, or if it does
-    not get the rover on; m jumps that did not leave (m + 1)/(m + 3) for that, so the first one is
-    given 2 of 3. Toppling weighs `topple_weight` times as much as standing where one stood. A jump
-    that the prediction advises against fails.
+    Wheels that got stuck n times at this place fail again with probability (n + 1)/(n + 2)
+    (Laplace's rule of succession), wheels that have not got stuck with `base_wheel_risk`. On slopes
+    above `max_drive_slope` they fail. A jump fails if the rover topples, with the predicted
+    probability, or if the rover is stuck again afterwards, with probability (m + 1)/(m + 3) after m
+    jumps at this place: 1/3 for the first one. Toppling costs `topple_weight` times as much as
+    staying in place. A jump that the prediction rejects fails.
 ``slack``
-    The source study's: with a stiff tether jump up to a slack value dh/df of 1.5, drive above it.
-    The study found attitudes to scatter above 1.5; rebuilt, that comes from the mesh of a tether
-    that was not at rest (docs/study.md), so this rule stands here for comparison.
+    The rule of the source study: with a stiff tether, jump up to a slack value dh/df of 1.5, drive
+    above it. In the study attitudes scatter above 1.5; here that scatter came from the mesh of a
+    tether that was not at rest (docs/study.md). The rule serves for comparison.
 
-dh is how far the fairlead lies above the tether's attachment, df how far aside.
+dh is the height of the fairlead above the tether attachment, df the horizontal distance.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import NamedTuple
 from msg_schemas.parameters import parameter
 
 
-class Way(StrEnum):
+class LocomotionMode(StrEnum):
     """How to get on."""
 
     WHEELS = "wheels"
@@ -36,36 +36,38 @@ class Way(StrEnum):
 
 @dataclass(frozen=True)
 class LocomotionParameters:
-    """How wheels or jump are chosen."""
+    """Rule that chooses between wheels and jump."""
 
     locomotion_rule: str = parameter(
-        "risk",
-        "-",
-        "risk: by what is predicted; slack: the source study's",
+        "risk", "-", "risk: predicted risk; slack: slack value, as in the source study",
         choices=("risk", "slack"),
+    )  # fmt: skip
+    slack_rule_threshold: float = parameter(
+        1.5, "-", "slack rule: largest slack value at which the rover jumps", 0.0, 100.0
     )
-    rule_slack: float = parameter(
-        1.5, "-", "slack value up to which the study's rule jumps", 0.0, 100.0
+    slack_rule_stiffness: float = parameter(
+        1.0e3, "N", "slack rule: axial stiffness EA below which the rover always jumps", 0.0, 1e9
     )
-    stiff_tether: float = parameter(
-        1.0e3, "N", "axial stiffness EA below which the study's rule always jumps", 0.0, 1e9
+    tether_stiffness: float = parameter(2.0e4, "N", "axial stiffness EA of the tether", 0.1, 1e9)
+    base_wheel_risk: float = parameter(
+        0.05, "-", "failure probability of wheels that have not got stuck here", 0.0, 1.0
     )
-    tether_stiffness: float = parameter(2.0e4, "N", "EA of the tether that is used", 0.1, 1e9)
-    usual_risk: float = parameter(0.05, "-", "of wheels that have not got stuck here", 0.0, 1.0)
-    steepest_drive: float = parameter(0.30, "rad", "ground that wheels still climb", 0.02, 1.5)
+    max_drive_slope: float = parameter(
+        0.30, "rad", "largest slope that the wheels climb", 0.02, 1.5
+    )
     topple_weight: float = parameter(
-        2.0, "-", "of toppling against standing where one stood", 1.0, 100.0
+        2.0, "-", "cost of toppling over the cost of staying in place", 1.0, 100.0
     )
 
 
-class Outlook(NamedTuple):
+class JumpAssessment(NamedTuple):
     """What a prediction says of a jump."""
 
     upright: float  # probability of landing so
     refused: str  # why it is better not to jump; empty = go
 
 
-class Surroundings(NamedTuple):
+class LocomotionSituation(NamedTuple):
     """What is known where the choice is made."""
 
     slack_value: float  # dh/df [-]; inf = plumb below the fairlead
@@ -73,13 +75,13 @@ class Surroundings(NamedTuple):
     slope: float  # of what the rover stands on [rad]; nan = not known
     stuck: int  # times that the wheels got stuck here and did not get on since
     jumped: int  # jumps here that did not get the rover on
-    outlook: Outlook | None  # of a jump from here; None = none was made
+    assessment: JumpAssessment | None  # of a jump from here; None = none was made
 
 
 class Choice(NamedTuple):
     """How to get on, and why."""
 
-    way: Way
+    mode: LocomotionMode
     wheels_risk: float  # weighed probability of failing; nan = not looked at
     jump_risk: float
     reason: str
@@ -87,11 +89,11 @@ class Choice(NamedTuple):
 
 def slack_value(x: float, y: float, drop: float) -> float:
     """Slack value dh/df [-] of a rover (x, y) [m] beside the plumb line, `drop` [m] below."""
-    aside = math.hypot(x, y)
-    return math.inf if aside == 0.0 else drop / aside
+    horizontal = math.hypot(x, y)
+    return math.inf if horizontal == 0.0 else drop / horizontal
 
 
-def choose(parameters: LocomotionParameters, around: Surroundings) -> Choice:
+def choose(parameters: LocomotionParameters, around: LocomotionSituation) -> Choice:
     """Choose between wheels and jump.
 
     Args:
@@ -102,36 +104,43 @@ def choose(parameters: LocomotionParameters, around: Surroundings) -> Choice:
         return _by_slack(parameters, around)
     wheels = _wheels_risk(parameters, around)
     jump, why = _jump_risk(parameters, around)
-    way = Way.JUMP if jump < wheels else Way.WHEELS
+    mode = LocomotionMode.JUMP if jump < wheels else LocomotionMode.WHEELS
     reason = f"wheels fail with {wheels:.2f}, a jump with {jump:.2f}: {why}"
-    return Choice(way, wheels, jump, reason)
+    return Choice(mode, wheels, jump, reason)
 
 
-def _by_slack(parameters: LocomotionParameters, around: Surroundings) -> Choice:
-    nan, limit = math.nan, parameters.rule_slack
-    if around.axial_stiffness < parameters.stiff_tether:
-        return Choice(Way.JUMP, nan, nan, f"a tether of {around.axial_stiffness:g} N is soft")
+def _by_slack(parameters: LocomotionParameters, around: LocomotionSituation) -> Choice:
+    nan, limit = math.nan, parameters.slack_rule_threshold
+    if around.axial_stiffness < parameters.slack_rule_stiffness:
+        return Choice(
+            LocomotionMode.JUMP, nan, nan, f"a tether of {around.axial_stiffness:g} N is soft"
+        )
     if around.slack_value <= limit:
         return Choice(
-            Way.JUMP, nan, nan, f"slack value {around.slack_value:.3g} is up to {limit:g}"
+            LocomotionMode.JUMP,
+            nan,
+            nan,
+            f"slack value {around.slack_value:.3g} is up to {limit:g}",
         )
-    return Choice(Way.WHEELS, nan, nan, f"slack value {around.slack_value:.3g} is above {limit:g}")
+    return Choice(
+        LocomotionMode.WHEELS, nan, nan, f"slack value {around.slack_value:.3g} is above {limit:g}"
+    )
 
 
-def _wheels_risk(parameters: LocomotionParameters, around: Surroundings) -> float:
-    if around.slope > parameters.steepest_drive:
+def _wheels_risk(parameters: LocomotionParameters, around: LocomotionSituation) -> float:
+    if around.slope > parameters.max_drive_slope:
         return 1.0
     if around.stuck == 0:
-        return parameters.usual_risk
+        return parameters.base_wheel_risk
     return (around.stuck + 1.0) / (around.stuck + 2.0)
 
 
-def _jump_risk(parameters: LocomotionParameters, around: Surroundings) -> tuple[float, str]:
-    outlook, weight = around.outlook, parameters.topple_weight
-    if outlook is None:
+def _jump_risk(parameters: LocomotionParameters, around: LocomotionSituation) -> tuple[float, str]:
+    assessment, weight = around.assessment, parameters.topple_weight
+    if assessment is None:
         return weight, "no jump was predicted"
-    if outlook.refused:
-        return weight, outlook.refused
+    if assessment.refused:
+        return weight, assessment.refused
     stays = (around.jumped + 1.0) / (around.jumped + 3.0)
-    risk = (1.0 - outlook.upright) * weight + outlook.upright * stays
-    return risk, f"it lands upright with {outlook.upright:.2f}"
+    risk = (1.0 - assessment.upright) * weight + assessment.upright * stays
+    return risk, f"it lands upright with {assessment.upright:.2f}"

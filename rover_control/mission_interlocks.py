@@ -17,7 +17,7 @@ TAUT = 2.0
 """Pull [N] of the rover on the tether from which on it does not jump."""
 
 
-class Act(StrEnum):
+class Action(StrEnum):
     """What the mission asks for."""
 
     DESCEND = "descend, ascend or turn, swing and attitude under control"
@@ -57,47 +57,47 @@ _ALWAYS = (
     Condition.COMPRESSED,
 )
 
-INTERLOCKS: Mapping[Act, tuple[Condition, ...]] = MappingProxyType(
+INTERLOCKS: Mapping[Action, tuple[Condition, ...]] = MappingProxyType(
     {
-        Act.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
-        Act.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
-        Act.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
-        Act.DRIVE: (*_ALWAYS, Condition.DRIVE_SILENT, Condition.DESCENT, Condition.HANGING),
-        Act.SLACKEN: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING),
-        Act.JUMP: (
+        Action.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
+        Action.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        Action.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        Action.DRIVE: (*_ALWAYS, Condition.DRIVE_SILENT, Condition.DESCENT, Condition.HANGING),
+        Action.SLACKEN: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING),
+        Action.JUMP: (
             *_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING, Condition.TAUT,
         ),
-        Act.STOW: (Condition.WINCH_SILENT, Condition.FLYING, Condition.COMPRESSED),
+        Action.STOW: (Condition.WINCH_SILENT, Condition.FLYING, Condition.COMPRESSED),
     }
 )  # fmt: skip
 """What forbids each act; what stands first is cleared first."""
 
 _HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
-    Condition.WINCH_SILENT: lambda observed, now: observed.silent(topics.WINCH_ESTIMATE, now),
-    Condition.DRIVE_SILENT: lambda observed, now: observed.silent(topics.ODOMETRY, now),
+    Condition.WINCH_SILENT: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
+    Condition.DRIVE_SILENT: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
     Condition.STOPPED: lambda observed, _: observed.winch == "stop",
     Condition.FAULT: lambda observed, _: observed.winch == "fault",
     Condition.UNARMED: lambda observed, _: observed.winch in ("", "disarmed"),
-    Condition.FLYING: lambda observed, _: observed.flies,
+    Condition.FLYING: lambda observed, _: observed.in_flight,
     Condition.JUMP_FAULT: lambda observed, _: observed.jump == "fault",
-    Condition.COMPRESSED: lambda observed, _: observed.compressed,
-    Condition.DRIVING: lambda observed, _: observed.drives,
+    Condition.COMPRESSED: lambda observed, _: observed.spring_compressed,
+    Condition.DRIVING: lambda observed, _: observed.is_driving,
     Condition.DESCENT: lambda observed, _: observed.descent_engaged,
-    Condition.STANDING: lambda observed, _: observed.stands,
-    Condition.HANGING: lambda observed, _: not observed.stands,
+    Condition.STANDING: lambda observed, _: observed.on_floor,
+    Condition.HANGING: lambda observed, _: not observed.on_floor,
     # A tension that is not known may be any.
-    Condition.TAUT: lambda observed, _: not observed.pull <= TAUT,
+    Condition.TAUT: lambda observed, _: not observed.net_tension <= TAUT,
 }
 
 
-def holds(condition: Condition, observed: ObservedState, now: float) -> bool:
+def applies(condition: Condition, observed: ObservedState, now: float) -> bool:
     """Whether something is so now [s]."""
     return _HOLDS[condition](observed, now)
 
 
-def forbidden(act: Act, observed: ObservedState, now: float) -> Condition | None:
+def violated_interlock(action: Action, observed: ObservedState, now: float) -> Condition | None:
     """The first that forbids an act now [s]; None = it may be."""
-    return next((each for each in INTERLOCKS[act] if holds(each, observed, now)), None)
+    return next((each for each in INTERLOCKS[action] if applies(each, observed, now)), None)
 
 
 def remedy(condition: Condition, observed: ObservedState) -> str:

@@ -1,7 +1,7 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
-"""A mission as it is planned: depths to look from, where to land, what to visit. Pure.
+"""Mission plans: observation depths, landing, survey and return, read from YAML. Pure.
 
-A plan is a YAML file, judged before anything moves; `mission_route` makes the mission's legs of it.
+A plan is validated before anything moves; `mission_route` derives the legs from it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from msg_schemas.machine import MAX_JUMP_HEIGHT, MAX_LENGTH, MAX_SLACK, MAX_STRO
 from msg_schemas.shipped import ShippedError, names_in, read_named
 
 SHIPPED = Path(__file__).parent / "missions"
-"""Where the plans of the package lie."""
+"""Folder of the shipped plans."""
 
 
 class PlanError(ValueError):
-    """A plan that cannot be followed: which file, key and value, and what would be right."""
+    """A plan is invalid; the message names file, key, value and valid range."""
 
 
 def _read_turns(value: object, path: str) -> tuple[float, ...]:
@@ -50,162 +50,166 @@ def _turns(about: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Look(Configuration):
-    """A depth at which pictures of the wall are taken."""
+    """A depth at which the camera takes pictures of the wall."""
 
-    depth: float = quantity("m", "length at the drum", above=0.0, maximum=MAX_LENGTH)
-    turns: tuple[float, ...] = _turns(
-        "angles [deg] to turn by about the plumb line, each with pictures after it"
-    )
+    depth: float = quantity("m", "tether length at the drum", above=0.0, maximum=MAX_LENGTH)
+    turns: tuple[float, ...] = _turns("turns [deg] about the plumb line, with pictures after each")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Landing(Configuration):
-    """How the rover is set down below the fairlead."""
+    """Landing below the fairlead."""
 
-    approach: float = quantity(
-        "m", "depth at which the swing is taken away before", above=0.0, maximum=MAX_LENGTH
+    approach_depth: float = quantity(
+        "m", "depth at which the swing is damped before the landing", above=0.0, maximum=MAX_LENGTH
     )
-    deepest: float = quantity(
-        "m", "length by which the floor must have been touched", above=0.0, maximum=MAX_LENGTH
+    max_depth: float = quantity(
+        "m", "tether length at which the landing fails without touchdown", above=0.0,
+        maximum=MAX_LENGTH,
+    )  # fmt: skip
+    rate: float = quantity(
+        "m/s", "payout rate from the approach depth on", 0.05, minimum=0.01, maximum=0.2
     )
-    rate: float = quantity("m/s", "payout rate on the way", 0.05, minimum=0.01, maximum=0.2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoint(Configuration):
     """A place to visit, in map; the plumb line of the fairlead is at (0, 0)."""
 
-    x: float = quantity("m", "of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
-    y: float = quantity("m", "of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
+    x: float = quantity("m", "position of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
+    y: float = quantity("m", "position of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
     heading: float | None = quantity(
-        "deg", "of base_link's x there; left out: any", None, minimum=-180.0, maximum=180.0,
-        optional=True,
+        "deg", "heading of base_link x at the waypoint; omitted: any", None, minimum=-180.0,
+        maximum=180.0, optional=True,
     )  # fmt: skip
-    hop: float | None = quantity(
-        "m", "rise of a jump there, to see over the rubble; left out: none", None, above=0.0,
-        maximum=MAX_JUMP_HEIGHT, optional=True,
+    jump_height: float | None = quantity(
+        "m", "height of a jump at the waypoint, for a view over the rubble; omitted: no jump",
+        None, above=0.0, maximum=MAX_JUMP_HEIGHT, optional=True,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Jumps(Configuration):
-    """How a rover that is stuck gets on."""
+    """Detours and jumps of a stuck rover."""
 
-    most: int = quantity(
-        "-", "jumps on the way to one waypoint; 0: none", 2, kind=int, minimum=0, maximum=20
-    )
-    detours: int = quantity(
-        "-", "ways around by wheels, on the way to one waypoint", 2, kind=int, minimum=0,
+    max_jumps: int = quantity(
+        "-", "largest number of jumps on the way to one waypoint", 2, kind=int, minimum=0,
+        maximum=20,
+    )  # fmt: skip
+    max_detours: int = quantity(
+        "-", "largest number of detours on the way to one waypoint", 2, kind=int, minimum=0,
         maximum=20,
     )  # fmt: skip
     stroke: float = quantity(
-        "m", "of the spring, for a jump that was not predicted", 0.12, minimum=0.01,
+        "m", "spring compression of a jump without prediction", 0.12, minimum=0.01,
         maximum=MAX_STROKE,
     )  # fmt: skip
     clearance: float = quantity(
-        "m", "rise that a predicted jump is to reach", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
+        "m", "clearance of a predicted jump", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
     )
-    slack: float = quantity("m", "that the winch gives before", 0.8, minimum=0.1, maximum=MAX_SLACK)
+    slack: float = quantity(
+        "m", "slack that the winch gives before a jump", 0.8, minimum=0.1, maximum=MAX_SLACK
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lift(Configuration):
-    """How the rover is taken off the floor."""
+    """Lift-off from the floor."""
 
-    height: float = quantity("m", "above where it stood", 0.8, minimum=0.2, maximum=10.0)
-    rate: float = quantity("m/s", "at which the tether is reeled in", 0.05, minimum=0.01,
-                           maximum=0.2)  # fmt: skip
-    alone: float = quantity(
-        "m", "length up to which the last trial of an ascent is the winch's alone; 0: never", 10.0,
-        minimum=0.0, maximum=MAX_LENGTH,
+    height: float = quantity("m", "height above the floor", 0.8, minimum=0.2, maximum=10.0)
+    rate: float = quantity("m/s", "reel-in rate", 0.05, minimum=0.01, maximum=0.2)
+    winch_only_length: float = quantity(
+        "m", "tether length up to which the winch alone does the last trial of an ascent; 0: never",
+        10.0, minimum=0.0, maximum=MAX_LENGTH,
     )  # fmt: skip
     radius: float = quantity(
-        "m", "from the plumb line within which it may be lifted", 0.8, minimum=0.1, maximum=20.0
-    )
+        "m", "distance from the plumb line within which the rover may be lifted", 0.8, minimum=0.1,
+        maximum=20.0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rescue(Configuration):
-    """How a rover that cannot go on, or lies on its side, is taken below the fairlead.
+class Recovery(Configuration):
+    """Recovery of an immobilized or overturned rover by the winch.
 
-    The winch hauls it over the floor and up by the tether, which sets it upright, too.
+    The winch hauls the rover over the floor to below the fairlead and lifts it; the tether also
+    sets it upright.
     """
 
-    most: int = quantity(
-        "-", "times in a mission that it is taken up and set down again; 0: never", 2, kind=int,
-        minimum=0, maximum=20,
+    max_count: int = quantity(
+        "-", "largest number of recoveries in a mission; 0: none", 2, kind=int, minimum=0,
+        maximum=20,
     )  # fmt: skip
     radius: float = quantity(
-        "m", "from the plumb line within which it may be hauled; it swings about as wide", 3.0,
-        minimum=0.1, maximum=20.0,
+        "m", "distance from the plumb line within which the rover may be hauled; about the "
+        "amplitude of its swing afterwards", 3.0, minimum=0.1, maximum=20.0,
     )  # fmt: skip
-    rate: float = quantity(
-        "m/s", "at which the tether is reeled in", 0.05, minimum=0.01, maximum=0.2
-    )
+    rate: float = quantity("m/s", "reel-in rate while hauling", 0.05, minimum=0.01, maximum=0.2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MissionPlan(Configuration):
     """A whole mission, from the stow below the fairlead to the floor and back."""
 
-    about: str = text("what it is for, in a sentence or two", "")
+    about: str = text("purpose of the mission, in a sentence or two", "")
     heading: float = quantity(
-        "deg", "of base_link's x in map where the mission begins", 0.0, minimum=-180.0,
+        "deg", "heading of base_link x in map at the start of the mission", 0.0, minimum=-180.0,
         maximum=180.0,
     )  # fmt: skip
-    stow: float = quantity(
-        "m", "depth at which the rover is stowed", 2.0, above=0.0, maximum=MAX_LENGTH
-    )
-    looks: tuple[Look, ...] = sections(Look, "a list of depths to look from, downward", ())
+    stow: float = quantity("m", "depth of the stow", 2.0, above=0.0, maximum=MAX_LENGTH)
+    looks: tuple[Look, ...] = sections(Look, "observation depths, downward", ())
     landing: Landing | None = section(
-        Landing, "where the floor is; null: the mission does not land", None, optional=True
+        Landing, "landing on the floor; null: no landing", None, optional=True
     )
-    survey: tuple[Waypoint, ...] = sections(Waypoint, "a list of waypoints on the floor", ())
-    jumps: Jumps = section(Jumps, "for a rover that is stuck", Jumps())
-    lift: Lift = section(Lift, "off the floor", Lift())
-    rescue: Rescue = section(Rescue, "of a rover that cannot go on", Rescue())
+    survey: tuple[Waypoint, ...] = sections(Waypoint, "waypoints on the floor", ())
+    jumps: Jumps = section(Jumps, "detours and jumps of a stuck rover", Jumps())
+    lift: Lift = section(Lift, "lift-off from the floor", Lift())
+    recovery: Recovery = section(Recovery, "recovery of an immobilized rover", Recovery())
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
+        """Check keys against each other."""
         above = self.stow
         for index, look in enumerate(self.looks):
             if look.depth < above:
-                right = f"should not lie above what comes before it, {above:g} m"
+                right = f"should be at least {above:g} m, the depth before it"
                 raise ConfigurationError(f"looks[{index}].depth", look.depth, right)
             above = look.depth
         landing = self.landing
         if landing is None:
             if self.survey:
-                right = "a mission that does not land has none; should have a landing as well"
+                right = (
+                    "a mission without a landing has no waypoints; should have a landing as well"
+                )
                 raise ConfigurationError("survey", f"{len(self.survey)} waypoints", right)
             return
-        if landing.approach < above:
-            right = f"should not lie above what comes before it, {above:g} m"
-            raise ConfigurationError("landing.approach", landing.approach, right)
-        if landing.deepest <= landing.approach:
-            right = f"should lie below the approach, {landing.approach:g} m"
-            raise ConfigurationError("landing.deepest", landing.deepest, right)
-        if landing.approach - self.lift.height < self.stow:
-            right = f"should leave the rover below the stow, {self.stow:g} m"
+        if landing.approach_depth < above:
+            right = f"should be at least {above:g} m, the depth before it"
+            raise ConfigurationError("landing.approach_depth", landing.approach_depth, right)
+        if landing.max_depth <= landing.approach_depth:
+            right = f"should be more than approach_depth, {landing.approach_depth:g} m"
+            raise ConfigurationError("landing.max_depth", landing.max_depth, right)
+        if landing.approach_depth - self.lift.height < self.stow:
+            most = landing.approach_depth - self.stow
+            right = f"should be at most {most:g} m, to stay below the stow"
             raise ConfigurationError("lift.height", self.lift.height, right)
 
     @property
     def digest(self) -> str:
-        """Tells one plan from another."""
+        """Hash of the content; identifies the plan of a checkpoint."""
         content = json.dumps(to_mapping(self), sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 def shipped() -> list[str]:
-    """Names of the package's own plans."""
+    """Names of the shipped plans."""
     return names_in(SHIPPED)
 
 
 def load_plan(name_or_path: str) -> MissionPlan:
-    """Read a plan: one of the package by its name, or a file by its path.
+    """Read a shipped plan by its name, or a file by its path.
 
     Raises:
-        PlanError: it cannot be read, or something in it is not as it should be.
+        PlanError: the file cannot be read or is invalid.
     """
     try:
         return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]

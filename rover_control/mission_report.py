@@ -19,8 +19,8 @@ def state_sample(mission: Mission, now_ns: int) -> JointSample:
     values = {
         MISSION_LEG: number,
         LEGS_LEFT: len(mission.route.legs) - number if number else 0,
-        FAILED_TRIALS: mission.tries,
-        PICTURES_TAKEN: mission.notes.pictures,
-        JUMPS_FLOWN: mission.notes.jumps,
+        FAILED_TRIALS: mission.failed_trials,
+        PICTURES_TAKEN: mission.blackboard.pictures,
+        JUMPS_FLOWN: mission.blackboard.jumps,
     }
     return JointSample(now_ns, {name: JointValue(float(value)) for name, value in values.items()})

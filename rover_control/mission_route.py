@@ -17,10 +17,10 @@ class LegKind(StrEnum):
     LOOK = "look"
     TURN = "turn"
     APPROACH = "approach"
-    CALM = "calm"
+    DAMP = "damp"
     LAND = "land"
     VISIT = "visit"
-    HOP = "hop"
+    JUMP = "jump"
     RETURN = "return"
     LIFT = "lift"
     ASCEND = "ascend"
@@ -29,7 +29,7 @@ class LegKind(StrEnum):
     @property
     def is_on_floor(self) -> bool:
         """Whether the rover stands when it begins."""
-        return self in (LegKind.VISIT, LegKind.HOP, LegKind.RETURN, LegKind.LIFT)
+        return self in (LegKind.VISIT, LegKind.JUMP, LegKind.RETURN, LegKind.LIFT)
 
 
 @dataclass(frozen=True)
@@ -55,22 +55,22 @@ class Leg:
 
 def itinerary(plan: MissionPlan) -> tuple[Leg, ...]:
     """The legs of a mission, in their order."""
-    return (*_way_down(plan), *way_home(plan, stands=plan.landing is not None))
+    return (*_outbound_legs(plan), *homeward_legs(plan, on_floor=plan.landing is not None))
 
 
-def way_home(plan: MissionPlan, *, stands: bool) -> tuple[Leg, ...]:
+def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
     """The legs that lead back to the stow, from the floor or from where the rover hangs."""
     up = (
         Leg(LegKind.ASCEND, f"ascend to {plan.stow:g} m", depth=plan.stow),
         Leg(LegKind.STOW, "stow"),
     )
-    if not stands:
+    if not on_floor:
         return up
     back = (Leg(LegKind.RETURN, "return", x=0.0, y=0.0), Leg(LegKind.LIFT, "lift off"))
     return (*back, *up)
 
 
-def rescue(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
+def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     """The legs that take the rover off the floor and set it down below the fairlead.
 
     Args:
@@ -79,15 +79,19 @@ def rescue(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     """
     landing = plan.landing
     assert landing is not None
-    name = f"rescue {number}: "
+    name = f"recovery {number}: "
     return (
         Leg(LegKind.LIFT, name + "lift off"),
-        Leg(LegKind.CALM, f"{name}calm at {landing.approach:g} m", depth=landing.approach),
-        Leg(LegKind.LAND, name + "land", depth=landing.deepest),
+        Leg(
+            LegKind.DAMP,
+            f"{name}damp swing at {landing.approach_depth:g} m",
+            depth=landing.approach_depth,
+        ),
+        Leg(LegKind.LAND, name + "land", depth=landing.max_depth),
     )
 
 
-def _way_down(plan: MissionPlan) -> Iterator[Leg]:
+def _outbound_legs(plan: MissionPlan) -> Iterator[Leg]:
     for look in plan.looks:
         at = f"look from {look.depth:g} m"
         yield Leg(LegKind.LOOK, at, depth=look.depth)
@@ -97,15 +101,15 @@ def _way_down(plan: MissionPlan) -> Iterator[Leg]:
     landing = plan.landing
     if landing is None:
         return
-    depth = landing.approach
+    depth = landing.approach_depth
     yield Leg(LegKind.APPROACH, f"approach to {depth:g} m", depth=depth)
-    yield Leg(LegKind.LAND, "land", depth=landing.deepest)
+    yield Leg(LegKind.LAND, "land", depth=landing.max_depth)
     for number, point in enumerate(plan.survey, 1):
         heading = math.nan if point.heading is None else math.radians(point.heading)
         name = f"waypoint {number} at ({point.x:g}, {point.y:g}) m"
         yield Leg(LegKind.VISIT, name, x=point.x, y=point.y, heading=heading)
-        if point.hop is not None:
-            yield Leg(LegKind.HOP, f"hop at waypoint {number}", height=point.hop)
+        if point.jump_height is not None:
+            yield Leg(LegKind.JUMP, f"jump at waypoint {number}", height=point.jump_height)
 
 
 class Route:
@@ -115,7 +119,7 @@ class Route:
         plan: of the mission.
 
     Attributes:
-        legs: all, in their order; rescues are put in as they become necessary.
+        legs: all, in their order; recoveries are put in as they become necessary.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
@@ -123,7 +127,7 @@ class Route:
         self.legs = itinerary(plan)
         self._index = 0
         self._home: bool | None = None  # whether the way home began on the floor; None: no way home
-        self._rescues: list[int] = []  # where in `legs` they were put in
+        self._recoveries: list[int] = []  # where in `legs` they were put in
 
     @property
     def leg(self) -> Leg | None:
@@ -136,27 +140,27 @@ class Route:
         return self._index + 1 if self.leg is not None else 0
 
     @property
-    def rescues(self) -> int:
+    def recoveries(self) -> int:
         """How many were put in."""
-        return len(self._rescues)
+        return len(self._recoveries)
 
-    def begin(self, *, stands: bool) -> None:
+    def begin(self, *, on_floor: bool) -> None:
         """The whole mission; of a rover that stands already from its first leg on the floor."""
         self.legs = itinerary(self.plan)
-        on_floor = [leg.kind.is_on_floor for leg in self.legs]
-        self._index = on_floor.index(True) if stands and True in on_floor else 0
-        self._home, self._rescues = None, []
+        floor_legs = [leg.kind.is_on_floor for leg in self.legs]
+        self._index = floor_legs.index(True) if on_floor and True in floor_legs else 0
+        self._home, self._recoveries = None, []
 
-    def begin_home(self, *, stands: bool) -> None:
+    def begin_home(self, *, on_floor: bool) -> None:
         """The way home."""
-        self.legs = way_home(self.plan, stands=stands)
-        self._index, self._home, self._rescues = 0, stands, []
+        self.legs = homeward_legs(self.plan, on_floor=on_floor)
+        self._index, self._home, self._recoveries = 0, on_floor, []
 
     def rewind(self) -> None:
         """The mission is over; what comes next would be its first leg."""
         self._index, self._home = 0, None
 
-    def go_on(self) -> None:
+    def advance(self) -> None:
         """To the next leg."""
         self._index += 1
 
@@ -165,25 +169,25 @@ class Route:
         while self.legs[self._index].kind.is_on_floor:
             self._index += 1
 
-    def put_rescue(self) -> None:
+    def insert_recovery(self) -> None:
         """Put a rescue before the present leg of a mission that lands."""
-        self._put_rescue(self._index)
+        self._insert_recovery(self._index)
 
-    def _put_rescue(self, index: int) -> None:
-        self._rescues.append(index)
-        legs = rescue(self.plan, len(self._rescues))
+    def _insert_recovery(self, index: int) -> None:
+        self._recoveries.append(index)
+        legs = recovery_legs(self.plan, len(self._recoveries))
         self.legs = (*self.legs[:index], *legs, *self.legs[index:])
 
     def checkpoint(self) -> dict[str, Any]:
         """How far it is, as JSON values."""
-        return {"home": self._home, "rescues": list(self._rescues), "leg": self._index}
+        return {"home": self._home, "recoveries": list(self._recoveries), "leg": self._index}
 
-    def restore(self, kept: Mapping[str, Any]) -> None:
+    def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a checkpoint of the same plan."""
-        if kept["home"] is None:
-            self.begin(stands=False)
+        if saved["home"] is None:
+            self.begin(on_floor=False)
         else:
-            self.begin_home(stands=kept["home"])
-        for index in kept["rescues"]:
-            self._put_rescue(int(index))
-        self._index = int(kept["leg"])
+            self.begin_home(on_floor=saved["home"])
+        for index in saved["recoveries"]:
+            self._insert_recovery(int(index))
+        self._index = int(saved["leg"])

@@ -23,25 +23,27 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from rover_control.drive_attitude import LYING
+from rover_control.drive_attitude import ROLLOVER_TILT
 
 _NANO = 1e9
 _TOUCHDOWN = "touchdown"
-_WORDS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
+_PHASE_TOPICS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
 _DRIVES = frozenset({"standing", "turning", "driving", "steered"})
 _NO_JUMP = frozenset({"", "standby", "fault"})
-_FLIES = frozenset({"releasing", "flight", "landed", "hooking"})
+_IN_FLIGHT = frozenset({"releasing", "flight", "landed", "hooking"})
 _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
 """Compression [m] up to which the nut counts as clear of the spring."""
-_UNSURE = frozenset({"", "disarmed", "fault"})  # modes of a winch that does not feel for the floor
-_HANGS = 15.0  # so long: a winch that was started again has to find that the rover stands [s]
-_LIES = 3.0  # so long, before that is believed [s]
-_STEP, _TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
+_NO_TOUCHDOWN_MODES = frozenset(
+    {"", "disarmed", "fault"}
+)  # modes of a winch that does not feel for the floor
+_HANG_TIME = 15.0  # so long: a winch that was started again has to find that the rover stands [s]
+_ROLLOVER_TIME = 3.0  # so long, before that is believed [s]
+_MAX_STEP, _MAX_TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
 
-HEARD = (
-    *_WORDS,
+OBSERVED_TOPICS = (
+    *_PHASE_TOPICS,
     topics.WINCH_ALARMS,
     topics.WINCH_ESTIMATE,
     topics.DESCENT_STATE,
@@ -51,7 +53,7 @@ HEARD = (
     topics.EVENTS,
     topics.DIAGNOSTICS,
 )
-"""Topics that the mission must be told of."""
+"""Topics that the mission must be reported of."""
 
 
 @dataclass(frozen=True)
@@ -73,40 +75,40 @@ class ObservedState:
         silence: after which a node that tells of itself all the time is lost [s].
     """
 
-    def __init__(self, silence: float) -> None:
-        self.silence = silence
-        self.words: dict[str, str] = {}
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self.phases: dict[str, str] = {}
         self.since: dict[str, float] = {}  # when each word was said first [s]
-        self.stands = False  # something else than the tether carries most of the rover
-        self.stands_since = -math.inf
+        self.on_floor = False  # something else than the tether carries most of the rover
+        self.on_floor_since = -math.inf
         self.length = math.nan  # paid out at the drum [m]
-        self.pull = math.nan  # of the rover on the tether, beyond the tether's weight [N]
+        self.net_tension = math.nan  # of the rover on the tether, beyond the tether's weight [N]
         self.nut = math.nan  # compression at which the nut stands [m]
         self.heading = math.nan  # of the hanging rover since its controller's start [rad]
         self.slope = math.nan  # of what the rover stands on, by its tilt [rad]
         self._tilted_since = math.inf  # as if it lay on its side [s]
         self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # where the rover is, as the mission goes by it
-        self.place_told: Place | None = None  # where drive_node says it is
-        self._heard: dict[str, float] = {}
-        self._news: list[Status] = []
+        self.reported_place: Place | None = None  # where drive_node says it is
+        self._received_at: dict[str, float] = {}
+        self._events: list[Status] = []
         self._begun_ns: int | None = None
 
     # --- heard -----------------------------------------------------------------------------------
 
-    def hear(self, topic: str, sample: Sample, now_ns: int) -> None:
+    def receive(self, topic: str, sample: Sample, now_ns: int) -> None:
         """Take what was said on one of `HEARD`."""
         now = now_ns / _NANO
         if self._begun_ns is None:
             self._begun_ns = now_ns
-        self._heard[topic] = now
+        self._received_at[topic] = now
         if isinstance(sample, StatusSample):
-            # What happened before is told again to who comes late.
+            # What happened before is reported again to who comes late.
             if topic != topics.EVENTS or sample.stamp_ns >= self._begun_ns:
-                self._news += sample.statuses
+                self._events += sample.statuses
         elif isinstance(sample, TextSample):
-            if self.words.get(topic) != sample.text:
-                self.words[topic], self.since[topic] = sample.text, now
+            if self.phases.get(topic) != sample.text:
+                self.phases[topic], self.since[topic] = sample.text, now
         elif isinstance(sample, OdometrySample):
             self._on_place(sample)
         elif isinstance(sample, JointSample):
@@ -115,13 +117,15 @@ class ObservedState:
     def _on_joints(self, topic: str, sample: JointSample, now: float) -> None:
         joints = sample.joints
         if topic == topics.WINCH_ALARMS:
-            stands = joints[_TOUCHDOWN].position >= 0.5
-            if stands is not self.stands:
-                self.stands, self.stands_since = stands, now
+            on_floor = joints[_TOUCHDOWN].position >= 0.5
+            if on_floor is not self.on_floor:
+                self.on_floor, self.on_floor_since = on_floor, now
         elif topic == topics.WINCH_ESTIMATE:
             self.length = joints[PAYOUT].position
             known = joints[TENSION].position >= 0.5
-            self.pull = joints[TENSION].effort - joints[TETHER_OUT].effort if known else math.nan
+            self.net_tension = (
+                joints[TENSION].effort - joints[TETHER_OUT].effort if known else math.nan
+            )
         elif topic == topics.JUMP_MOTOR_STATE:
             self.nut = joints[JUMP_SCREW].position
         elif topic == topics.DESCENT_STATE:
@@ -129,47 +133,57 @@ class ObservedState:
         elif topic == topics.DRIVE_STATE:
             upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
             self.slope = math.acos(upright)
-            self._tilted_since = min(self._tilted_since, now) if self.slope > LYING else math.inf
+            self._tilted_since = (
+                min(self._tilted_since, now) if self.slope > ROLLOVER_TILT else math.inf
+            )
 
     def _on_place(self, sample: OdometrySample) -> None:
         x, y, z, w = sample.orientation
         heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        told = Place(sample.position[0], sample.position[1], heading)
-        before, self.place_told = self.place_told, told
+        reported = Place(sample.position[0], sample.position[1], heading)
+        before, self.reported_place = self.reported_place, reported
         self.drop = -sample.position[2] if sample.position[2] < 0.0 else math.nan
-        followed = before is not None and self.place is not None and near(before, self.place)
+        followed = (
+            before is not None and self.place is not None and _is_continuous(before, self.place)
+        )
         # An odometry that begins anew leaps to where maps begin; where it was is remembered.
-        begins_anew = before is not None and not near(before, told) and near(told, _ORIGIN)
+        begins_anew = (
+            before is not None
+            and not _is_continuous(before, reported)
+            and _is_continuous(reported, _ORIGIN)
+        )
         if followed and not begins_anew:
-            self.place = told
+            self.place = reported
 
     @property
-    def knows_place(self) -> bool:
+    def place_agrees(self) -> bool:
         """Whether drive_node goes by the place that the mission goes by."""
-        told, place = self.place_told, self.place
-        return told is not None and place is not None and near(told, place)
+        reported, place = self.reported_place, self.place
+        return reported is not None and place is not None and _is_continuous(reported, place)
 
-    def take_news(self) -> list[Status]:
-        """Return the events and refusals that were told since the last call."""
-        taken, self._news = self._news, []
+    def take_events(self) -> list[Status]:
+        """Return the events and refusals that were reported since the last call."""
+        taken, self._events = self._events, []
         return taken
 
     # --- what it means ---------------------------------------------------------------------------
 
-    def silent(self, topic: str, now: float) -> bool:
-        """Whether a topic that is told all the time was not heard for too long."""
-        return now - self._heard.get(topic, -math.inf) > self.silence
+    def is_stale(self, topic: str, now: float) -> bool:
+        """Whether a topic that is reported all the time was not heard for too long."""
+        return now - self._received_at.get(topic, -math.inf) > self.timeout
 
-    def lies(self, now: float) -> bool:
+    def has_rolled_over(self, now: float) -> bool:
         """Whether the rover lies on its side, or on its back."""
-        return now - self._tilted_since > _LIES
+        return now - self._tilted_since > _ROLLOVER_TIME
 
-    def hangs(self, now: float, begun: float) -> bool:
+    def has_hung(self, now: float, begun: float) -> bool:
         """Whether a rover that should stand since a time [s] has hung for a while."""
-        if self.stands or topics.WINCH_ALARMS not in self._heard:
+        if self.on_floor or topics.WINCH_ALARMS not in self._received_at:
             return False
-        known = not self.silent(topics.WINCH_ESTIMATE, now) and self.winch not in _UNSURE
-        return known and now - max(self.stands_since, begun) > _HANGS
+        known = (
+            not self.is_stale(topics.WINCH_ESTIMATE, now) and self.winch not in _NO_TOUCHDOWN_MODES
+        )
+        return known and now - max(self.on_floor_since, begun) > _HANG_TIME
 
     def set_down(self, heading: float) -> None:
         """The rover stands below the fairlead.
@@ -182,22 +196,22 @@ class ObservedState:
     @property
     def winch(self) -> str:
         """Mode of the winch; empty = never heard."""
-        return self.words.get(topics.WINCH_MODE, "")
+        return self.phases.get(topics.WINCH_MODE, "")
 
     @property
     def descent(self) -> str:
         """Phase of the descent."""
-        return self.words.get(topics.DESCENT_PHASE, "")
+        return self.phases.get(topics.DESCENT_PHASE, "")
 
     @property
     def drive(self) -> str:
         """Phase of the driving."""
-        return self.words.get(topics.DRIVE_PHASE, "")
+        return self.phases.get(topics.DRIVE_PHASE, "")
 
     @property
     def jump(self) -> str:
         """Phase of the jump."""
-        return self.words.get(topics.JUMP_PHASE, "")
+        return self.phases.get(topics.JUMP_PHASE, "")
 
     @property
     def descent_engaged(self) -> bool:
@@ -210,28 +224,28 @@ class ObservedState:
         return self.descent not in _IDLE_DESCENT
 
     @property
-    def drives(self) -> bool:
+    def is_driving(self) -> bool:
         """Whether the rover is driven."""
         return self.drive in _DRIVES
 
     @property
-    def compressed(self) -> bool:
+    def spring_compressed(self) -> bool:
         """Whether the latch holds the spring, or the nut stands where it may."""
-        prepares = self.jump not in _NO_JUMP and not self.flies
+        prepares = self.jump not in _NO_JUMP and not self.in_flight
         return prepares or self.nut > NUT_ZERO
 
     @property
-    def flies(self) -> bool:
+    def in_flight(self) -> bool:
         """Whether a jump is on its way from the release to the latch that is hooked again."""
-        return self.jump in _FLIES
+        return self.jump in _IN_FLIGHT
 
     @property
-    def winch_moves(self) -> bool:
+    def winch_moving(self) -> bool:
         """Whether somebody moves the tether."""
         return self.winch in _WINCH_MOVES
 
 
-def near(one: Place, other: Place) -> bool:
+def _is_continuous(one: Place, other: Place) -> bool:
     """Whether two places may be one after the other of one odometry."""
     turned = abs(math.remainder(one.heading - other.heading, math.tau))
-    return math.hypot(one.x - other.x, one.y - other.y) < _STEP and turned < _TURN
+    return math.hypot(one.x - other.x, one.y - other.y) < _MAX_STEP and turned < _MAX_TURN

@@ -58,25 +58,27 @@ def left_turn(start: float, end: float) -> float:
 
 @dataclass(frozen=True)
 class ChassisParameters:
-    """Where the wheels are, how large, and how much they usually slip."""
+    """Geometry of the chassis and nominal slip of its wheels."""
 
-    wheel_radius: float = parameter(0.15, "m", "of the wheels' rims", 0.01, 2.0)
-    track: float = parameter(0.44, "m", "between the wheels", 0.05, 5.0)
-    axle_ahead: float = parameter(0.08, "m", "of the axle before base_link's origin", -2.0, 2.0)
+    wheel_radius: float = parameter(0.15, "m", "radius of the wheels", 0.01, 2.0)
+    track: float = parameter(0.44, "m", "distance between the wheels", 0.05, 5.0)
+    axle_offset: float = parameter(
+        0.08, "m", "distance of the axle ahead of base_link's origin", -2.0, 2.0
+    )
     driving_slip: float = parameter(
-        0.256, "-", "usual slip of the wheels straight ahead on level regolith", 0.0, 0.9
+        0.256, "-", "nominal slip straight ahead on level regolith", 0.0, 0.9
     )
     driving_torque: float = parameter(
-        0.575, "N m", "torque at the wheels that goes with the usual slip", 0.0, 100.0
+        0.575, "N m", "wheel torque at the nominal slip straight ahead", 0.0, 100.0
     )
-    slip_by_torque: float = parameter(
-        1.05, "1/(N m)", "slip that more torque goes with", 0.0, 100.0
+    slip_per_torque: float = parameter(
+        1.05, "1/(N m)", "increase of the slip per wheel torque", 0.0, 100.0
     )
-    side_slip: float = parameter(
-        0.115, "rad/N", "angle by which a force from the side makes the way drift", 0.0, 10.0
+    sideslip_per_force: float = parameter(
+        0.115, "rad/N", "sideslip angle per lateral force on the rover", 0.0, 10.0
     )
     turning_slip: float = parameter(
-        0.33, "-", "usual slip of the left wheel in a turn on level regolith", 0.0, 0.9
+        0.33, "-", "nominal slip of the left wheel in a turn on level regolith", 0.0, 0.9
     )
 
 
@@ -93,7 +95,7 @@ class RatchetKinematics:
     @property
     def pivot(self) -> tuple[float, float]:
         """Where the right wheel stands, in base_link: ahead and left [m]."""
-        return self.parameters.axle_ahead, -0.5 * self.parameters.track
+        return self.parameters.axle_offset, -0.5 * self.parameters.track
 
     def pivot_of(self, pose: GroundPose) -> tuple[float, float]:
         """The same in map."""

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from msg_schemas import topics
 from msg_schemas.samples import TextSample
-from rover_control.mission_legs import Verdict
+from rover_control.mission_legs import LegResult
 from rover_control.mission_plan import load_plan
 from rover_control.mission_route import LegKind
 from rover_sim import compile_ahead, load_spatial
@@ -134,8 +134,8 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
         ended: why it could not go on; empty = it could.
     """
     mission, state = flight.mission, flight.state
-    done = [each.leg for each in mission.record if each.verdict is Verdict.DONE]
-    missed = {e.leg: e.reason for e in mission.record if e.verdict is not Verdict.DONE}
+    done = [each.leg for each in mission.record if each.result is LegResult.DONE]
+    missed = {e.leg: e.reason for e in mission.record if e.result is not LegResult.DONE}
     scenario = flight.plant.scenario
     weight = scenario.tip_mass * scenario.gravity
     stow = flight.plan.stow
@@ -149,9 +149,9 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
         "home": near and not mission.is_active and not ended,
         "depth_m": -float(state.G1[2]),
         "deepest_m": flight.deepest,
-        "pictures": mission.notes.pictures,
-        "jumps": mission.notes.jumps,
-        "jumps_planned": sum(leg.kind is LegKind.HOP for leg in mission.route.legs),
+        "pictures": mission.blackboard.pictures,
+        "jumps": mission.blackboard.jumps,
+        "jumps_planned": sum(leg.kind is LegKind.JUMP for leg in mission.route.legs),
         "peak_tension_N": flight.peak_tension,
         "breaking_load_N": scenario.tether.section.breaking_load,
         "energy_J": weight * flight.deepest,

@@ -19,10 +19,10 @@ from rover_control.jump_prediction import PredictionParameters, Question, Situat
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_control.locomotion import (
+    JumpAssessment,
+    LocomotionMode,
     LocomotionParameters,
-    Outlook,
-    Surroundings,
-    Way,
+    LocomotionSituation,
     choose,
     slack_value,
 )
@@ -190,11 +190,11 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
             put = _Walker(generator, ground)
             rover = put if put.situation().tilt < _UPRIGHT else None
     settings = LocomotionParameters(locomotion_rule=rule if rule in ("slack", "risk") else "risk")
-    parameters = PredictionParameters(floor_depth=_FLOOR, least_upright=0.0)
+    parameters = PredictionParameters(floor_depth=_FLOOR, min_upright_probability=0.0)
     predictor, spring = JumpPredictor(parameters), SpringEstimate(SpringParameters())
     usual = spring.stroke_for(_CLEARANCE)
     stuck = jumped = 0
-    tried: Way | None = None  # last, where the rover is stuck now
+    tried: LocomotionMode | None = None  # last, where the rover is stuck now
     held_at = -math.inf
     rover.drive()
     while not rover.end:
@@ -202,8 +202,8 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
             stuck = jumped = 0
             tried = None
         held_at = max(held_at, rover.best)
-        stuck += stuck == 0 or tried is Way.WHEELS
-        jumped += tried is Way.JUMP
+        stuck += stuck == 0 or tried is LocomotionMode.WHEELS
+        jumped += tried is LocomotionMode.JUMP
         rover.stuck += 1
         rover.go(None, 1.0)
         situation = rover.situation()
@@ -212,20 +212,20 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
             question = Question(situation, _CLEARANCE, False, rover.stuck)
             prediction = predictor.predict(question, spring)
         drop = _FLOOR - parameters.attachment_height
-        around = Surroundings(
+        around = LocomotionSituation(
             slack_value(situation.x, situation.y, drop),
             rover.plant.scenario.tether.section.axial_stiffness,
             0.0,
             stuck,
             jumped,
-            None if prediction is None else Outlook(prediction.upright, prediction.refused),
+            None if prediction is None else JumpAssessment(prediction.upright, prediction.refused),
         )
-        way = Way(rule) if rule in ("wheels", "jump") else choose(settings, around).way
-        if way is Way.JUMP:
+        mode = LocomotionMode(rule) if rule in ("wheels", "jump") else choose(settings, around).mode
+        if mode is LocomotionMode.JUMP:
             rover.jump(usual if prediction is None or prediction.refused else prediction.stroke)
         else:
             rover.detour()
-        tried = way
+        tried = mode
         rover.drive()
     return Crossing(
         rover.end, rover.state.time, rover.energy, rover.jumps, rover.detours, rover.stuck

@@ -43,9 +43,9 @@ _OVERRIDES = {
 # Many short legs, so that there is much to be killed in.
 _PLAN = """
 stow: 2.0
-landing: {approach: 3.0, deepest: 6.5, rate: 0.05}
+landing: {approach_depth: 3.0, max_depth: 6.5, rate: 0.05}
 survey:
-  - {x: 0.6, y: 0.0, hop: 0.1}
+  - {x: 0.6, y: 0.0, jump_height: 0.1}
   - {x: 0.6, y: 0.6}
 lift: {height: 0.5, rate: 0.05, radius: 0.6}
 """

@@ -43,7 +43,7 @@ from rover_control.jump_prediction import PredictionParameters
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_report import flown_sample, prediction_sample
 from rover_control.mission import Mission, MissionSettings
-from rover_control.mission_legs import Ask
+from rover_control.mission_legs import Request
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_report import state_sample as mission_state
 from rover_sim import (
@@ -344,7 +344,7 @@ class MissionFlight:
 
     def _say(self, name: str, sample: Sample) -> None:
         """Tell the mission something, and the tape."""
-        self.mission.hear(name, sample, self.now_ns)
+        self.mission.receive(name, sample, self.now_ns)
         self._record(name, sample)
 
     def _record(self, name: str, sample: Sample) -> None:
@@ -359,7 +359,7 @@ class MissionFlight:
             self.watch(self.time, who, Transition(f"refused {subject}", refusal.reason))
             status = Status(f"{who}: refused {subject}", refusal.reason, hardware_id=who)
             sample = StatusSample(self.now_ns, (status,))
-            self.mission.hear(topics.DIAGNOSTICS, sample, self.now_ns)
+            self.mission.receive(topics.DIAGNOSTICS, sample, self.now_ns)
 
     # --- the mission -----------------------------------------------------------------------------
 
@@ -375,7 +375,7 @@ class MissionFlight:
         self.jump.on_odometry(odometry)
         self._say(topics.ODOMETRY, odometry)
         self._say(topics.DRIVE_STATE, drive_state(self.drive, now))
-        mission.hear(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
+        mission.receive(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
         for ask in mission.step(now):
             self.ask(ask)
         self._tell(MISSION, mission.take_changes())
@@ -386,7 +386,7 @@ class MissionFlight:
         if self.ticks % _STATED == 0:
             self._record(topics.MISSION_STATE, mission_state(mission, now))
 
-    def ask(self, ask: Ask) -> None:
+    def ask(self, ask: Request) -> None:
         """Hand on a request, or call a service."""
         if ask.sample is None:
             self._try(SERVICES[ask.name].server, ask.name, lambda: self._call(ask.name))
@@ -454,7 +454,7 @@ class MissionFlight:
             self._alarms = None
             for name, word in self._words.items():
                 if name != topics.MISSION_PHASE:
-                    self.mission.hear(name, TextSample(word), self.now_ns)
+                    self.mission.receive(name, TextSample(word), self.now_ns)
             self.mission.restore(kept, self.now_ns)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import MissionSettings
-from rover_control.mission_legs import Verdict
+from rover_control.mission_legs import LegResult
 from rover_control.mission_plan import Jumps, Landing, MissionPlan, Waypoint
 from rover_control.mission_route import LegKind
 from rover_sim import SettlingError
@@ -29,9 +29,9 @@ _LIMIT = 600.0  # [s]
 _UPRIGHT = 0.35  # tilt with which it may begin [rad]
 _MOVED = 0.2  # from where it was stuck, that counts as freed [m]
 _PLAN = MissionPlan(
-    landing=Landing(approach=3.0, deepest=8.0),
+    landing=Landing(approach_depth=3.0, max_depth=8.0),
     survey=(Waypoint(x=_AHEAD, y=0.0),),
-    jumps=Jumps(most=6, detours=0, stroke=0.15, slack=1.0),
+    jumps=Jumps(max_jumps=6, max_detours=0, stroke=0.15, slack=1.0),
 )
 _SETTINGS = MissionSettings(locomotion=LocomotionParameters(locomotion_rule="slack"))
 
@@ -110,9 +110,9 @@ def fly_stuck(seed: int, index: int) -> Freed:
     done = flight.mission.record
     now = (float(flight.state.G1[0]), float(flight.state.G1[1]))
     way = math.dist(stuck_at[0], now) if stuck_at else 0.0
-    told = end or (f"{done[0].verdict.name}: {done[0].reason}" if done else flight.mission.reason)
-    jumps = flight.mission.notes.jumps
-    arrived = bool(done) and done[0].verdict is Verdict.DONE
+    told = end or (f"{done[0].result.name}: {done[0].reason}" if done else flight.mission.reason)
+    jumps = flight.mission.blackboard.jumps
+    arrived = bool(done) and done[0].result is LegResult.DONE
     return Freed(len(flight.told("drive_stuck")), jumps, way, arrived, told, flight.time)
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_control.mission import Done
-from rover_control.mission_legs import MissionPhase, Verdict
+from rover_control.mission import LegRecord
+from rover_control.mission_legs import LegResult, MissionPhase
 from rover_control.mission_plan import load_plan
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
@@ -29,7 +29,7 @@ class Flown(NamedTuple):
 
     phase: str  # at the end
     reason: str
-    missed: tuple[Done, ...]  # legs that were left out
+    missed: tuple[LegRecord, ...]  # legs that were left out
     stowed: bool  # the rover truly hangs at the stow
     broken: str  # why the plant could not go on; empty = it could
     toppled: bool
@@ -88,7 +88,7 @@ def _conduct(flight: MissionFlight) -> str:
 
 def _flown(flight: MissionFlight, broken: str) -> Flown:
     mission, state = flight.mission, flight.state
-    missed = tuple(done for done in mission.record if done.verdict is not Verdict.DONE)
+    missed = tuple(done for done in mission.record if done.result is not LegResult.DONE)
     near = abs(state.length - flight.plan.stow) < 0.2
     hangs = float(state.G1[2]) > -flight.plan.stow - 1.0
     return Flown(
@@ -98,8 +98,8 @@ def _flown(flight: MissionFlight, broken: str) -> Flown:
         near and hangs and not mission.is_active,
         broken,
         flight.tilt > _TOPPLED,
-        mission.notes.jumps,
-        mission.notes.pictures,
+        mission.blackboard.jumps,
+        mission.blackboard.pictures,
         flight.time,
         flight.peak_tension,
     )

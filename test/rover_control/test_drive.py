@@ -22,8 +22,8 @@ from rover_control.drive_watch import DriveWatch, WatchParameters
 
 # The gyro is known sooner, and less well.
 QUICK = DriveSettings(
-    follower=replace(FollowerParameters(), longest_stop=1.0),
-    odometry=replace(OdometryParameters(), yaw_bias=0.002),
+    follower=replace(FollowerParameters(), max_stop_time=1.0),
+    odometry=replace(OdometryParameters(), gyro_turn_on_bias=0.002),
 )
 
 

@@ -28,13 +28,13 @@ DRIVE = {
     "uses_winch": False,
     "wheel_radius": 0.16,
     "driving_slip": 0.0,
-    "slip_by_torque": 0.0,
+    "slip_per_torque": 0.0,
     "turning_slip": 0.0,
-    "start_speed": 1.0,
+    "start_check_speed": 1.0,
     "drive_speed": 0.5,
     "turn_rate": 1.0,
     "wheel_acceleration": 5.0,
-    "longest_stop": 0.1,
+    "max_stop_time": 0.1,
 }
 
 

@@ -55,7 +55,7 @@ def test_the_slip_follows_the_torque_that_the_way_asks_for():
     for _ in range(500):
         reckoning.on_wheels(H, H, H, CHASSIS.driving_torque + 0.1)
     assert reckoning.slip == pytest.approx(
-        CHASSIS.driving_slip + 0.1 * CHASSIS.slip_by_torque, abs=1e-3
+        CHASSIS.driving_slip + 0.1 * CHASSIS.slip_per_torque, abs=1e-3
     )
 
 
@@ -103,7 +103,7 @@ def test_the_gyro_s_bias_is_learnt_at_rest_and_taken_off():
 
 
 def test_a_bias_that_was_never_learnt_shows_in_the_heading_s_error():
-    reckoning = odometry(start_heading_error=0.0)
+    reckoning = odometry(initial_heading_std=0.0)
     Ride(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
     error = math.sqrt(reckoning.covariance()[2, 2])
     assert error == pytest.approx(0.005 * 20.0, rel=0.02)
@@ -156,8 +156,8 @@ def taut(x: float, y: float, drop: float = 10.0) -> Tether:
 
 
 def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
-    values = {"slip_scatter": 0.05, "slip_distance": 100.0, "tether_error": 0.02}
-    reckoning = odometry(start_error=0.01, **values)
+    values = {"slip_std": 0.05, "slip_correlation_distance": 100.0, "tether_range_std": 0.02}
+    reckoning = odometry(initial_position_std=0.01, **values)
     reckoning.place(GroundPose(0.0, 5.0, math.pi / 2.0))
     reckoning.on_tether(taut(0.0, 5.0, 3.0), is_taut=True)
     assert reckoning.drop == pytest.approx(3.0)
@@ -205,7 +205,7 @@ def test_the_covariance_is_that_of_many_rides():
             spread = scatter * math.sqrt(1.0 - keep**2) * generator.standard_normal()
             slip = CHASSIS.driving_slip + keep * (slip - CHASSIS.driving_slip) + spread
         ends.append(x)
-    reckoning = odometry(start_error=0.0, slip_scatter=scatter, slip_distance=5.0)
+    reckoning = odometry(initial_position_std=0.0, slip_std=scatter, slip_correlation_distance=5.0)
     Ride(reckoning).roll(1.0, 1.0, 0.0, 40.0)
     told = math.sqrt(reckoning.covariance()[0, 0])
     assert told == pytest.approx(float(np.std(ends)), rel=0.35)

@@ -78,7 +78,7 @@ def planner(**values: float) -> DrivePlanner:
 
 
 def test_a_long_way_is_made_in_pieces_aimed_right_and_the_last_one_straight():
-    made = planner(aim_right=0.03, first_piece=1.0, piece_share=0.5, last_piece=1.5)
+    made = planner(aim_offset=0.03, first_segment=1.0, segment_fraction=0.5, last_segment=1.5)
     goal = Goal(10.0, 0.0, 0.0)
     first = made.next_piece(GroundPose(0.0, 0.0, -1.0), goal)
     assert first.way == pytest.approx(1.0)
@@ -100,7 +100,7 @@ def test_a_heading_little_left_of_the_course_is_kept_and_one_far_left_costs_a_fu
 
 
 def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
-    made = planner(bend_memory=0.1)
+    made = planner(curvature_memory=0.1)
     for _ in range(5):
         made.learn(0.04, 2.0)
     assert made.bend == pytest.approx(0.02, rel=0.01)
@@ -111,7 +111,7 @@ def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
 
 
 def test_a_goal_is_reached_where_its_last_turn_would_put_the_rover():
-    made = planner(near_goal=0.05)
+    made = planner(xy_goal_tolerance=0.05)
     goal = Goal(3.0, 1.0, 2.0)
     before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)
     assert made.is_there(before, goal)

@@ -38,7 +38,7 @@ def fly(
         clip: range of the accelerometer [m/s^2].
         gap: number of the first of ten samples that are lost.
     """
-    recorder = FlightRecorder(imu_ahead=0.0) if recorder is None else recorder
+    recorder = FlightRecorder(imu_offset=0.0) if recorder is None else recorder
     recorder.begin()
     flight = 2.0 * speed / G
     released, landed = HELD, HELD + push + flight
@@ -116,7 +116,7 @@ def test_what_was_not_released_or_hardly_heard_is_not_measured():
 
 
 def test_one_recorder_measures_one_flight_after_the_other():
-    recorder = FlightRecorder(imu_ahead=0.0)
+    recorder = FlightRecorder(imu_offset=0.0)
     for speed in (1.0, 0.5):
         flown = fly(speed, recorder=recorder)
         assert flown is not None

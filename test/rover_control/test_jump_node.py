@@ -233,8 +233,8 @@ def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(harness
 
 def test_parameters_are_limits_with_ranges_and_take_effect(harness: NodeHarness):
     _, observer = start_both(harness)
-    assert not observer.set_parameter(NODE, "largest_stroke", 0.5).successful
-    assert observer.set_parameter(NODE, "largest_stroke", 0.05).successful
+    assert not observer.set_parameter(NODE, "max_stroke", 0.5).successful
+    assert observer.set_parameter(NODE, "max_stroke", 0.05).successful
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "out_of_limits")
     assert "at most 0.05 m" in refusal.message

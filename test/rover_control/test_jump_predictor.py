@@ -87,14 +87,14 @@ def test_what_is_known_of_the_spring_makes_the_interval_narrower():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"largest_jerk": 0.1}, r"jerked with up to \d.* N, at most 0\.1 N"),
-        ({"most_slack": 0.05}, r"would need 0\.\d+ m of slack, at most 0\.05 m"),
+        ({"max_peak_tension": 0.1}, r"jerked with up to \d.* N, at most 0\.1 N"),
+        ({"max_slack": 0.05}, r"would need 0\.\d+ m of slack, at most 0\.05 m"),
         (
-            {"toppling": 0.1, "stance_error": 0.2, "largest_jerk": 1e4},
+            {"upright_tilt": 0.1, "stance_tilt_std": 0.2, "max_peak_tension": 1e4},
             r"upright with a probability of 0\.\d+ alone",
         ),
-        ({"predicted_scenario": "nowhere"}, "cannot be predicted: .*nowhere"),
-        ({"longest_stroke": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
+        ({"prediction_scenario": "nowhere"}, "cannot be predicted: .*nowhere"),
+        ({"spring_travel": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
     ],
 )
 def test_a_jump_that_is_too_risky_is_refused(changes: dict[str, float], reason: str):

@@ -20,7 +20,7 @@ from rover_control.jump_sensors import Sensors
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 
 NANO = 1_000_000_000
-PARAMETERS = from_mapping(JumpParameters, {"largest_stroke": 0.3, "compress_margin": 1.5})
+PARAMETERS = from_mapping(JumpParameters, {"max_stroke": 0.3, "nut_time_margin": 1.5})
 SPRING = 824.0
 GRAVITY = 9.81
 
@@ -140,7 +140,7 @@ JUMPS = [COMPRESSING, SETTLING, RELEASING, FLIGHT]
 def test_a_jump_goes_through_its_phases_and_back_to_standby(rover: Rover):
     rover.request(0.2, 0.1)
     rover.run(1.0)
-    assert rover.command == (0.2, 0.1, PARAMETERS.nut_force, False)
+    assert rover.command == (0.2, 0.1, PARAMETERS.max_nut_force, False)
     rover.run(3.0)
     assert rover.phases == [*JUMPS, LANDED, STANDBY]
     assert all(change.level is Level.OK for change in rover.transitions)
@@ -156,7 +156,7 @@ def test_a_nut_below_the_latch_is_driven_up_past_it_after_the_landing(rover: Rov
         rover.run(12.0)
         assert rover.phases == [*JUMPS, LANDED, HOOKING, STANDBY] * jumps
         assert rover.hooked
-        assert rover.compression == PARAMETERS.hooked_at
+        assert rover.compression == PARAMETERS.nut_park_position
 
 
 def test_a_nut_that_does_not_come_up_is_a_fault(rover: Rover):
@@ -176,7 +176,7 @@ def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(r
     assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
     assert "has not hooked" in rover.transitions[1].reason
     assert rover.transitions[1].values["compression"] == pytest.approx(
-        PARAMETERS.hook_check, abs=0.006
+        PARAMETERS.hook_check_stroke, abs=0.006
     )
 
 
@@ -184,7 +184,7 @@ def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(r
     ("wrong", "value", "reason"),
     [
         ("tilt", 0.5, "tilts by 0.5 rad, at most 0.35"),
-        ("pull", 3.0, "pulls with 3 N, at most 2 N to jump: it needs slack"),
+        ("pull", 3.0, "tether tension is 3 N, limit 2 N; give slack"),
     ],
 )
 def test_a_rover_that_stands_badly_is_not_released(
@@ -365,7 +365,7 @@ def test_an_abort_lets_the_spring_down_softly(rover: Rover):
     rover.run(1.0)
     rover.abort()
     rover.run(0.1)
-    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force, False)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.max_nut_force, False)
     assert rover.abort() == "already letting the spring down"
     rover.run(3.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
@@ -393,7 +393,7 @@ def test_an_abort_while_compressing_lets_down_even_if_the_nut_is_not_known(rover
     rover.silent = {topics.JUMP_MOTOR_STATE}
     rover.abort()
     rover.run(0.1)
-    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.nut_force, False)
+    assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.max_nut_force, False)
     rover.run(20.0)
     assert rover.phases[-1] is FAULT
 
@@ -470,7 +470,7 @@ def test_a_bouncing_switch_is_no_lift(rover: Rover):
 def test_a_flight_without_end_is_a_fault(rover: Rover):
     rover.flight_time = 1000.0
     rover.request()
-    rover.run(PARAMETERS.flight_limit + 3.0)
+    rover.run(PARAMETERS.flight_timeout + 3.0)
     assert rover.phases == [*JUMPS, FAULT]
     assert "no landing within 20 s" in rover.transitions[-1].reason
 
@@ -504,7 +504,7 @@ def test_the_request_s_speed_goes_before_the_parameter_s(rover: Rover):
 
 
 def test_limits_hold_that_were_changed_by_parameter():
-    rover = Rover(replace(PARAMETERS, largest_stroke=0.1))
+    rover = Rover(replace(PARAMETERS, max_stroke=0.1))
     assert "at most 0.1 m" in refusal(rover, 0.2).reason
 
 

@@ -60,19 +60,21 @@ def test_what_it_expects_becomes_surer_and_stays_honest():
     inside, count = 0, 0
     for _ in range(400):
         spring = SpringEstimate(PARAMETERS)
-        gain = math.exp(PARAMETERS.gain_spread * generator.standard_normal())
-        zero = PARAMETERS.zero_spread * generator.standard_normal()
+        gain = math.exp(PARAMETERS.height_gain_std * generator.standard_normal())
+        zero = PARAMETERS.nut_zero_std * generator.standard_normal()
         before = spring.expected(0.15).spread
         for _ in range(5):
             stroke = float(generator.uniform(0.1, 0.2))
             scatter = PARAMETERS.stroke_tolerance * generator.uniform(-1.0, 1.0)
             flown = true_height(stroke + scatter, gain, zero)
-            flown *= math.exp(PARAMETERS.height_scatter * generator.standard_normal())
+            flown *= math.exp(PARAMETERS.height_model_std * generator.standard_normal())
             height = spring.expected(stroke)
             low, high = height.interval(0.9)
             inside += low <= flown <= high
             count += 1
-            spring.learn(stroke, flown + PARAMETERS.height_error * generator.standard_normal())
+            spring.learn(
+                stroke, flown + PARAMETERS.height_measurement_std * generator.standard_normal()
+            )
         assert spring.expected(0.15).spread < before
     assert 0.88 <= inside / count <= 0.92
 

@@ -6,101 +6,101 @@ import math
 from dataclasses import replace
 
 import pytest
-from mission_machine import PLAN, MissionMachine, begun, finished, verdicts
+from mission_machine import PLAN, MissionMachine, finished, results, start_mission
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import Mission, MissionParameters
-from rover_control.mission_legs import LegLimits, MissionPhase, Verdict
+from rover_control.mission_legs import LegLimits, LegResult, MissionPhase
 from rover_control.mission_plan import Lift, Waypoint
 from rover_control.mission_route import LegKind
 
 
 def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
-    machine = begun()
+    machine = start_mission()
     assert finished(machine)
     assert machine.mission.phase is MissionPhase.STANDBY
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
     assert len(machine.mission.record) == len(machine.mission.route.legs)
     assert machine.length == pytest.approx(PLAN.stow)
     assert machine.descent == "released"
-    assert machine.mission.notes.pictures == 3
-    assert topics.JUMP_REQUEST not in machine.asked
+    assert machine.mission.blackboard.pictures == 3
+    assert topics.JUMP_REQUEST not in machine.requests
     assert machine.mission.go(machine.now_ns)  # and again
 
 
 def test_a_rover_that_is_stuck_gets_slack_jumps_and_drives_on():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
-    assert machine.mission.notes.jumps == 1
-    slack = len(machine.asked) - 1 - machine.asked[::-1].index(topics.JUMP_REQUEST)
-    assert machine.asked[slack - 1] == topics.WINCH_REQUEST
+    assert results(machine) == {LegResult.DONE}
+    assert machine.mission.blackboard.jumps == 1
+    slack = len(machine.requests) - 1 - machine.requests[::-1].index(topics.JUMP_REQUEST)
+    assert machine.requests[slack - 1] == topics.WINCH_REQUEST
 
 
 def test_a_hop_is_flown_where_the_plan_wants_one():
-    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = MissionMachine(plan)
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
     machine.run()
     assert [done.leg for done in machine.mission.record][3:5] == [
-        "waypoint 1 at (2, 0) m", "hop at waypoint 1",
+        "waypoint 1 at (2, 0) m", "jump at waypoint 1",
     ]  # fmt: skip
-    assert verdicts(machine) == {Verdict.DONE}
-    assert machine.mission.notes.jumps == 1
-    assert machine.asked.index(topics.DRIVE_GOAL) < machine.asked.index(topics.JUMP_REQUEST)
+    assert results(machine) == {LegResult.DONE}
+    assert machine.mission.blackboard.jumps == 1
+    assert machine.requests.index(topics.DRIVE_GOAL) < machine.requests.index(topics.JUMP_REQUEST)
 
 
 def test_a_hop_that_is_refused_is_left_out_and_the_rover_comes_home():
-    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = MissionMachine(plan)
     machine.refuses[topics.JUMP_REQUEST] = "too steep"
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
     machine.run()
-    missed = [done for done in machine.mission.record if done.verdict is not Verdict.DONE]
-    assert [(done.leg, done.reason) for done in missed] == [("hop at waypoint 1", "too steep")]
+    missed = [done for done in machine.mission.record if done.result is not LegResult.DONE]
+    assert [(done.leg, done.reason) for done in missed] == [("jump at waypoint 1", "too steep")]
     assert machine.mission.phase is MissionPhase.STANDBY
     assert machine.length == pytest.approx(PLAN.stow)
 
 
 def test_a_hanging_leg_is_tried_again_after_a_pause():
-    machine = begun()
+    machine = start_mission()
     machine.refuses[topics.DESCENT_REQUEST] = "it swings too much"
     machine.run(10.0, until=MissionPhase.STANDBY)
-    assert machine.mission.tries == 1
-    asked = machine.asked.count(topics.DESCENT_REQUEST)
+    assert machine.mission.failed_trials == 1
+    asked = machine.requests.count(topics.DESCENT_REQUEST)
     machine.refuses.clear()
-    machine.run(MissionParameters().pause - 12.0, until=MissionPhase.STANDBY)
-    assert machine.asked.count(topics.DESCENT_REQUEST) == asked
+    machine.run(MissionParameters().retry_delay - 12.0, until=MissionPhase.STANDBY)
+    assert machine.requests.count(topics.DESCENT_REQUEST) == asked
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_a_winch_that_is_gone_for_a_while_costs_one_trial_at_most():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.refuses[topics.DRIVE_GOAL] = "winch/estimate not heard"
     machine.drive = "failed"
-    machine.tell("drive_node", "drive_failed", "winch/estimate not heard")
+    machine.emit("drive_node", "drive_failed", "winch/estimate not heard")
     machine.run(20.0, until=MissionPhase.STANDBY)
-    assert machine.mission.tries == 1
+    assert machine.mission.failed_trials == 1
     assert machine.mission.phase is MissionPhase.DRIVING
     machine.silent.clear()
     machine.refuses.clear()
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_a_choice_is_told_with_its_reason_and_its_risks():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     assert finished(machine)
     (choice,) = machine.choices
-    assert choice.values["way"] == "jump"
+    assert choice.values["mode"] == "jump"
     assert choice.values["rule"] == "risk"
     assert choice.values["wheels_risk"] == pytest.approx(2.0 / 3.0)
     assert choice.values["jump_risk"] == pytest.approx(1.0 / 3.0)
@@ -111,18 +111,18 @@ def test_a_choice_is_told_with_its_reason_and_its_risks():
     ("upright", "advice"), [(0.5, ""), (1.0, "better not: the tether would be jerked")]
 )
 def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: str):
-    machine = begun(MissionPhase.DRIVING)
-    machine.stuck, machine.upright, machine.advice = 1, upright, advice
+    machine = start_mission(MissionPhase.DRIVING)
+    machine.stuck, machine.upright, machine.rejection = 1, upright, advice
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
-    assert machine.mission.notes.jumps == 0
-    assert [choice.values["way"] for choice in machine.choices] == ["wheels"]
+    assert results(machine) == {LegResult.DONE}
+    assert machine.mission.blackboard.jumps == 0
+    assert [choice.values["mode"] for choice in machine.choices] == ["wheels"]
     assert advice in machine.choices[0].reason
 
 
 @pytest.mark.parametrize("cannot_turn", [False, True])
 def test_a_detour_leads_straight_on_where_the_rover_cannot_turn(cannot_turn: bool):
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.upright, machine.cannot_turn = 1, 0.5, cannot_turn
     assert finished(machine)
     _, (x, y), *_ = machine.goals
@@ -131,43 +131,47 @@ def test_a_detour_leads_straight_on_where_the_rover_cannot_turn(cannot_turn: boo
 
 
 def test_a_rover_that_cannot_turn_drives_on_before_it_jumps():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.cannot_turn = 2, True  # it does not get away from there
     assert finished(machine)
-    assert [choice.values["way"] for choice in machine.choices] == ["wheels", "jump"]
+    assert [choice.values["mode"] for choice in machine.choices] == ["wheels", "jump"]
     assert machine.choices[0].values["wheels_risk"] == pytest.approx(0.05)
-    assert machine.mission.notes.jumps == 1
+    assert machine.mission.blackboard.jumps == 1
 
 
 def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     # So likely to topple, a jump is worse than wheels that got stuck once on level ground.
     machine.stuck, machine.slope, machine.upright = 1, 0.4, 0.7
     assert finished(machine)
     (choice,) = machine.choices
     assert choice.values["wheels_risk"] == 1.0
-    assert choice.values["way"] == "jump"
+    assert choice.values["mode"] == "jump"
 
 
 def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_prediction():
-    machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
+    machine = start_mission(
+        MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack")
+    )
     machine.stuck = 1
     assert finished(machine)
-    assert [choice.values["way"] for choice in machine.choices] == ["wheels"]
-    assert topics.JUMP_REQUEST not in machine.asked
+    assert [choice.values["mode"] for choice in machine.choices] == ["wheels"]
+    assert topics.JUMP_REQUEST not in machine.requests
 
 
 def test_where_no_detour_is_left_the_rover_jumps_and_where_neither_is_the_leg_fails():
-    machine = begun(MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack"))
+    machine = start_mission(
+        MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack")
+    )
     machine.stuck = 5
     machine.run(200.0, until=MissionPhase.RETURNING)
-    ways = [choice.values["way"] for choice in machine.choices]
-    assert ways[:4] == ["wheels", "wheels", "jump", "jump"]
-    assert "mission_trial_failed" in machine.story
+    modes = [choice.values["mode"] for choice in machine.choices]
+    assert modes[:4] == ["wheels", "wheels", "jump", "jump"]
+    assert "mission_trial_failed" in machine.events
 
 
 def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     machine.run(until=MissionPhase.JUMPING)
     while machine.jump != "flight":
@@ -175,25 +179,25 @@ def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
     machine.tick()
     machine.jump = "fault"  # as of one that has toppled
     machine.run(1.0, until=MissionPhase.STANDBY)
-    assert machine.mission.tries == 1
+    assert machine.mission.failed_trials == 1
     assert finished(machine)
-    assert topics.JUMP_ABORT in machine.asked
-    assert machine.mission.notes.jumps == 0
+    assert topics.JUMP_ABORT in machine.requests
+    assert machine.mission.blackboard.jumps == 0
 
 
 def test_a_jump_that_does_not_leave_the_ground_is_no_jump():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.jump_fails = 1, True
     machine.run(60.0, until=MissionPhase.RETURNING)
-    assert machine.mission.notes.jumps == 0
-    assert "mission_trial_failed" in machine.story
+    assert machine.mission.blackboard.jumps == 0
+    assert "mission_trial_failed" in machine.events
 
 
 # --- operators -----------------------------------------------------------------------------------
 
 
 def test_a_held_mission_rests_and_goes_on_from_its_leg():
-    machine = begun(MissionPhase.LOOKING)
+    machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
     assert machine.descent == "travelling"
     machine.mission.hold(machine.now_ns)
@@ -207,41 +211,41 @@ def test_a_held_mission_rests_and_goes_on_from_its_leg():
     assert machine.length == depth
     machine.mission.resume(machine.now_ns)
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_while_held_an_operator_is_left_alone():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.mission.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
     assert machine.drive == "released"
-    count = len(machine.asked)
+    count = len(machine.requests)
     machine.drive = "steered"
     machine.run(5.0, until=MissionPhase.STANDBY)
     assert machine.drive == "steered"
-    assert len(machine.asked) == count
+    assert len(machine.requests) == count
 
 
 def test_a_stop_that_has_just_ended_is_not_aborted_though_its_phase_is_not_heard_yet():
-    machine = begun(MissionPhase.LOOKING)
+    machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
     machine.descent = "exposing"  # the last word heard
     machine.run(0.3, until=MissionPhase.STANDBY)
     machine.descent = "standby"
     assert finished(machine)
-    assert topics.DESCENT_ABORT not in machine.asked
+    assert topics.DESCENT_ABORT not in machine.requests
 
-    machine = begun(MissionPhase.LOOKING)
+    machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
     machine.descent = "exposing"  # and somebody has asked for another one
     assert finished(machine)
-    assert topics.DESCENT_ABORT in machine.asked
+    assert topics.DESCENT_ABORT in machine.requests
 
 
 def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     assert "waypoint 2" in machine.mission.skip(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     with pytest.raises(Refusal, match="way home"):
@@ -250,15 +254,15 @@ def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
 
 
 def test_a_skipped_landing_leaves_all_out_that_is_done_on_the_floor():
-    machine = begun(MissionPhase.APPROACHING)
+    machine = start_mission(MissionPhase.APPROACHING)
     machine.run(until=MissionPhase.LANDING)
     assert "ascend" in machine.mission.skip(machine.now_ns)
     assert finished(machine)
-    assert topics.DRIVE_GOAL not in machine.asked
+    assert topics.DRIVE_GOAL not in machine.requests
 
 
 def test_the_return_cannot_be_left_out_far_from_the_plumb_line():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     with pytest.raises(Refusal, match="swings"):
         machine.mission.skip(machine.now_ns)
@@ -268,7 +272,7 @@ def test_the_return_cannot_be_left_out_far_from_the_plumb_line():
     "phase", [MissionPhase.LOOKING, MissionPhase.LANDING, MissionPhase.DRIVING]
 )
 def test_an_aborted_mission_rests_and_comes_home_on_command(phase: MissionPhase):
-    machine = begun(phase)
+    machine = start_mission(phase)
     machine.mission.abort(machine.now_ns)
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.phase is MissionPhase.ABORTED
@@ -285,11 +289,11 @@ def test_what_is_not_under_way_is_refused():
     mission, now = machine.mission, machine.now_ns
     with pytest.raises(Refusal, match="not heard"):
         mission.go(now)
-    for ask in (mission.hold, mission.resume, mission.skip):
+    for request in (mission.hold, mission.resume, mission.skip):
         with pytest.raises(Refusal):
-            ask(now)
+            request(now)
     assert mission.abort(now) == "no mission is under way"
-    machine.say()
+    machine.publish()
     mission.go(now)
     with pytest.raises(Refusal, match="looking"):
         mission.go(now)
@@ -298,12 +302,12 @@ def test_what_is_not_under_way_is_refused():
 
 
 def test_a_winch_that_was_started_again_is_armed_one_that_was_stopped_is_left():
-    machine = begun(MissionPhase.LANDING)
+    machine = start_mission(MissionPhase.LANDING)
     machine.winch = "disarmed"
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
-    machine = begun(MissionPhase.LANDING)
+    machine = start_mission(MissionPhase.LANDING)
     machine.winch = "stop"
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
@@ -312,36 +316,36 @@ def test_a_winch_that_was_started_again_is_armed_one_that_was_stopped_is_left():
 
 
 def test_a_winch_that_faults_again_and_again_ends_in_a_hold():
-    machine = begun(MissionPhase.LANDING)
+    machine = start_mission(MissionPhase.LANDING)
     for _ in range(3000):
         machine.winch = "fault" if machine.winch == "length" else machine.winch
         machine.tick()
     assert machine.mission.phase is MissionPhase.HOLDING
-    assert machine.asked.count(topics.WINCH_REARM) == 1 + MissionParameters().most_rearms
+    assert machine.requests.count(topics.WINCH_REARM) == 1 + MissionParameters().max_rearms
 
 
 def test_what_others_hold_is_not_taken_from_them():
-    machine = begun(MissionPhase.LANDING)
+    machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
     machine.winch = "hold"
-    machine.tell("winch_node", "winch_hold", "asked to hold")
+    machine.emit("winch_node", "winch_hold", "asked to hold")
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "somebody holds the winch" in machine.mission.reason
 
 
 def test_a_hold_that_was_told_before_the_leg_moved_anything_is_nobody_s():
-    machine = begun(MissionPhase.APPROACHING)
+    machine = start_mission(MissionPhase.APPROACHING)
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
     # As the descent has let the winch be held, while it gave it back.
-    machine.tell("winch_node", "winch_hold", "asked to hold")
+    machine.emit("winch_node", "winch_hold", "asked to hold")
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
-    machine = begun()
+    machine = start_mission()
     assert finished(machine)
     machine.place, machine._on_floor = (0.0, 0.0, 0.7), False
     machine.mission.go(machine.now_ns)
@@ -354,51 +358,51 @@ def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
 
 
 def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():
-    limits = LegLimits(land_limit=20.0)
-    machine = begun(MissionPhase.LANDING, limits=limits)
+    limits = LegLimits(land_timeout=20.0)
+    machine = start_mission(MissionPhase.LANDING, limits=limits)
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.run(200.0)
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "the winch is not heard" in machine.mission.reason
-    assert machine.story.count("mission_trial_failed") == MissionParameters().tries
+    assert machine.events.count("mission_trial_failed") == MissionParameters().max_trials
     machine.silent.clear()
-    machine.say()
+    machine.publish()
     machine.mission.resume(machine.now_ns)
     assert finished(machine)
 
 
 def test_a_spring_that_somebody_has_compressed_is_let_down_before_the_rover_is_lifted():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     machine.nut = 0.1
     assert finished(machine)
     assert machine.nut == 0.0
-    assert topics.JUMP_ABORT in machine.asked
+    assert topics.JUMP_ABORT in machine.requests
 
 
 def test_a_driving_that_begins_anew_is_told_where_the_rover_stands():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
-    told = len(machine.asked)
+    told = len(machine.requests)
     machine.place, machine.drive = (0.0, 0.0, 0.0), "released"
     machine.tick()
     machine.tick()
-    assert topics.DRIVE_START in machine.asked[told:]
+    assert topics.DRIVE_START in machine.requests[told:]
     assert machine.place[0] == pytest.approx(2.0, abs=0.5)
     assert finished(machine)
     assert machine.place[:2] == (0.0, 0.0)
 
 
 def test_the_last_trial_of_an_ascent_from_not_too_deep_is_the_winch_s_alone():
-    machine = begun(MissionPhase.LIFTING)
+    machine = start_mission(MissionPhase.LIFTING)
     machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
     assert finished(machine)
     assert "by the winch alone" in machine.mission.record[-2].reason
     assert machine.length == pytest.approx(PLAN.stow)
 
-    deep = replace(PLAN, lift=Lift(alone=0.0))
+    deep = replace(PLAN, lift=Lift(winch_only_length=0.0))
     machine = MissionMachine(deep)
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
@@ -415,27 +419,27 @@ PHASES = [
 
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPhase):
-    machine = begun(phase)
+    machine = start_mission(phase)
     machine.restart_mission()
     assert machine.mission.is_active
     assert finished(machine)
     assert len(machine.mission.record) == len(machine.mission.route.legs)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_a_descent_that_was_interrupted_while_the_mission_was_away_is_taken_up():
-    machine = begun(MissionPhase.LOOKING)
+    machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
-    kept, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
+    saved, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
     machine.mission = Mission(PLAN)
-    machine.mission.restore(kept, machine.now_ns)
+    machine.mission.restore(saved, machine.now_ns)
     machine.mission.step(machine.now_ns)  # before anything latched was heard
     assert finished(machine)
-    assert verdicts(machine) == {Verdict.DONE}
+    assert results(machine) == {LegResult.DONE}
 
 
 def test_one_that_is_started_again_late_waits_to_be_resumed():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.restart_mission(after=3600.0)
     assert machine.mission.phase is MissionPhase.HOLDING
     machine.mission.resume(machine.now_ns)
@@ -443,24 +447,24 @@ def test_one_that_is_started_again_late_waits_to_be_resumed():
 
 
 def test_killed_after_slack_was_given_it_jumps_from_what_is_there():
-    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, hop=0.2),))
-    machine = begun(MissionPhase.JUMPING, plan)
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
+    machine = start_mission(MissionPhase.JUMPING, plan)
     while not machine.slack:
         machine.tick()
     machine.restart_mission()
     killed = machine.now
     machine.run(until=MissionPhase.RETURNING)
-    assert verdicts(machine) == {Verdict.DONE}
-    assert machine.asked.count(topics.JUMP_REQUEST) == 1
+    assert results(machine) == {LegResult.DONE}
+    assert machine.requests.count(topics.JUMP_REQUEST) == 1
     assert machine.now - killed < 30.0
 
 
 def test_a_checkpoint_of_another_plan_or_run_is_left():
-    machine = begun(MissionPhase.DRIVING)
-    kept = machine.mission.checkpoint(machine.now_ns)
+    machine = start_mission(MissionPhase.DRIVING)
+    saved = machine.mission.checkpoint(machine.now_ns)
     for name, value in (("plan", "other"), ("stamp_ns", 10**15)):
         fresh = MissionMachine()
-        fresh.mission.restore({**kept, name: value}, fresh.now_ns)
+        fresh.mission.restore({**saved, name: value}, fresh.now_ns)
         assert fresh.mission.phase is MissionPhase.STANDBY
         assert [change.name for change in fresh.mission.take_changes()] == ["mission_forgotten"]
 
@@ -468,7 +472,7 @@ def test_a_checkpoint_of_another_plan_or_run_is_left():
 def test_a_rover_that_stands_already_begins_on_the_floor():
     machine = MissionMachine()
     machine._on_floor, machine.length = True, 9.0
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
     assert machine.mission.leg is not None
     assert machine.mission.leg.kind is LegKind.VISIT

@@ -12,13 +12,13 @@ from msg_schemas.machine import JUMP_SCREW, PAYOUT, TENSION, TETHER_OUT
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from rover_control.mission_interlocks import (
     INTERLOCKS,
-    Act,
+    Action,
     Condition,
-    forbidden,
-    holds,
+    applies,
     remedy,
+    violated_interlock,
 )
-from rover_control.mission_legs import Ask, MissionPhase
+from rover_control.mission_legs import MissionPhase, Request
 from rover_control.observed_state import ObservedState
 
 NOW = 10.0
@@ -40,22 +40,23 @@ STANDING      x . . . . .
 HANGING       . . . x x x
 TAUT          . . . . . x
 """
-MOVING = (Act.DESCEND, Act.LOWER, Act.LIFT, Act.DRIVE, Act.SLACKEN, Act.JUMP)
+MOVING = (Action.DESCEND, Action.LOWER, Action.LIFT, Action.DRIVE, Action.SLACKEN, Action.JUMP)
 
 
-def rows() -> list[tuple[Condition, Act, bool]]:
+def rows() -> list[tuple[Condition, Action, bool]]:
     found = []
     for line in TABLE.strip().splitlines():
         name, *marks = line.split()
         found += [
-            (Condition[name], act, mark == "x") for act, mark in zip(MOVING, marks, strict=True)
+            (Condition[name], action, mark == "x")
+            for action, mark in zip(MOVING, marks, strict=True)
         ]
     return found
 
 
 def observed(
     winch: str = "hold", descent: str = "released", drive: str = "released", jump: str = "standby",
-    nut: float = -0.03, pull: float = 0.5, stands: bool = True, heard: bool = True,
+    nut: float = -0.03, net_tension: float = 0.5, on_floor: bool = True, fresh: bool = True,
 ) -> ObservedState:  # fmt: skip
     made = ObservedState(2.0)
     for name, word in (
@@ -64,24 +65,26 @@ def observed(
         (topics.DRIVE_PHASE, drive),
         (topics.JUMP_PHASE, jump),
     ):
-        made.hear(name, TextSample(word), 0)
-    made.hear(topics.WINCH_ALARMS, JointSample(0, {"touchdown": JointValue(float(stands))}), 0)
-    made.hear(topics.JUMP_MOTOR_STATE, JointSample(0, {JUMP_SCREW: JointValue(nut)}), 0)
-    told = NOW_NS if heard else 0
+        made.receive(name, TextSample(word), 0)
+    made.receive(topics.WINCH_ALARMS, JointSample(0, {"touchdown": JointValue(float(on_floor))}), 0)
+    made.receive(topics.JUMP_MOTOR_STATE, JointSample(0, {JUMP_SCREW: JointValue(nut)}), 0)
+    received_ns = NOW_NS if fresh else 0
     joints = {
         PAYOUT: JointValue(9.0),
-        TENSION: JointValue(1.0, 0.0, pull + 0.1),
+        TENSION: JointValue(1.0, 0.0, net_tension + 0.1),
         TETHER_OUT: JointValue(0.0, 0.0, 0.1),
     }
-    made.hear(topics.WINCH_ESTIMATE, JointSample(0, joints), told)
+    made.receive(topics.WINCH_ESTIMATE, JointSample(0, joints), received_ns)
     zero = (0.0, 0.0, 0.0)
-    made.hear(topics.ODOMETRY, OdometrySample(0, zero, (0.0, 0.0, 0.0, 1.0), zero, zero), told)
+    made.receive(
+        topics.ODOMETRY, OdometrySample(0, zero, (0.0, 0.0, 0.0, 1.0), zero, zero), received_ns
+    )
     return made
 
 
 SEEN: dict[Condition, dict[str, object]] = {
-    Condition.WINCH_SILENT: {"heard": False},
-    Condition.DRIVE_SILENT: {"heard": False},
+    Condition.WINCH_SILENT: {"fresh": False},
+    Condition.DRIVE_SILENT: {"fresh": False},
     Condition.STOPPED: {"winch": "stop"},
     Condition.FAULT: {"winch": "fault"},
     Condition.UNARMED: {"winch": "disarmed"},
@@ -90,43 +93,45 @@ SEEN: dict[Condition, dict[str, object]] = {
     Condition.COMPRESSED: {"jump": "compressing"},
     Condition.DRIVING: {"drive": "turning"},
     Condition.DESCENT: {"descent": "damping"},
-    Condition.STANDING: {"stands": True},
-    Condition.HANGING: {"stands": False},
-    Condition.TAUT: {"pull": 5.0},
+    Condition.STANDING: {"on_floor": True},
+    Condition.HANGING: {"on_floor": False},
+    Condition.TAUT: {"net_tension": 5.0},
 }
 
 
-@pytest.mark.parametrize(("condition", "act", "is_forbidden"), rows())
-def test_the_table_says_what_is_written_here(condition: Condition, act: Act, is_forbidden: bool):
-    assert (condition in INTERLOCKS[act]) is is_forbidden
+@pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
+def test_the_table_says_what_is_written_here(
+    condition: Condition, action: Action, is_forbidden: bool
+):
+    assert (condition in INTERLOCKS[action]) is is_forbidden
 
 
 @pytest.mark.parametrize("condition", Condition)
 def test_each_condition_is_seen_where_it_is_so_and_not_elsewhere(condition: Condition):
-    assert holds(condition, observed(**SEEN[condition]), NOW)  # type: ignore[arg-type]
-    other = {"stands": condition is not Condition.STANDING}
-    assert not holds(condition, observed(**other), NOW)  # type: ignore[arg-type]
+    assert applies(condition, observed(**SEEN[condition]), NOW)  # type: ignore[arg-type]
+    other = {"on_floor": condition is not Condition.STANDING}
+    assert not applies(condition, observed(**other), NOW)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("condition", "act", "is_forbidden"), rows())
-def test_what_is_forbidden_is_found(condition: Condition, act: Act, is_forbidden: bool):
-    stands = act not in (Act.DESCEND, Act.LOWER)
-    seen = observed(**({"stands": stands} | SEEN[condition]))  # type: ignore[arg-type]
-    assert not is_forbidden or forbidden(act, seen, NOW) is not None
+@pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
+def test_what_is_forbidden_is_found(condition: Condition, action: Action, is_forbidden: bool):
+    on_floor = action not in (Action.DESCEND, Action.LOWER)
+    seen = observed(**({"on_floor": on_floor} | SEEN[condition]))  # type: ignore[arg-type]
+    assert not is_forbidden or violated_interlock(action, seen, NOW) is not None
 
 
-@pytest.mark.parametrize("act", MOVING)
-def test_each_act_may_be_where_nothing_is_in_its_way(act: Act):
-    assert forbidden(act, observed(stands=act is not Act.DESCEND), NOW) is None
+@pytest.mark.parametrize("action", MOVING)
+def test_each_act_may_be_where_nothing_is_in_its_way(action: Action):
+    assert violated_interlock(action, observed(on_floor=action is not Action.DESCEND), NOW) is None
 
 
 def test_a_nut_below_the_latch_counts_as_holding_the_spring():
-    assert holds(Condition.COMPRESSED, observed(nut=0.1), NOW)
-    assert not holds(Condition.COMPRESSED, observed(nut=0.0), NOW)
+    assert applies(Condition.COMPRESSED, observed(nut=0.1), NOW)
+    assert not applies(Condition.COMPRESSED, observed(nut=0.0), NOW)
 
 
 def test_a_tension_that_is_not_known_forbids_a_jump():
-    assert holds(Condition.TAUT, observed(pull=float("nan")), NOW)
+    assert applies(Condition.TAUT, observed(net_tension=float("nan")), NOW)
 
 
 def test_what_an_operator_has_stopped_nothing_but_people_clear():
@@ -140,11 +145,11 @@ def test_what_an_operator_has_stopped_nothing_but_people_clear():
 
 
 ACT_OF = {
-    topics.DESCENT_REQUEST: (Act.DESCEND,),
-    topics.WINCH_REQUEST: (Act.LOWER, Act.LIFT, Act.SLACKEN),
-    topics.DRIVE_GOAL: (Act.DRIVE,),
-    topics.DRIVE_START: (Act.DRIVE,),
-    topics.JUMP_REQUEST: (Act.JUMP,),
+    topics.DESCENT_REQUEST: (Action.DESCEND,),
+    topics.WINCH_REQUEST: (Action.LOWER, Action.LIFT, Action.SLACKEN),
+    topics.DRIVE_GOAL: (Action.DRIVE,),
+    topics.DRIVE_START: (Action.DRIVE,),
+    topics.JUMP_REQUEST: (Action.JUMP,),
 }
 
 
@@ -152,20 +157,23 @@ ACT_OF = {
 def test_a_mission_never_asks_for_what_is_forbidden_whatever_it_is_told(seed: int):
     generator = random.Random(seed)
     machine = MissionMachine()
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
-    asked: list[Ask] = []
-    take = machine.take
+    asked: list[Request] = []
+    handle = machine.handle
 
-    def checked(ask: Ask) -> None:
-        asked.append(ask)
-        acts = ACT_OF.get(ask.name, ())
+    def checked(request: Request) -> None:
+        asked.append(request)
+        acts = ACT_OF.get(request.name, ())
         if acts:
             seen, now = machine.mission.observed, machine.now
-            assert any(forbidden(act, seen, now) is None for act in acts), (ask, seed)
-        take(ask)
+            assert any(violated_interlock(action, seen, now) is None for action in acts), (
+                request,
+                seed,
+            )
+        handle(request)
 
-    machine.take = checked  # type: ignore[method-assign]
+    machine.handle = checked  # type: ignore[method-assign]
     for _ in range(3000):
         if generator.random() < 0.02:
             what = generator.choice(("winch", "descent", "drive", "jump", "nut", "stuck"))

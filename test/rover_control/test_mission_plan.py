@@ -12,7 +12,7 @@ from rover_control.mission_route import LegKind, itinerary
 GOOD = """
 stow: 2.0
 looks: [{depth: 4.0, turns: [30, -60]}]
-landing: {approach: 6.0, deepest: 9.0}
+landing: {approach_depth: 6.0, max_depth: 9.0}
 survey: [{x: 1.0, y: 0.5}, {x: 2.0, y: 0.0, heading: 90}]
 """
 
@@ -37,9 +37,9 @@ def test_every_plan_of_the_package_can_be_followed(name: str):
         (GOOD.replace("depth: 4.0", "depth: 1.0"), "looks[0].depth"),
         (GOOD.replace("[30, -60]", "[0]"), "turns[0]"),
         (GOOD.replace("[30, -60]", "left"), "turns"),
-        (GOOD.replace("approach: 6.0", "approach: 3.0"), "landing.approach"),
-        (GOOD.replace("deepest: 9.0", "deepest: 5.0"), "landing.deepest"),
-        (GOOD.replace("landing: {approach: 6.0, deepest: 9.0}", ""), "survey"),
+        (GOOD.replace("approach_depth: 6.0", "approach_depth: 3.0"), "landing.approach_depth"),
+        (GOOD.replace("max_depth: 9.0", "max_depth: 5.0"), "landing.max_depth"),
+        (GOOD.replace("landing: {approach_depth: 6.0, max_depth: 9.0}", ""), "survey"),
         (GOOD + "lift: {height: 5.0}\n", "lift.height"),
         (GOOD + "jumps: {stroke: 3.0}\n", "jumps.stroke"),
         ("stow: [", "plan.yaml"),

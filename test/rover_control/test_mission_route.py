@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
-from rover_control.mission_route import LegKind, Route, itinerary, way_home
+from rover_control.mission_route import LegKind, Route, homeward_legs, itinerary
 
 PLAN = MissionPlan(
     stow=2.0,
     looks=(Look(depth=4.0, turns=(30.0, -60.0)),),
-    landing=Landing(approach=6.0, deepest=9.0),
+    landing=Landing(approach_depth=6.0, max_depth=9.0),
     survey=(Waypoint(x=1.0, y=0.5), Waypoint(x=2.0, y=0.0, heading=90.0)),
 )
 
@@ -28,10 +28,10 @@ def test_legs_follow_from_the_plan():
 
 def test_the_way_home_begins_where_the_rover_is():
     plan = load_plan("shallow")
-    assert [leg.kind.value for leg in way_home(plan, stands=True)] == [
+    assert [leg.kind.value for leg in homeward_legs(plan, on_floor=True)] == [
         "return", "lift", "ascend", "stow",
     ]  # fmt: skip
-    assert [leg.kind.value for leg in way_home(plan, stands=False)] == ["ascend", "stow"]
+    assert [leg.kind.value for leg in homeward_legs(plan, on_floor=False)] == ["ascend", "stow"]
 
 
 def names(route: Route) -> list[str]:
@@ -41,14 +41,14 @@ def names(route: Route) -> list[str]:
 def at(kind: LegKind) -> Route:
     route = Route(PLAN)
     while route.leg is not None and route.leg.kind is not kind:
-        route.go_on()
+        route.advance()
     return route
 
 
 def test_a_route_ends_after_its_last_leg_and_can_be_rewound():
     route = at(LegKind.STOW)
     assert route.number == len(route.legs) == 13
-    route.go_on()
+    route.advance()
     assert (route.leg, route.number) == (None, 0)
     route.rewind()
     assert route.number == 1
@@ -56,14 +56,14 @@ def test_a_route_ends_after_its_last_leg_and_can_be_rewound():
 
 def test_who_stands_already_begins_on_the_floor():
     route = Route(PLAN)
-    route.begin(stands=True)
+    route.begin(on_floor=True)
     assert route.leg is not None
     assert route.leg.kind is LegKind.VISIT
 
 
 def test_without_a_landing_the_next_leg_is_the_ascent():
     route = at(LegKind.LAND)
-    route.go_on()
+    route.advance()
     route.leave_floor()
     assert route.leg is not None
     assert route.leg.kind is LegKind.ASCEND
@@ -72,15 +72,15 @@ def test_without_a_landing_the_next_leg_is_the_ascent():
 def test_a_rescue_is_done_before_the_leg_that_needs_it():
     route = at(LegKind.VISIT)
     number = route.number
-    route.put_rescue()
+    route.insert_recovery()
     assert route.number == number
     assert [leg.kind.value for leg in route.legs[number - 1 : number + 3]] == [
-        "lift", "calm", "land", "visit",
+        "lift", "damp", "land", "visit",
     ]  # fmt: skip
     for _ in range(4):
-        route.go_on()
-    route.put_rescue()
-    assert route.rescues == 2
+        route.advance()
+    route.insert_recovery()
+    assert route.recoveries == 2
     assert len(set(names(route))) == len(names(route))
 
 
@@ -88,11 +88,11 @@ def test_a_rescue_is_done_before_the_leg_that_needs_it():
 def test_a_route_goes_on_from_its_checkpoint(home: bool | None):
     route = at(LegKind.VISIT)
     if home is None:
-        route.put_rescue()
+        route.insert_recovery()
     else:
-        route.begin_home(stands=home)
-    route.go_on()
+        route.begin_home(on_floor=home)
+    route.advance()
     other = Route(PLAN)
     other.restore(route.checkpoint())
     assert names(other) == names(route)
-    assert (other.number, other.rescues) == (route.number, route.rescues)
+    assert (other.number, other.recoveries) == (route.number, route.recoveries)

@@ -15,7 +15,7 @@ from rover_control.ratchet_kinematics import (
     wrapped,
 )
 
-CHASSIS = ChassisParameters(wheel_radius=0.15, track=0.44, axle_ahead=0.08)
+CHASSIS = ChassisParameters(wheel_radius=0.15, track=0.44, axle_offset=0.08)
 RATCHETS = RatchetKinematics(CHASSIS)
 
 

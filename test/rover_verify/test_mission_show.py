@@ -7,7 +7,7 @@ import pytest
 from rover_verify.mission_show import judge
 
 MISSION = {
-    "legs_done": ["landing", "hop"],
+    "legs_done": ["landing", "jump"],
     "legs_missed": {},
     "phase": "standby",
     "reason": "",
@@ -38,7 +38,7 @@ def test_a_mission_that_went_well_keeps_every_promise():
     "change",
     [
         {"home": False},
-        {"legs_missed": {"hop": "too steep"}},
+        {"legs_missed": {"jump": "too steep"}},
         {"pictures": 0},
         {"jumps": 0},
         {"peak_tension_N": 1000.0},

@@ -30,14 +30,14 @@ from msg_schemas.samples import (
 )
 from msg_schemas.transition import Transition
 from rover_control.mission import Mission, MissionSettings
-from rover_control.mission_legs import Ask, MissionPhase, Verdict
+from rover_control.mission_legs import LegResult, MissionPhase, Request
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
 
 STEP = 0.1  # [s]
 FLOOR = 9.0  # length at which the floor is touched [m]
 PLAN = MissionPlan(
     looks=(Look(depth=4.0),),
-    landing=Landing(approach=7.0, deepest=10.0, rate=0.1),
+    landing=Landing(approach_depth=7.0, max_depth=10.0, rate=0.1),
     survey=(Waypoint(x=2.0, y=0.0), Waypoint(x=2.0, y=1.0)),
 )
 
@@ -71,15 +71,15 @@ class MissionMachine:
         self.stuck = 0
         self.cannot_turn = False  # where it is stuck
         self.jump_fails = False  # the next one does not leave the ground
-        self.upright, self.advice = 1.0, ""  # of jumps, as they are predicted; advice against
+        self.upright, self.rejection = 1.0, ""  # of jumps, as they are predicted; advice against
         self.turned = 0.0
         self.swings = False
         self.rate = math.nan
         self.refuses: dict[str, str] = {}
         self.silent: set[str] = set()
-        self.asked: list[str] = []
+        self.requests: list[str] = []
         self.goals: list[tuple[float, float]] = []
-        self.story: list[str] = []
+        self.events: list[str] = []
         self.choices: list[Transition] = []
         self._goal: tuple[float, float] | None = None
         self._stop: tuple[str, float] | None = None
@@ -91,7 +91,7 @@ class MissionMachine:
         return round(self.now * 1e9)
 
     @property
-    def stands(self) -> bool:
+    def on_floor(self) -> bool:
         return self.length - self.slack >= FLOOR - 1e-6 or self._on_floor
 
     _on_floor = False
@@ -110,16 +110,16 @@ class MissionMachine:
     def tick(self) -> None:
         self.now += STEP
         self._move()
-        self.say()
-        for ask in self.mission.step(self.now_ns):
-            self.asked.append(ask.name)
-            self.take(ask)
+        self.publish()
+        for request in self.mission.step(self.now_ns):
+            self.requests.append(request.name)
+            self.handle(request)
         changes = self.mission.take_changes()
-        self.story += [change.name for change in changes]
+        self.events += [change.name for change in changes]
         self.choices += [change for change in changes if change.name == "mission_chosen"]
 
-    def say(self) -> None:
-        hear, now = self.mission.hear, self.now_ns
+    def publish(self) -> None:
+        receive, now = self.mission.receive, self.now_ns
         for name, word in (
             (topics.WINCH_MODE, self.winch),
             (topics.DESCENT_PHASE, self.descent),
@@ -127,30 +127,30 @@ class MissionMachine:
             (topics.JUMP_PHASE, self.jump),
         ):
             if word:
-                hear(name, TextSample(word), now)
-        alarms = {"touchdown": JointValue(float(self.stands))}
-        hear(topics.WINCH_ALARMS, JointSample(now, alarms), now)
+                receive(name, TextSample(word), now)
+        alarms = {"touchdown": JointValue(float(self.on_floor))}
+        receive(topics.WINCH_ALARMS, JointSample(now, alarms), now)
         if topics.WINCH_ESTIMATE not in self.silent:
             joints = {
                 PAYOUT: JointValue(self.length),
-                TENSION: JointValue(1.0, 0.0, 0.3 if self.stands else 16.5),
+                TENSION: JointValue(1.0, 0.0, 0.3 if self.on_floor else 16.5),
                 TETHER_OUT: JointValue(),
             }
-            hear(topics.WINCH_ESTIMATE, JointSample(now, joints), now)
-        hear(topics.DESCENT_STATE, JointSample(now, {HEADING: JointValue(self.turned)}), now)
-        hear(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
+            receive(topics.WINCH_ESTIMATE, JointSample(now, joints), now)
+        receive(topics.DESCENT_STATE, JointSample(now, {HEADING: JointValue(self.turned)}), now)
+        receive(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
         x, y, heading = self.place
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
         zero = (0.0, 0.0, 0.0)
-        hear(topics.ODOMETRY, OdometrySample(now, (x, y, 0.0), turned, zero, zero), now)
+        receive(topics.ODOMETRY, OdometrySample(now, (x, y, 0.0), turned, zero, zero), now)
         tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0)}
-        hear(topics.DRIVE_STATE, JointSample(now, tilt), now)
+        receive(topics.DRIVE_STATE, JointSample(now, tilt), now)
 
-    def tell(self, node: str, name: str, reason: str, **values: object) -> None:
+    def emit(self, node: str, name: str, reason: str, **values: object) -> None:
         status = Status(
             name, reason, hardware_id=node, values={k: str(v) for k, v in values.items()}
         )
-        self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+        self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
     def _move(self) -> None:
         if self._stop is not None and self.descent == "travelling":
@@ -162,7 +162,7 @@ class MissionMachine:
                 self._stop, self.descent = None, "standby"
                 pictures = 3 if joint == OBSERVATION_STOP else 0
                 reason = "3 pictures" if pictures else "reached"
-                self.tell("descent_node", "stop_ended", reason, depth=depth, pictures=pictures)
+                self.emit("descent_node", "stop_ended", reason, depth=depth, pictures=pictures)
         if self._length_goal is not None and self.winch == "length":
             way = self._length_goal - self.length
             self.length += math.copysign(min(abs(way), 0.1 * STEP * 10), way)
@@ -182,7 +182,7 @@ class MissionMachine:
         if self.jump == "flight" and self.jump_fails:
             self.jump_fails = False
             status = Status("jump_landed", "it has not left the ground", Level.WARN, "jump_node")
-            self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+            self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
         if self.jump == "flight":
             self.jump, self.nut, self.slack = "standby", -0.03, 0.0
             self.length = FLOOR
@@ -190,7 +190,7 @@ class MissionMachine:
             if self.stuck > 0:
                 self.stuck -= 1
                 self.drive = "stuck"
-                self.tell(
+                self.emit(
                     "drive_node",
                     "drive_stuck",
                     "the wheels turn and nothing else",
@@ -205,32 +205,34 @@ class MissionMachine:
                 self.place = (x, y, self.place[2])
                 if share == 1.0:
                     self.drive = "released"
-                    self.tell("drive_node", "drive_done", "all goals are reached")
+                    self.emit("drive_node", "drive_done", "all goals are reached")
 
     def _end_length(self, reason: str) -> None:
         self._length_goal, self.winch = None, "hold"
-        self.tell("winch_node", "winch_hold", reason)
+        self.emit("winch_node", "winch_hold", reason)
 
     # --- asked -----------------------------------------------------------------------------------
 
-    def take(self, ask: Ask) -> None:
-        if ask.name in self.refuses:
-            status = Status(f"a_node: refused {ask.name}", self.refuses[ask.name])
-            self.mission.hear(topics.DIAGNOSTICS, StatusSample(self.now_ns, (status,)), self.now_ns)
-        elif ask.sample is None:
-            self._serve(ask.name)
-        elif isinstance(ask.sample, PoseSample):
-            x, y, _ = ask.sample.position
-            if ask.name == topics.DRIVE_START:
-                qz, qw = ask.sample.orientation[2:]
+    def handle(self, request: Request) -> None:
+        if request.name in self.refuses:
+            status = Status(f"a_node: refused {request.name}", self.refuses[request.name])
+            self.mission.receive(
+                topics.DIAGNOSTICS, StatusSample(self.now_ns, (status,)), self.now_ns
+            )
+        elif request.sample is None:
+            self._serve(request.name)
+        elif isinstance(request.sample, PoseSample):
+            x, y, _ = request.sample.position
+            if request.name == topics.DRIVE_START:
+                qz, qw = request.sample.orientation[2:]
                 self.place = (x, y, 2.0 * math.atan2(qz, qw))
             else:
                 self._goal, self.drive, self._busy = (x, y), "driving", 0.5
                 self.goals.append((x, y))
         else:
-            assert isinstance(ask.sample, JointSample)
-            ((name, value),) = ask.sample.joints.items()
-            self._request(ask.name, name, value.position, value.velocity)
+            assert isinstance(request.sample, JointSample)
+            ((name, value),) = request.sample.joints.items()
+            self._request(request.name, name, value.position, value.velocity)
 
     def _request(self, topic: str, name: str, amount: float, rate: float) -> None:
         if topic == topics.DESCENT_REQUEST and name in (OBSERVATION_STOP, PLAIN_STOP):
@@ -246,12 +248,12 @@ class MissionMachine:
             self.jump, self._busy = "flight", 3.0
 
     def _predict(self) -> None:
-        level = Level.WARN if self.advice else Level.OK
+        level = Level.WARN if self.rejection else Level.OK
         status = Status(
-            "jump_standby", self.advice, level, "jump_node",
+            "jump_standby", self.rejection, level, "jump_node",
             {"upright": repr(self.upright), "stroke": "0.13"},
         )  # fmt: skip
-        self.mission.hear(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+        self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
     def _serve(self, service: str) -> None:
         if service == topics.WINCH_REARM:
@@ -273,19 +275,19 @@ class MissionMachine:
 
     def restart_mission(self, after: float = 1.0) -> None:
         """The mission is killed, and started again so much later [s]."""
-        kept = self.mission.checkpoint(self.now_ns)
+        saved = self.mission.checkpoint(self.now_ns)
         self.now += after
         self.mission = Mission(self.plan, self.settings)
-        self.say()
-        self.mission.restore(kept, self.now_ns)
+        self.publish()
+        self.mission.restore(saved, self.now_ns)
 
 
-def begun(
+def start_mission(
     until: MissionPhase | None = None, plan: MissionPlan = PLAN, **settings: object
 ) -> MissionMachine:
     """One whose mission is under way, or in a phase."""
     machine = MissionMachine(plan, MissionSettings(**settings))  # type: ignore[arg-type]
-    machine.say()
+    machine.publish()
     machine.mission.go(machine.now_ns)
     if until is not None:
         machine.run(until=until)
@@ -296,14 +298,14 @@ def begun(
 def finished(machine: MissionMachine) -> bool:
     """Whether the mission goes on to its end."""
     machine.run()
-    return machine.story[-3:].count("mission_done") == 1
+    return machine.events[-3:].count("mission_done") == 1
 
 
-def verdicts(machine: MissionMachine) -> set[Verdict]:
+def results(machine: MissionMachine) -> set[LegResult]:
     """Of the legs that are over."""
-    return {done.verdict for done in machine.mission.record}
+    return {done.result for done in machine.mission.record}
 
 
 def missed(machine: MissionMachine) -> list[str]:
     """Legs that were not done."""
-    return [done.leg for done in machine.mission.record if done.verdict is not Verdict.DONE]
+    return [done.leg for done in machine.mission.record if done.result is not LegResult.DONE]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from mission_machine import PLAN, MissionMachine, begun, finished, missed
+from mission_machine import PLAN, MissionMachine, finished, missed, start_mission
 
 from msg_schemas import topics
 from rover_control.mission_legs import MissionPhase
-from rover_control.mission_plan import Lift, Rescue
+from rover_control.mission_plan import Lift, Recovery
 from rover_control.mission_route import LegKind
 
 TRIALS = 15  # of being stuck: three trials of a way with two jumps and two detours each
@@ -17,43 +17,43 @@ CALMS = 240.0  # so long at most [s]
 
 
 def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
-    machine = begun(MissionPhase.DRIVING)
-    machine.stuck = 3 * TRIALS  # before both rescues, and after them
+    machine = start_mission(MissionPhase.DRIVING)
+    machine.stuck = 3 * TRIALS  # before both recoveries, and after them
     assert finished(machine)
     assert missed(machine) == ["waypoint 1 at (2, 0) m"]
     (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
     assert "wheels turn" in reason
-    assert machine.story.count("mission_rescue") == PLAN.rescue.most
+    assert machine.events.count("mission_rescue") == PLAN.recovery.max_count
 
 
 def test_a_rover_that_cannot_go_on_is_set_down_below_the_fairlead_and_tries_again():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
     assert finished(machine)
     assert missed(machine) == []
     done = [one.leg for one in machine.mission.record]
-    begin = done.index("rescue 1: lift off")
+    begin = done.index("recovery 1: lift off")
     assert done[begin + 1 : begin + 4] == [
-        "rescue 1: calm at 7 m", "rescue 1: land", "waypoint 1 at (2, 0) m",
+        "recovery 1: damp swing at 7 m", "recovery 1: land", "waypoint 1 at (2, 0) m",
     ]  # fmt: skip
     assert len(done) == len(machine.mission.route.legs)
 
 
 def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(1.0)
-    machine.slope, machine.stuck, machine.advice = 1.8, TRIALS, "too steep"
+    machine.slope, machine.stuck, machine.rejection = 1.8, TRIALS, "too steep"
     machine.run(5.0, until=MissionPhase.LIFTING)
     assert machine.mission.phase is MissionPhase.LIFTING
     machine.stuck = 0
     assert finished(machine)
     assert missed(machine) == []
-    assert machine.mission.notes.jumps == 0
+    assert machine.mission.blackboard.jumps == 0
 
 
 @pytest.mark.parametrize("phase", [MissionPhase.DRIVING, MissionPhase.RETURNING])
 def test_one_that_its_tether_has_taken_off_the_floor_is_set_down_again(phase: MissionPhase):
-    machine = begun(phase)
+    machine = start_mission(phase)
     machine.run(1.0, until=MissionPhase.STANDBY)
     machine._on_floor, machine.length = False, machine.length - 0.1
     machine.drive = "stuck"
@@ -64,30 +64,30 @@ def test_one_that_its_tether_has_taken_off_the_floor_is_set_down_again(phase: Mi
 
 
 def test_a_winch_that_is_started_again_may_look_for_the_floor_a_while():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(1.0, until=MissionPhase.STANDBY)
     length = machine.length
     machine._on_floor, machine.length = False, length - 0.1  # as it tells at first
     machine.run(10.0, until=MissionPhase.LIFTING)
     machine._on_floor, machine.length = True, length
     assert finished(machine)
-    assert "mission_rescue" not in machine.story
+    assert "mission_rescue" not in machine.events
 
 
 def test_a_way_home_that_does_not_go_is_left_to_the_winch():
-    machine = begun(MissionPhase.RETURNING)
+    machine = start_mission(MissionPhase.RETURNING)
     machine.stuck = TRIALS
     assert finished(machine)
     assert missed(machine) == []
     (back,) = [done for done in machine.mission.record if done.leg == "return"]
     assert "left to the winch" in back.reason
-    assert "mission_rescue" not in machine.story
+    assert "mission_rescue" not in machine.events
 
 
-@pytest.mark.parametrize("rescue", [Rescue(most=0), Rescue(radius=1.0)])
-def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(rescue: Rescue):
-    machine = MissionMachine(replace(PLAN, rescue=rescue))
-    machine.say()
+@pytest.mark.parametrize("recovery", [Recovery(max_count=0), Recovery(radius=1.0)])
+def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(recovery: Recovery):
+    machine = MissionMachine(replace(PLAN, recovery=recovery))
+    machine.publish()
     machine.mission.go(machine.now_ns)
     machine.run(until=MissionPhase.RETURNING)
     machine.stuck = TRIALS
@@ -97,20 +97,22 @@ def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(resc
 
 
 def test_a_goal_that_is_refused_is_not_sought_from_elsewhere():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.run(0.3)
     machine.refuses[topics.DRIVE_GOAL] = "the tether does not reach"
     machine.drive = "failed"
-    machine.tell("drive_node", "drive_failed", "let go")
+    machine.emit("drive_node", "drive_failed", "let go")
     machine.run(60.0, until=MissionPhase.RETURNING)
     machine.refuses.clear()
     assert finished(machine)
-    assert "mission_rescue" not in machine.story
+    assert "mission_rescue" not in machine.events
 
 
-@pytest.mark.parametrize("leg", ["rescue 1: lift off", "rescue 1: calm at 7 m", "rescue 1: land"])
+@pytest.mark.parametrize(
+    "leg", ["recovery 1: lift off", "recovery 1: damp swing at 7 m", "recovery 1: land"]
+)
 def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
     while machine.mission.leg is not None and machine.mission.leg.name != leg:
         machine.tick()
@@ -122,46 +124,46 @@ def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
 
 
 def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not():
-    machine = begun(MissionPhase.RETURNING)
+    machine = start_mission(MissionPhase.RETURNING)
     observed = machine.mission.observed
     x, y, heading = machine.place
     machine.place = (x - 0.5, y, heading + 2.0)
-    machine.say()
+    machine.publish()
     assert observed.place is not None
     assert observed.place.heading == pytest.approx(heading + 2.0)
     machine.place = (0.0, 0.0, 0.0)
-    machine.say()
+    machine.publish()
     assert observed.place.heading == pytest.approx(heading + 2.0)
 
 
 def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_and_may_be_held_by_rubble():
-    plan = replace(PLAN, lift=Lift(rate=0.1), rescue=Rescue(rate=0.03))
-    machine = begun(MissionPhase.RETURNING, plan)
+    plan = replace(PLAN, lift=Lift(rate=0.1), recovery=Recovery(rate=0.03))
+    machine = start_mission(MissionPhase.RETURNING, plan)
     machine.stuck = TRIALS
     machine.run(until=MissionPhase.LIFTING)
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.03
-    failed = machine.story.count("mission_trial_failed")
-    machine.tell("winch_node", "alarm_snag", "9 N")
+    failed = machine.events.count("mission_trial_failed")
+    machine.emit("winch_node", "alarm_snag", "9 N")
     assert finished(machine)
     assert missed(machine) == []
-    assert machine.story.count("mission_trial_failed") == failed
+    assert machine.events.count("mission_trial_failed") == failed
 
 
 def test_below_the_fairlead_a_tether_that_is_held_fails_the_lift():
-    machine = begun(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
+    machine = start_mission(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.1
-    machine.tell("winch_node", "alarm_snag", "9 N")
+    machine.emit("winch_node", "alarm_snag", "9 N")
     machine.run(1.0, until=MissionPhase.STANDBY)
-    assert machine.mission.tries == 1
+    assert machine.mission.failed_trials == 1
     assert finished(machine)
 
 
 def test_a_calm_ends_in_time_however_the_rover_swings():
-    machine = begun(MissionPhase.DRIVING)
+    machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
-    while machine.mission.leg is not None and machine.mission.leg.kind is not LegKind.CALM:
+    while machine.mission.leg is not None and machine.mission.leg.kind is not LegKind.DAMP:
         machine.tick()
     machine.swings, begin = True, machine.now
     machine.run(2.0 * CALMS, until=MissionPhase.LANDING)
