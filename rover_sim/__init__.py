@@ -49,8 +49,8 @@ from msg_schemas.yaml_reader import read_yaml
 from rover_sim.actuators import COMMANDS
 from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.interfaces import build_interface
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.statics import StaticsError, static_equilibrium
+from rover_sim.physics.tether_section import TetherSection
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import (
     Command,

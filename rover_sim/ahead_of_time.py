@@ -25,7 +25,7 @@ import llvmlite.binding
 import numba
 
 from rover_sim.physics import planar
-from rover_sim.physics.compiled import keep_only, source_stamp
+from rover_sim.physics.compiled import cache_only, source_stamp
 from rover_sim.plants import build_plant
 from rover_sim.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.spatial_plant import SpatialPlant
@@ -134,7 +134,7 @@ def _compile_given() -> int:
     gc.disable()  # a sixth of the compiler's time would go into looking for garbage
     plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
     if isinstance(plant, SpatialPlant):
-        keep_only(function for function, _ in plant.parts())
+        cache_only(function for function, _ in plant.parts())
     if _PARTS in sys.argv:
         if isinstance(plant, SpatialPlant):
             plant.compile_parts()

@@ -15,7 +15,7 @@ import numpy as np
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
-from rover_sim.physics import boulders, contact, places, tether_contact, wheel_soil
+from rover_sim.physics import boulders, contact, terrain_parameters, tether_contact, wheel_soil
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.terrain import Terrain, build_terrain, floor_heights, wall_profile
 from rover_sim.physics.wheel_contact import WheelLaw
@@ -24,15 +24,15 @@ from rover_sim.physics_section import PhysicsSection, refuse_what_is_refused_by
 Material: TypeAlias = Literal["regolith", "rock"]
 
 _BOULDERS = boulders.BoulderParameters()
-_RELIEF = places.ReliefParameters()
-_TERRAIN = places.TerrainParameters()
+_RELIEF = terrain_parameters.ReliefParameters()
+_TERRAIN = terrain_parameters.TerrainParameters()
 _SOIL = wheel_soil.Soil()
 _TETHER = tether_contact.TetherContactParameters()
 _WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
 _KNOWN_HOLES = {
-    "marius_hills": places.MARIUS_HILLS,
-    "tranquillitatis": places.MARE_TRANQUILLITATIS,
-    "ingenii": places.MARE_INGENII,
+    "marius_hills": terrain_parameters.MARIUS_HILLS,
+    "tranquillitatis": terrain_parameters.MARE_TRANQUILLITATIS,
+    "ingenii": terrain_parameters.MARE_INGENII,
 }
 _FAR_BELOW = 1.0e6  # floor of a place without one [m]; farther than any tether reaches
 
@@ -61,7 +61,7 @@ class Floor(Configuration):
 class Relief(PhysicsSection):
     """Gentle ups and downs of the floor on the patch."""
 
-    KIND = places.ReliefParameters
+    KIND = terrain_parameters.ReliefParameters
 
     rms: float = quantity("m", "root mean square height", _RELIEF.rms, minimum=0.0)
     spacing: float = quantity("m", "of the nodes", _RELIEF.spacing, above=0.0)
@@ -139,7 +139,7 @@ class Hole(Configuration):
             )
         refuse_what_is_refused_by(self.parameters)
 
-    def parameters(self) -> places.HoleParameters:
+    def parameters(self) -> terrain_parameters.HoleParameters:
         """What the terrain is built from."""
         place: dict[str, Any] = {
             "wall_distance": self.wall_distance,
@@ -157,7 +157,7 @@ class Hole(Configuration):
                     "overhang_depth", self.overhang_depth, f"should be below {self.depth:g} m"
                 )
             profile = ((self.overhang_depth, 0.0), (self.depth, self.overhang))
-        return places.HoleParameters(
+        return terrain_parameters.HoleParameters(
             diameter=self.diameter, depth=self.depth, profile=profile, **place
         )
 
@@ -275,13 +275,13 @@ class Environment(Configuration):
             raise ConfigurationError("floor.slope", self.floor.slope, "should be 0 in a hole")
 
     @property
-    def parameters(self) -> places.TerrainParameters:
+    def parameters(self) -> terrain_parameters.TerrainParameters:
         """What the terrain is built from; without a floor, one that nothing reaches."""
         floor = self.floor
         if floor is None:
-            return places.TerrainParameters(floor_height=-_FAR_BELOW)
+            return terrain_parameters.TerrainParameters(floor_height=-_FAR_BELOW)
         slope_x, slope_y = floor.gradient
-        return places.TerrainParameters(
+        return terrain_parameters.TerrainParameters(
             floor_height=floor.height,
             slope_x=slope_x,
             slope_y=slope_y,

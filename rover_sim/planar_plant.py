@@ -116,7 +116,7 @@ class _Motion(NamedTuple):
     q: Array
     v: Array
     body: Array
-    book: Array
+    memory: Array
 
 
 class PlanarPlant:
@@ -201,7 +201,7 @@ class PlanarPlant:
             raise ValueError(f"take-off needs a rover that stands; phase is {state.phase.value}")
         motion = _motion_of(state)
         planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
-        motion.book[planar.COMPRESSION] = 0.0
+        motion.memory[planar.COMPRESSION] = 0.0
         return _state_of(motion, self._elements, Phase.FLIGHT)
 
     def step(
@@ -404,23 +404,23 @@ def _motion_of(state: PlanarState) -> _Motion:
     )
     body[[planar_rover.VX1, planar_rover.VY1]] = state.G1_rate
     body[[planar_rover.VX2, planar_rover.VY2]] = state.G2_rate
-    book = np.zeros(planar.BOOK_SIZE)
-    book[planar.TIME] = state.time
-    book[planar.COMPRESSION] = state.compression
-    book[planar.TAKE_OFF_TIME] = state.take_off.time
-    book[[planar.START_X, planar.START_Y]] = state.take_off.G1
-    book[planar.START_THETA] = state.take_off.theta
-    book[planar.HIGHEST] = state.take_off.highest
-    book[planar.INPUT] = state.energy_balance.input
-    book[planar.DISSIPATED] = state.energy_balance.dissipated
-    book[planar.REFERENCE] = state.energy_balance.initial
-    return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, book)
+    memory = np.zeros(planar.MEMORY_SIZE)
+    memory[planar.TIME] = state.time
+    memory[planar.COMPRESSION] = state.compression
+    memory[planar.TAKE_OFF_TIME] = state.take_off.time
+    memory[[planar.TAKE_OFF_X, planar.TAKE_OFF_Y]] = state.take_off.G1
+    memory[planar.TAKE_OFF_THETA] = state.take_off.theta
+    memory[planar.MAX_RISE] = state.take_off.highest
+    memory[planar.INPUT] = state.energy_balance.input
+    memory[planar.DISSIPATED] = state.energy_balance.dissipated
+    memory[planar.INITIAL_ENERGY] = state.energy_balance.initial
+    return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, memory)
 
 
 def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
-    q, v, body, book = motion
+    q, v, body, memory = motion
     return PlanarState(
-        time=float(book[planar.TIME]),
+        time=float(memory[planar.TIME]),
         phase=phase,
         nodes=to_nodes(q, elements),
         node_rates=to_nodes(v, elements),
@@ -430,17 +430,17 @@ def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
         theta=float(body[planar_rover.THETA]),
         omega=float(body[planar_rover.OMEGA]),
         s=float(body[planar_rover.SLIDE]),
-        compression=float(book[planar.COMPRESSION]),
+        compression=float(memory[planar.COMPRESSION]),
         take_off=TakeOffRecord(
-            time=float(book[planar.TAKE_OFF_TIME]),
-            G1=(float(book[planar.START_X]), float(book[planar.START_Y])),
-            theta=float(book[planar.START_THETA]),
-            highest=float(book[planar.HIGHEST]),
+            time=float(memory[planar.TAKE_OFF_TIME]),
+            G1=(float(memory[planar.TAKE_OFF_X]), float(memory[planar.TAKE_OFF_Y])),
+            theta=float(memory[planar.TAKE_OFF_THETA]),
+            highest=float(memory[planar.MAX_RISE]),
         ),
         energy_balance=EnergyBalance(
-            initial=float(book[planar.REFERENCE]),
-            input=float(book[planar.INPUT]),
-            dissipated=float(book[planar.DISSIPATED]),
+            initial=float(memory[planar.INITIAL_ENERGY]),
+            input=float(memory[planar.INPUT]),
+            dissipated=float(memory[planar.DISSIPATED]),
         ),
     )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
-from rover_sim.physics.section import TetherSection
+from rover_sim.physics.tether_section import TetherSection
 
 ScenarioError = ConfigurationError
 

@@ -32,9 +32,9 @@ from msg_schemas.configuration import Configuration, choice, quantity
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.body_motion import (
     BodyMotion,
+    camera_ray,
     image_rate,
     mean_rate,
-    ray_of,
     specific_force,
 )
 from rover_sim.physics.ray import distance_to_ground
@@ -218,8 +218,8 @@ def spread(points: Sequence[tuple[float, float]]) -> float:
     """Largest distance between two of some points of a plane."""
     if len(points) < 2:
         return 0.0
-    places = np.array(points)
-    x, y = places[:, 0], places[:, 1]
+    terrain_parameters = np.array(points)
+    x, y = terrain_parameters[:, 0], terrain_parameters[:, 1]
     return math.sqrt(float(np.max((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2)))
 
 
@@ -360,7 +360,7 @@ class SensorSuite:
         if body is None or self._terrain is None:
             return math.inf
         camera = self.parameters.camera
-        place, look = ray_of(body, camera.position, self._look)
+        place, look = camera_ray(body, camera.position, self._look)
         return float(distance_to_ground(self._terrain, place, look, camera.max_range))
 
     def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:

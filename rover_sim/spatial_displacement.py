@@ -54,8 +54,8 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
     nodes = plant.to_full_nodes(state) @ matrix.T
     rates = state.node_rates @ matrix.T
     if len(rates) < len(nodes):
-        mouth = np.array([[np.zeros(3), matrix @ state.mouth[1]]])
-        rates = np.concatenate([mouth, rates])
+        fairlead_slope = np.array([[np.zeros(3), matrix @ state.fairlead_slope[1]]])
+        rates = np.concatenate([fairlead_slope, rates])
     rates = rates + np.cross(rate, nodes)
     x, y, z, w = state.orientation
     tilt = quaternion_of((*by.tilt, 0.0))
@@ -68,9 +68,9 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
         angular_velocity=spin + np.array(by.body_rate),
         slide=state.s,
     )
-    book = after.book.copy()
-    book[integrator_memory.SLIP] -= state.twist + by.twist
-    return replace(after, book=book)
+    memory = after.memory.copy()
+    memory[integrator_memory.SWIVEL_SLIP] -= state.twist + by.twist
+    return replace(after, memory=memory)
 
 
 def compressed(
@@ -108,5 +108,5 @@ def compressed(
     nodes[-1, 0] = state.G1 + rotation_matrix(turned) @ np.array(rover.attachment)
     # The nut gives way a little under the spring's force.
     nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
-    jump = state.machines.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
-    return replace(state, body=body, nodes=nodes, machines=state.machines._replace(jump=jump))
+    jump = state.drives.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
+    return replace(state, body=body, nodes=nodes, drives=state.drives._replace(jump=jump))

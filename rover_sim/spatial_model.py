@@ -12,8 +12,8 @@ from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, slider, wheel_drive
 from rover_sim.physics import spatial_rover as bodies
 from rover_sim.physics.motor import MotorMode
-from rover_sim.physics.rover_contact import Feet
-from rover_sim.physics.spatial import Orders
+from rover_sim.physics.rover_contact import RoverContact
+from rover_sim.physics.spatial import DriveCommands
 from rover_sim.physics.spatial_step import Model
 from rover_sim.physics.tether import make_tether
 from rover_sim.physics.tether_contact import TetherContactParameters
@@ -69,10 +69,10 @@ def make_model(scenario: SpatialScenario) -> Model:
         slider=slider.make_slider(rover.slider.parameters()),
         jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
         wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
-        feet=_feet(scenario, rover),
+        rover_contact=_rover_contact(scenario, rover),
         has_ground=environment.floor is not None,
         terrain=environment.build(),
-        tether_ground=law,
+        tether_contact=law,
         torsion=float(tether.twist_stiffness),
         swivel_torque=float(tether.swivel_friction),
         breaking_load=float(tether.section.breaking_load),
@@ -82,13 +82,13 @@ def make_model(scenario: SpatialScenario) -> Model:
     )
 
 
-def _feet(scenario: SpatialScenario, rover: Rover) -> Feet:
+def _rover_contact(scenario: SpatialScenario, rover: Rover) -> RoverContact:
     environment, wheels = scenario.environment, rover.wheels
     corners, first = rover.corners
     table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
-    return Feet(
+    return RoverContact(
         corners=np.ascontiguousarray(corners),
-        first_of_body2=first,
+        first_body2_corner=first,
         left_wheel=wheels.left,
         right_wheel=wheels.right,
         radius=float(wheels.radius),
@@ -117,7 +117,7 @@ def make_orders(
     *,
     free: bool,
     drum_radius: float | None = None,
-) -> Orders:
+) -> DriveCommands:
     """What the drives are asked to do during a tick.
 
     The flywheel's drive is interlocked with the latch: unless the nut is `free` its torque is cut.
@@ -133,7 +133,7 @@ def make_orders(
                 raise ValueError(f"{name}: the scenario has no rover; must be None")
     if scenario.winch is None and command.winch is not None:
         raise ValueError("winch: the scenario has no winch; must be None")
-    return Orders(
+    return DriveCommands(
         jump=_jump_order(model, command.jump, free=free),
         drum=_NO_WINCH
         if command.winch is None

@@ -14,10 +14,10 @@ from rover_sim.per_thread import PerThread
 from rover_sim.physics import drum as drums
 from rover_sim.physics import integrator_memory, jump_drive, spatial, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
+from rover_sim.physics.compile_targets import full_step, step_parts
 from rover_sim.physics.jump_drive import Latch
-from rover_sim.physics.parts import parts, whole
 from rover_sim.physics.rover_contact import anchor_rows
-from rover_sim.physics.spatial import Machines, Orders
+from rover_sim.physics.spatial import DriveCommands, DriveStates
 from rover_sim.physics.spatial_step import Model, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
 from rover_sim.physics.twist import twist_angle
@@ -77,7 +77,7 @@ class SpatialPlant:
         self.scenario = scenario
         self._model = make_model(scenario)
         self._capacity = scenario.most_elements + 1
-        self._corners = len(self._model.feet.corners)
+        self._corners = len(self._model.rover_contact.corners)
         self._solvers = PerThread(lambda: make_solver(self._capacity, self._corners))
         self._settled: SpatialState | None = None
 
@@ -163,7 +163,7 @@ class SpatialPlant:
             Pose(
                 nodes=whole[own],
                 node_rates=rates[own],
-                mouth=np.array([whole[0, 1], rates[0, 1]]),
+                fairlead_slope=np.array([whole[0, 1], rates[0, 1]]),
                 tension=tension,
                 orientation=np.array([w, x, y, z]) / norm,
                 spin=_finite_array("angular_velocity", angular_velocity, (3,)),
@@ -193,39 +193,39 @@ class SpatialPlant:
             body[spatial_rover.SLIDE] = pose.slide
             body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
             body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
-        machines = self._machines(spin_x, spin_y)
+        drives = self._drive_states(spin_x, spin_y)
         if pose.payout_rate != 0.0:
-            drum = machines.drum
+            drum = drives.drum
             turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
             radius = drums.radius_at(self._model.drum, turns)
-            machines = machines._replace(
+            drives = drives._replace(
                 drum=drum._replace(rate=pose.payout_rate / radius, braked=False)
             )
         elements = len(pose.nodes) - 1
-        book = np.zeros(integrator_memory.BOOK_SIZE)
-        book[integrator_memory.ELEMENTS] = elements
-        book[integrator_memory.TENSION] = pose.tension
-        book[integrator_memory.AIRBORNE] = 1.0
+        memory = np.zeros(integrator_memory.MEMORY_SIZE)
+        memory[integrator_memory.ELEMENTS] = elements
+        memory[integrator_memory.FAIRLEAD_TENSION] = pose.tension
+        memory[integrator_memory.AIRBORNE] = 1.0
         state = SpatialState(
             phase=Phase.HANGING,
             nodes=pose.nodes,
             node_rates=pose.node_rates,
-            mouth=pose.mouth,
+            fairlead_slope=pose.fairlead_slope,
             body=body,
-            feet_anchors=np.zeros((anchor_rows(self._corners), 3)),
+            rover_anchors=np.zeros((anchor_rows(self._corners), 3)),
             tether_anchors=np.zeros((2 * elements, 3)),
-            machines=machines,
-            book=book,
+            drives=drives,
+            memory=memory,
         )
         if twist is None:
             twist = math.radians(self.scenario.start.twist)
         return self._started(state, twist, self._carried(float(self.tension(state)[-1])))
 
-    def _machines(self, spin_x: float, spin_y: float) -> Machines:
+    def _drive_states(self, spin_x: float, spin_y: float) -> DriveStates:
         """Drives at rest relative to a Body 1 that turns so [rad/s]."""
         model = self._model
         length = min(max(self.scenario.tether.length, model.drum.min_length), model.drum.max_length)
-        return Machines(
+        return DriveStates(
             jump_drive.initial_state(model.jump)._replace(body_rate=spin_x),
             drums.initial_state(model.drum, length),
             wheel_drive.WheelState()._replace(body_rate=spin_y),
@@ -241,40 +241,42 @@ class SpatialPlant:
 
     def _started(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
         """The state with clock and energy balance at zero, the tether twisted by `twist` [rad]."""
-        book = np.zeros(integrator_memory.BOOK_SIZE)
+        memory = np.zeros(integrator_memory.MEMORY_SIZE)
         for entry in (
             integrator_memory.ELEMENTS,
-            integrator_memory.TENSION,
+            integrator_memory.FAIRLEAD_TENSION,
             integrator_memory.LEFT_TORQUE,
-            integrator_memory.LEFT_SLOPE,
+            integrator_memory.LEFT_TORQUE_SLOPE,
             integrator_memory.RIGHT_TORQUE,
-            integrator_memory.RIGHT_SLOPE,
+            integrator_memory.RIGHT_TORQUE_SLOPE,
             integrator_memory.AIRBORNE,
         ):
-            book[entry] = state.book[entry]
-        book[integrator_memory.TAKE_OFF_X : integrator_memory.TAKE_OFF_Z + 1] = state.G1
+            memory[entry] = state.memory[entry]
+        memory[integrator_memory.TAKE_OFF_X : integrator_memory.TAKE_OFF_Z + 1] = state.G1
         if self._model.has_rover:
-            slope = state.mouth[0] if self._model.has_winch else state.nodes[0, 1]
+            slope = state.fairlead_slope[0] if self._model.has_winch else state.nodes[0, 1]
             quaternion = state.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
-            book[integrator_memory.TWIST] = twist_angle(
+            memory[integrator_memory.TWIST] = twist_angle(
                 state.elements,
                 tuple(slope.tolist()),
                 to_rows(state.nodes),
                 tuple(quaternion.tolist()),
                 0.0,
             )
-            book[integrator_memory.SLIP] = book[integrator_memory.TWIST] - twist
+            memory[integrator_memory.SWIVEL_SLIP] = memory[integrator_memory.TWIST] - twist
             spin = state.omega
-            book[integrator_memory.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
-            book[integrator_memory.DRIVE_KINETIC] += self._model.wheels.wheel_inertia * spin[1] ** 2
+            memory[integrator_memory.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
+            memory[integrator_memory.DRIVE_KINETIC] += (
+                self._model.wheels.wheel_inertia * spin[1] ** 2
+            )
         if self._model.has_winch:
-            book[integrator_memory.DRIVE_KINETIC] += (
+            memory[integrator_memory.DRIVE_KINETIC] += (
                 0.5 * self._model.drum.inertia * state.drum_rate**2
             )
-        fresh = replace(state, book=book, phase=phase)
-        book = fresh.book.copy()
-        book[integrator_memory.REFERENCE] = self.energies(fresh).stored
-        return replace(fresh, book=book)
+        fresh = replace(state, memory=memory, phase=phase)
+        memory = fresh.memory.copy()
+        memory[integrator_memory.INITIAL_ENERGY] = self.energies(fresh).stored
+        return replace(fresh, memory=memory)
 
     def _at_rest(self, state: SpatialState) -> SpatialState:
         """Simulate with a strongly damped tether and fading velocities until all is at rest."""
@@ -312,7 +314,7 @@ class SpatialPlant:
     ) -> tuple[SpatialState, StepResult]:
         """Advance by one control tick; see `rover_sim.plant.Plant.step`."""
         tick = check_tick(dt)
-        free = state.machines.jump.latch == Latch.FREE
+        free = state.drives.jump.latch == Latch.FREE
         radius = self.drum_radius(state)
         orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
         if state.phase.final:
@@ -321,35 +323,35 @@ class SpatialPlant:
         return self._advance(self._model, state, orders, tick)
 
     def _advance(
-        self, model: Model, state: SpatialState, orders: Orders, dt: float
+        self, model: Model, state: SpatialState, orders: DriveCommands, dt: float
     ) -> tuple[SpatialState, StepResult]:
-        motion, book = arrays_of(state, self._capacity)
+        motion, memory = arrays_of(state, self._capacity)
         events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
         report = np.zeros(integrator_memory.REPORT_SIZE)
-        outcome_code, count, machines = spatial.advance(
-            model, motion, state.machines, orders, book, dt, events, report, self._solvers.own()
+        outcome_code, count, drives = spatial.advance(
+            model, motion, state.drives, orders, memory, dt, events, report, self._solvers.own()
         )
         outcome = _OUTCOME_OF[outcome_code]
-        after = state_of(motion, _plain(machines), book, self._phase(outcome, book, report))
+        after = state_of(motion, _plain(drives), memory, self._phase(outcome, memory, report))
         peak = float(report[integrator_memory.PEAK_TENSION])
         result = StepResult(
             outcome=outcome,
-            energies=_energies_of(report, after.book),
+            energies=_energies_of(report, after.memory),
             constraint_drift=float(report[integrator_memory.CONSTRAINT_DRIFT]),
             newton_iterations=int(report[integrator_memory.ITERATIONS]),
             smallest_step=float(report[integrator_memory.SMALLEST_STEP]),
             events=tuple(_event_of(row) for row in events[:count]),
             peak_tension=peak if math.isfinite(peak) else 0.0,
-            forces=_forces_of(report, after.book),
+            forces=_forces_of(report, after.memory),
         )
         return after, result
 
-    def _phase(self, outcome: Outcome, book: Array, report: Array) -> Phase:
+    def _phase(self, outcome: Outcome, memory: Array, report: Array) -> Phase:
         if outcome is Outcome.DIVERGED:
             return Phase.DIVERGED
         if outcome is Outcome.TETHER_BROKEN:
             return Phase.TETHER_BROKEN
-        if book[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
+        if memory[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
             return Phase.GROUNDED
         return self._carried(float(report[integrator_memory.TIP_TENSION]))
 
@@ -357,11 +359,11 @@ class SpatialPlant:
 
     def energies(self, state: SpatialState) -> Energies:
         """Energies of the state, with the balance since the start of the run."""
-        motion, book = arrays_of(state, self._capacity)
-        parts = spatial.energies(self._model, motion, state.machines, book, self._solvers.own())
+        motion, memory = arrays_of(state, self._capacity)
+        parts = spatial.energies(self._model, motion, state.drives, memory, self._solvers.own())
         report = np.zeros(integrator_memory.REPORT_SIZE)
         report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = parts
-        return _energies_of(report, state.book)
+        return _energies_of(report, state.memory)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
         """Nodes of all the tether from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
@@ -370,7 +372,7 @@ class SpatialPlant:
         """
         if not self._model.has_winch:
             return state.nodes
-        fairlead = np.array([[np.zeros(3), state.mouth[0]]])
+        fairlead = np.array([[np.zeros(3), state.fairlead_slope[0]]])
         return np.concatenate([fairlead, state.nodes])
 
     def to_arc_lengths(self, state: SpatialState) -> Array:
@@ -393,7 +395,7 @@ class SpatialPlant:
             ends = self.to_full_nodes(state)[:2]
             # The element grows as the drum pays out: its material comes after its second node.
             follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
-            rates = np.array([[follows, state.mouth[1]], state.node_rates[0]])
+            rates = np.array([[follows, state.fairlead_slope[1]], state.node_rates[0]])
             first = np.empty(1)
             element_tensions(
                 tether._replace(elements=1, element_length=float(arcs[1])),
@@ -416,11 +418,11 @@ class SpatialPlant:
         """Rate of the tether at the drum [m/s], > 0 lengthens it."""
         if not self._model.has_winch:
             return 0.0
-        return self.drum_radius(state) * state.machines.drum.rate
+        return self.drum_radius(state) * state.drives.drum.rate
 
     def drum_radius(self, state: SpatialState) -> float:
         """Where the tether runs off the drum [m]."""
-        turns = self._model.drum.full_turns - state.machines.drum.angle / (2.0 * math.pi)
+        turns = self._model.drum.full_turns - state.drives.drum.angle / (2.0 * math.pi)
         # As Python: the compiled one is handed all of the drum's values, which takes far longer.
         return float(drums.radius_at.py_func(self._model.drum, turns))
 
@@ -430,8 +432,8 @@ class SpatialPlant:
         return self._state_from((straight if is_straight else hanging)(self.scenario))
 
     def parts(self) -> list[tuple[Any, tuple[Any, ...]]]:
-        """What `warm_up` comes to late; see `rover_sim.physics.parts.parts`."""
-        return parts(self._model, self._solvers.own(), self._machines(0.0, 0.0))
+        """What `warm_up` comes to late; see `rover_sim.physics.compile_targets.step_parts`."""
+        return step_parts(self._model, self._solvers.own(), self._drive_states(0.0, 0.0))
 
     def compile_parts(self) -> None:
         """Compile the parts, beside another process that calls `warm_up`."""
@@ -441,7 +443,7 @@ class SpatialPlant:
     def warm_up(self) -> None:
         """Compile everything a step needs, or load it from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
-        _compile(*whole(self._model, self._solvers.own(), self._machines(0.0, 0.0), orders))
+        _compile(*full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders))
         state = self._some_state()
         self._advance(self._model, state, orders, self._model.step)
         self.tension(state)
@@ -463,10 +465,10 @@ def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _plain(machines: Machines) -> Machines:
+def _plain(drives: DriveStates) -> DriveStates:
     """The drives' states with the types that the compiled functions were made for."""
-    jump, drum, wheels = machines
-    return Machines(
+    jump, drum, wheels = drives
+    return DriveStates(
         jump_drive.JumpState(int(jump.latch), *(float(value) for value in jump[1:])),
         drums.DrumState(
             float(drum.angle),
@@ -507,15 +509,15 @@ def _slowed(state: SpatialState, factor: float, tether: float | None = None) -> 
     body = state.body.copy()
     for first in (spatial_rover.SPIN, spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
         body[first : first + 3] *= factor
-    mouth = state.mouth.copy()
-    mouth[1] *= factor
+    fairlead_slope = state.fairlead_slope.copy()
+    fairlead_slope[1] *= factor
     rates = (factor if tether is None else tether) * state.node_rates
-    return replace(state, node_rates=rates, body=body, mouth=mouth)
+    return replace(state, node_rates=rates, body=body, fairlead_slope=fairlead_slope)
 
 
-def _energies_of(report: Array, book: Array) -> Energies:
-    came, went = energy_balance_sums(book)
-    rotors = float(book[integrator_memory.DRIVE_KINETIC])
+def _energies_of(report: Array, memory: Array) -> Energies:
+    came, went = energy_balance_sums(memory)
+    rotors = float(memory[integrator_memory.DRIVE_KINETIC])
     return Energies(
         kinetic=float(report[integrator_memory.KINETIC]) - rotors,
         gravity=float(report[integrator_memory.GRAVITY]),
@@ -524,23 +526,23 @@ def _energies_of(report: Array, book: Array) -> Energies:
         spring=float(report[integrator_memory.SPRING]),
         input=came,
         dissipated=went,
-        initial=float(book[integrator_memory.REFERENCE]),
+        initial=float(memory[integrator_memory.INITIAL_ENERGY]),
         rotors=rotors,
         contact=float(report[integrator_memory.CONTACT]),
         twist=float(report[integrator_memory.TORSION]),
     )
 
 
-def _forces_of(report: Array, book: Array) -> Forces:
+def _forces_of(report: Array, memory: Array) -> Forces:
     x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1].tolist()
     return Forces(
         fairlead=(x, y, z),
-        fairlead_tension=float(book[integrator_memory.TENSION]),
+        fairlead_tension=float(memory[integrator_memory.FAIRLEAD_TENSION]),
         rover_tension=float(report[integrator_memory.TIP_TENSION]),
         left_wheel=float(report[integrator_memory.LEFT_LOAD]),
         right_wheel=float(report[integrator_memory.RIGHT_LOAD]),
         body=float(report[integrator_memory.BODY_LOAD]),
-        grounded_points=int(report[integrator_memory.TETHER_GROUNDED]),
+        grounded_points=int(report[integrator_memory.TETHER_CONTACT_POINTS]),
         nut=float(report[integrator_memory.NUT_FORCE]),
         jump_torque=float(report[integrator_memory.JUMP_TORQUE]),
         wheel_torque=float(report[integrator_memory.WHEEL_TORQUE]),

@@ -18,9 +18,9 @@ from scipy.optimize import brentq
 from rover_sim.machine import Rover, rest_slide
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.starting_shapes import arc_nodes
 from rover_sim.physics.terrain import Terrain, floor_heights
+from rover_sim.physics.tether_section import TetherSection
 from rover_sim.scenario_parts import ScenarioError
 from rover_sim.spatial_scenario import SpatialScenario
 from rover_sim.spatial_state import rotation_matrix
@@ -35,7 +35,7 @@ class Pose:
 
     nodes: Array  # of the chain, (n + 1, 2, 3)
     node_rates: Array
-    mouth: Array  # slope and slope rate at the fairlead, (2, 3)
+    fairlead_slope: Array  # slope and slope rate at the fairlead, (2, 3)
     tension: float  # at the fairlead [N]
     orientation: Array  # (w, x, y, z)
     spin: Array  # in base_link [rad/s], (3,)
@@ -65,7 +65,7 @@ def hanging(scenario: SpatialScenario) -> Pose:
     whirl = float(np.sum(np.cross(rate, direction) ** 2))
     length = scenario.tether.length
     pull = g * math.cos(angle) + whirl * length
-    nodes, mouth, tension = _stretched(scenario, direction, max(pull, 0.0))
+    nodes, fairlead_slope, tension = _stretched(scenario, direction, max(pull, 0.0))
     orientation, slide = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
     spin = np.zeros(3)
     if scenario.rover is not None:
@@ -77,11 +77,11 @@ def hanging(scenario: SpatialScenario) -> Pose:
             slide = rest_slide(scenario.rover, scenario.rover.m2 * pull * float(-axis @ direction))
         spin = rotation_matrix(orientation).T @ rate + np.radians(start.body_rate)
     node_rates = np.cross(rate, nodes)
-    node_rates[:, 0] += start.payout_rate * mouth
+    node_rates[:, 0] += start.payout_rate * fairlead_slope
     return Pose(
         nodes=nodes,
         node_rates=node_rates,
-        mouth=np.array([mouth, np.cross(rate, mouth)]),
+        fairlead_slope=np.array([fairlead_slope, np.cross(rate, fairlead_slope)]),
         tension=tension,
         orientation=orientation,
         spin=spin,
@@ -108,7 +108,7 @@ def straight(scenario: SpatialScenario) -> Pose:
     return Pose(
         nodes=nodes,
         node_rates=rates,
-        mouth=np.array([direction, per_length]),
+        fairlead_slope=np.array([direction, per_length]),
         tension=0.0,
         orientation=orientation,
         spin=rotation_matrix(orientation).T @ np.array(start.angular_velocity),
@@ -125,12 +125,12 @@ def laid_out(scenario: SpatialScenario, terrain: Terrain) -> Pose:
     matrix = rotation_matrix(turned)
     tip = np.array([x, y, height]) + matrix @ np.array(rover.attachment)
     s = arc_lengths(scenario)
-    nodes, mouth = _slack(terrain, tip, scenario.tether.length, s)
+    nodes, fairlead_slope = _slack(terrain, tip, scenario.tether.length, s)
     weight = rover.m2 * scenario.gravity * float(matrix[2, 2])
     return Pose(
         nodes=nodes,
         node_rates=np.zeros_like(nodes),
-        mouth=np.array([mouth, np.zeros(3)]),
+        fairlead_slope=np.array([fairlead_slope, np.zeros(3)]),
         tension=0.0,
         orientation=turned,
         spin=np.zeros(3),
@@ -204,8 +204,8 @@ def _slack(terrain: Terrain, tip: Array, length: float, s: Array) -> tuple[Array
     nodes[-1, 0] = tip
     if s[0] == 0.0:
         nodes[0, 0] = 0.0
-    mouth = tangents[0] / np.linalg.norm(tangents[0])
-    return nodes, mouth
+    fairlead_slope = tangents[0] / np.linalg.norm(tangents[0])
+    return nodes, fairlead_slope
 
 
 _RISE = 0.4  # how far before the rover the tether leaves the floor [m]
@@ -292,16 +292,20 @@ def _standing(
     its belly into the ground it is put higher; settling does the rest.
     """
     wheels = rover.wheels
-    feet = [np.array(wheels.left), np.array(wheels.right)]
-    for foot in feet:
+    rover_contact = [np.array(wheels.left), np.array(wheels.right)]
+    for foot in rover_contact:
         foot[2] -= wheels.tip_radius
-    third = rover.tail if rover.tail is not None else (-0.5 * rover.body1_size[0], 0.0, feet[0][2])
-    feet.append(np.array(third))
+    third = (
+        rover.tail
+        if rover.tail is not None
+        else (-0.5 * rover.body1_size[0], 0.0, rover_contact[0][2])
+    )
+    rover_contact.append(np.array(third))
     orientation = quaternion_of(heading * _UP)
     place = np.array([x, y, 0.0])
     for _ in range(20):
         matrix = rotation_matrix(orientation)
-        points = np.array([place + matrix @ foot for foot in feet])
+        points = np.array([place + matrix @ foot for foot in rover_contact])
         ground = np.array([_height(terrain, *point[:2]) for point in points])
         place[2] += float(np.max(ground - points[:, 2]))
         down = np.column_stack([points[:, :2], ground])
@@ -312,7 +316,7 @@ def _standing(
         orientation = product(_between(own, normal), orientation)
     matrix = rotation_matrix(orientation)
     corners, first = rover.corners
-    below = [place + matrix @ point for point in [*corners[:first], *feet]]
+    below = [place + matrix @ point for point in [*corners[:first], *rover_contact]]
     place[2] += max(_height(terrain, *point[:2]) - point[2] for point in below)
     return orientation, float(place[2])
 

@@ -11,8 +11,8 @@ import numpy as np
 from rover_sim.physics import integrator_memory, spatial_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
-from rover_sim.physics.spatial import Machines
-from rover_sim.physics.spatial_step import Motion
+from rover_sim.physics.spatial import DriveStates
+from rover_sim.physics.spatial_step import MotionArrays
 from rover_sim.physics.tether import row_width, to_nodes
 from rover_sim.plant import Phase
 
@@ -21,7 +21,7 @@ _ENERGY_BALANCE = {
     "input_wheel_motor": integrator_memory.INPUT_WHEELS,
     "input_winch_motor": integrator_memory.INPUT_WINCH,
     "input_tether_paid_out": integrator_memory.INPUT_TETHER,
-    "input_remeshing": integrator_memory.REMESHED,
+    "input_remeshing": integrator_memory.INPUT_REMESHING,
     "heat_tether": integrator_memory.HEAT_TETHER,
     "heat_slider": integrator_memory.HEAT_SLIDER,
     "heat_jump_drive": integrator_memory.HEAT_JUMP,
@@ -45,22 +45,22 @@ class SpatialState:
     phase: Phase
     nodes: Array  # (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of the chain's node i
     node_rates: Array  # the same per second
-    mouth: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
+    fairlead_slope: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
     body: Array  # of the rover, as in `rover_sim.physics.spatial_rover`, (20,)
-    feet_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
+    rover_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
-    machines: Machines  # states of jump drive, drum and wheel drive
-    book: Array  # what else is remembered, as in `rover_sim.physics.spatial`, (BOOK_SIZE,)
+    drives: DriveStates  # states of jump drive, drum and wheel drive
+    memory: Array  # what else is remembered, as in `rover_sim.physics.spatial`, (BOOK_SIZE,)
 
     def __post_init__(self) -> None:
         for name in (
             "nodes",
             "node_rates",
-            "mouth",
+            "fairlead_slope",
             "body",
             "feet_anchors",
             "tether_anchors",
-            "book",
+            "memory",
         ):
             given = getattr(self, name)
             if type(given) is np.ndarray and given.base is None and not given.flags.writeable:
@@ -72,7 +72,7 @@ class SpatialState:
     @property
     def time(self) -> float:
         """[s]."""
-        return float(self.book[integrator_memory.TIME])
+        return float(self.memory[integrator_memory.TIME])
 
     # ---------------------------------------------------------------------------------- bodies
 
@@ -127,43 +127,43 @@ class SpatialState:
     @property
     def length(self) -> float:
         """Tether paid out, unstretched, at the drum [m]; with a winch."""
-        return self.machines.drum.length
+        return self.drives.drum.length
 
     @property
     def drum_rate(self) -> float:
         """[rad/s], > 0 pays out."""
-        return self.machines.drum.rate
+        return self.drives.drum.rate
 
     @property
     def braked(self) -> bool:
         """Whether the winch's brake is closed."""
-        return self.machines.drum.braked
+        return self.drives.drum.braked
 
     @property
     def latch(self) -> Latch:
         """What nut and latch do."""
-        return Latch(self.machines.jump.latch)
+        return Latch(self.drives.jump.latch)
 
     @property
     def nut(self) -> float:
         """Position of the nut, counted as compression [m]; below 0 it is above the latch."""
-        return self.machines.jump.nut
+        return self.drives.jump.nut
 
     @property
     def flywheel_rate(self) -> float:
         """Of the jump motor's shaft relative to Body 1 [rad/s], > 0 drives the nut down."""
-        return self.machines.jump.rate
+        return self.drives.jump.rate
 
     @property
     def wheel_angles(self) -> tuple[float, float]:
         """Left and right, relative to Body 1 [rad]."""
-        wheels = self.machines.wheels
+        wheels = self.drives.wheels
         return wheels.left_angle, wheels.right_angle
 
     @property
     def wheel_rates(self) -> tuple[float, float]:
         """Left and right, relative to Body 1 [rad/s]."""
-        return self.machines.wheels.left, self.machines.wheels.right
+        return self.drives.wheels.left, self.drives.wheels.right
 
     # ---------------------------------------------------------------------------------- tether
 
@@ -180,17 +180,19 @@ class SpatialState:
     @property
     def twist(self) -> float:
         """Angle by which the tether is twisted [rad]."""
-        return float(self.book[integrator_memory.TWIST] - self.book[integrator_memory.SLIP])
+        return float(
+            self.memory[integrator_memory.TWIST] - self.memory[integrator_memory.SWIVEL_SLIP]
+        )
 
     @property
     def start_height(self) -> float:
         """Height of G1 at the last take-off [m]."""
-        return float(self.book[integrator_memory.TAKE_OFF_Z])
+        return float(self.memory[integrator_memory.TAKE_OFF_Z])
 
     @property
     def energy_balance(self) -> Mapping[str, float]:
         """What came in and went since the start of the run [J], by name."""
-        return {name: float(self.book[entry]) for name, entry in _ENERGY_BALANCE.items()}
+        return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}
 
 
 def rotation_matrix(quaternion: Array) -> Array:
@@ -209,12 +211,12 @@ _CAME = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.start
 _WENT = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("heat")])
 
 
-def energy_balance_sums(book: Array) -> tuple[float, float]:
+def energy_balance_sums(memory: Array) -> tuple[float, float]:
     """Input and heat since the start of the run [J]."""
-    return sum(book[_CAME].tolist()), sum(book[_WENT].tolist())
+    return sum(memory[_CAME].tolist()), sum(memory[_WENT].tolist())
 
 
-def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
+def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
     """Fresh arrays that hold the state, with room for `capacity` elements, and the book."""
     width = row_width(capacity, 3)
     count = len(state.nodes)
@@ -223,24 +225,28 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[Motion, Array]:
     v[:, :count] = state.node_rates.reshape(count, 6).T
     anchors = np.zeros((2 * capacity, 3))
     anchors[: len(state.tether_anchors)] = state.tether_anchors
-    motion = Motion(q, v, state.mouth.copy(), state.body.copy(), state.feet_anchors.copy(), anchors)
-    return motion, state.book.copy()
+    motion = MotionArrays(
+        q, v, state.fairlead_slope.copy(), state.body.copy(), state.rover_anchors.copy(), anchors
+    )
+    return motion, state.memory.copy()
 
 
-def state_of(motion: Motion, machines: Machines, book: Array, phase: Phase) -> SpatialState:
+def state_of(
+    motion: MotionArrays, drives: DriveStates, memory: Array, phase: Phase
+) -> SpatialState:
     """The state that the arrays hold; they become its own and can be changed no more."""
-    elements = int(book[integrator_memory.ELEMENTS])
-    own = (motion.mouth, motion.body, motion.feet_anchors, book)
+    elements = int(memory[integrator_memory.ELEMENTS])
+    own = (motion.fairlead_slope, motion.body, motion.rover_anchors, memory)
     for array in own:
         array.flags.writeable = False
     return SpatialState(
         phase=phase,
         nodes=to_nodes(motion.q, elements),
         node_rates=to_nodes(motion.v, elements),
-        mouth=motion.mouth,
+        fairlead_slope=motion.fairlead_slope,
         body=motion.body,
-        feet_anchors=motion.feet_anchors,
+        rover_anchors=motion.rover_anchors,
         tether_anchors=motion.tether_anchors[: 2 * elements],
-        machines=machines,
-        book=book,
+        drives=drives,
+        memory=memory,
     )

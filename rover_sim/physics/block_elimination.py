@@ -22,7 +22,7 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import inner
-from rover_sim.physics.packets import fill, lane, load, stack, store, with_lane
+from rover_sim.physics.simd import fill, lane, load, stack, store, with_lane
 
 
 def make_factor(nodes: int, columns: int, lanes: int) -> Array:

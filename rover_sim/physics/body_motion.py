@@ -32,9 +32,9 @@ class BodyMotion(NamedTuple):
 
 
 @checked_inner
-def velocity_at(body: BodyMotion, place: Vector) -> Vector:
+def velocity_at(body: BodyMotion, point: Vector) -> Vector:
     """Velocity in map [m/s] of a point of the body."""
-    return add(body.velocity, rotate(rotation_of(body.orientation), cross(body.spin, place)))
+    return add(body.velocity, rotate(rotation_of(body.orientation), cross(body.spin, point)))
 
 
 @checked
@@ -54,18 +54,18 @@ def mean_rate(before: Quaternion, after: Quaternion, dt: float) -> Vector:
 
 @checked
 def specific_force(
-    before: BodyMotion, after: BodyMotion, place: Vector, gravity: float, dt: float
+    before: BodyMotion, after: BodyMotion, point: Vector, gravity: float, dt: float
 ) -> Vector:
     """Mean specific force at a place of the body, in its axes in the middle of dt [m/s^2].
 
     Args:
         before: the body at the start.
         after: at the end.
-        place: in base_link [m].
+        point: in base_link [m].
         gravity: strength, along -z of map [m/s^2].
         dt: [s], > 0.
     """
-    change = sub(velocity_at(after, place), velocity_at(before, place))
+    change = sub(velocity_at(after, point), velocity_at(before, point))
     force = axpy(1.0 / dt, change, (0.0, 0.0, gravity))
     p, q = before.orientation, after.orientation
     same = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] >= 0.0
@@ -76,21 +76,21 @@ def specific_force(
 
 
 @checked
-def image_rate(body: BodyMotion, place: Vector, axis: Vector, distance: float) -> Vector:
+def image_rate(body: BodyMotion, point: Vector, axis: Vector, distance: float) -> Vector:
     """Rate at which what a camera sees moves past its axis [rad/s], in base_link.
 
     A point of the wall on the axis at the distance D moves by -(W x a + v/D), v the camera's
     velocity across the axis a, a unit vector. D may be infinite.
     """
-    velocity = unrotate(rotation_of(body.orientation), velocity_at(body, place))
+    velocity = unrotate(rotation_of(body.orientation), velocity_at(body, point))
     across = axpy(-dot(velocity, axis), axis, velocity)
     nearness = 1.0 / distance if distance > 0.0 else 0.0
     return scale(-1.0, axpy(nearness, across, cross(body.spin, axis)))
 
 
 @checked
-def ray_of(body: BodyMotion, place: Vector, axis: Vector) -> tuple[Vector, Vector]:
+def camera_ray(body: BodyMotion, point: Vector, axis: Vector) -> tuple[Vector, Vector]:
     """Where a camera of the body is [m], and the unit vector along which it looks, in map."""
     axes = rotation_of(body.orientation)
     look = rotate(axes, axis)
-    return add(body.position, rotate(axes, place)), scale(1.0 / math.sqrt(dot(look, look)), look)
+    return add(body.position, rotate(axes, point)), scale(1.0 / math.sqrt(dot(look, look)), look)

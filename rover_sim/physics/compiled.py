@@ -102,7 +102,7 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     return decorate
 
 
-def keep_only(functions: Iterable[Any]) -> None:
+def cache_only(functions: Iterable[Any]) -> None:
     """From now on, of the functions that compiled ones alone call, have these alone kept on disk.
 
     Writing so many small files takes a process that compiles a step longer than they are worth.

@@ -38,17 +38,17 @@ from rover_sim.physics.motor import (
     make_motor,
     rate_servo,
 )
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 from rover_sim.physics.shaft import (
     Friction,
     FrictionParameters,
     advance_shaft,
-    by_direction,
+    cut_at_stop,
+    directional_work,
     dry_heat,
-    geared,
+    geared_torques,
     make_friction,
     sliding_torque,
-    stopped,
     viscous_heat,
 )
 
@@ -170,7 +170,7 @@ class DrumOutputs(NamedTuple):
     stop: int  # -1 at the stop fully reeled in, +1 with nothing left, 0 between
 
 
-class DrumBooks(NamedTuple):
+class DrumEnergyBalance(NamedTuple):
     """Energy of the step [J]; the heats are never negative."""
 
     kinetic: float  # at the step's end
@@ -269,7 +269,7 @@ def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool,
 @checked_inner
 def advance(
     drum: Drum, state: DrumState, command: DrumCommand, tension: float, h: float
-) -> tuple[DrumState, DrumOutputs, DrumBooks]:
+) -> tuple[DrumState, DrumOutputs, DrumEnergyBalance]:
     """Advance the drum by h under a constant tension.
 
     Args:
@@ -305,7 +305,7 @@ def advance(
 
     pull = radius * tension
     at_drum = drum.gear_ratio * shaft_torque
-    forward, backward = geared(at_drum, drum.efficiency, drum.back_efficiency)
+    forward, backward = geared_torques(at_drum, drum.efficiency, drum.back_efficiency)
     brake = drum.brake_torque if braked else 0.0
     sliding = sliding_torque(drum.friction, rate)
     breakaway = drum.friction.breakaway
@@ -327,12 +327,12 @@ def advance(
     low = (drum.min_length - state.length) / radius
     if angle >= high or angle <= low:
         stop = 1 if angle >= high else -1
-        motion = stopped(motion, high if stop == 1 else low)
+        motion = cut_at_stop(motion, high if stop == 1 else low)
         angle = motion.first + motion.second
 
     motor_work = at_drum * angle
     tension_work = pull * angle
-    gear_heat = motor_work - by_direction(motion, forward, backward)
+    gear_heat = motor_work - directional_work(motion, forward, backward)
     friction_heat = dry_heat(motion, sliding, breakaway)
     friction_heat += viscous_heat(motion, drum.friction.viscous)
     brake_heat = brake * (abs(motion.first) + abs(motion.second))
@@ -357,7 +357,7 @@ def advance(
             angle == 0.0 and motion.rate == 0.0,
             stop,
         ),
-        DrumBooks(
+        DrumEnergyBalance(
             kinetic, motor_work, tension_work, gear_heat, friction_heat, brake_heat, stop_heat
         ),
     )

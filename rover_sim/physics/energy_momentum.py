@@ -9,8 +9,9 @@ where the increment D solves
 r'_m is the slope at mid-step and dr' its increment: forces act at the midpoint, and because Green's
 strain is quadratic eps_1 - eps_0 = r'_m . dr', so N holds the strain averaged over the step
 (Simo and Tarnow 1992, ZAMP 43; for L2 cables the average makes the work of N equal to the change
-of the axial energy exactly). With x = 0 and no damping times the tether's energy is conserved to
-the tolerance of the Newton iteration; what x, tau_a and tau_b take away is returned by each step.
+of the axial energy exactly). With x = 0 and zero damping times the tether's energy is conserved to
+the tolerance of the Newton iteration; `end_step` returns the energy that x, tau_a and tau_b
+dissipate.
 
 Q_b is the bending damping, EI tau_b/h int (dk . delta k) dx. With the slope a, its direction t and
 b = r'', the curvature vector is k = P b/|a|, P = I - t t^T, of size |a x b|/|a|^2, and its change
@@ -19,15 +20,15 @@ seen from a frame that turns with the tether
     dk = P (db - (t.b/|a|) da)/|a| - k (t.da)/|a|,
 
 all at mid-step. A rigid turn of a bent tether in its plane gives dk = 0 exactly and is not damped,
-which would not hold for damping proportional to K_t. In space the frame does not spin about t: the
-cable has no torsion, and bending that wanders round its cross-section is damped like any other.
+which would not hold for damping proportional to K_t. In space the frame does not rotate about t:
+the cable has no torsion, and a bending direction that rotates in the cross-section is damped too.
 
 The slope at a quadrature point depends on three vectors only, the element's chord (r2 - r1)/l and
-its end slopes r1', r2', so forces and tangents are formed in these and then spread to the nodes,
-for 4 (plane) or 8 (space) elements at once, side by side in packets. What sits at the tether's two
-ends (a support, a mass, a rover) adds its own block there before the elimination; this module
-knows nothing more of it. The number of directions is that of the gravity vector; arrays are laid
-out as in `tether`.
+its end slopes r1', r2' (the reduced basis). Forces and tangents are formed in these and then
+distributed to the nodes, for 4 (plane) or 8 (space) elements at once by SIMD (module `simd`). The
+modules of a support, a point mass or a rover add their own blocks at the tether's end nodes before
+the elimination. The length of the gravity vector sets the number of directions `dim`; arrays are
+laid out as in `tether`.
 """
 
 from typing import Any, NamedTuple
@@ -37,7 +38,7 @@ import numpy as np
 from rover_sim.physics.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.block_elimination import make_factor, solve_blocks
 from rover_sim.physics.compiled import checked_inner, inner
-from rover_sim.physics.packets import (
+from rover_sim.physics.simd import (
     fill,
     lane,
     lane_count,
@@ -50,9 +51,9 @@ from rover_sim.physics.packets import (
     transpose,
 )
 from rover_sim.physics.tether import (
-    BASIS,
-    CURVING,
+    CURVATURES,
     GAUSS,
+    SLOPES,
     Tether,
     apply,
     bending_coefficients,
@@ -67,29 +68,29 @@ def _pair_products(functions: Array) -> Array:
     return np.stack([functions[:, k] * functions[:, m] for k in range(3) for m in range(k, 3)])
 
 
-_PAIRS = _pair_products(BASIS)
-_CURVING_PAIRS = _pair_products(CURVING)
+_PAIRS = _pair_products(SLOPES)
+_CURVATURE_PAIRS = _pair_products(CURVATURES)
 
 
 class Workspace(NamedTuple):
-    """Arrays of one integration, allocated once; what they hold is valid for one step.
+    """Work arrays of one integration, allocated once; their contents are valid for one step.
 
-    With m = 2 dim coordinates a node, index 0 / 1 for root / tip in the end_ arrays, and rows of
-    `width` columns, one an element or node, filled up to whole packets.
+    A node has m = 2 dim coordinates; the end_ arrays have index 0 for the root and 1 for the tip;
+    rows have `width` columns, one per element or node, padded to whole packets.
     """
 
     increment: Array  # D, (m, width)
     slope: Array  # r' at the step's start at the quadrature points, (5 dim, width)
     strain: Array  # eps there, (5, width)
-    curving: Array  # r'' there, (5 dim, width); with bending damping only
-    constant: Array  # the elements' residual as far as it does not change with D, (2 m, width)
-    end_fixed: Array  # not 0 where a coordinate of an end is held, (2, m)
-    end_mask: Array  # 0 where a coordinate of an end is held, else 1, (2, lanes)
+    curvature: Array  # r'' there, (5 dim, width); with bending damping only
+    constant: Array  # part of the elements' residual independent of D, (2 m, width)
+    end_fixed: Array  # nonzero where a coordinate of an end node is fixed, (2, m)
+    end_mask: Array  # 0 where a coordinate of an end node is fixed, else 1, (2, lanes)
     blocks: Array  # the linear equations, see `block_elimination`
     factor: Array
-    solution: Array  # Newton's increment, node i at i + 1, (width + 2, lanes)
+    solution: Array  # Newton increment, node i at i + 1, (width + 2, lanes)
     tension: Array  # mean axial force of each element at mid-step [N], (width,)
-    loss: Array  # what each element dissipated during the step [J], (width,)
+    loss: Array  # energy dissipated by each element in the step [J], (width,)
 
 
 def make_workspace(elements: int, dim: int) -> Workspace:
@@ -114,7 +115,7 @@ def make_workspace(elements: int, dim: int) -> Workspace:
 
 
 @inner
-def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
+def _nodal_values(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
     """Direction d of (r1, r1', r2, r2') of the elements from e on, as packets."""
     dim = len(tag)
     return (
@@ -127,7 +128,7 @@ def _ends(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
 
 @inner
 def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
-    """Prepare a step of length h from (q0, v0): everything that the increment does not change."""
+    """Prepare a step of length h from (q0, v0): all terms independent of the increment."""
     tag, dim, length = tether.gravity, len(tether.gravity), tether.element_length
     mass = mass_coefficients(tether)
     bending = bending_coefficients(tether)
@@ -137,12 +138,12 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
     lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         for d in range(dim):
-            r1, s1, r2, s2 = _ends(tag, q0, d, e)
+            r1, s1, r2, s2 = _nodal_values(tag, q0, d, e)
             elastic = apply(bending, r1, s1, r2, s2)
             basis[3 * d] = (r2 - r1) * inverse
             basis[3 * d + 1] = s1
             basis[3 * d + 2] = s2
-            r1, s1, r2, s2 = _ends(tag, v0, d, e)
+            r1, s1, r2, s2 = _nodal_values(tag, v0, d, e)
             inertia = apply(mass, r1, s1, r2, s2)
             load_half = 0.5 * tether.line_density * length * tether.gravity[d]
             load_slope = load_half * length / 6.0
@@ -154,9 +155,9 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
             square = fill(tag, -1.0)
             for d in range(dim):
                 slope = (
-                    BASIS[g, 0] * basis[3 * d]
-                    + BASIS[g, 1] * basis[3 * d + 1]
-                    + BASIS[g, 2] * basis[3 * d + 2]
+                    SLOPES[g, 0] * basis[3 * d]
+                    + SLOPES[g, 1] * basis[3 * d + 1]
+                    + SLOPES[g, 2] * basis[3 * d + 2]
                 )
                 store(work.slope, (g * dim + d, e), slope)
                 square += slope * slope
@@ -164,19 +165,19 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
         if tether.bending_damping_time > 0.0:
             for g in range(GAUSS):
                 for d in range(dim):
-                    curving = (
-                        CURVING[g, 0] * basis[3 * d]
-                        + CURVING[g, 1] * basis[3 * d + 1]
-                        + CURVING[g, 2] * basis[3 * d + 2]
+                    curvature = (
+                        CURVATURES[g, 0] * basis[3 * d]
+                        + CURVATURES[g, 1] * basis[3 * d + 1]
+                        + CURVATURES[g, 2] * basis[3 * d + 2]
                     )
-                    store(work.curving, (g * dim + d, e), curving * inverse)
+                    store(work.curvature, (g * dim + d, e), curvature * inverse)
 
 
 @inner
 def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -> None:
     """Increments of (chord, r1', r2') of the elements from e on; direction d from 3 d on."""
     for d in range(len(tag)):
-        r1, s1, r2, s2 = _ends(tag, work.increment, d, e)
+        r1, s1, r2, s2 = _nodal_values(tag, work.increment, d, e)
         basis[3 * d] = (r2 - r1) * inverse
         basis[3 * d + 1] = s1
         basis[3 * d + 2] = s2
@@ -189,7 +190,7 @@ def _axial_points(
     """Axial force and tangent at the quadrature points of the elements from e on.
 
     force[g dim + d] = w l N r'_m and tensor[(g dim + d) dim + c] = w l (N/2 I + EA c r'_m r'_1^T),
-    with the average's c.
+    where `average` is the factor c of the module's docstring.
     """
     tag = tether.gravity
     dim = len(tag)
@@ -199,9 +200,9 @@ def _axial_points(
         stretch = fill(tag, 0.0)
         for d in range(dim):
             change = (
-                BASIS[g, 0] * basis[3 * d]
-                + BASIS[g, 1] * basis[3 * d + 1]
-                + BASIS[g, 2] * basis[3 * d + 2]
+                SLOPES[g, 0] * basis[3 * d]
+                + SLOPES[g, 1] * basis[3 * d + 1]
+                + SLOPES[g, 2] * basis[3 * d + 2]
             )
             middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
             middles[d] = middle
@@ -226,8 +227,8 @@ def _curvature_change(
 ) -> tuple[Any, Any, Any, Any]:
     """Bending at quadrature point g of the elements from e on during the step, for the damping.
 
-    Writes to `bend` the direction t, from dim on the curvature vector k and from 2 dim on its
-    change dk. Returns 1/|a|, t . b / |a|, k . dk and dk . dk at mid-step.
+    Writes to `bend` the direction t, from index dim on the curvature vector k and from 2 dim on
+    its change dk. Returns 1/|a|, t . b / |a|, k . dk and dk . dk at mid-step.
     """
     tag = tether.gravity
     dim = len(tag)
@@ -237,11 +238,11 @@ def _curvature_change(
     stretch = fill(tag, 0.0)
     for d in range(dim):
         first, second, third = basis[3 * d], basis[3 * d + 1], basis[3 * d + 2]
-        da = BASIS[g, 0] * first + BASIS[g, 1] * second + BASIS[g, 2] * third
-        db = CURVING[g, 0] * first + CURVING[g, 1] * second + CURVING[g, 2] * third
+        da = SLOPES[g, 0] * first + SLOPES[g, 1] * second + SLOPES[g, 2] * third
+        db = CURVATURES[g, 0] * first + CURVATURES[g, 1] * second + CURVATURES[g, 2] * third
         db *= inverse
         a = load(tag, work.slope, (g * dim + d, e)) + 0.5 * da
-        b = load(tag, work.curving, (g * dim + d, e)) + 0.5 * db
+        b = load(tag, work.curvature, (g * dim + d, e)) + 0.5 * db
         bend[d] = a
         bend[dim + d] = b
         bend[2 * dim + d] = da
@@ -277,8 +278,8 @@ def _add_bending_damping(
     """Add the bending damping of the elements from e on to force and tangent.
 
     Both in the reduced basis: force[3 d + k] and tangent[(pair dim + d) dim + c]. The tangent keeps
-    what the second derivatives contribute, P/|a|^2; the rest is smaller by the angle that an
-    element bends and acts along the tether, where the axial stiffness rules.
+    only the contribution of the second derivatives, P/|a|^2; the other terms are smaller by the
+    bending angle of an element and act along the tether, where the axial stiffness dominates.
     """
     tag = tether.gravity
     dim = len(tag)
@@ -293,22 +294,22 @@ def _add_bending_damping(
         for d in range(dim):
             dk = bend[2 * dim + d]
             on_slope = fill(tag, 0.0) - weight * (dk * along + bend[d] * cross)
-            on_curving = weight * dk * (1.0 / length)
+            on_curvature = weight * dk * (1.0 / length)
             for k in range(3):
                 force[3 * d + k] = (
-                    force[3 * d + k] + BASIS[g, k] * on_slope + CURVING[g, k] * on_curving
+                    force[3 * d + k] + SLOPES[g, k] * on_slope + CURVATURES[g, k] * on_curvature
                 )
             for c in range(dim):
                 entry = fill(tag, 1.0 if c == d else 0.0) - bend[d] * bend[c]
                 entry *= weight * shrink * (1.0 / length**2)
                 for pair in range(6):
                     index = (pair * dim + d) * dim + c
-                    tangent[index] = tangent[index] + _CURVING_PAIRS[pair, g] * entry
+                    tangent[index] = tangent[index] + _CURVATURE_PAIRS[pair, g] * entry
 
 
 @inner
 def assemble(tether: Tether, h: float, work: Workspace) -> None:
-    """Write tangent and residual of all elements to work.blocks, to which others may then add."""
+    """Write tangent and residual of all elements to work.blocks; ends and contact add later."""
     tag = tether.gravity
     dim = len(tag)
     inverse = 1.0 / tether.element_length
@@ -327,7 +328,7 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
             for k in range(3):
                 total = fill(tag, 0.0)
                 for g in range(GAUSS):
-                    total += BASIS[g, k] * points_force[g * dim + d]
+                    total += SLOPES[g, k] * points_force[g * dim + d]
                 force[3 * d + k] = total
             for c in range(dim):
                 for pair in range(6):
@@ -337,7 +338,7 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
                     tangent[(pair * dim + d) * dim + c] = total
         if tether.bending_damping_time > 0.0:
             _add_bending_damping(tether, h, e, work, basis, force, tangent)
-        # the chord is the difference of the positions over l
+        # chord = (r2 - r1) / l
         for entry in range(dim * dim):
             tangent[entry] = tangent[entry] * (inverse * inverse)
         for entry in range(dim * dim, 3 * dim * dim):
@@ -350,10 +351,10 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
 def _store_tangent(
     tag: Any, linear: tuple[float, ...], e: int, tangent: Any, blocks: Array
 ) -> None:
-    """Spread the tangents of the elements from e on to their nodes' blocks.
+    """Distribute the tangents of the elements from e on to their nodes' blocks.
 
     A node's rows and columns are its position and its slope. Of the pairs 00, 01, 02, 11, 12, 22 of
-    (chord, r1', r2'), the chord standing for r2 - r1, each column takes one for its position rows
+    (chord, r1', r2'), where chord means r2 - r1, each column takes one pair for its position rows
     and one for its slope rows, with a sign, and adds the part linear in D.
     """
     dim = len(tag)
@@ -410,14 +411,14 @@ def _store_columns(
 def _store_residual(
     tag: Any, linear: tuple[float, ...], inverse: float, e: int, force: Any, work: Workspace
 ) -> None:
-    """Spread the residuals of the elements from e on to their nodes' blocks."""
+    """Distribute the residuals of the elements from e on to their nodes' blocks."""
     dim = len(tag)
     m = 2 * dim
     lanes = lane_count(tag)
     first = stack(tag, 8)
     second = stack(tag, 8)
     for d in range(dim):
-        r1, s1, r2, s2 = _ends(tag, work.increment, d, e)
+        r1, s1, r2, s2 = _nodal_values(tag, work.increment, d, e)
         parts = apply(linear, r1, s1, r2, s2)
         chord = force[3 * d] * inverse
         constant = work.constant
@@ -437,11 +438,11 @@ def _store_residual(
 
 @inner
 def begin_ends(tether: Tether, work: Workspace) -> None:
-    """Clear what sits at the ends and hold there what work.end_fixed says.
+    """Clear the blocks of the end nodes and fix the coordinates marked in work.end_fixed.
 
-    A held coordinate's equation becomes "increment = 0": the end's own block gets the 1, and
-    `_mask_ends` takes away what the element contributes. What a longer tether left in the work
-    arrays behind the tip is cleared as well.
+    The equation of a fixed coordinate becomes "increment = 0": the end's own block gets the 1, and
+    `_mask_ends` removes the element's contribution. Entries beyond the tip that a longer tether
+    left in the work arrays are cleared too.
     """
     m = 2 * len(tether.gravity)
     after = tether.elements + 2
@@ -452,17 +453,17 @@ def begin_ends(tether: Tether, work: Workspace) -> None:
             for r in range(m):
                 set_end(work, end, c, r, 0.0)
         for r in range(m):
-            held = work.end_fixed[end, r] != 0.0
-            work.end_mask[end, r] = 0.0 if held else 1.0
-            if held:
+            fixed = work.end_fixed[end, r] != 0.0
+            work.end_mask[end, r] = 0.0 if fixed else 1.0
+            if fixed:
                 set_end(work, end, r, r, 1.0)
 
 
 @inner
 def set_end(work: Workspace, end: int, column: int, row: int, value: float) -> None:
-    """Say what the root (0) or tip (1) adds to its node's equations.
+    """Set an entry that the root (end 0) or tip (end 1) adds to its node's equations.
 
-    Columns below m are those of the tangent, column m is the residual.
+    Columns 0 to m - 1 are the tangent, column m is the residual.
     """
     if end == 0:
         work.blocks[0, 1, column, row] = value
@@ -472,7 +473,7 @@ def set_end(work: Workspace, end: int, column: int, row: int, value: float) -> N
 
 @inner
 def _mask_ends(tether: Tether, work: Workspace) -> None:
-    """Clear the rows of held coordinates in the blocks of the first and the last element."""
+    """Clear the rows of fixed coordinates in the blocks of the first and the last element."""
     tag = tether.gravity
     for end in range(2):
         mask = load(tag, work.end_mask, (end, 0))
@@ -487,8 +488,8 @@ def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
     """Subtract the solution from the increment.
 
     Returns:
-        The solution's largest entry, and the sum of all their magnitudes [m], slopes times the
-        element's length. The first may have lost a NaN, the second not.
+        Largest magnitude of the solution's entries, and the sum of all magnitudes [m]; slopes are
+        multiplied by the element's length. The maximum may drop a NaN, the sum never does.
     """
     tag = tether.gravity
     dim = len(tag)
@@ -516,9 +517,9 @@ def _apply_solution(tether: Tether, work: Workspace) -> tuple[float, float]:
 
 @checked_inner
 def solve_increment(tether: Tether, work: Workspace) -> float:
-    """Solve what stands in work.blocks and apply the Newton increment to work.increment.
+    """Solve the equations in work.blocks and apply the Newton increment to work.increment.
 
-    The increment itself stays in work.solution. Returns its largest entry [m], slopes times the
+    work.solution holds the increment. Returns its largest magnitude [m], slopes multiplied by the
     element's length; NaN if any entry is not finite.
     """
     _mask_ends(tether, work)
@@ -541,9 +542,9 @@ def end_step(
     """Write the state after the step from the converged increment; element tensions to `work`.
 
     Returns:
-        What the tether dissipated during the step [J]; its largest tension [N], the mean of
+        Energy that the tether dissipated in the step [J]; its largest tension [N], the mean of
         N |r'| over an element at mid-step, damping included; and the largest change of a node's
-        slope, the turn during the step [rad] where the tether is not strained much.
+        slope [-], about its rotation in the step [rad] at small strain.
     """
     tag, dim, n = tether.gravity, len(tether.gravity), tether.elements
     length, increment = tether.element_length, work.increment
@@ -565,9 +566,9 @@ def end_step(
             square = fill(tag, 0.0)
             for d in range(dim):
                 change = (
-                    BASIS[g, 0] * basis[3 * d]
-                    + BASIS[g, 1] * basis[3 * d + 1]
-                    + BASIS[g, 2] * basis[3 * d + 2]
+                    SLOPES[g, 0] * basis[3 * d]
+                    + SLOPES[g, 1] * basis[3 * d + 1]
+                    + SLOPES[g, 2] * basis[3 * d + 2]
                 )
                 middle = load(tag, work.slope, (g * dim + d, e)) + 0.5 * change
                 stretch += middle * change

@@ -16,29 +16,31 @@ class History(NamedTuple):
     """Mid-step rates of the last three steps, the last one first."""
 
     rates: Array  # of the tether, (3, 2 dim, width)
-    turns: Array  # of what else moves, (3, m)
-    times: Array  # their instants relative to the start of the coming step [s], (3,)
+    extra_rates: Array  # of what else moves, (3, m)
+    instants: Array  # their instants relative to the start of the coming step [s], (3,)
 
 
-def make_history(rows: int, width: int, turns: int) -> History:
+def make_history(rows: int, width: int, extra_rates: int) -> History:
     """Allocate for a tether's rows and so many further increments."""
-    return History(np.zeros((3, rows, width)), np.zeros((3, turns)), np.zeros(3))
+    return History(np.zeros((3, rows, width)), np.zeros((3, extra_rates)), np.zeros(3))
 
 
 @inner
-def extrapolate(history: History, h: float, depth: int, increment: Array, turn: Array) -> None:
+def extrapolate(
+    history: History, h: float, past_steps: int, increment: Array, extra: Array
+) -> None:
     """Set the increments of a step of length h by Lagrange's polynomial through 1 to 3 steps."""
-    rates, turns, times = history
+    rates, extra_rates, instants = history
     at = 0.5 * h
     first, second, third = 1.0, 0.0, 0.0
-    if depth == 2:
-        first = (at - times[1]) / (times[0] - times[1])
+    if past_steps == 2:
+        first = (at - instants[1]) / (instants[0] - instants[1])
         second = 1.0 - first
-    elif depth == 3:
-        first = (at - times[1]) * (at - times[2])
-        first /= (times[0] - times[1]) * (times[0] - times[2])
-        second = (at - times[0]) * (at - times[2])
-        second /= (times[1] - times[0]) * (times[1] - times[2])
+    elif past_steps == 3:
+        first = (at - instants[1]) * (at - instants[2])
+        first /= (instants[0] - instants[1]) * (instants[0] - instants[2])
+        second = (at - instants[0]) * (at - instants[2])
+        second /= (instants[1] - instants[0]) * (instants[1] - instants[2])
         third = 1.0 - first - second
     first, second, third = h * first, h * second, h * third
     for k in range(increment.shape[0]):
@@ -46,29 +48,31 @@ def extrapolate(history: History, h: float, depth: int, increment: Array, turn: 
             increment[k, i] = (
                 first * rates[0, k, i] + second * rates[1, k, i] + third * rates[2, k, i]
             )
-    for k in range(turn.shape[0]):
-        turn[k] = first * turns[0, k] + second * turns[1, k] + third * turns[2, k]
+    for k in range(extra.shape[0]):
+        extra[k] = (
+            first * extra_rates[0, k] + second * extra_rates[1, k] + third * extra_rates[2, k]
+        )
 
 
 @inner
-def remember(
-    history: History, h: float, known: int, length: float, increment: Array, turn: Array
+def record_step(
+    history: History, h: float, stored_steps: int, length: float, increment: Array, extra: Array
 ) -> int:
     """Push the increments of a finished step of length h onto the history.
 
     Args:
         history: to push onto.
         h: [s].
-        known: how many steps the history holds.
+        stored_steps: how many steps the history holds.
         length: of an element [m], to weigh slopes against positions.
         increment: of the tether.
-        turn: of what else moves.
+        extra: the other increments.
 
     Returns:
         The depth of `extrapolate` that would have been best for this step, 1 if none was possible:
         low orders for rough motion, whose noise extrapolation amplifies.
     """
-    rates, turns, times = history
+    rates, extra_rates, instants = history
     inverse = 1.0 / h
     constant, linear, quadratic = 0.0, 0.0, 0.0
     rows = increment.shape[0]
@@ -83,16 +87,16 @@ def remember(
             rates[2, k, i] = second
             rates[1, k, i] = first
             rates[0, k, i] = rate
-    for k in range(turn.shape[0]):
-        turns[2, k] = turns[1, k]
-        turns[1, k] = turns[0, k]
-        turns[0, k] = inverse * turn[k]
-    times[2] = times[1] - h
-    times[1] = times[0] - h
-    times[0] = -0.5 * h
-    depth = 1
-    if known >= 2 and linear < constant:
-        depth = 2
-    if known >= 3 and quadratic < min(constant, linear):
-        depth = 3
-    return depth
+    for k in range(extra.shape[0]):
+        extra_rates[2, k] = extra_rates[1, k]
+        extra_rates[1, k] = extra_rates[0, k]
+        extra_rates[0, k] = inverse * extra[k]
+    instants[2] = instants[1] - h
+    instants[1] = instants[0] - h
+    instants[0] = -0.5 * h
+    past_steps = 1
+    if stored_steps >= 2 and linear < constant:
+        past_steps = 2
+    if stored_steps >= 3 and quadratic < min(constant, linear):
+        past_steps = 3
+    return past_steps

@@ -1,6 +1,6 @@
 """What the plant in space remembers and reports besides its motion: indices, and who fills them.
 
-Arrays of floats with named entries, as compiled functions want them: `book` is kept from call to
+Arrays of floats with named entries, as compiled functions want them: `memory` is kept from call to
 call, `report` tells of one call, rows of `events` of what happened in it.
 """
 
@@ -8,31 +8,31 @@ import numpy as np
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import inner
-from rover_sim.physics.rover_contact import KINDS, Feet, FeetStep
+from rover_sim.physics.rover_contact import CONTACTS_PER_WHEEL, RoverContact, RoverContactStep
 from rover_sim.physics.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
 from rover_sim.physics.spatial_step import Losses
 from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
 
-# Entries of the array `book`: what is remembered besides motion and machines.
+# Entries of the array `memory`: what is remembered besides motion and machines.
 (
     TIME,  # [s]
     ELEMENTS,  # of the tether's chain
-    TENSION,  # at the fairlead in the last step [N]
+    FAIRLEAD_TENSION,  # at the fairlead in the last step [N]
     LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
-    LEFT_SLOPE,  # its fall with the wheel's rate [N m s]
+    LEFT_TORQUE_SLOPE,  # its fall with the wheel's rate [N m s]
     RIGHT_TORQUE,
-    RIGHT_SLOPE,
+    RIGHT_TORQUE_SLOPE,
     TWIST,  # of the rover against the tether's natural frame [rad]
-    SLIP,  # of the swivel [rad]
+    SWIVEL_SLIP,  # of the swivel [rad]
     CONTACT_TIME,  # when something of the rover last touched the ground [s]
     AIRBORNE,  # 1 after it has not for a while
     TAKE_OFF_TIME,  # [s]
     TAKE_OFF_X,  # of G1 [m]
     TAKE_OFF_Y,
     TAKE_OFF_Z,
-    HIGHEST,  # largest rise of G1 since take-off [m]
+    MAX_RISE,  # largest rise of G1 since take-off [m]
     DRIVE_KINETIC,  # of drum, flywheel and wheels [J]
-    GROUND_STORED,  # by contacts, relative to the start [J]
+    CONTACT_ENERGY,  # by contacts, relative to the start [J]
     INPUT_JUMP,  # work of the motors since the start [J]
     INPUT_WHEELS,
     INPUT_WINCH,
@@ -45,10 +45,10 @@ from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_
     HEAT_ROVER_GROUND,
     HEAT_TETHER_GROUND,
     HEAT_SWIVEL,
-    REMESHED,  # change of energy by joining elements [J]
-    REFERENCE,  # energy stored at the start [J]
+    INPUT_REMESHING,  # change of energy by joining elements [J]
+    INITIAL_ENERGY,  # energy stored at the start [J]
 ) = range(32)
-BOOK_SIZE = 32
+MEMORY_SIZE = 32
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
@@ -89,7 +89,7 @@ MAX_EVENTS = 64
     LEFT_LOAD,  # normal force of the ground on the left wheel [N]
     RIGHT_LOAD,
     BODY_LOAD,  # on the corners of both bodies
-    TETHER_GROUNDED,  # number of the tether's points that touch the ground
+    TETHER_CONTACT_POINTS,  # number of the tether's points that touch the ground
     JUMP_TORQUE,  # of the motor [N m]
     JUMP_CURRENT,  # [A]
     NUT_FORCE,  # [N]
@@ -103,14 +103,14 @@ MAX_EVENTS = 64
     WINCH_CURRENT,
     DRUM_STUCK,  # 0 or 1
     DRUM_STOP,  # -1, 0, 1
-    REMESHES,
+    REMESH_COUNT,
 ) = range(35)
 REPORT_SIZE = 35
 
 
 @inner
 def record_event(
-    kind: int, time: float, value: float, tension: float, body: Array, book: Array,
+    kind: int, time: float, value: float, tension: float, body: Array, memory: Array,
     events: Array, count: int,
 ) -> int:  # fmt: skip
     """Append an event if there is room; returns the new number of events."""
@@ -122,7 +122,7 @@ def record_event(
         for d in range(3):
             row[2 + d] = body[POSITION + d]
         row[5] = np.sqrt(dot(velocity, velocity))
-        row[6] = book[HIGHEST]
+        row[6] = memory[MAX_RISE]
         row[7] = tension
         row[8] = value
         count += 1
@@ -130,18 +130,18 @@ def record_event(
 
 
 @inner
-def report_loads(corners: int, feet: FeetStep, near: bool, report: Array) -> float:
+def report_loads(corners: int, contact: RoverContactStep, near: bool, report: Array) -> float:
     """Report the normal forces on the rover, which has so many corners; returns their sum [N]."""
     report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
     if not near:
         return 0.0
-    for k in range(corners + 2 * KINDS):
-        if feet.near[k] == 0.0:
+    for k in range(corners + 2 * CONTACTS_PER_WHEEL):
+        if contact.near[k] == 0.0:
             continue
-        load = dot(vector_at(feet.force[k], 0), vector_at(feet.normal[k], 0))
+        load = dot(vector_at(contact.force[k], 0), vector_at(contact.normal[k], 0))
         if k < corners:
             report[BODY_LOAD] += load
-        elif k < corners + KINDS:
+        elif k < corners + CONTACTS_PER_WHEEL:
             report[LEFT_LOAD] += load
         else:
             report[RIGHT_LOAD] += load
@@ -156,7 +156,9 @@ def _hub_velocity(body: Array, hub: Vector) -> Vector:
 
 
 @inner
-def remember_torques(feet: Feet, step: FeetStep, before: Array, after: Array, book: Array) -> None:
+def record_wheel_torques(
+    contact: RoverContact, step: RoverContactStep, before: Array, after: Array, memory: Array
+) -> None:
     """Remember the ground's torques on the wheels, as the next step will find them.
 
     The torques are those of this step's slip; until the next one Body 1 turns and moves on, by the
@@ -164,23 +166,23 @@ def remember_torques(feet: Feet, step: FeetStep, before: Array, after: Array, bo
     """
     swung = after[SPIN + 1] - before[SPIN + 1]
     for wheel in range(2):
-        hub = feet.left_wheel if wheel == 0 else feet.right_wheel
+        hub = contact.left_wheel if wheel == 0 else contact.right_wheel
         change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
         torque, slope = 0.0, 0.0
-        for w in range(KINDS * wheel, KINDS * (wheel + 1)):
+        for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
             steep = max(step.torque[w, 1], 0.0)
-            rolled = dot(vector_at(step.forward[w], 0), change) / feet.tip_radius
+            rolled = dot(vector_at(step.forward[w], 0), change) / contact.tip_radius
             torque -= step.torque[w, 0] + steep * (swung - rolled)
             slope += steep
         entry = LEFT_TORQUE + 2 * wheel
-        book[entry], book[entry + 1] = torque, slope
+        memory[entry], memory[entry + 1] = torque, slope
 
 
 @inner
-def book_losses(losses: Losses, book: Array) -> None:
+def add_losses(losses: Losses, memory: Array) -> None:
     """Add a step's losses to the books."""
-    book[HEAT_TETHER] += losses.tether
-    book[HEAT_SLIDER] += losses.slider
-    book[HEAT_ROVER_GROUND] += losses.rover_ground
-    book[HEAT_TETHER_GROUND] += losses.tether_ground
-    book[GROUND_STORED] += losses.rover_stored + losses.tether_stored
+    memory[HEAT_TETHER] += losses.tether
+    memory[HEAT_SLIDER] += losses.slider
+    memory[HEAT_ROVER_GROUND] += losses.rover_ground
+    memory[HEAT_TETHER_GROUND] += losses.tether_contact
+    memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored

@@ -65,18 +65,18 @@ from rover_sim.physics.motor import (
     make_motor,
     rate_servo,
 )
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 from rover_sim.physics.shaft import (
     Friction,
     FrictionParameters,
-    Motion,
+    ShaftMotion,
     advance_shaft,
-    by_direction,
-    carried_work,
+    base_motion_work,
+    cut_at_stop,
+    directional_work,
     dry_heat,
     make_friction,
     sliding_torque,
-    stopped,
     viscous_heat,
 )
 from rover_sim.physics.slider import NutAction, Slider, nut_force
@@ -226,7 +226,7 @@ class JumpOutputs(NamedTuple):
     hard_limit: int  # -1 / +1: at the upper / lower end of the screw
 
 
-class JumpBooks(NamedTuple):
+class JumpEnergyBalance(NamedTuple):
     """Energy of the step [J]; the heats are never negative."""
 
     kinetic: float  # of the rotor at the end, absolute
@@ -274,23 +274,23 @@ def _motor_torque(
     if command.mode == TORQUE:
         return limited_torque(drive.motor, command.torque, state.rate, _INFINITE), 0.0
     if command.mode in (RATE, POSITION):
-        wanted = command.rate
+        rate_setpoint = command.rate
         if command.mode == POSITION:
             error = command.position - state.nut
-            wanted = 0.0
+            rate_setpoint = 0.0
             if abs(error) > _POSITION_TOLERANCE:
                 braking = _BRAKING_SHARE * drive.motor.max_torque / drive.inertia * drive.pitch
-                wanted = min(
+                rate_setpoint = min(
                     abs(command.rate),
                     math.sqrt(2.0 * braking * abs(error)),
                     _POSITION_GAIN * abs(error),
                 )
-                wanted = math.copysign(wanted, error)
+                rate_setpoint = math.copysign(rate_setpoint, error)
         limit = command.max_force * drive.pitch / drive.efficiency + drive.friction.breakaway
         return rate_servo(
             drive.motor,
             drive.inertia,
-            wanted / drive.pitch,
+            rate_setpoint / drive.pitch,
             state.rate,
             command.torque,
             limit,
@@ -333,26 +333,26 @@ def _screw_torques(drive: JumpDrive, load: float) -> tuple[float, float]:
 
 
 @checked_inner
-def _turn(
+def _shaft_motion(
     drive: JumpDrive,
     state: JumpState,
     body_rate: float,
     torque: float,
     force: float,
     h: float,
-) -> tuple[Motion, float]:
+) -> tuple[ShaftMotion, float]:
     """Motion of the shaft over h, and the sliding friction that it met [N m]."""
-    going_down, going_up = _screw_torques(drive, force * drive.pitch)
+    down_torque, up_torque = _screw_torques(drive, force * drive.pitch)
     drag = torque - drive.inertia * (body_rate - state.body_rate) / h
     sliding = sliding_torque(drive.friction, state.rate)
     breakaway = drive.friction.breakaway
     motion = advance_shaft(
         drive.inertia,
         state.rate,
-        drag - going_down - sliding,
-        drag - going_up + sliding,
-        drag - going_down - breakaway,
-        drag - going_up + breakaway,
+        drag - down_torque - sliding,
+        drag - up_torque + sliding,
+        drag - down_torque - breakaway,
+        drag - up_torque + breakaway,
         drive.friction.viscous,
         0.0,
         h,
@@ -361,7 +361,7 @@ def _turn(
 
 
 @checked_inner
-def _time_to(motion: Motion, start: float, angle: float) -> float:
+def _time_to_angle(motion: ShaftMotion, start: float, angle: float) -> float:
     """When a motion that ends forward reaches an angle within it [s]; `start` is its first rate."""
     if motion.first > 0.0 and motion.first >= angle:
         # Constant acceleration: angle = t (start + a t / 2), the root that does not cancel.
@@ -381,7 +381,7 @@ def advance(
     command: JumpCommand,
     loads: JumpLoads,
     h: float,
-) -> tuple[JumpState, JumpOutputs, JumpBooks]:
+) -> tuple[JumpState, JumpOutputs, JumpEnergyBalance]:
     """Advance the drive by h, or up to the trip of the latch if that comes first.
 
     Args:
@@ -410,7 +410,7 @@ def advance(
     elapsed = h
     tripped = False
     body_rate = loads.body_rate
-    motion, sliding = _turn(drive, state, body_rate, torque, force, h)
+    motion, sliding = _shaft_motion(drive, state, body_rate, torque, force, h)
     if pressing and state.nut + drive.clearance >= 0.0:
         trip = min(command.trip, drive.stroke) * (1.0 + slider.spring_rate / slider.nut_stiffness)
         to_trip = (trip - state.nut) / drive.pitch
@@ -418,17 +418,17 @@ def advance(
         goes_down = motion.rate > 0.0 or motion.first > 0.0
         if goes_down and max(angle, motion.first) >= to_trip and force > 0.0:
             tripped = True
-            moment = _time_to(motion, state.rate, to_trip) if to_trip > 0.0 else 0.0
-            if moment <= _SHORTEST * h:
+            trip_time = _time_to_angle(motion, state.rate, to_trip) if to_trip > 0.0 else 0.0
+            if trip_time <= _SHORTEST * h:
                 elapsed = 0.0
-            elif moment < (1.0 - _SHORTEST) * h:
-                elapsed = moment
+            elif trip_time < (1.0 - _SHORTEST) * h:
+                elapsed = trip_time
                 body_rate = state.body_rate + (body_rate - state.body_rate) * elapsed / h
-                motion, sliding = _turn(drive, state, body_rate, torque, force, elapsed)
+                motion, sliding = _shaft_motion(drive, state, body_rate, torque, force, elapsed)
 
     if elapsed == 0.0:
         body_rate = state.body_rate
-        motion = Motion(state.rate, 0.0, 0.0, 0.0, 0.0)
+        motion = ShaftMotion(state.rate, 0.0, 0.0, 0.0, 0.0)
         integral = state.integral
 
     hard_limit = 0
@@ -438,7 +438,7 @@ def advance(
     if angle >= lowest or angle <= highest:
         hard_limit = 1 if angle >= lowest else -1
         if elapsed > 0.0:
-            motion = stopped(motion, lowest if hard_limit == 1 else highest)
+            motion = cut_at_stop(motion, lowest if hard_limit == 1 else highest)
         angle = motion.first + motion.second
 
     nut = state.nut + drive.pitch * angle
@@ -467,12 +467,12 @@ def advance(
     momentum = drive.inertia * (motion.rate + body_rate)
     motor_work = torque * angle
     nut_work = load * angle
-    screw_heat = by_direction(motion, *_screw_torques(drive, load)) - nut_work
+    screw_heat = directional_work(motion, *_screw_torques(drive, load)) - nut_work
     friction_heat = dry_heat(motion, sliding, drive.friction.breakaway)
     friction_heat += viscous_heat(motion, drive.friction.viscous)
     body_work = 0.0
     if elapsed > 0.0:
-        body_work = carried_work(
+        body_work = base_motion_work(
             drive.inertia, state.rate, motion.rate, angle, state.body_rate, body_rate, elapsed
         )
     kinetic = 0.5 * momentum * momentum / drive.inertia
@@ -495,5 +495,7 @@ def advance(
             soft_limit,
             hard_limit,
         ),
-        JumpBooks(kinetic, motor_work, body_work, nut_work, screw_heat, friction_heat, stop_heat),
+        JumpEnergyBalance(
+            kinetic, motor_work, body_work, nut_work, screw_heat, friction_heat, stop_heat
+        ),
     )

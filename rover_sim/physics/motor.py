@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from rover_sim.physics.compiled import checked_inner
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 
 
 class MotorMode(IntEnum):
@@ -70,23 +70,23 @@ def make_motor(parameters: MotorParameters) -> Motor:
 
 
 @checked_inner
-def limited_torque(motor: Motor, wanted: float, rate: float, limit: float) -> float:
-    """The torque [N m] that the motor gives at a rate when `wanted` is asked for.
+def limited_torque(motor: Motor, requested: float, rate: float, limit: float) -> float:
+    """The torque [N m] that the motor gives at a rate when `requested` is asked for.
 
     Driving, the back-EMF leaves stall_torque (1 - |rate|/no_load_rate); braking, only the current
     limit counts. `limit` is a further bound on the magnitude. A wanted value that is not a number
     gives no torque.
     """
     bound = min(motor.max_torque, limit)
-    if wanted * rate > 0.0:
+    if requested * rate > 0.0:
         bound = min(bound, motor.stall_torque * (1.0 - abs(rate) / motor.no_load_rate))
     bound = max(bound, 0.0)
-    if wanted > bound:
+    if requested > bound:
         return bound
-    if wanted < -bound:
+    if requested < -bound:
         return -bound
-    if wanted == wanted:  # noqa: PLR0124 - false for NaN alone
-        return wanted
+    if requested == requested:  # noqa: PLR0124 - false for NaN alone
+        return requested
     return 0.0
 
 
@@ -94,7 +94,7 @@ def limited_torque(motor: Motor, wanted: float, rate: float, limit: float) -> fl
 def rate_servo(
     motor: Motor,
     inertia: float,
-    wanted_rate: float,
+    rate_setpoint: float,
     rate: float,
     feed_forward: float,
     limit: float,
@@ -107,10 +107,10 @@ def rate_servo(
     critically damped on the bare inertia. The integral rests while the torque is at its limit,
     unless it would lead back inside.
     """
-    error = wanted_rate - rate
+    error = rate_setpoint - rate
     gain = inertia * motor.servo_bandwidth
-    wanted = feed_forward + gain * error + integral
-    torque = limited_torque(motor, wanted, rate, limit)
-    if (wanted - torque) * error <= 0.0:
+    requested = feed_forward + gain * error + integral
+    torque = limited_torque(motor, requested, rate, limit)
+    if (requested - torque) * error <= 0.0:
         integral += 0.25 * gain * motor.servo_bandwidth * error * h
     return torque, integral

@@ -10,29 +10,29 @@ import numpy as np
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import checked_inner
 
-GO_ON, CONVERGED, FAILED = range(3)
+CONTINUE, CONVERGED, FAILED = range(3)
 
 MAX_ITERATIONS = 12
 # Nodes of a converged step turn less than this [rad]; more is a wrong root or too coarse a step.
 MAX_TURN = 1.0
 
-# Entries of the array `control`: C, and steps since it was measured.
-CONSTANT, STEPS = range(2)
-CONTROL_SIZE = 2
-_TRUSTED_STEPS = 8.0
-_TRUST_MARGIN = 0.1
+# Entries of the array `convergence`: C, and steps since it was measured.
+RATE_CONSTANT, STEPS_SINCE_MEASURED = range(2)
+CONVERGENCE_SIZE = 2
+_VALID_STEPS = 8.0
+_MARGIN = 0.1
 
 
 @checked_inner
-def distrust(control: Array) -> None:
+def reset_rate(convergence: Array) -> None:
     """Have C measured in the next step, and forget what it was."""
-    control[CONSTANT] = 0.0
-    control[STEPS] = _TRUSTED_STEPS
+    convergence[RATE_CONSTANT] = 0.0
+    convergence[STEPS_SINCE_MEASURED] = _VALID_STEPS
 
 
 @checked_inner
-def verdict(
-    iteration: int, change: float, previous: float, tolerance: float, control: Array
+def convergence_status(
+    iteration: int, change: float, previous: float, tolerance: float, convergence: Array
 ) -> int:
     """What to do after an iteration.
 
@@ -41,7 +41,7 @@ def verdict(
         change: size of its increment [m].
         previous: size of the increment before [m]; inf in the first.
         tolerance: [m].
-        control: (CONTROL_SIZE,), changed.
+        convergence: (CONVERGENCE_SIZE,), changed.
 
     Returns:
         GO_ON, CONVERGED, or FAILED for an increment that is not finite or that grows.
@@ -49,13 +49,13 @@ def verdict(
     if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
         return FAILED
     if iteration > 0:
-        control[CONSTANT] = max(change / previous**2, 0.5 * control[CONSTANT])
+        convergence[RATE_CONSTANT] = max(change / previous**2, 0.5 * convergence[RATE_CONSTANT])
         if iteration == 1:
-            control[STEPS] = 0.0
+            convergence[STEPS_SINCE_MEASURED] = 0.0
     if change < tolerance:
         return CONVERGED
-    trusted = control[STEPS] < _TRUSTED_STEPS
-    if trusted and control[CONSTANT] * change**2 < _TRUST_MARGIN * tolerance:
-        control[STEPS] += 1.0
+    is_valid = convergence[STEPS_SINCE_MEASURED] < _VALID_STEPS
+    if is_valid and convergence[RATE_CONSTANT] * change**2 < _MARGIN * tolerance:
+        convergence[STEPS_SINCE_MEASURED] += 1.0
         return CONVERGED
-    return GO_ON if iteration + 1 < MAX_ITERATIONS else FAILED
+    return CONTINUE if iteration + 1 < MAX_ITERATIONS else FAILED

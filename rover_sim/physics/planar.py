@@ -21,15 +21,15 @@ from rover_sim.physics.energy_momentum import (
     newton_increment,
     set_end,
 )
-from rover_sim.physics.initial_guess import History, extrapolate, make_history, remember
-from rover_sim.physics.locate import apex_instant, crossing_instant, hermite
+from rover_sim.physics.event_location import apex_instant, crossing_instant, hermite
+from rover_sim.physics.initial_guess import History, extrapolate, make_history, record_step
 from rover_sim.physics.newton import (
-    CONTROL_SIZE,
+    CONTINUE,
+    CONVERGENCE_SIZE,
     FAILED,
-    GO_ON,
     MAX_TURN,
-    distrust,
-    verdict,
+    convergence_status,
+    reset_rate,
 )
 from rover_sim.physics.planar_rover import (
     BODY_SIZE,
@@ -50,20 +50,20 @@ from rover_sim.physics.planar_rover import (
 )
 from rover_sim.physics.tether import Tether, row_width, tether_energies
 
-# Entries of the array `book`: what is remembered besides the motion.
+# Entries of the array `memory`: what is remembered besides the motion.
 (
     TIME,  # [s]
     COMPRESSION,  # of the jump spring by its drive [m]
     TAKE_OFF_TIME,  # [s], as the next three of the last take-off
-    START_X,  # of G1 [m]
-    START_Y,  # [m]
-    START_THETA,  # [rad]
-    HIGHEST,  # largest rise of G1 since take-off [m]
+    TAKE_OFF_X,  # of G1 [m]
+    TAKE_OFF_Y,  # [m]
+    TAKE_OFF_THETA,  # [rad]
+    MAX_RISE,  # largest rise of G1 since take-off [m]
     INPUT,  # energy put in since the start [J]
     DISSIPATED,  # energy dissipated since the start [J]
-    REFERENCE,  # energy stored at the start [J]
+    INITIAL_ENERGY,  # energy stored at the start [J]
 ) = range(10)
-BOOK_SIZE = 10
+MEMORY_SIZE = 10
 
 # Phases.
 HELD, FLIGHT, LANDED, FREE, DIVERGED, TETHER_BROKEN = range(6)
@@ -125,8 +125,8 @@ class Solver(NamedTuple):
     turn: Array  # (2,): increments th and ds
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
     history: History
-    control: Array  # (CONTROL_SIZE,), see `newton`
-    search: Array  # (4,): of the touchdown's instant, see `_seek_touchdown`
+    convergence: Array  # (CONTROL_SIZE,), see `newton`
+    search: Array  # (4,): of the touchdown's instant, see `_locate_touchdown`
     report: Array  # of the last call, (REPORT_SIZE,)
 
 
@@ -141,7 +141,7 @@ def make_solver(elements: int) -> Solver:
         np.zeros(2),
         np.zeros((2, 3)),
         make_history(4, width, 2),
-        np.zeros(CONTROL_SIZE),
+        np.zeros(CONVERGENCE_SIZE),
         np.zeros(4),
         np.zeros(REPORT_SIZE),
     )
@@ -175,7 +175,7 @@ def stored_energy(model: Model, q: Array, v: Array, body: Array) -> float:
 
 
 @inner
-def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
+def _add_point_mass(model: Model, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
     n = model.tether.elements
     mass = model.tip_mass
@@ -186,16 +186,16 @@ def _mass_end(model: Model, h: float, v0: Array, work: Workspace) -> None:
 
 
 @inner
-def _predict(
-    n: int, h: float, v: Array, body: Array, depth: int, flying: bool, solver: Solver
+def _set_initial_guess(
+    n: int, h: float, v: Array, body: Array, past_steps: int, flying: bool, solver: Solver
 ) -> None:
-    """Start the Newton iteration from `depth` of the past steps, or from the rates if it is 0.
+    """Start the Newton iteration from `past_steps` of the past steps, or from the rates if it is 0.
 
     Coordinates that are held do not move.
     """
     work = solver.work
     increment = work.increment
-    if depth == 0:
+    if past_steps == 0:
         for k in range(4):
             for i in range(increment.shape[1]):
                 increment[k, i] = h * v[k, i]
@@ -203,7 +203,7 @@ def _predict(
         solver.turn[0] = h * body[OMEGA]
         solver.turn[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
     else:
-        extrapolate(solver.history, h, depth, increment, solver.turn)
+        extrapolate(solver.history, h, past_steps, increment, solver.turn)
     for k in range(4):
         if work.end_fixed[0, k] != 0.0:
             increment[k, 0] = 0.0
@@ -222,12 +222,12 @@ def attempt_step(
     v: Array,
     body: Array,
     flying: bool,
-    depth: int,
+    past_steps: int,
     solver: Solver,
 ) -> tuple[bool, float, float]:
     """Try one step of length h; the state after it is left in the solver.
 
-    `flying` says whether the rover moves; if not and there is one, the tip is held. `depth` is
+    `flying` says whether the rover moves; if not and there is one, the tip is held. `past_steps` is
     that of the predictor.
 
     Returns:
@@ -240,24 +240,26 @@ def attempt_step(
         work.end_fixed[0, 2 + d] = 1.0 if model.root_clamped else 0.0
         work.end_fixed[1, d] = 1.0 if model.has_rover and not flying else 0.0
     begin_ends(model.tether, work)
-    _predict(model.tether.elements, h, v, body, depth, flying, solver)
+    _set_initial_guess(model.tether.elements, h, v, body, past_steps, flying, solver)
     begin_step(model.tether, h, q, v, work)
     previous = np.inf
-    judged = GO_ON
+    status = CONTINUE
     iteration = 0
-    while judged == GO_ON:
+    while status == CONTINUE:
         if flying:
             add_rover(model.tether, model.rover, h, body, solver.turn, solver.condensed, work)
         elif not model.has_rover:
-            _mass_end(model, h, v, work)
+            _add_point_mass(model, h, v, work)
         change = newton_increment(model.tether, h, work)
         if flying:
             change += rover_increment(model.tether.elements, solver.condensed, work, solver.turn)
         solver.report[ITERATIONS] += 1.0
-        judged = verdict(iteration, change, previous, model.tolerance, solver.control)
+        status = convergence_status(
+            iteration, change, previous, model.tolerance, solver.convergence
+        )
         previous = change
         iteration += 1
-    if judged == FAILED:
+    if status == FAILED:
         return False, 0.0, 0.0
     dissipated, tension, turn = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
     if flying:
@@ -274,7 +276,7 @@ def attempt_step(
 
 @kernel
 def take_off(
-    model: Model, velocity: tuple[float, float], q: Array, v: Array, body: Array, book: Array
+    model: Model, velocity: tuple[float, float], q: Array, v: Array, body: Array, memory: Array
 ) -> None:
     """Give both bodies the velocity [m/s], with the spring at its free length; in place.
 
@@ -295,22 +297,22 @@ def take_off(
             if model.root_clamped:
                 v[2 + d, 0] = 0.0
         v[d, n] = velocity[d]
-    book[INPUT] += stored_energy(model, q, v, body) - before
-    book[TAKE_OFF_TIME] = book[TIME]
-    book[START_X], book[START_Y] = body[X1], body[Y1]
-    book[START_THETA] = body[THETA]
-    book[HIGHEST] = 0.0
+    memory[INPUT] += stored_energy(model, q, v, body) - before
+    memory[TAKE_OFF_TIME] = memory[TIME]
+    memory[TAKE_OFF_X], memory[TAKE_OFF_Y] = body[X1], body[Y1]
+    memory[TAKE_OFF_THETA] = body[THETA]
+    memory[MAX_RISE] = 0.0
 
 
 @inner
-def _hold_rover(model: Model, q: Array, v: Array, body: Array, book: Array) -> None:
+def _hold_rover(model: Model, q: Array, v: Array, body: Array, memory: Array) -> None:
     """Stop the rover where it is; its energy of motion is booked as dissipated."""
     before = stored_energy(model, q, v, body)
     for k in range(VX1, BODY_SIZE):
         body[k] = 0.0
     for d in range(2):
         v[d, model.tether.elements] = 0.0
-    book[DISSIPATED] += before - stored_energy(model, q, v, body)
+    memory[DISSIPATED] += before - stored_energy(model, q, v, body)
 
 
 @inner
@@ -320,7 +322,7 @@ def _record(
     rise: float,
     tension: float,
     body: Array,
-    book: Array,
+    memory: Array,
     events: Array,
     count: int,
 ) -> int:
@@ -330,9 +332,9 @@ def _record(
         row[0] = kind
         row[1] = time
         row[2] = rise
-        row[3] = body[X1] - book[START_X]
-        row[4] = body[THETA] - book[START_THETA]
-        row[5] = time - book[TAKE_OFF_TIME]
+        row[3] = body[X1] - memory[TAKE_OFF_X]
+        row[4] = body[THETA] - memory[TAKE_OFF_THETA]
+        row[5] = time - memory[TAKE_OFF_TIME]
         row[6] = np.sqrt(body[VX1] ** 2 + body[VY1] ** 2)
         row[7] = tension
         count += 1
@@ -340,7 +342,7 @@ def _record(
 
 
 @inner
-def _comes_down(body: Array, body1: Array, level: float, accuracy: float) -> bool:
+def _falls_through(body: Array, body1: Array, level: float, accuracy: float) -> bool:
     """Whether G1 falls through the level between two states, having been above it.
 
     A state within ten times the accuracy of the level, where a touchdown ends a step, counts as
@@ -352,7 +354,7 @@ def _comes_down(body: Array, body1: Array, level: float, accuracy: float) -> boo
 
 
 @inner
-def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
+def _locate_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
     """Look at a step of length h that may end at the level; if not, say which length to try next.
 
     The step's own end as a function of its length is searched for the level: first where the cubic
@@ -383,7 +385,7 @@ def _seek_touchdown(h: float, level: float, accuracy: float, body: Array, solver
 
 
 @inner
-def _keep(solver: Solver, q: Array, v: Array, body: Array) -> None:
+def _accept_step(solver: Solver, q: Array, v: Array, body: Array) -> None:
     """Make the attempted step's end the state."""
     for k in range(q.shape[0]):
         for i in range(q.shape[1]):
@@ -417,9 +419,9 @@ def advance(
     q: Array,
     v: Array,
     body: Array,
-    book: Array,
+    memory: Array,
     phase: int,
-    drive: tuple[float, float, bool],
+    jump_drive: tuple[float, float, bool],
     dt: float,
     stop_at_touchdown: bool,
     events: Array,
@@ -432,10 +434,10 @@ def advance(
         q: nodal coordinates in rows, (4, width).
         v: their rates.
         body: the rover's state (BODY_SIZE,).
-        book: what else is remembered (BOOK_SIZE,).
+        memory: what else is remembered (BOOK_SIZE,).
         phase: HELD, FLIGHT, LANDED or FREE; nothing moves in the other two.
-        drive: compression to go to [m], its rate [m/s] and whether the latch trips there, of the
-            jump drive; a rate of 0: off.
+        jump_drive: setpoint of the compression [m], its rate [m/s] (0: off), and whether the latch
+            trips at the setpoint.
         dt: [s].
         stop_at_touchdown: return at the touchdown instead of at dt.
         events: (m, EVENT_SIZE), filled in order; apexes lower than an earlier one are left out.
@@ -450,11 +452,11 @@ def advance(
         report[k] = 0.0
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
-    distrust(solver.control)
+    reset_rate(solver.convergence)
     count = 0
-    depth, known = 0, 0
+    past_steps, stored_steps = 0, 0
     elapsed = 0.0
-    start = book[TIME]
+    start = memory[TIME]
     done = phase in (DIVERGED, TETHER_BROKEN)
     search = solver.search
     accuracy = 1e-13 + 1e-4 * model.tolerance
@@ -465,15 +467,15 @@ def advance(
 
         # The jump drive: to its setpoint at its rate; the latch trips there, or holds.
         trips = False
-        if phase in (HELD, LANDED) and drive[1] > 0.0:
-            distance = drive[0] - book[COMPRESSION]
-            instant = abs(distance) / drive[1]
-            if drive[2] and drive[0] > 0.0 and instant <= step:
+        if phase in (HELD, LANDED) and jump_drive[1] > 0.0:
+            distance = jump_drive[0] - memory[COMPRESSION]
+            instant = abs(distance) / jump_drive[1]
+            if jump_drive[2] and jump_drive[0] > 0.0 and instant <= step:
                 trips = True
                 step = instant
-                book[COMPRESSION] = drive[0]
+                memory[COMPRESSION] = jump_drive[0]
             else:
-                book[COMPRESSION] += np.sign(distance) * min(abs(distance), drive[1] * step)
+                memory[COMPRESSION] += np.sign(distance) * min(abs(distance), jump_drive[1] * step)
 
         # The step, in parts where Newton's iteration does not converge at full length.
         flying = phase == FLIGHT
@@ -482,24 +484,24 @@ def advance(
         while left > 0 and step > 0.0:
             seeking = search[_TRIES] > 0.0
             h = search[_LENGTH] if seeking else step * part / unit
-            ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, depth, solver)
+            ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, past_steps, solver)
             touches = False
-            level = book[START_Y]
-            if ok and flying and (seeking or _comes_down(body, solver.body1, level, accuracy)):
-                touches = _seek_touchdown(h, level, accuracy, body, solver)
+            level = memory[TAKE_OFF_Y]
+            if ok and flying and (seeking or _falls_through(body, solver.body1, level, accuracy)):
+                touches = _locate_touchdown(h, level, accuracy, body, solver)
                 if not touches:
                     continue
             search[_TRIES] = 0.0
             if not ok:
-                depth, known = 0, 0
-                distrust(solver.control)
+                past_steps, stored_steps = 0, 0
+                reset_rate(solver.convergence)
                 part >>= 1
                 if part == 0:
                     phase = DIVERGED
                     done = True
-                    rise = body[Y1] - book[START_Y]
+                    rise = body[Y1] - memory[TAKE_OFF_Y]
                     count = _record(
-                        EVENT_DIVERGED, start + elapsed, rise, 0.0, body, book, events, count
+                        EVENT_DIVERGED, start + elapsed, rise, 0.0, body, memory, events, count
                     )
                     break
                 report[HALVINGS] += 1.0
@@ -508,65 +510,65 @@ def advance(
             if flying and body[VY1] > 0.0 >= solver.body1[VY1]:
                 y0, dy0, y1, dy1 = body[Y1], body[VY1], solver.body1[Y1], solver.body1[VY1]
                 instant = apex_instant(h, y0, dy0, y1, dy1)
-                rise = hermite(instant, h, y0, dy0, y1, dy1) - book[START_Y]
-                if rise > book[HIGHEST]:
-                    book[HIGHEST] = rise
+                rise = hermite(instant, h, y0, dy0, y1, dy1) - memory[TAKE_OFF_Y]
+                if rise > memory[MAX_RISE]:
+                    memory[MAX_RISE] = rise
                     at = start + elapsed + instant
                     count = _record(
-                        EVENT_APEX, at, rise, tension, solver.body1, book, events, count
+                        EVENT_APEX, at, rise, tension, solver.body1, memory, events, count
                     )
-            _keep(solver, q, v, body)
-            book[DISSIPATED] += dissipated
-            depth = remember(
+            _accept_step(solver, q, v, body)
+            memory[DISSIPATED] += dissipated
+            past_steps = record_step(
                 solver.history,
                 h,
-                known,
+                stored_steps,
                 model.tether.element_length,
                 solver.work.increment,
                 solver.turn,
             )
-            known = min(known + 1, 3)
+            stored_steps = min(stored_steps + 1, 3)
             elapsed += h
             report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
             report[PEAK_TENSION] = max(report[PEAK_TENSION], tension)
             if tension > model.breaking_load:
                 phase = TETHER_BROKEN
                 done = True
-                rise = body[Y1] - book[START_Y]
+                rise = body[Y1] - memory[TAKE_OFF_Y]
                 count = _record(
-                    EVENT_BROKEN, start + elapsed, rise, tension, body, book, events, count
+                    EVENT_BROKEN, start + elapsed, rise, tension, body, memory, events, count
                 )
                 break
             if touches:
-                rise = book[HIGHEST]
+                rise = memory[MAX_RISE]
                 count = _record(
-                    EVENT_TOUCHDOWN, start + elapsed, rise, tension, body, book, events, count
+                    EVENT_TOUCHDOWN, start + elapsed, rise, tension, body, memory, events, count
                 )
                 if model.hold_after_landing:
                     phase = LANDED
-                    _hold_rover(model, q, v, body, book)
-                    depth, known = 0, 0
-                    book[COMPRESSION] = 0.0
+                    _hold_rover(model, q, v, body, memory)
+                    past_steps, stored_steps = 0, 0
+                    memory[COMPRESSION] = 0.0
                 done = stop_at_touchdown
                 break
             left -= part
             if part < unit and left % (2 * part) == 0:
                 part *= 2
 
-        book[TIME] = start + elapsed
+        memory[TIME] = start + elapsed
         if trips and not done:
             phase = FLIGHT
-            speed = book[COMPRESSION] * np.sqrt(
+            speed = memory[COMPRESSION] * np.sqrt(
                 model.rover.spring_rate / (model.rover.m1 + model.rover.m2)
             )
             velocity = (-np.sin(body[THETA]) * speed, np.cos(body[THETA]) * speed)
-            take_off(model, velocity, q, v, body, book)
-            book[COMPRESSION] = 0.0
-            depth, known = 0, 0
-            count = _record(EVENT_TAKE_OFF, book[TIME], 0.0, 0.0, body, book, events, count)
+            take_off(model, velocity, q, v, body, memory)
+            memory[COMPRESSION] = 0.0
+            past_steps, stored_steps = 0, 0
+            count = _record(EVENT_TAKE_OFF, memory[TIME], 0.0, 0.0, body, memory, events, count)
 
     if not done:
-        book[TIME] = start + dt
+        memory[TIME] = start + dt
     report[ELAPSED] = elapsed
     _report_end(model, q, v, body, report)
     if phase == DIVERGED:

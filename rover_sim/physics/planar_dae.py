@@ -28,7 +28,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from rover_sim.physics.section import TetherSection
+from rover_sim.physics.tether_section import TetherSection
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ _BISECTIONS = 30
 
 
 @checked_inner
-def _depth(terrain: Terrain, origin: Vector, direction: Vector, way: float) -> float:
+def _depth_at(terrain: Terrain, origin: Vector, direction: Vector, distance: float) -> float:
     return depth_and_normal(
         terrain,
-        origin[0] + way * direction[0],
-        origin[1] + way * direction[1],
-        origin[2] + way * direction[2],
+        origin[0] + distance * direction[0],
+        origin[1] + distance * direction[1],
+        origin[2] + distance * direction[2],
     )[0]
 
 
@@ -34,21 +34,21 @@ def distance_to_ground(terrain: Terrain, origin: Vector, direction: Vector, reac
         direction: unit vector.
         reach: how far is looked [m].
     """
-    way = 0.0
-    depth = _depth(terrain, origin, direction, way)
+    distance = 0.0
+    depth = _depth_at(terrain, origin, direction, distance)
     if depth >= 0.0:
         return 0.0
-    while way < reach:
+    while distance < reach:
         step = min(max(-depth, _SHORTEST_STEP), _LONGEST_STEP)
-        depth = _depth(terrain, origin, direction, way + step)
+        depth = _depth_at(terrain, origin, direction, distance + step)
         if depth >= 0.0:
-            low, high = way, way + step
+            low, high = distance, distance + step
             for _ in range(_BISECTIONS):
                 middle = 0.5 * (low + high)
-                if _depth(terrain, origin, direction, middle) >= 0.0:
+                if _depth_at(terrain, origin, direction, middle) >= 0.0:
                     high = middle
                 else:
                     low = middle
             return 0.5 * (low + high)
-        way += step
+        distance += step
     return math.inf

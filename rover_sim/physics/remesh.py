@@ -74,7 +74,7 @@ def split_first(
     tether: Tether,
     length: float,
     payout_rate: float,
-    mouth: Array,
+    fairlead_slope: Array,
     q: Array,
     v: Array,
     anchors: Array,
@@ -85,7 +85,7 @@ def split_first(
         tether: the chain before, of n elements; its element_length is what is cut off.
         length: undeformed length of the exit element, above element_length [m].
         payout_rate: v_pay [m/s].
-        mouth: slope and slope rate at the fairlead, which is the origin, (2, 3).
+        fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3).
         q: rows (6, width) of the chain's n + 1 nodes; changed: a node comes before the others.
         v: their rates; changed.
         anchors: of the contact points (2 n + 2 or more, 3); changed.
@@ -96,7 +96,9 @@ def split_first(
     n = tether.elements
     left = length - tether.element_length
     for d in range(3):
-        span = _exit_span(length, payout_rate, mouth[0, d], mouth[1, d], q, v, 0, d)
+        span = _exit_span(
+            length, payout_rate, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
+        )
         place, slope, speed, slope_speed = _field(span, left)
         for k in (d, 3 + d):
             for i in range(n + 1, 0, -1):
@@ -109,7 +111,7 @@ def split_first(
 
 
 @inner
-def _point(length: float, nominal: float, k: int) -> tuple[float, float]:
+def _quadrature_point(length: float, nominal: float, k: int) -> tuple[float, float]:
     """Distance from the fairlead and weight [m] of quadrature point k of both elements."""
     g = k % _POINTS
     if k < _POINTS:
@@ -118,7 +120,7 @@ def _point(length: float, nominal: float, k: int) -> tuple[float, float]:
 
 
 @inner
-def _old(first: _Span, second: _Span, place: float) -> tuple[float, float, float, float]:
+def _old_field(first: _Span, second: _Span, place: float) -> tuple[float, float, float, float]:
     """The field of the two elements to be merged."""
     if place < first.length:
         return _field(first, place)
@@ -126,63 +128,63 @@ def _old(first: _Span, second: _Span, place: float) -> tuple[float, float, float
 
 
 @inner
-def _exit_shape(length: float, place: float) -> tuple[float, float]:
+def _slope_shape(length: float, place: float) -> tuple[float, float]:
     """Shape function of an element's first slope, and its derivative."""
     xi = place / length
     return length * xi * (1.0 - xi) ** 2, (1.0 - xi) * (1.0 - 3.0 * xi)
 
 
 @inner
-def _closest_slope(first: _Span, second: _Span, held: _Span) -> float:
-    """Exit slope of the merged element that leaves the shape closest; `held` has slope 0."""
-    wanted, size = 0.0, 0.0
+def _fitted_slope(first: _Span, second: _Span, base: _Span) -> float:
+    """Exit slope of the merged element that leaves the shape closest; `base` has slope 0."""
+    numerator, denominator = 0.0, 0.0
     for k in range(2 * _POINTS):
-        s, weight = _point(first.length, second.length, k)
-        shape, _ = _exit_shape(held.length, s)
-        wanted += weight * shape * (_old(first, second, s)[0] - _field(held, s)[0])
-        size += weight * shape * shape
-    return wanted / size
+        s, weight = _quadrature_point(first.length, second.length, k)
+        shape, _ = _slope_shape(base.length, s)
+        numerator += weight * shape * (_old_field(first, second, s)[0] - _field(base, s)[0])
+        denominator += weight * shape * shape
+    return numerator / denominator
 
 
 @inner
-def _closest_rate(first: _Span, second: _Span, held: _Span) -> float:
-    """Exit slope's rate that leaves the velocities closest; `held` has rate 0."""
-    wanted, size = 0.0, 0.0
+def _fitted_rate(first: _Span, second: _Span, base: _Span) -> float:
+    """Exit slope's rate that leaves the velocities closest; `base` has rate 0."""
+    numerator, denominator = 0.0, 0.0
     for k in range(2 * _POINTS):
-        s, weight = _point(first.length, second.length, k)
-        shape, _ = _exit_shape(held.length, s)
-        wanted += weight * shape * (_old(first, second, s)[2] - _field(held, s)[2])
-        size += weight * shape * shape
-    return wanted / size
+        s, weight = _quadrature_point(first.length, second.length, k)
+        shape, _ = _slope_shape(base.length, s)
+        numerator += weight * shape * (_old_field(first, second, s)[2] - _field(base, s)[2])
+        denominator += weight * shape * shape
+    return numerator / denominator
 
 
 @inner
-def _stretching(first: _Span, second: _Span, merged: _Span) -> tuple[float, float, float]:
+def _stretch_terms(first: _Span, second: _Span, merged: _Span) -> tuple[float, float, float]:
     """One direction's part in the integral of r'.r': excess of the new, its slope and curvature.
 
     Slope and curvature are those of half the integral by the exit slope.
     """
-    excess, way, size = 0.0, 0.0, 0.0
+    excess, gradient, denominator = 0.0, 0.0, 0.0
     for k in range(2 * _POINTS):
-        s, weight = _point(first.length, second.length, k)
-        _, shape = _exit_shape(merged.length, s)
+        s, weight = _quadrature_point(first.length, second.length, k)
+        _, shape = _slope_shape(merged.length, s)
         new = _field(merged, s)[1]
-        excess += weight * (new * new - _old(first, second, s)[1] ** 2)
-        way += weight * shape * new
-        size += weight * shape * shape
-    return excess, way, size
+        excess += weight * (new * new - _old_field(first, second, s)[1] ** 2)
+        gradient += weight * shape * new
+        denominator += weight * shape * shape
+    return excess, gradient, denominator
 
 
 @inner
-def _keep_stretch(
-    excess: float, way: tuple[float, float, float], size: float
+def _restore_mean_strain(
+    excess: float, gradient: tuple[float, float, float], denominator: float
 ) -> tuple[float, float, float]:
     """The least change of the exit slope that takes the excess away, or as much as can be."""
-    steep = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+    steep = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
     if not steep > 0.0:
         return 0.0, 0.0, 0.0
-    move = -excess / (steep + math.sqrt(max(steep * steep - size * excess, 0.0)))
-    return move * way[0] / steep, move * way[1] / steep, move * way[2] / steep
+    move = -excess / (steep + math.sqrt(max(steep * steep - denominator * excess, 0.0)))
+    return move * gradient[0] / steep, move * gradient[1] / steep, move * gradient[2] / steep
 
 
 @inner
@@ -212,7 +214,7 @@ def merge_first(
     tether: Tether,
     length: float,
     payout_rate: float,
-    mouth: Array,
+    fairlead_slope: Array,
     q: Array,
     v: Array,
     anchors: Array,
@@ -225,7 +227,7 @@ def merge_first(
         tether: the chain before, of n elements, 2 or more.
         length: undeformed length of the exit element [m].
         payout_rate: v_pay [m/s].
-        mouth: slope and slope rate at the fairlead, which is the origin, (2, 3); changed.
+        fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3); changed.
         q: rows (6, width) of the chain's n + 1 nodes; changed: the first of them goes.
         v: their rates; changed.
         anchors: of the contact points (2 n or more, 3); changed: the first two of them go.
@@ -235,12 +237,12 @@ def merge_first(
     """
     n = tether.elements
     nominal = tether.element_length
-    whole = length + nominal
+    merged_length = length + nominal
     x, y, z = 0, 1, 2
     first = (
-        _exit_span(length, payout_rate, mouth[0, x], mouth[1, x], q, v, 0, x),
-        _exit_span(length, payout_rate, mouth[0, y], mouth[1, y], q, v, 0, y),
-        _exit_span(length, payout_rate, mouth[0, z], mouth[1, z], q, v, 0, z),
+        _exit_span(length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 0, x),
+        _exit_span(length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 0, y),
+        _exit_span(length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 0, z),
     )
     second = (
         _chain_span(nominal, q, v, x),
@@ -249,24 +251,32 @@ def merge_first(
     )
     change = -_energy(tether, first) - _energy(tether, second)
 
-    excess, size = 0.0, 0.0
+    excess, denominator = 0.0, 0.0
     for d in range(3):
-        held = _exit_span(whole, payout_rate, 0.0, 0.0, q, v, 1, d)
-        mouth[0, d] = _closest_slope(first[d], second[d], held)
-        merged = _exit_span(whole, payout_rate, mouth[0, d], 0.0, q, v, 1, d)
-        more, mouth[1, d], size = _stretching(first[d], second[d], merged)
+        base = _exit_span(merged_length, payout_rate, 0.0, 0.0, q, v, 1, d)
+        fairlead_slope[0, d] = _fitted_slope(first[d], second[d], base)
+        merged = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
+        more, fairlead_slope[1, d], denominator = _stretch_terms(first[d], second[d], merged)
         excess += more
-    moves = _keep_stretch(excess, (mouth[1, x], mouth[1, y], mouth[1, z]), size)
+    moves = _restore_mean_strain(
+        excess, (fairlead_slope[1, x], fairlead_slope[1, y], fairlead_slope[1, z]), denominator
+    )
     for d in range(3):
-        mouth[0, d] += moves[d]
-        held = _exit_span(whole, payout_rate, mouth[0, d], 0.0, q, v, 1, d)
-        mouth[1, d] = _closest_rate(first[d], second[d], held)
+        fairlead_slope[0, d] += moves[d]
+        base = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
+        fairlead_slope[1, d] = _fitted_rate(first[d], second[d], base)
     change += _energy(
         tether,
         (
-            _exit_span(whole, payout_rate, mouth[0, x], mouth[1, x], q, v, 1, x),
-            _exit_span(whole, payout_rate, mouth[0, y], mouth[1, y], q, v, 1, y),
-            _exit_span(whole, payout_rate, mouth[0, z], mouth[1, z], q, v, 1, z),
+            _exit_span(
+                merged_length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 1, x
+            ),
+            _exit_span(
+                merged_length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 1, y
+            ),
+            _exit_span(
+                merged_length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 1, z
+            ),
         ),
     )
 

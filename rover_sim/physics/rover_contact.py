@@ -33,7 +33,7 @@ from rover_sim.physics.spatial_rover import (
     RoverStep,
     add_point_load,
     point_travel,
-    put,
+    set_vector_at,
     vector_at,
 )
 from rover_sim.physics.terrain import Terrain, depth_and_normal
@@ -49,24 +49,24 @@ from rover_sim.physics.wheel_contact import (
 )
 from rover_sim.physics.wheel_ground_geometry import (
     NO_ROCK,
-    RimContact,
+    WheelContactGeometry,
     deepest_rocks,
-    rim_on_floor,
-    rim_on_rock,
+    wheel_on_floor,
+    wheel_on_rock,
 )
 
 # A corner or rim farther from the ground than this at a step's start cannot reach it in the step.
 _NEAR = 0.05
-_FLOOR = 0  # of a wheel's kinds of contact; the others are its rocks
-KINDS = 3
+_FLOOR_SLOT = 0  # of a wheel's kinds of contact; the others are its rocks
+CONTACTS_PER_WHEEL = 3
 """Contacts of a wheel: the floor and two rocks."""
 
 
-class Feet(NamedTuple):
+class RoverContact(NamedTuple):
     """Where and how the rover touches the ground."""
 
     corners: Array  # points in base_link, Body 2's from its own centre [m], (c, 3)
-    first_of_body2: int  # corners from here on are Body 2's
+    first_body2_corner: int  # corners from here on are Body 2's
     left_wheel: Vector  # centre in base_link [m]
     right_wheel: Vector
     radius: float  # of the rims [m]
@@ -76,7 +76,7 @@ class Feet(NamedTuple):
     wheel: WheelLaw  # on regolith
 
 
-class FeetStep(NamedTuple):
+class RoverContactStep(NamedTuple):
     """Arrays of one step's contacts."""
 
     near: Array  # 1 where a contact is looked at: corners, then [wheel, kind], (c + 6,)
@@ -90,20 +90,20 @@ class FeetStep(NamedTuple):
     force: Array  # on the rover [N], (c + 6, 3)
     torque: Array  # M against the spin [N m] and dM/dw [N m s], (6, 2)
     spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
-    boulder: Array  # which rock each contact of a wheel is with, see `rim`, (2, KINDS)
-    left: Array  # energy that rocks store which are looked at no more, or anew [J], (1,)
+    rock_key: Array  # which rock each contact of a wheel is with, see `rim`, (2, KINDS)
+    dropped_energy: Array  # energy that rocks store which are looked at no more, or anew [J], (1,)
 
 
 def anchor_rows(corners: int) -> int:
     """Rows of the anchors of a rover with so many corners."""
-    return corners + 2 * KINDS + 2
+    return corners + 2 * CONTACTS_PER_WHEEL + 2
 
 
-def make_feet_step(corners: int) -> FeetStep:
+def make_rover_contact_step(corners: int) -> RoverContactStep:
     """Allocate the arrays."""
-    wheels = 2 * KINDS
+    wheels = 2 * CONTACTS_PER_WHEEL
     c = corners + wheels
-    return FeetStep(
+    return RoverContactStep(
         near=np.zeros(c),
         depth0=np.zeros(c),
         depth1=np.zeros(c),
@@ -115,8 +115,8 @@ def make_feet_step(corners: int) -> FeetStep:
         force=np.zeros((c, 3)),
         torque=np.zeros((wheels, 2)),
         spin=np.zeros(2),
-        boulder=np.zeros((2, KINDS)),
-        left=np.zeros(1),
+        rock_key=np.zeros((2, CONTACTS_PER_WHEEL)),
+        dropped_energy=np.zeros(1),
     )
 
 
@@ -127,67 +127,83 @@ def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float
 
 
 @inner
-def _rim(
-    feet: Feet, terrain: Terrain, kind: int, boulder: float, centre: Vector, axle: Vector
-) -> RimContact:
+def _wheel_geometry(
+    contact: RoverContact,
+    terrain: Terrain,
+    slot: int,
+    rock_key: float,
+    centre: Vector,
+    axle: Vector,
+) -> WheelContactGeometry:
     """Deepest point of a rim in the floor or in a rock."""
-    if kind != _FLOOR:
-        return rim_on_rock(terrain, centre, axle, feet.tip_radius, boulder)
-    radius = feet.tip_radius if terrain.floor_rock > 0.5 else feet.radius
-    return rim_on_floor(terrain, centre, axle, radius)
+    if slot != _FLOOR_SLOT:
+        return wheel_on_rock(terrain, centre, axle, contact.tip_radius, rock_key)
+    radius = contact.tip_radius if terrain.floor_rock > 0.5 else contact.radius
+    return wheel_on_floor(terrain, centre, axle, radius)
 
 
 @inner
-def _wheel_centre(feet: Feet, wheel: int) -> Vector:
-    return feet.left_wheel if wheel == 0 else feet.right_wheel
+def _wheel_centre(contact: RoverContact, wheel: int) -> Vector:
+    return contact.left_wheel if wheel == 0 else contact.right_wheel
 
 
 @inner
 def _find_rocks(
-    feet: Feet, terrain: Terrain, wheel: int, hub: Vector, axle: Vector, anchors: Array,
-    step: FeetStep,
+    contact: RoverContact, terrain: Terrain, wheel: int, hub: Vector, axle: Vector, anchors: Array,
+    step: RoverContactStep,
 ) -> None:  # fmt: skip
     """Give each of the two rocks that a wheel lies deepest in its place; it keeps one it had."""
-    corners = feet.corners.shape[0]
-    first, rock1, second, rock2 = deepest_rocks(terrain, hub, axle, feet.tip_radius)
-    were = anchors[corners + 2 * KINDS + wheel]
-    swap = (rock1 != NO_ROCK and rock1 == were[2]) or (rock2 != NO_ROCK and rock2 == were[1])
+    corners = contact.corners.shape[0]
+    first, key1, second, key2 = deepest_rocks(terrain, hub, axle, contact.tip_radius)
+    previous_keys = anchors[corners + 2 * CONTACTS_PER_WHEEL + wheel]
+    swap = (key1 != NO_ROCK and key1 == previous_keys[2]) or (
+        key2 != NO_ROCK and key2 == previous_keys[1]
+    )
     if swap:
-        first, rock1, second, rock2 = second, rock2, first, rock1
-    for kind in range(1, KINDS):
-        k = corners + KINDS * wheel + kind
-        rock, depth = (rock1, first) if kind == 1 else (rock2, second)
-        step.boulder[wheel, kind] = rock
+        first, key1, second, key2 = second, key2, first, key1
+    for slot in range(1, CONTACTS_PER_WHEEL):
+        k = corners + CONTACTS_PER_WHEEL * wheel + slot
+        rock, depth = (key1, first) if slot == 1 else (key2, second)
+        step.rock_key[wheel, slot] = rock
         step.depth0[k] = depth
-        if were[kind] not in (NO_ROCK, rock):
+        if previous_keys[slot] not in (NO_ROCK, rock):
             # Three in contact at once: what the one stores is not got back, the other's comes new.
-            before = rim_on_rock(terrain, hub, axle, feet.tip_radius, were[kind]).depth
+            before = wheel_on_rock(
+                terrain, hub, axle, contact.tip_radius, previous_keys[slot]
+            ).depth
             if before > 0.0:
-                step.left[0] += contact_energy(feet.rock, before, vector_at(anchors[k], 0))
+                step.dropped_energy[0] += contact_energy(
+                    contact.rock, before, vector_at(anchors[k], 0)
+                )
             if depth > 0.0:
-                step.left[0] -= contact_energy(feet.rock, depth, NO_VECTOR)
+                step.dropped_energy[0] -= contact_energy(contact.rock, depth, NO_VECTOR)
 
 
 @inner
-def _anchor(corners: int, k: int, anchors: Array, step: FeetStep) -> Vector:
+def _anchor(corners: int, k: int, anchors: Array, step: RoverContactStep) -> Vector:
     """Deflection of a contact's anchor at the step's start [m]; zero for a rock that is new."""
     w = k - corners
     if w >= 0:
-        wheel, kind = w // KINDS, w % KINDS
-        were = anchors[corners + 2 * KINDS + wheel]
-        if kind != _FLOOR and step.boulder[wheel, kind] != were[kind]:
+        wheel, slot = w // CONTACTS_PER_WHEEL, w % CONTACTS_PER_WHEEL
+        previous_keys = anchors[corners + 2 * CONTACTS_PER_WHEEL + wheel]
+        if slot != _FLOOR_SLOT and step.rock_key[wheel, slot] != previous_keys[slot]:
             return NO_VECTOR
     return vector_at(anchors[k], 0)
 
 
 @inner
-def begin_feet(
-    feet: Feet, terrain: Terrain, pose: Pose, body: Array, anchors: Array, step: FeetStep
+def begin_rover_contact(
+    contact: RoverContact,
+    terrain: Terrain,
+    pose: Pose,
+    body: Array,
+    anchors: Array,
+    step: RoverContactStep,
 ) -> bool:
     """Find the depths at the step's start; returns whether anything is near the ground.
 
     Args:
-        feet: of the rover.
+        contact: contact model of the rover.
         terrain: the ground.
         pose: of the step, of which the start is used.
         body: the rover's state.
@@ -195,27 +211,29 @@ def begin_feet(
         step: filled.
     """
     centre = vector_at(body, POSITION)
-    corners = feet.corners.shape[0]
+    corners = contact.corners.shape[0]
     found = False
-    step.left[0] = 0.0
-    for k in range(corners + 2 * KINDS):
-        put(step.force[k], 0, NO_VECTOR)
-    for w in range(2 * KINDS):
+    step.dropped_energy[0] = 0.0
+    for k in range(corners + 2 * CONTACTS_PER_WHEEL):
+        set_vector_at(step.force[k], 0, NO_VECTOR)
+    for w in range(2 * CONTACTS_PER_WHEEL):
         step.torque[w, 0], step.torque[w, 1] = 0.0, 0.0
     for k in range(corners):
-        lever = rotate(pose.start, vector_at(feet.corners[k], 0))
-        if k >= feet.first_of_body2:
+        lever = rotate(pose.start, vector_at(contact.corners[k], 0))
+        if k >= contact.first_body2_corner:
             lever = axpy(pose.s0, pose.axis0, lever)
         depth = _corner_ground(terrain, add(centre, lever))[0]
         step.depth0[k] = depth
         step.near[k] = 1.0 if depth > -_NEAR else 0.0
         found = found or depth > -_NEAR
     for wheel in range(2):
-        hub = add(centre, rotate(pose.start, _wheel_centre(feet, wheel)))
-        floor = corners + KINDS * wheel
-        step.depth0[floor] = _rim(feet, terrain, _FLOOR, NO_ROCK, hub, pose.start[1]).depth
-        _find_rocks(feet, terrain, wheel, hub, pose.start[1], anchors, step)
-        for k in range(floor, floor + KINDS):
+        hub = add(centre, rotate(pose.start, _wheel_centre(contact, wheel)))
+        floor = corners + CONTACTS_PER_WHEEL * wheel
+        step.depth0[floor] = _wheel_geometry(
+            contact, terrain, _FLOOR_SLOT, NO_ROCK, hub, pose.start[1]
+        ).depth
+        _find_rocks(contact, terrain, wheel, hub, pose.start[1], anchors, step)
+        for k in range(floor, floor + CONTACTS_PER_WHEEL):
             depth = step.depth0[k]
             step.near[k] = 1.0 if depth > -_NEAR else 0.0
             found = found or depth > -_NEAR
@@ -224,14 +242,14 @@ def begin_feet(
 
 @inner
 def _wheel_force(
-    feet: Feet,
+    contact: RoverContact,
     on_soil: bool,
     k: int,
     w: int,
     spin: float,
     h: float,
     anchor: Vector,
-    step: FeetStep,
+    step: RoverContactStep,
 ) -> WheelForce:
     """Force on wheel contact w (entry k of the common arrays)."""
     normal = vector_at(step.normal[k], 0)
@@ -239,15 +257,15 @@ def _wheel_force(
     travel = vector_at(step.travel[k], 0)
     depth0, depth1 = step.depth0[k], step.depth1[k]
     if on_soil:
-        return soil_force(feet.wheel, depth0, depth1, normal, forward, travel, spin, h, anchor)
+        return soil_force(contact.wheel, depth0, depth1, normal, forward, travel, spin, h, anchor)
     return rock_force(
-        feet.rock, feet.tip_radius, depth0, depth1, normal, forward, travel, spin, h, anchor
+        contact.rock, contact.tip_radius, depth0, depth1, normal, forward, travel, spin, h, anchor
     )
 
 
 @inner
-def add_feet(
-    feet: Feet,
+def add_rover_contact(
+    contact: RoverContact,
     terrain: Terrain,
     attachment: Vector,
     h: float,
@@ -256,12 +274,12 @@ def add_feet(
     dr: Vector,
     anchors: Array,
     rover_step: RoverStep,
-    step: FeetStep,
+    step: RoverContactStep,
 ) -> None:
     """Add the contacts' forces to the rover's loads.
 
     Args:
-        feet: of the rover.
+        contact: contact model of the rover.
         terrain: the ground.
         attachment: p [m].
         h: length of the step [s].
@@ -270,21 +288,21 @@ def add_feet(
         dr: travel of the last node [m].
         anchors: deflections at the step's start [m], (anchor_rows, 3).
         rover_step: added to.
-        step: from `begin_feet`, filled.
+        step: from `begin_rover_contact`, filled.
     """
     centre0 = vector_at(body, POSITION)
-    corners = feet.corners.shape[0]
+    corners = contact.corners.shape[0]
     for k in range(corners):
         if step.near[k] == 0.0:
             continue
-        point = vector_at(feet.corners[k], 0)
-        sliding = k >= feet.first_of_body2
+        point = vector_at(contact.corners[k], 0)
+        sliding = k >= contact.first_body2_corner
         lever, travel = point_travel(pose, dr, point, attachment, sliding)
         node1 = add(add(centre0, pose.attachment0), dr)
         depth, nx, ny, nz, rock = _corner_ground(terrain, add(node1, lever))
         normal = (nx, ny, nz)
         force, tangent = contact_force(
-            blend_laws(feet.regolith, feet.rock, rock),
+            blend_laws(contact.regolith, contact.rock, rock),
             step.depth0[k],
             depth,
             normal,
@@ -293,46 +311,48 @@ def add_feet(
             vector_at(anchors[k], 0),
         )
         step.depth1[k], step.rock[k] = depth, rock
-        put(step.normal[k], 0, normal)
-        put(step.travel[k], 0, travel)
-        put(step.force[k], 0, force)
+        set_vector_at(step.normal[k], 0, normal)
+        set_vector_at(step.travel[k], 0, travel)
+        set_vector_at(step.force[k], 0, force)
         if step.depth0[k] > 0.0 or depth > 0.0:
             add_point_load(rover_step, pose, attachment, point, sliding, NO_VECTOR, force, tangent)
     axle = rotate(pose.start, _turned_axle(pose))
     for wheel in range(2):
-        point = _wheel_centre(feet, wheel)
+        point = _wheel_centre(contact, wheel)
         lever, travel = point_travel(pose, dr, point, attachment, False)
         hub = add(add(add(centre0, pose.attachment0), dr), lever)
         spin = step.spin[wheel] + pose.th[1] / h
-        for kind in range(KINDS):
-            w = KINDS * wheel + kind
+        for slot in range(CONTACTS_PER_WHEEL):
+            w = CONTACTS_PER_WHEEL * wheel + slot
             k = corners + w
             if step.near[k] == 0.0:
                 continue
-            touch = _rim(feet, terrain, kind, step.boulder[wheel, kind], hub, axle)
-            step.depth1[k] = touch.depth
-            put(step.normal[k], 0, touch.normal)
-            put(step.forward[w], 0, touch.forward)
-            put(step.arm[w], 0, touch.arm)
-            put(step.travel[k], 0, travel)
-            on_soil = kind == _FLOOR and terrain.floor_rock <= 0.5
+            geometry = _wheel_geometry(
+                contact, terrain, slot, step.rock_key[wheel, slot], hub, axle
+            )
+            step.depth1[k] = geometry.depth
+            set_vector_at(step.normal[k], 0, geometry.normal)
+            set_vector_at(step.forward[w], 0, geometry.forward)
+            set_vector_at(step.arm[w], 0, geometry.arm)
+            set_vector_at(step.travel[k], 0, travel)
+            on_soil = slot == _FLOOR_SLOT and terrain.floor_rock <= 0.5
             anchor = _anchor(corners, k, anchors, step)
-            result = _wheel_force(feet, on_soil, k, w, spin, h, anchor, step)
-            put(step.force[k], 0, result.force)
+            result = _wheel_force(contact, on_soil, k, w, spin, h, anchor, step)
+            set_vector_at(step.force[k], 0, result.force)
             step.torque[w, 0], step.torque[w, 1] = result.torque, result.torque_slope
-            if step.depth0[k] > 0.0 or touch.depth > 0.0:
+            if step.depth0[k] > 0.0 or geometry.depth > 0.0:
                 add_point_load(
                     rover_step,
                     pose,
                     attachment,
                     point,
                     False,
-                    touch.arm,
+                    geometry.arm,
                     result.force,
                     result.tangent,
                 )
-                moment = wheel_moment(touch.arm, axle, result.force, result.torque)
-                surplus = sub(moment, cross(touch.arm, result.force))
+                moment = wheel_moment(geometry.arm, axle, result.force, result.torque)
+                surplus = sub(moment, cross(geometry.arm, result.force))
                 for d in range(3):
                     rover_step.load[3 + d] += surplus[d]
 
@@ -347,19 +367,19 @@ def _turned_axle(pose: Pose) -> Vector:
 
 
 @inner
-def end_feet(
-    feet: Feet,
+def end_rover_contact(
+    contact: RoverContact,
     terrain: Terrain,
     h: float,
     pose: Pose,
     anchors: Array,
-    step: FeetStep,
+    step: RoverContactStep,
     after: Array,
 ) -> tuple[float, float]:
     """Carry the anchors on after an accepted step.
 
     Args:
-        feet: of the rover.
+        contact: contact model of the rover.
         terrain: the ground.
         h: length of the step [s].
         pose: of the step.
@@ -371,13 +391,15 @@ def end_feet(
         Work of the ground on bodies and wheels together [J], and change of the energy that the
         contacts store [J]; what the ground dissipates is minus their sum.
     """
-    corners = feet.corners.shape[0]
-    work, stored = 0.0, -step.left[0]
+    corners = contact.corners.shape[0]
+    work, stored = 0.0, -step.dropped_energy[0]
     turn = rotate(pose.start, pose.th)
     axle = rotate(pose.start, _turned_axle(pose))
     for wheel in range(2):
-        put(after[corners + 2 * KINDS + wheel], 0, vector_at(step.boulder[wheel], 0))
-    for k in range(corners + 2 * KINDS):
+        set_vector_at(
+            after[corners + 2 * CONTACTS_PER_WHEEL + wheel], 0, vector_at(step.rock_key[wheel], 0)
+        )
+    for k in range(corners + 2 * CONTACTS_PER_WHEEL):
         before = _anchor(corners, k, anchors, step)
         anchor = NO_VECTOR
         touched = step.near[k] != 0.0 and (step.depth0[k] > 0.0 or step.depth1[k] > 0.0)
@@ -388,32 +410,32 @@ def end_feet(
             depth0, depth1 = step.depth0[k], step.depth1[k]
             work += dot(force, travel)
             if k < corners:
-                law = blend_laws(feet.regolith, feet.rock, step.rock[k])
+                law = blend_laws(contact.regolith, contact.rock, step.rock[k])
                 anchor = advance_bristle(law, depth0, depth1, normal, travel, h, before)
                 stored += contact_energy(law, depth1, anchor) - contact_energy(law, depth0, before)
             else:
                 w = k - corners
-                wheel = w // KINDS
+                wheel = w // CONTACTS_PER_WHEEL
                 spin = step.spin[wheel] + pose.th[1] / h
                 forward = vector_at(step.forward[w], 0)
                 moment = wheel_moment(vector_at(step.arm[w], 0), axle, force, step.torque[w, 0])
                 work += dot(moment, turn) - step.torque[w, 0] * step.spin[wheel] * h
-                if w % KINDS == _FLOOR and terrain.floor_rock <= 0.5:
+                if w % CONTACTS_PER_WHEEL == _FLOOR_SLOT and terrain.floor_rock <= 0.5:
                     anchor = advance_soil_bristle(
-                        feet.wheel, depth0, depth1, normal, forward, travel, spin, h, before
+                        contact.wheel, depth0, depth1, normal, forward, travel, spin, h, before
                     )
                     stored += (
                         0.5
-                        * feet.wheel.anchor_stiffness
+                        * contact.wheel.anchor_stiffness
                         * (dot(anchor, anchor) - dot(before, before))
                     )
                 else:
                     anchor = advance_rock_bristle(
-                        feet.rock, feet.tip_radius, depth0, depth1, normal, forward, travel,
+                        contact.rock, contact.tip_radius, depth0, depth1, normal, forward, travel,
                         spin, h, before,
                     )  # fmt: skip
-                    stored += contact_energy(feet.rock, depth1, anchor) - contact_energy(
-                        feet.rock, depth0, before
+                    stored += contact_energy(contact.rock, depth1, anchor) - contact_energy(
+                        contact.rock, depth0, before
                     )
-        put(after[k], 0, anchor)
+        set_vector_at(after[k], 0, anchor)
     return work, stored

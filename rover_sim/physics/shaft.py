@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rover_sim.physics.compiled import checked_inner
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Friction(NamedTuple):
     viscous: float
 
 
-class Motion(NamedTuple):
+class ShaftMotion(NamedTuple):
     """What a shaft did in one step.
 
     The first piece keeps the sign of the starting rate and is empty if the shaft starts at rest;
@@ -86,7 +86,7 @@ def sliding_torque(friction: Friction, rate: float) -> float:
 
 
 @checked_inner
-def geared(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
+def geared_torques(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
     """Torque behind a lossy gear, for forward and for backward motion [N m].
 
     A gear that drives passes `efficiency` of the torque; one that is driven (its motor brakes)
@@ -109,7 +109,7 @@ def advance_shaft(
     viscous: float,
     load_slope: float,
     h: float,
-) -> Motion:
+) -> ShaftMotion:
     """Advance a shaft by h.
 
     Args:
@@ -131,7 +131,7 @@ def advance_shaft(
             inertia + 0.5 * viscous * h + load_slope * h
         )
         if end > 0.0 if rate > 0.0 else end < 0.0:
-            return Motion(end, 0.5 * (rate + end) * h, h, 0.0, 0.0)
+            return ShaftMotion(end, 0.5 * (rate + end) * h, h, 0.0, 0.0)
         braking = torque - 0.5 * viscous * rate
         first_time = min(h, -inertia * rate / braking) if braking != 0.0 else h
         first = 0.5 * rate * first_time
@@ -142,25 +142,25 @@ def advance_shaft(
         torque = backward_rest
     left = h - first_time
     if torque == 0.0 or left <= 0.0:
-        return Motion(0.0, first, first_time, 0.0, 0.0)
+        return ShaftMotion(0.0, first, first_time, 0.0, 0.0)
     end = torque * left / (inertia + 0.5 * viscous * left + load_slope * left)
-    return Motion(end, first, first_time, 0.5 * end * left, left)
+    return ShaftMotion(end, first, first_time, 0.5 * end * left, left)
 
 
 @checked_inner
-def stopped(motion: Motion, allowed: float) -> Motion:
+def cut_at_stop(motion: ShaftMotion, allowed: float) -> ShaftMotion:
     """A motion cut where its angle reaches a stop, each piece keeping its mean rate."""
     if motion.first * allowed > 0.0 and abs(motion.first) >= abs(allowed):
-        return Motion(0.0, allowed, motion.first_time * allowed / motion.first, 0.0, 0.0)
+        return ShaftMotion(0.0, allowed, motion.first_time * allowed / motion.first, 0.0, 0.0)
     if motion.second == 0.0:
-        return Motion(0.0, allowed, 0.0, 0.0, 0.0)
+        return ShaftMotion(0.0, allowed, 0.0, 0.0, 0.0)
     second = allowed - motion.first
     time = motion.second_time * second / motion.second
-    return Motion(0.0, motion.first, motion.first_time, second, time)
+    return ShaftMotion(0.0, motion.first, motion.first_time, second, time)
 
 
 @checked_inner
-def by_direction(motion: Motion, forward: float, backward: float) -> float:
+def directional_work(motion: ShaftMotion, forward: float, backward: float) -> float:
     """Work [J] of a torque with one value for forward and one for backward motion."""
     first = forward if motion.first > 0.0 else backward
     second = forward if motion.second > 0.0 else backward
@@ -168,13 +168,13 @@ def by_direction(motion: Motion, forward: float, backward: float) -> float:
 
 
 @checked_inner
-def dry_heat(motion: Motion, sliding: float, breakaway: float) -> float:
+def dry_heat(motion: ShaftMotion, sliding: float, breakaway: float) -> float:
     """Heat [J] of dry friction: the first piece slides, the second leaves rest."""
     return sliding * abs(motion.first) + breakaway * abs(motion.second)
 
 
 @checked_inner
-def viscous_heat(motion: Motion, viscous: float) -> float:
+def viscous_heat(motion: ShaftMotion, viscous: float) -> float:
     """Heat [J] of viscous friction, at the mean rate of each piece."""
     heat = 0.0
     if motion.first_time > 0.0:
@@ -185,14 +185,14 @@ def viscous_heat(motion: Motion, viscous: float) -> float:
 
 
 @checked_inner
-def slope_heat(motion: Motion, load_slope: float) -> float:
+def slope_heat(motion: ShaftMotion, load_slope: float) -> float:
     """What the load's slope takes [J]: slope times end rate times angle of the last piece."""
     last = motion.second if motion.second != 0.0 else motion.first
     return load_slope * motion.rate * last
 
 
 @checked_inner
-def carried_work(
+def base_motion_work(
     inertia: float, rate: float, end: float, angle: float, base: float, base_end: float, h: float
 ) -> float:
     """Work [J] of a turning base on a rotor whose rate relative to it goes from `rate` to `end`.

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rover_sim.physics.compiled import checked_inner
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 
 
 @dataclass(frozen=True)

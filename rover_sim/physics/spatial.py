@@ -1,13 +1,13 @@
-"""The plant in space, stepped in time: winch, tether, rover with its drives, and the ground.
+"""Time stepping of the spatial plant: winch, tether, rover with its drives, and the ground.
 
-A step of length h first moves the drives on: the jump drive (which may end the step early, where
-its latch trips), the winch's drum under the tension of the step before, the wheel drive under the
-ground's torques of the step before. Then tether, rover and ground go through one implicit step
-(`spatial_step`); where its iteration does not converge, drives and all are tried again with half
-the step. At last the first element at the fairlead is divided or joined to the next (`remesh`) when
-it has become too long or too short.
+A step of length h first advances the drives: the jump drive (which ends the step early where its
+latch trips), the winch's drum under the previous step's tension, the wheel drive under the previous
+step's ground torques. Then tether, rover and ground take one implicit step (`spatial_step`); if its
+Newton iteration does not converge, the drives and the implicit step are repeated with half the
+length. Finally the exit element at the fairlead is split or merged with the next one (`remesh`) if
+it is too long or too short.
 
-The world's origin is the fairlead, z points up; the rover's axes are those of `spatial_rover`.
+World frame: origin at the fairlead, z up. The rover's axes are those of `spatial_rover`.
 """
 
 from typing import NamedTuple
@@ -18,13 +18,15 @@ from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, wheel_drive
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.compiled import checked, inner
-from rover_sim.physics.initial_guess import remember
+from rover_sim.physics.event_location import apex_instant, hermite
+from rover_sim.physics.initial_guess import record_step
 from rover_sim.physics.integrator_memory import (
     AIRBORNE,
     AXIAL,
     BENDING,
     CONSTRAINT_DRIFT,
     CONTACT,
+    CONTACT_ENERGY,
     CONTACT_TIME,
     DRIVE_KINETIC,
     DRUM_STOP,
@@ -38,26 +40,27 @@ from rover_sim.physics.integrator_memory import (
     EVENT_LATCH,
     EVENT_TAKE_OFF,
     EVENT_TOUCHDOWN,
+    FAIRLEAD_TENSION,
     FAIRLEAD_X,
     FLYWHEEL_SATURATED,
     GRAVITY,
-    GROUND_STORED,
     HALVINGS,
     HEAT_JUMP,
     HEAT_SLIDER,
     HEAT_SWIVEL,
     HEAT_WHEELS,
     HEAT_WINCH,
-    HIGHEST,
     INPUT_JUMP,
+    INPUT_REMESHING,
     INPUT_TETHER,
     INPUT_WHEELS,
     INPUT_WINCH,
     JUMP_CURRENT,
     JUMP_TORQUE,
     KINETIC,
-    LEFT_SLOPE,
     LEFT_TORQUE,
+    LEFT_TORQUE_SLOPE,
+    MAX_RISE,
     NUT_FORCE,
     OUTCOME_BROKEN,
     OUTCOME_CONVERGED,
@@ -65,22 +68,20 @@ from rover_sim.physics.integrator_memory import (
     OUTCOME_HALVED,
     PEAK_TENSION,
     RATCHET,
-    REMESHED,
-    REMESHES,
+    REMESH_COUNT,
     REPORT_SIZE,
-    RIGHT_SLOPE,
     RIGHT_TORQUE,
+    RIGHT_TORQUE_SLOPE,
     SCREW_HARD_LIMIT,
     SCREW_SOFT_LIMIT,
-    SLIP,
     SMALLEST_STEP,
     SPRING,
+    SWIVEL_SLIP,
     TAKE_OFF_TIME,
     TAKE_OFF_X,
     TAKE_OFF_Y,
     TAKE_OFF_Z,
-    TENSION,
-    TETHER_GROUNDED,
+    TETHER_CONTACT_POINTS,
     TIME,
     TIP_TENSION,
     TORSION,
@@ -89,14 +90,13 @@ from rover_sim.physics.integrator_memory import (
     WHEEL_TORQUE,
     WINCH_CURRENT,
     WINCH_TORQUE,
-    book_losses,
+    add_losses,
     record_event,
-    remember_torques,
+    record_wheel_torques,
     report_loads,
 )
 from rover_sim.physics.jump_drive import Latch
-from rover_sim.physics.locate import apex_instant, hermite
-from rover_sim.physics.newton import distrust
+from rover_sim.physics.newton import reset_rate
 from rover_sim.physics.remesh import merge_first, split_first
 from rover_sim.physics.slider import slider_energy
 from rover_sim.physics.spatial_rover import (
@@ -111,10 +111,10 @@ from rover_sim.physics.spatial_rover import (
     vector_at,
 )
 from rover_sim.physics.spatial_step import (
-    Actions,
     Model,
-    Motion,
+    MotionArrays,
     Solver,
+    StepInputs,
     attempt_step,
     slide_rate,
 )
@@ -123,14 +123,14 @@ from rover_sim.physics.twist import swivel_torque, twist_angle, twist_axis, twis
 from rover_sim.physics.variable_length import Payout, begin_exit, exit_energies
 from rover_sim.physics.vectors import Vector, dot, scale
 
-# Without contact for so long [s] the rover counts as airborne: bounces are part of a landing.
+# The rover is airborne after this time without contact [s]: bounces are part of a landing.
 _AIRBORNE_AFTER = 0.02
-# Exit elements longer than this part of the nominal length are divided, shorter ones joined.
+# An exit element is split or merged beyond these fractions of the nominal element length.
 _SPLIT_BEYOND, _MERGE_BELOW = 1.5, 0.5
 _RELEASED, _HOOKING = int(Latch.RELEASED), int(Latch.HOOKING)
 
 
-class Machines(NamedTuple):
+class DriveStates(NamedTuple):
     """States of the drives."""
 
     jump: jump_drive.JumpState
@@ -138,8 +138,8 @@ class Machines(NamedTuple):
     wheels: wheel_drive.WheelState
 
 
-class Orders(NamedTuple):
-    """What the drives are asked to do during a call."""
+class DriveCommands(NamedTuple):
+    """Commands to the drives, constant during a call."""
 
     jump: jump_drive.JumpCommand
     drum: drums.DrumCommand
@@ -148,7 +148,7 @@ class Orders(NamedTuple):
 
 @inner
 def with_elements(tether: Tether, elements: int) -> Tether:
-    """The same tether with another number of elements of the same length."""
+    """Copy of the tether with another number of elements of the same length."""
     return Tether(
         elements,
         tether.element_length,
@@ -170,32 +170,35 @@ def _pressing(latch: int) -> bool:
 
 @inner
 def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
-    """Rate of the tether at the drum [m/s]."""
+    """Payout rate of the tether at the drum [m/s]."""
     turns = drum.full_turns - state.angle / (2.0 * np.pi)
     return drums.radius_at(drum, turns) * state.rate
 
 
 @checked
 def energies(
-    model: Model, motion: Motion, machines: Machines, book: Array, solver: Solver
+    model: Model, motion: MotionArrays, drives: DriveStates, memory: Array, solver: Solver
 ) -> tuple[float, float, float, float, float, float, float]:
     """Kinetic, gravity, axial, bending, spring, contact and torsion energy [J].
 
-    Gravity's potential is zero at the fairlead, the contacts' energy at the run's start. Uses the
-    solver's arrays of the exit element.
+    The potential of gravity is zero at the fairlead, the contact energy at the run's start.
+    Overwrites the solver's arrays of the exit element.
     """
-    n = int(book[ELEMENTS])
+    n = int(memory[ELEMENTS])
     tether = with_elements(model.tether, n)
     kinetic, gravity, axial, bending = tether_energies(tether, motion.q, motion.v)
-    kinetic += book[DRIVE_KINETIC]
+    kinetic += memory[DRIVE_KINETIC]
     spring, torsion = 0.0, 0.0
     length = n * tether.element_length
     if model.has_winch:
-        exit_ = solver.exit
-        begin_exit(solver.origin, motion.mouth[0], motion.mouth[1], motion.q, motion.v, exit_)
-        first = machines.drum.length - length
-        rate = payout_rate(model.drum, machines.drum)
-        parts = exit_energies(tether, first, rate, exit_.start, exit_.rate)
+        exit_element = solver.exit_element
+        begin_exit(
+            solver.origin, motion.fairlead_slope[0], motion.fairlead_slope[1], motion.q, motion.v,
+            exit_element,
+        )  # fmt: skip
+        first = drives.drum.length - length
+        rate = payout_rate(model.drum, drives.drum)
+        parts = exit_energies(tether, first, rate, exit_element.start, exit_element.rate)
         kinetic += parts[0]
         gravity += parts[1]
         axial += parts[2]
@@ -207,21 +210,23 @@ def energies(
         gravity += weight
         spring = slider_energy(
             model.slider,
-            _pressing(machines.jump.latch),
-            machines.jump.nut,
+            _pressing(drives.jump.latch),
+            drives.jump.nut,
             motion.body[SLIDE],
         )
-        torsion = twist_energy(model.torsion / length, book[TWIST], book[SLIP])
+        torsion = twist_energy(model.torsion / length, memory[TWIST], memory[SWIVEL_SLIP])
     else:
         for d in range(3):
             kinetic += 0.5 * model.tip_mass * motion.v[d, n] ** 2
             gravity -= model.tip_mass * tether.gravity[d] * motion.q[d, n]
-    return kinetic, gravity, axial, bending, spring, book[GROUND_STORED], torsion
+    return kinetic, gravity, axial, bending, spring, memory[CONTACT_ENERGY], torsion
 
 
 @inner
-def _keep(has_winch: bool, has_rover: bool, n: int, motion: Motion, after: Motion) -> None:
-    """Make the attempted step's end the state."""
+def _accept_step(
+    has_winch: bool, has_rover: bool, n: int, motion: MotionArrays, after: MotionArrays
+) -> None:
+    """Copy the end state of an attempted step to `motion`."""
     width = row_width(n, 3)
     for k in range(6):
         for i in range(width):
@@ -230,98 +235,99 @@ def _keep(has_winch: bool, has_rover: bool, n: int, motion: Motion, after: Motio
     if has_winch:
         for r in range(2):
             for d in range(3):
-                motion.mouth[r, d] = after.mouth[r, d]
+                motion.fairlead_slope[r, d] = after.fairlead_slope[r, d]
     if has_rover:
         for k in range(BODY_SIZE):
             motion.body[k] = after.body[k]
-        for k in range(motion.feet_anchors.shape[0]):
+        for k in range(motion.rover_anchors.shape[0]):
             for d in range(3):
-                motion.feet_anchors[k, d] = after.feet_anchors[k, d]
+                motion.rover_anchors[k, d] = after.rover_anchors[k, d]
 
 
 @inner
-def _came_through(
-    tether: Tether, pay: Payout, tension: float, slope0: Vector, mouth: Array
+def _tether_inflow(
+    tether: Tether, pay: Payout, tension: float, slope0: Vector, fairlead_slope: Array
 ) -> float:
-    """Energy of the tether that came through the fairlead in a step [J], beside the tension's work.
+    """Energy carried through the fairlead by paid-out tether in a step, beyond the drum's work [J].
 
-    The drum's books take what the tension does along the unstretched way, v_pay T, but stretched
-    tether passes the fairlead at r' v_pay; and it has its own motion and strain,
+    The drum's energy balance holds the work v_pay T per time along the unstretched length, but
+    stretched tether passes the fairlead at |r'| v_pay and carries kinetic and strain energy:
 
         dE = v_pay (T (1 - |r'|) + rho A |dr/dt|^2/2 + EA eps^2/2) dt.
     """
-    way = pay.length1 - pay.length0
+    paid_out = pay.length1 - pay.length0
     square = 0.0
     for d in range(3):
-        square += (0.5 * (slope0[d] + mouth[0, d])) ** 2
+        square += (0.5 * (slope0[d] + fairlead_slope[0, d])) ** 2
     strain = 0.5 * (square - 1.0)
     rate = 0.5 * (pay.rate0 + pay.rate1)
     carried = 0.5 * tether.line_density * rate * rate * square
     stored = 0.5 * tether.axial_stiffness * strain * strain
-    return way * (tension * (1.0 - np.sqrt(square)) + carried + stored)
+    return paid_out * (tension * (1.0 - np.sqrt(square)) + carried + stored)
 
 
 @checked
 def advance(
     model: Model,
-    motion: Motion,
-    machines: Machines,
-    orders: Orders,
-    book: Array,
+    motion: MotionArrays,
+    drives: DriveStates,
+    commands: DriveCommands,
+    memory: Array,
     dt: float,
     events: Array,
     report: Array,
     solver: Solver,
-) -> tuple[int, int, Machines]:
-    """Step the plant by dt; arrays in place, without allocating.
+) -> tuple[int, int, DriveStates]:
+    """Advance the plant by dt; changes its arrays in place and allocates nothing.
 
     Args:
         model: constants.
-        motion: arrays of tether and rover, with room for the longest tether.
-        machines: states of the drives.
-        orders: commands, held during the call.
-        book: (BOOK_SIZE,), changed.
+        motion: arrays of tether and rover, with room for the longest tether; changed.
+        drives: states of the drives.
+        commands: of the drives, constant during the call.
+        memory: see `integrator_memory`, (MEMORY_SIZE,), changed.
         dt: [s].
         events: (m, EVENT_SIZE), filled in order.
         report: (REPORT_SIZE,), filled.
-        solver: work arrays; keep nothing from one call to the next.
+        solver: work arrays; hold nothing from one call to the next.
 
     Returns:
         Outcome, number of events, and the drives' states. After OUTCOME_DIVERGED the arrays hold
-        the last good state, after OUTCOME_BROKEN that at the end of the step in which it broke.
+        the last converged state, after OUTCOME_BROKEN the state after the step that broke the
+        tether.
     """
     for k in range(REPORT_SIZE):
         report[k] = 0.0
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
-    distrust(solver.control)
+    reset_rate(solver.convergence)
     count = 0
-    # not literals, for which a step would be compiled apart
-    depth, known = np.int64(0), np.int64(0)
+    # variables of type int64: a literal would compile attempt_step a second time
+    past_steps, stored_steps = np.int64(0), np.int64(0)
     elapsed = 0.0
     outcome = OUTCOME_CONVERGED
-    start = book[TIME]
-    jump, drum, wheels = machines.jump, machines.drum, machines.wheels
+    start = memory[TIME]
+    jump, drum, wheels = drives.jump, drives.drum, drives.wheels
     body = motion.body
     longest = model.step
     shortest = model.step / (1 << model.max_halvings)
     nominal = model.tether.element_length
     capacity = motion.tether_anchors.shape[0] // 2
-    corners = model.feet.corners.shape[0]
+    corners = model.rover_contact.corners.shape[0]
     stop_before = 0.0
     while elapsed < dt * (1.0 - 1e-12):
-        n = int(book[ELEMENTS])
+        n = int(memory[ELEMENTS])
         tether = with_elements(model.tether, n)
         h = longest
         if dt - elapsed < h * (1.0 + 1e-6):
             h = dt - elapsed
 
         # the drives
-        jump1, jump_out, jump_books = jump_drive.advance(
+        jump1, jump_out, jump_balance = jump_drive.advance(
             model.jump,
             model.slider,
             jump,
-            orders.jump,
+            commands.jump,
             jump_drive.JumpLoads(body[SLIDE], slide_rate(body), body[SPIN]),
             h,
         )
@@ -329,20 +335,22 @@ def advance(
             h = jump_out.elapsed
         if h == 0.0:
             count = record_event(
-                EVENT_LATCH, start + elapsed, jump1.latch, 0.0, body, book, events, count
+                EVENT_LATCH, start + elapsed, jump1.latch, 0.0, body, memory, events, count
             )
             jump = jump1
             continue
-        drum1, drum_out, drum_books = drums.advance(model.drum, drum, orders.drum, book[TENSION], h)
-        wheels1, wheel_out, wheel_books = wheel_drive.advance(
+        drum1, drum_out, drum_balance = drums.advance(
+            model.drum, drum, commands.drum, memory[FAIRLEAD_TENSION], h
+        )
+        wheels1, wheel_out, wheel_balance = wheel_drive.advance(
             model.wheels,
             wheels,
-            orders.wheels,
+            commands.wheels,
             wheel_drive.WheelLoads(
-                book[LEFT_TORQUE],
-                book[LEFT_SLOPE],
-                book[RIGHT_TORQUE],
-                book[RIGHT_SLOPE],
+                memory[LEFT_TORQUE],
+                memory[LEFT_TORQUE_SLOPE],
+                memory[RIGHT_TORQUE],
+                memory[RIGHT_TORQUE_SLOPE],
                 body[SPIN + 1],
             ),
             h,
@@ -356,9 +364,9 @@ def advance(
         )
 
         # the swivel
-        slope0 = vector_at(motion.mouth[0], 0)
+        slope0 = vector_at(motion.fairlead_slope[0], 0)
         length = chain + (pay.length0 if model.has_winch else 0.0)
-        twist, slip, swivel_heat = book[TWIST], book[SLIP], 0.0
+        twist, slip, swivel_heat = memory[TWIST], memory[SWIVEL_SLIP], 0.0
         torque = (0.0, 0.0, 0.0)
         if model.has_rover:
             slope = slope0
@@ -377,7 +385,7 @@ def advance(
             tether,
             h,
             motion,
-            Actions(
+            StepInputs(
                 pay,
                 jump_out.nut,
                 (jump_out.momentum, wheel_out.momentum, 0.0),
@@ -385,17 +393,17 @@ def advance(
                 wheel_out.right_rate,
                 torque,
             ),
-            depth,
+            past_steps,
             solver,
             report,
         )
         if not ok:
-            depth, known = np.int64(0), np.int64(0)
-            distrust(solver.control)
+            past_steps, stored_steps = np.int64(0), np.int64(0)
+            reset_rate(solver.convergence)
             if 0.5 * h < shortest:
                 outcome = OUTCOME_DIVERGED
                 count = record_event(
-                    EVENT_DIVERGED, start + elapsed, h, 0.0, body, book, events, count
+                    EVENT_DIVERGED, start + elapsed, h, 0.0, body, memory, events, count
                 )
                 break
             report[HALVINGS] += 1.0
@@ -404,35 +412,39 @@ def advance(
         longest = min(2.0 * longest, model.step)
         z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
         if model.has_ground and model.has_rover:
-            remember_torques(model.feet, solver.feet, body, solver.after.body, book)
-        _keep(model.has_winch, model.has_rover, n, motion, solver.after)
+            record_wheel_torques(
+                model.rover_contact, solver.rover_contact, body, solver.after.body, memory
+            )
+        _accept_step(model.has_winch, model.has_rover, n, motion, solver.after)
         elapsed += h
         now = start + elapsed
 
-        # the books
-        book_losses(losses, book)
+        # energy balance and report
+        add_losses(losses, memory)
         report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
         report[PEAK_TENSION] = max(report[PEAK_TENSION], losses.peak_tension)
         report[TIP_TENSION] = solver.work.tension[n - 1]
-        report[TETHER_GROUNDED] = losses.touching
+        report[TETHER_CONTACT_POINTS] = losses.touching
         if model.has_rover:
-            book[TWIST], book[SLIP] = twist, slip
-            book[HEAT_SWIVEL] += swivel_heat
-            kinetic = jump_books.kinetic + wheel_books.kinetic
-            book[INPUT_JUMP] += jump_books.motor_work
-            book[HEAT_JUMP] += (
-                jump_books.screw_heat + jump_books.friction_heat + jump_books.stop_heat
+            memory[TWIST], memory[SWIVEL_SLIP] = twist, slip
+            memory[HEAT_SWIVEL] += swivel_heat
+            kinetic = jump_balance.kinetic + wheel_balance.kinetic
+            memory[INPUT_JUMP] += jump_balance.motor_work
+            memory[HEAT_JUMP] += (
+                jump_balance.screw_heat + jump_balance.friction_heat + jump_balance.stop_heat
             )
-            book[INPUT_WHEELS] += wheel_books.motor_work
-            book[HEAT_WHEELS] += (
-                wheel_books.gear_heat + wheel_books.friction_heat + wheel_books.ratchet_heat
+            memory[INPUT_WHEELS] += wheel_balance.motor_work
+            memory[HEAT_WHEELS] += (
+                wheel_balance.gear_heat + wheel_balance.friction_heat + wheel_balance.ratchet_heat
             )
-            # a latch that lets go takes its own elastic energy along
-            was, is_ = jump_out.nut.pressing, _pressing(jump1.latch)
-            book[HEAT_SLIDER] += slider_energy(model.slider, was, jump1.nut, body[SLIDE])
-            book[HEAT_SLIDER] -= slider_energy(model.slider, is_, jump1.nut, body[SLIDE])
+            # the elastic energy of nut and latch is lost when the latch releases
+            pressed, presses = jump_out.nut.pressing, _pressing(jump1.latch)
+            memory[HEAT_SLIDER] += slider_energy(model.slider, pressed, jump1.nut, body[SLIDE])
+            memory[HEAT_SLIDER] -= slider_energy(model.slider, presses, jump1.nut, body[SLIDE])
             if jump1.latch != jump.latch:
-                count = record_event(EVENT_LATCH, now, jump1.latch, 0.0, body, book, events, count)
+                count = record_event(
+                    EVENT_LATCH, now, jump1.latch, 0.0, body, memory, events, count
+                )
             report[JUMP_TORQUE] = jump_out.motor_torque
             report[JUMP_CURRENT] = jump_out.current
             report[NUT_FORCE] = jump_out.nut_force
@@ -446,87 +458,90 @@ def advance(
         else:
             kinetic = 0.0
         if model.has_winch:
-            book[INPUT_WINCH] += drum_books.motor_work
-            book[HEAT_WINCH] += (
-                drum_books.gear_heat
-                + drum_books.friction_heat
-                + drum_books.brake_heat
-                + drum_books.stop_heat
+            memory[INPUT_WINCH] += drum_balance.motor_work
+            memory[HEAT_WINCH] += (
+                drum_balance.gear_heat
+                + drum_balance.friction_heat
+                + drum_balance.brake_heat
+                + drum_balance.stop_heat
             )
-            pulled = solver.exit.tension[0]
-            book[INPUT_TETHER] += _came_through(tether, pay, pulled, slope0, motion.mouth)
-            kinetic += drum_books.kinetic
+            pull_out = solver.exit_element.tension[0]
+            memory[INPUT_TETHER] += _tether_inflow(
+                tether, pay, pull_out, slope0, motion.fairlead_slope
+            )
+            kinetic += drum_balance.kinetic
             drum = drum1
-            book[TENSION] = solver.exit.tension[0]
+            memory[FAIRLEAD_TENSION] = solver.exit_element.tension[0]
             for d in range(3):
-                report[FAIRLEAD_X + d] = -solver.exit.reaction[d]
+                report[FAIRLEAD_X + d] = -solver.exit_element.reaction[d]
             report[WINCH_TORQUE] = drum_out.motor_torque
             report[WINCH_CURRENT] = drum_out.current
             report[DRUM_STUCK] = 1.0 if drum_out.stuck else 0.0
             report[DRUM_STOP] = drum_out.stop
             if drum_out.stop != 0 and stop_before == 0.0:
                 count = record_event(
-                    EVENT_DRUM_STOP, now, drum_out.stop, book[TENSION], body, book, events, count
-                )
+                    EVENT_DRUM_STOP, now, drum_out.stop, memory[FAIRLEAD_TENSION], body, memory,
+                    events, count,
+                )  # fmt: skip
             stop_before = drum_out.stop
         else:
-            book[TENSION] = solver.work.tension[0]
+            memory[FAIRLEAD_TENSION] = solver.work.tension[0]
             slope = (motion.q[3, 0], motion.q[4, 0], motion.q[5, 0])
-            pull = book[TENSION] / np.sqrt(dot(slope, slope))
+            pull = memory[FAIRLEAD_TENSION] / np.sqrt(dot(slope, slope))
             for d in range(3):
                 report[FAIRLEAD_X + d] = pull * slope[d]
-        book[DRIVE_KINETIC] = kinetic
-        depth = remember(
+        memory[DRIVE_KINETIC] = kinetic
+        past_steps = record_step(
             solver.history,
             h,
-            known,
+            stored_steps,
             nominal,
             solver.work.increment[:, : row_width(n, 3)],
-            solver.moves,
+            solver.extra_increments,
         )
-        known = np.int64(known + 1 if known < 3 else 3)
+        stored_steps = np.int64(stored_steps + 1 if stored_steps < 3 else 3)
 
-        # touching, taking off, flying, landing
+        # contact, take-off, apex, touchdown
         if model.has_ground and model.has_rover:
             near = losses.near_ground
-            load = report_loads(corners, solver.feet, near, report)
+            load = report_loads(corners, solver.rover_contact, near, report)
             if load > 0.0:
-                if book[AIRBORNE] != 0.0:
+                if memory[AIRBORNE] != 0.0:
                     count = record_event(
-                        EVENT_TOUCHDOWN, now, load, losses.peak_tension, body, book, events, count
+                        EVENT_TOUCHDOWN, now, load, losses.peak_tension, body, memory, events, count
                     )
-                book[AIRBORNE] = 0.0
-                book[CONTACT_TIME] = now
-                book[TAKE_OFF_TIME] = now
-                book[TAKE_OFF_X], book[TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
-                book[TAKE_OFF_Z] = body[POSITION + 2]
-                book[HIGHEST] = 0.0
+                memory[AIRBORNE] = 0.0
+                memory[CONTACT_TIME] = now
+                memory[TAKE_OFF_TIME] = now
+                memory[TAKE_OFF_X], memory[TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
+                memory[TAKE_OFF_Z] = body[POSITION + 2]
+                memory[MAX_RISE] = 0.0
             else:
                 z1, dz1 = body[POSITION + 2], body[VELOCITY1 + 2]
-                rise = z1 - book[TAKE_OFF_Z]
+                rise = z1 - memory[TAKE_OFF_Z]
                 instant = h
                 apex = dz0 > 0.0 >= dz1
                 if apex:
                     instant = apex_instant(h, z0, dz0, z1, dz1)
-                    rise = hermite(instant, h, z0, dz0, z1, dz1) - book[TAKE_OFF_Z]
-                higher = rise > book[HIGHEST]
-                book[HIGHEST] = max(book[HIGHEST], rise)
-                if book[AIRBORNE] == 0.0 and now - book[CONTACT_TIME] > _AIRBORNE_AFTER:
-                    book[AIRBORNE] = 1.0
+                    rise = hermite(instant, h, z0, dz0, z1, dz1) - memory[TAKE_OFF_Z]
+                higher = rise > memory[MAX_RISE]
+                memory[MAX_RISE] = max(memory[MAX_RISE], rise)
+                if memory[AIRBORNE] == 0.0 and now - memory[CONTACT_TIME] > _AIRBORNE_AFTER:
+                    memory[AIRBORNE] = 1.0
                     count = record_event(
-                        EVENT_TAKE_OFF, book[TAKE_OFF_TIME], now - book[TAKE_OFF_TIME],
-                        losses.peak_tension, body, book, events, count,
+                        EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], now - memory[TAKE_OFF_TIME],
+                        losses.peak_tension, body, memory, events, count,
                     )  # fmt: skip
-                if apex and higher and book[AIRBORNE] != 0.0:
+                if apex and higher and memory[AIRBORNE] != 0.0:
                     count = record_event(
-                        EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, book,
+                        EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, memory,
                         events, count,
                     )  # fmt: skip
 
         if losses.peak_tension > model.breaking_load:
             outcome = OUTCOME_BROKEN
             count = record_event(
-                EVENT_BROKEN, now, losses.peak_tension, losses.peak_tension, body, book, events,
+                EVENT_BROKEN, now, losses.peak_tension, losses.peak_tension, body, memory, events,
                 count,
             )  # fmt: skip
             break
@@ -536,36 +551,37 @@ def advance(
             first = drum.length - chain
             if first > _SPLIT_BEYOND * nominal and n < capacity:
                 split_first(
-                    tether, first, payout_rate(model.drum, drum), motion.mouth, motion.q, motion.v,
-                    motion.tether_anchors,
+                    tether, first, payout_rate(model.drum, drum), motion.fairlead_slope, motion.q,
+                    motion.v, motion.tether_anchors,
                 )  # fmt: skip
-                book[ELEMENTS] = n + 1
+                memory[ELEMENTS] = n + 1
             elif first < _MERGE_BELOW * nominal and n > 1:
-                book[REMESHED] += merge_first(
-                    tether, first, payout_rate(model.drum, drum), motion.mouth, motion.q, motion.v,
-                    motion.tether_anchors,
+                memory[INPUT_REMESHING] += merge_first(
+                    tether, first, payout_rate(model.drum, drum), motion.fairlead_slope, motion.q,
+                    motion.v, motion.tether_anchors,
                 )  # fmt: skip
-                book[ELEMENTS] = n - 1
-            if book[ELEMENTS] != n:
-                report[REMESHES] += 1.0
-                depth, known = np.int64(0), np.int64(0)
-                distrust(solver.control)
+                memory[ELEMENTS] = n - 1
+            if memory[ELEMENTS] != n:
+                report[REMESH_COUNT] += 1.0
+                past_steps, stored_steps = np.int64(0), np.int64(0)
+                reset_rate(solver.convergence)
 
-    book[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)
+    memory[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)
     report[ELAPSED] = elapsed
-    machines = Machines(jump, drum, wheels)
-    _report_end(model, motion, machines, book, report, solver)
+    drives = DriveStates(jump, drum, wheels)
+    _report_end(model, motion, drives, memory, report, solver)
     if outcome == OUTCOME_CONVERGED and report[HALVINGS] > 0.0:
         outcome = OUTCOME_HALVED
-    return outcome, count, machines
+    return outcome, count, drives
 
 
 @inner
 def _report_end(
-    model: Model, motion: Motion, machines: Machines, book: Array, report: Array, solver: Solver
-) -> None:
-    """Report energies and how far the rover's own place has drifted from the tether's end."""
-    parts = energies(model, motion, machines, book, solver)
+    model: Model, motion: MotionArrays, drives: DriveStates, memory: Array, report: Array,
+    solver: Solver,
+) -> None:  # fmt: skip
+    """Report the energies and the drift between rover attachment and tether tip."""
+    parts = energies(model, motion, drives, memory, solver)
     report[KINETIC] = parts[0]
     report[GRAVITY] = parts[1]
     report[AXIAL] = parts[2]
@@ -574,7 +590,7 @@ def _report_end(
     report[CONTACT] = parts[5]
     report[TORSION] = parts[6]
     if model.has_rover:
-        n = int(book[ELEMENTS])
+        n = int(memory[ELEMENTS])
         pose = pose_of(model.rover, motion.body, solver.no_turn)
         square = 0.0
         for d in range(3):

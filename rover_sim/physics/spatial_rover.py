@@ -41,14 +41,14 @@ from rover_sim.physics.vectors import (
     axpy,
     cayley,
     cayley_change,
-    cayley_spin,
+    cayley_tangent,
+    cayley_update,
     cross,
     dot,
     rotate,
     rotation_of,
     scale,
     sub,
-    turned,
 )
 
 # Entries of the array `body`: centre of Body 1, its orientation (w, x, y, z), the angular velocity
@@ -98,7 +98,7 @@ def vector_at(array: Array, start: int) -> Vector:
 
 
 @inner
-def put(array: Array, start: int, value: Vector) -> None:
+def set_vector_at(array: Array, start: int, value: Vector) -> None:
     """Write three consecutive entries."""
     array[start], array[start + 1], array[start + 2] = value
 
@@ -117,7 +117,7 @@ def _times(inertia: Vector, u: Vector) -> Vector:
 
 
 @inner
-def _column(matrix: Array, row: int, column: int, value: Vector) -> None:
+def _set_column(matrix: Array, row: int, column: int, value: Vector) -> None:
     """Write a vector down a column."""
     for d in range(3):
         matrix[row + d, column] = value[d]
@@ -164,7 +164,7 @@ def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
 
 
 @inner
-def _tip_move(n: int, work: Workspace) -> Vector:
+def _tip_increment(n: int, work: Workspace) -> Vector:
     """Increment of the last node's position."""
     increment = work.increment
     return (increment[0, n], increment[1, n], increment[2, n])
@@ -269,7 +269,7 @@ def add_point_load(
         swept = (0.0, 0.0, 0.0)
         move = unit
         if c < 3:
-            turn = rotate(pose.start, cayley_spin(pose.th, unit))
+            turn = rotate(pose.start, cayley_tangent(pose.th, unit))
             swept = cross(turn, lever1)
             move = add(swept, cross(turn, arm))
         elif c == 3:
@@ -306,7 +306,7 @@ def add_rover(
     """Add the rover to the tip of a tether of n elements, condensed onto the last node."""
     th = vector_at(step.turn, 0)
     pose = pose_of(rover, body, step.turn)
-    d1, d2 = _displacements(pose, _tip_move(n, work))
+    d1, d2 = _displacements(pose, _tip_increment(n, work))
     f1 = _inertia_force(rover.m1, h, d1, vector_at(body, VELOCITY1), gravity)
     f2 = _inertia_force(rover.m2, h, d2, vector_at(body, VELOCITY2), gravity)
     i1, i2 = 2.0 * rover.m1 / h**2, 2.0 * rover.m2 / h**2
@@ -332,7 +332,7 @@ def add_rover(
     rows, back = step.coupling, step.return_coupling
     for k in range(3):
         unit = (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
-        turn = rotate(pose.start, cayley_spin(th, unit))
+        turn = rotate(pose.start, cayley_tangent(th, unit))
         move1 = cross(pose.attachment1, turn)
         move_axis = cross(turn, pose.axis1)
         move2 = axpy(pose.s1, move_axis, move1)
@@ -342,15 +342,15 @@ def add_rover(
         change = axpy(i2, cross(lever2, move2), change)
         change = axpy(0.5, cross(move1, f1), change)
         change = axpy(0.5, cross(move2, f2), change)
-        _column(rows, 0, k, change)
+        _set_column(rows, 0, k, change)
         rows[3, k] = i2 * dot(axis, move2) + 0.5 * dot(f2, rotate(pose.start, cross(unit, e)))
-        _column(back, 0, k, axpy(i1, move1, scale(i2, move2)))
-        _column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
+        _set_column(back, 0, k, axpy(i1, move1, scale(i2, move2)))
+        _set_column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
         rows[3, 4 + k] = i2 * axis[k]
-    _column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(pose.axis1, f2))))
+    _set_column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(pose.axis1, f2))))
     rows[3, 3] = i2 * dot(axis, pose.axis1) - 0.5 * step.slide[1] - step.slide[2] / h
-    _column(back, 0, 3, scale(i2, pose.axis1))
-    _column(rows, 0, 7, rotation)
+    _set_column(back, 0, 3, scale(i2, pose.axis1))
+    _set_column(rows, 0, 7, rotation)
     rows[3, 7] = slider
     outside = step.load_tangent
     for c in range(7):
@@ -414,16 +414,16 @@ def end_rover_step(
     """Write the rover's state after a converged step."""
     th = vector_at(step.turn, 0)
     pose = pose_of(rover, body, step.turn)
-    d1, d2 = _displacements(pose, _tip_move(n, work))
-    put(after, POSITION, add(vector_at(body, POSITION), d1))
-    quaternion = turned(orientation(body), th)
+    d1, d2 = _displacements(pose, _tip_increment(n, work))
+    set_vector_at(after, POSITION, add(vector_at(body, POSITION), d1))
+    quaternion = cayley_update(orientation(body), th)
     for k in range(4):
         after[ORIENTATION + k] = quaternion[k]
-    put(after, SPIN, axpy(-1.0, vector_at(body, SPIN), scale(2.0 / h, th)))
-    put(after, VELOCITY1, axpy(-1.0, vector_at(body, VELOCITY1), scale(2.0 / h, d1)))
-    put(after, VELOCITY2, axpy(-1.0, vector_at(body, VELOCITY2), scale(2.0 / h, d2)))
+    set_vector_at(after, SPIN, axpy(-1.0, vector_at(body, SPIN), scale(2.0 / h, th)))
+    set_vector_at(after, VELOCITY1, axpy(-1.0, vector_at(body, VELOCITY1), scale(2.0 / h, d1)))
+    set_vector_at(after, VELOCITY2, axpy(-1.0, vector_at(body, VELOCITY2), scale(2.0 / h, d2)))
     after[SLIDE] = pose.s1
-    put(after, ROTORS, vector_at(step.rotors_after, 0))
+    set_vector_at(after, ROTORS, vector_at(step.rotors_after, 0))
 
 
 @inner

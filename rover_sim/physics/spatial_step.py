@@ -1,6 +1,6 @@
 """One time step of the plant in space: tether, fairlead, rover and ground in one Newton iteration.
 
-What the drives do in the step is known before (`Actions`). The unknowns are the increments of the
+The drives' motion in the step is given (`StepInputs`). The unknowns are the increments of the
 tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`), of the
 rover's rotation and slide (`spatial_rover`); the ground acts on the tether (`tether_contact`) and
 on the rover (`rover_contact`) with the forces that belong to these increments.
@@ -26,20 +26,20 @@ from rover_sim.physics.energy_momentum import (
 from rover_sim.physics.initial_guess import History, extrapolate, make_history
 from rover_sim.physics.jump_drive import JumpDrive
 from rover_sim.physics.newton import (
-    CONTROL_SIZE,
+    CONTINUE,
+    CONVERGENCE_SIZE,
     FAILED,
-    GO_ON,
     MAX_TURN,
-    verdict,
+    convergence_status,
 )
 from rover_sim.physics.rover_contact import (
-    Feet,
-    FeetStep,
-    add_feet,
+    RoverContact,
+    RoverContactStep,
+    add_rover_contact,
     anchor_rows,
-    begin_feet,
-    end_feet,
-    make_feet_step,
+    begin_rover_contact,
+    end_rover_contact,
+    make_rover_contact_step,
 )
 from rover_sim.physics.slider import NutAction, Slider, slider_energy, slider_force
 from rover_sim.physics.spatial_rover import (
@@ -71,7 +71,7 @@ from rover_sim.physics.tether_contact import (
     make_tether_contact,
 )
 from rover_sim.physics.variable_length import (
-    Exit,
+    ExitElement,
     Payout,
     add_exit,
     begin_exit,
@@ -95,10 +95,10 @@ class Model(NamedTuple):
     slider: Slider
     jump: JumpDrive
     wheels: WheelDrive
-    feet: Feet
+    rover_contact: RoverContact
     has_ground: bool
     terrain: Terrain
-    tether_ground: TetherContactLaw
+    tether_contact: TetherContactLaw
     torsion: float  # GJ of the tether [N m^2]
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]
@@ -107,18 +107,18 @@ class Model(NamedTuple):
     max_halvings: int
 
 
-class Motion(NamedTuple):
+class MotionArrays(NamedTuple):
     """Arrays of the moving parts; see `rover_sim.physics.spatial`."""
 
     q: Array  # (6, width)
     v: Array  # (6, width)
-    mouth: Array  # slope and slope rate at the fairlead, (2, 3)
+    fairlead_slope: Array  # slope and slope rate at the fairlead, (2, 3)
     body: Array  # (BODY_SIZE,)
-    feet_anchors: Array  # (anchor_rows(corners), 3)
+    rover_anchors: Array  # (anchor_rows(corners), 3)
     tether_anchors: Array  # (points, 3)
 
 
-class Actions(NamedTuple):
+class StepInputs(NamedTuple):
     """What drives and swivel do in a step."""
 
     pay: Payout  # of the exit element
@@ -136,7 +136,7 @@ class Losses(NamedTuple):
     slider: float
     nut: float  # work of the nut on Body 2
     rover_ground: float
-    tether_ground: float
+    tether_contact: float
     rover_stored: float  # change of what the rover's contacts store
     tether_stored: float
     near_ground: bool  # whether the rover's contacts were looked at
@@ -149,15 +149,15 @@ class Solver(NamedTuple):
 
     work: Workspace
     rover: RoverStep
-    exit: Exit
-    feet: FeetStep
-    contact: TetherContact
-    after: Motion  # the state after an attempted step; its tether anchors are not used
+    exit_element: ExitElement
+    rover_contact: RoverContactStep
+    tether_contact: TetherContact
+    after: MotionArrays  # the state after an attempted step; its tether anchors are not used
     origin: Array  # the fairlead's place, zeros (3,)
     no_turn: Array  # zeros (4,)
-    moves: Array  # increments th, ds and of the exit slope, (7,)
+    extra_increments: Array  # increments th, ds and of the exit slope, (7,)
     history: History
-    control: Array  # see `newton`
+    convergence: Array  # see `newton`
 
 
 def make_solver(capacity: int, corners: int) -> Solver:
@@ -167,9 +167,9 @@ def make_solver(capacity: int, corners: int) -> Solver:
         make_workspace(capacity, 3),
         make_rover_step(),
         make_exit(3),
-        make_feet_step(corners),
+        make_rover_contact_step(corners),
         make_tether_contact(capacity),
-        Motion(
+        MotionArrays(
             np.zeros((6, width)),
             np.zeros((6, width)),
             np.zeros((2, 3)),
@@ -181,7 +181,7 @@ def make_solver(capacity: int, corners: int) -> Solver:
         np.zeros(4),
         np.zeros(7),
         make_history(6, width, 7),
-        np.zeros(CONTROL_SIZE),
+        np.zeros(CONVERGENCE_SIZE),
     )
 
 
@@ -193,36 +193,38 @@ def slide_rate(body: Array) -> float:
 
 
 @inner
-def _predict(model: Model, n: int, h: float, motion: Motion, depth: int, solver: Solver) -> None:
-    """Start the iteration from `depth` of the past steps, or from the rates if it is 0."""
+def _set_initial_guess(
+    model: Model, n: int, h: float, motion: MotionArrays, past_steps: int, solver: Solver
+) -> None:
+    """Start the iteration from `past_steps` of the past steps, or from the rates if it is 0."""
     width = row_width(n, 3)
     increment = solver.work.increment
-    moves = solver.moves
-    if depth == 0:
+    extra_increments = solver.extra_increments
+    if past_steps == 0:
         for k in range(6):
             for i in range(width):
                 increment[k, i] = h * motion.v[k, i]
         for d in range(3):
-            moves[d] = h * motion.body[SPIN + d]
-            moves[4 + d] = h * motion.mouth[1, d]
-        moves[3] = h * slide_rate(motion.body)
+            extra_increments[d] = h * motion.body[SPIN + d]
+            extra_increments[4 + d] = h * motion.fairlead_slope[1, d]
+        extra_increments[3] = h * slide_rate(motion.body)
     else:
-        extrapolate(solver.history, h, depth, increment[:, :width], moves)
+        extrapolate(solver.history, h, past_steps, increment[:, :width], extra_increments)
     if not model.has_winch:
         for d in range(3):
             increment[d, 0] = 0.0
-            moves[4 + d] = 0.0
+            extra_increments[4 + d] = 0.0
     if not model.has_rover:
         for k in range(4):
-            moves[k] = 0.0
+            extra_increments[k] = 0.0
     for k in range(4):
-        solver.rover.turn[k] = moves[k]
+        solver.rover.turn[k] = extra_increments[k]
     for d in range(3):
-        solver.exit.increment[d] = moves[4 + d]
+        solver.exit_element.increment[d] = extra_increments[4 + d]
 
 
 @inner
-def _point_mass(model: Model, n: int, h: float, v: Array, work: Workspace) -> None:
+def _add_point_mass(model: Model, n: int, h: float, v: Array, work: Workspace) -> None:
     """Add the point mass to the tip."""
     for d in range(3):
         force = 2.0 / h * (work.increment[d, n] / h - v[d, n]) - model.tether.gravity[d]
@@ -232,29 +234,35 @@ def _point_mass(model: Model, n: int, h: float, v: Array, work: Workspace) -> No
 
 @inner
 def _add_rover(
-    model: Model, n: int, h: float, motion: Motion, actions: Actions, near: bool, solver: Solver
+    model: Model,
+    n: int,
+    h: float,
+    motion: MotionArrays,
+    inputs: StepInputs,
+    near: bool,
+    solver: Solver,
 ) -> None:
     """Add the rover with everything that acts on it."""
     step = solver.rover
     clear_loads(step)
     middle = motion.body[SLIDE] + 0.5 * step.turn[3]
-    slide = slider_force(model.slider, actions.nut, middle, step.turn[3] / h)
+    slide = slider_force(model.slider, inputs.nut, middle, step.turn[3] / h)
     step.slide[0], step.slide[1], step.slide[2] = slide.force, slide.by_position, slide.by_rate
     for d in range(3):
-        step.load[3 + d] = actions.torque[d]
+        step.load[3 + d] = inputs.torque[d]
     if near:
         increment = solver.work.increment
-        add_feet(
-            model.feet,
+        add_rover_contact(
+            model.rover_contact,
             model.terrain,
             model.rover.attachment,
             h,
             pose_of(model.rover, motion.body, step.turn),
             motion.body,
             (increment[0, n], increment[1, n], increment[2, n]),
-            motion.feet_anchors,
+            motion.rover_anchors,
             step,
-            solver.feet,
+            solver.rover_contact,
         )
     add_rover(model.rover, model.tether.gravity, h, n, motion.body, solver.work, step)
 
@@ -266,10 +274,10 @@ def _end_slider(
     """Heat of slider and pads, and work of the nut on Body 2 [J]."""
     s0, ds = body[SLIDE], step.turn[3]
     slide = slider_force(model.slider, nut, s0 + 0.5 * ds, ds / h)
-    way = nut.rate * h
-    nut_work = slide.nut_force * way
-    stored = slider_energy(model.slider, nut.pressing, nut.position + 0.5 * way, s0 + ds)
-    stored -= slider_energy(model.slider, nut.pressing, nut.position - 0.5 * way, s0)
+    nut_travel = nut.rate * h
+    nut_work = slide.nut_force * nut_travel
+    stored = slider_energy(model.slider, nut.pressing, nut.position + 0.5 * nut_travel, s0 + ds)
+    stored -= slider_energy(model.slider, nut.pressing, nut.position - 0.5 * nut_travel, s0)
     return nut_work - slide.force * ds - stored, nut_work
 
 
@@ -278,9 +286,9 @@ def attempt_step(
     model: Model,
     tether: Tether,
     h: float,
-    motion: Motion,
-    actions: Actions,
-    depth: int,
+    motion: MotionArrays,
+    inputs: StepInputs,
+    past_steps: int,
     solver: Solver,
     iterations: Array,
 ) -> tuple[bool, Losses]:
@@ -293,8 +301,8 @@ def attempt_step(
         tether: model.tether with the chain's present number of elements.
         h: [s].
         motion: the state, not changed but for the anchors.
-        actions: of the drives.
-        depth: of the predictor.
+        inputs: from the drives.
+        past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
         solver: work arrays.
         iterations: (1,), counts Newton iterations.
 
@@ -308,107 +316,126 @@ def attempt_step(
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
         work.end_fixed[1, k] = 0.0
     begin_ends(tether, work)
-    _predict(model, n, h, motion, depth, solver)
+    _set_initial_guess(model, n, h, motion, past_steps, solver)
     begin_step(tether, h, motion.q, motion.v, work)
     if model.has_winch:
-        begin_exit(solver.origin, motion.mouth[0], motion.mouth[1], motion.q, motion.v, solver.exit)
-    near_tether = 0
-    near_feet = False
+        begin_exit(
+            solver.origin,
+            motion.fairlead_slope[0],
+            motion.fairlead_slope[1],
+            motion.q,
+            motion.v,
+            solver.exit_element,
+        )
+    near_points = 0
+    near_rover = False
     if model.has_rover:
         for d in range(3):
-            step.rotors_after[d] = actions.rotors[d]
-        solver.feet.spin[0] = actions.left_rate
-        solver.feet.spin[1] = actions.right_rate
+            step.rotors_after[d] = inputs.rotors[d]
+        solver.rover_contact.spin[0] = inputs.left_rate
+        solver.rover_contact.spin[1] = inputs.right_rate
     if model.has_ground:
-        near_tether = begin_tether_contact(
+        near_points = begin_tether_contact(
             model.terrain,
             tether,
             h,
             motion.q,
             motion.v,
             motion.tether_anchors,
-            solver.contact,
+            solver.tether_contact,
         )
         if model.has_rover:
             pose = pose_of(model.rover, motion.body, step.turn)
-            near_feet = begin_feet(
-                model.feet, model.terrain, pose, motion.body, motion.feet_anchors, solver.feet
+            near_rover = begin_rover_contact(
+                model.rover_contact,
+                model.terrain,
+                pose,
+                motion.body,
+                motion.rover_anchors,
+                solver.rover_contact,
             )
 
     previous = np.inf
-    judged = GO_ON
+    status = CONTINUE
     iteration = 0
-    while judged == GO_ON:
+    while status == CONTINUE:
         if model.has_rover:
-            _add_rover(model, n, h, motion, actions, near_feet, solver)
+            _add_rover(model, n, h, motion, inputs, near_rover, solver)
         else:
-            _point_mass(model, n, h, motion.v, work)
+            _add_point_mass(model, n, h, motion.v, work)
         if model.has_winch:
-            add_exit(tether, h, actions.pay, work, solver.exit)
+            add_exit(tether, h, inputs.pay, work, solver.exit_element)
         assemble(tether, h, work)
-        if near_tether > 0:
+        if near_points > 0:
             add_tether_contact(
                 model.terrain,
-                model.tether_ground,
+                model.tether_contact,
                 tether,
                 h,
                 motion.tether_anchors,
                 work,
-                solver.contact,
+                solver.tether_contact,
             )
         change = solve_increment(tether, work)
         if model.has_rover:
             change += rover_increment(n, work, step)
         if model.has_winch:
-            change += exit_increment(actions.pay.length0, work, solver.exit)
+            change += exit_increment(inputs.pay.length0, work, solver.exit_element)
         iterations[0] += 1.0
-        judged = verdict(iteration, change, previous, model.tolerance, solver.control)
+        status = convergence_status(
+            iteration, change, previous, model.tolerance, solver.convergence
+        )
         previous = change
         iteration += 1
-    if judged == FAILED:
+    if status == FAILED:
         return False, failed
 
     tether_heat, peak, turn = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
     if not turn < MAX_TURN:
         return False, failed
     for k in range(4):
-        solver.moves[k] = step.turn[k]
+        solver.extra_increments[k] = step.turn[k]
     for d in range(3):
-        solver.moves[4 + d] = solver.exit.increment[d]
+        solver.extra_increments[4 + d] = solver.exit_element.increment[d]
     slider_heat, nut_work, rover_heat, rover_stored = 0.0, 0.0, 0.0, 0.0
     if model.has_rover:
         end_rover_step(model.rover, h, n, motion.body, work, step, after.body)
-        slider_heat, nut_work = _end_slider(model, h, motion.body, actions.nut, step)
-        if near_feet:
+        slider_heat, nut_work = _end_slider(model, h, motion.body, inputs.nut, step)
+        if near_rover:
             pose = pose_of(model.rover, motion.body, step.turn)
-            ground_work, rover_stored = end_feet(
-                model.feet,
+            ground_work, rover_stored = end_rover_contact(
+                model.rover_contact,
                 model.terrain,
                 h,
                 pose,
-                motion.feet_anchors,
-                solver.feet,
-                after.feet_anchors,
+                motion.rover_anchors,
+                solver.rover_contact,
+                after.rover_anchors,
             )
             rover_heat = -ground_work - rover_stored
         else:
-            for k in range(after.feet_anchors.shape[0]):
+            for k in range(after.rover_anchors.shape[0]):
                 for d in range(3):
-                    after.feet_anchors[k, d] = 0.0
+                    after.rover_anchors[k, d] = 0.0
     if model.has_winch:
         tether_heat += end_exit_step(
-            tether, h, actions.pay, solver.exit, after.mouth[0], after.mouth[1]
+            tether,
+            h,
+            inputs.pay,
+            solver.exit_element,
+            after.fairlead_slope[0],
+            after.fairlead_slope[1],
         )
-        peak = max(peak, solver.exit.tension[0])
+        peak = max(peak, solver.exit_element.tension[0])
     ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
-    if near_tether > 0:
+    if near_points > 0:
         ground = end_tether_contact(
-            model.tether_ground,
+            model.tether_contact,
             tether,
             h,
             motion.tether_anchors,
             work,
-            solver.contact,
+            solver.tether_contact,
         )
     return True, Losses(
         tether_heat,
@@ -418,7 +445,7 @@ def attempt_step(
         ground.dissipated,
         rover_stored,
         ground.stored_change,
-        near_feet,
+        near_rover,
         ground.touching,
         peak,
     )

@@ -15,8 +15,8 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.starting_shapes import arc_nodes, straight_nodes
+from rover_sim.physics.tether_section import TetherSection
 
 SMALLEST_STRETCH = 0.9
 LARGEST_UNEVENNESS = 0.15
@@ -213,11 +213,11 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
     scale[:, 1] = energy.element
     weights = np.square(scale).ravel()
     shift = 0.0
-    nudges = _nudges(nodes, free, energy.length)
+    perturbations = _perturbations(nodes, free, energy.length)
     for _ in range(MAX_ITERATIONS):
         gradient = np.where(held, 0.0, energy.gradient(nodes).ravel())
         banded = energy.hessian(nodes)
-        _hold(banded, held)
+        _decouple_fixed(banded, held)
         unit = float(np.max(banded[0] / weights))
         before = energy.value(nodes, nodes)
         while True:
@@ -228,10 +228,10 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
                 if shift == 0.0:
                     return trial
                 # at rest but not in a minimum: leave the unstable equilibrium sideways
-                nudge = next(nudges, None)
-                if nudge is None:
+                perturbation = next(perturbations, None)
+                if perturbation is None:
                     raise StaticsError("ended in an unstable equilibrium, not in a minimum")
-                trial = nodes + nudge
+                trial = nodes + perturbation
                 break
             # 0.5 step.H.step = -0.5 gradient.step - 0.5 shift step.W.step, by what step solves
             predicted = 0.5 * float(shift * (weights @ step**2) - gradient @ step)
@@ -256,13 +256,13 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
     )
 
 
-def _nudges(nodes: Array, free: NDArray[np.bool_], length: float) -> Iterator[Array]:
+def _perturbations(nodes: Array, free: NDArray[np.bool_], length: float) -> Iterator[Array]:
     """A few small fixed moves of the free positions [m], in no direction in particular."""
     generator = np.random.default_rng(0)
     for size in (1e-6, 1e-4):
-        nudge = np.zeros_like(nodes)
-        nudge[:, 0] = size * length * generator.uniform(-1.0, 1.0, nodes[:, 0].shape)
-        yield np.where(free, nudge, 0.0)
+        perturbation = np.zeros_like(nodes)
+        perturbation[:, 0] = size * length * generator.uniform(-1.0, 1.0, nodes[:, 0].shape)
+        yield np.where(free, perturbation, 0.0)
 
 
 def _downhill_step(
@@ -282,7 +282,7 @@ def _downhill_step(
         return np.asarray(cho_solve_banded((factor, True), -gradient)), shift
 
 
-def _hold(banded: Array, held: NDArray[np.bool_]) -> None:
+def _decouple_fixed(banded: Array, held: NDArray[np.bool_]) -> None:
     """Decouple the held unknowns from the others and give them a unit diagonal."""
     (indices,) = np.nonzero(held)
     width = banded.shape[0]

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from rover_sim.physics.boulders import BoulderParameters, cap_radius, scatter, uniform
 from rover_sim.physics.compiled import inner_with, kernel_with
-from rover_sim.physics.places import HoleParameters, ReliefParameters, TerrainParameters
+from rover_sim.physics.terrain_parameters import HoleParameters, ReliefParameters, TerrainParameters
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Terrain(NamedTuple):
     inner_squared: float  # within this distance squared of the axis all is clear of the wall [m^2]
     ground_height: float  # of the ground around the hole [m]
     rim_radius: float  # radius of the rim's rounding [m]
-    mouth_radius: float  # of the hole just below the rim [m]
+    opening_radius: float  # of the hole just below the rim [m]
     wall_rows: int  # of the wall's table
     # One array holds what the queries read. In this order:
     # wall: radius [m] and d radius/dz [-] over depth below the rim's rounding, (wall_rows, 2);
@@ -125,7 +125,7 @@ def build_terrain(parameters: TerrainParameters, seed: int = 0) -> Terrain:
         inner_squared=0.0 if hole is None else max(0.0, hole.narrowest - _NEAR) ** 2,
         ground_height=0.0 if hole is None else -float(hole.fairlead_height),
         rim_radius=1.0 if hole is None else float(hole.rim_radius),
-        mouth_radius=0.0 if hole is None else hole.diameter / 2.0,
+        opening_radius=0.0 if hole is None else hole.diameter / 2.0,
         wall_rows=len(wall),
         table=np.concatenate([wall.ravel(), relief.ravel()]),
         relief_at=wall.size,
@@ -168,9 +168,9 @@ def _relief(parameters: ReliefParameters, seed: int, width: float) -> tuple[Arra
 def _wall_table(hole: HoleParameters) -> Array:
     """Radius and d radius/dz of the wall, from below the rim's rounding to below the floor."""
     depth = np.arange(hole.rim_radius, hole.depth + 5.0 + _WALL_SPACING, _WALL_SPACING)
-    mouth = hole.diameter / 2.0
+    opening = hole.diameter / 2.0
     knots = ((hole.rim_radius, 0.0), *hole.profile)
-    radius = np.full(depth.size, mouth)
+    radius = np.full(depth.size, opening)
     slope = np.zeros(depth.size)
     for (upper, wide0), (lower, wide1) in pairwise(knots):
         t = np.clip((depth - upper) / (lower - upper), 0.0, 1.0)
@@ -194,8 +194,8 @@ def _with_boulders(
     radius = cap_radius(diameter, field.height_ratio)
     height = field.height_ratio * diameter
     fillet = BOULDER_FILLET * diameter
-    foot = np.array([floor_height(terrain, x, y) for x, y in found[:, :2].tolist()])
-    spheres = np.column_stack([found[:, :2], foot + height - radius, radius, fillet])
+    base = np.array([floor_height(terrain, x, y) for x, y in found[:, :2].tolist()])
+    spheres = np.column_stack([found[:, :2], base + height - radius, radius, fillet])
     cells = math.ceil(terrain.patch_width / _CELL)
     reach = 0.5 * diameter + 2.0 * fillet + _MARGIN
     members: list[list[int]] = [[] for _ in range(cells * cells)]
@@ -214,7 +214,7 @@ def _with_boulders(
                 terrain.table,
                 start,
                 spheres[entries].ravel(),
-                np.column_stack([found[:, :2], foot, diameter, height]).ravel(),
+                np.column_stack([found[:, :2], base, diameter, height]).ravel(),
             ]
         ),
         boulders_at=int(start[-1]),
@@ -376,7 +376,7 @@ def wall_depth_and_normal(
     distance = math.sqrt(dx * dx + y * y)
     round_z = z - terrain.ground_height + terrain.rim_radius
     if round_z > 0.0:
-        inward = terrain.mouth_radius + terrain.rim_radius - distance
+        inward = terrain.opening_radius + terrain.rim_radius - distance
         if inward <= 0.0:
             return terrain.ground_height - z, 0.0, 0.0, 1.0, 0.0
         away = math.sqrt(inward * inward + round_z * round_z)
@@ -472,11 +472,11 @@ def wall_profile(terrain: Terrain, reach: float = 10.0) -> Array:
     """
     if not terrain.has_hole:
         raise ValueError("this terrain has no hole")
-    rim, mouth, ground = terrain.rim_radius, terrain.mouth_radius, terrain.ground_height
+    rim, opening, ground = terrain.rim_radius, terrain.opening_radius, terrain.ground_height
     angle = np.linspace(0.0, math.pi / 2.0, 25)
-    arc = np.column_stack([mouth + rim - rim * np.sin(angle), ground - rim + rim * np.cos(angle)])
+    arc = np.column_stack([opening + rim - rim * np.sin(angle), ground - rim + rim * np.cos(angle)])
     z = ground - rim - _WALL_SPACING * np.arange(terrain.wall_rows)
     radius = terrain.table[: 2 * terrain.wall_rows : 2]
     wall = np.column_stack([radius, z])[z >= terrain.floor_height]
-    outer = [[mouth + rim + reach, ground]]
+    outer = [[opening + rim + reach, ground]]
     return np.concatenate([outer, arc, wall[1:]])

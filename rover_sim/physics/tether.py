@@ -13,14 +13,14 @@ import numpy as np
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.compiled import inner, kernel
-from rover_sim.physics.section import TetherSection
+from rover_sim.physics.tether_section import TetherSection
 
 GAUSS = len(GAUSS_WEIGHTS)
 
 # Slope at a quadrature point from the reduced basis: r' = sum_k BASIS[g, k] (chord, r1', r2')_k,
 # and r'' = sum_k CURVING[g, k] (chord, r1', r2')_k / l.
-BASIS = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
-CURVING = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
+SLOPES = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
+CURVATURES = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
 
 
 class Tether(NamedTuple):
@@ -168,9 +168,9 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
             square = 0.0
             for d in range(dim):
                 slope = (
-                    BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
-                    + BASIS[g, 1] * q[dim + d, e]
-                    + BASIS[g, 2] * q[dim + d, e + 1]
+                    SLOPES[g, 0] * (q[d, e + 1] - q[d, e]) / length
+                    + SLOPES[g, 1] * q[dim + d, e]
+                    + SLOPES[g, 2] * q[dim + d, e + 1]
                 )
                 square += slope * slope
             axial += GAUSS_WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
@@ -189,14 +189,14 @@ def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> Non
             rate = 0.0
             for d in range(dim):
                 slope = (
-                    BASIS[g, 0] * (q[d, e + 1] - q[d, e]) / length
-                    + BASIS[g, 1] * q[dim + d, e]
-                    + BASIS[g, 2] * q[dim + d, e + 1]
+                    SLOPES[g, 0] * (q[d, e + 1] - q[d, e]) / length
+                    + SLOPES[g, 1] * q[dim + d, e]
+                    + SLOPES[g, 2] * q[dim + d, e + 1]
                 )
                 slope_rate = (
-                    BASIS[g, 0] * (v[d, e + 1] - v[d, e]) / length
-                    + BASIS[g, 1] * v[dim + d, e]
-                    + BASIS[g, 2] * v[dim + d, e + 1]
+                    SLOPES[g, 0] * (v[d, e + 1] - v[d, e]) / length
+                    + SLOPES[g, 1] * v[dim + d, e]
+                    + SLOPES[g, 2] * v[dim + d, e + 1]
                 )
                 square += slope * slope
                 rate += slope * slope_rate

@@ -46,7 +46,7 @@ from rover_sim.physics.contact import (
     normal_force,
 )
 from rover_sim.physics.energy_momentum import Workspace
-from rover_sim.physics.packets import load, store
+from rover_sim.physics.simd import load, store
 from rover_sim.physics.terrain import Terrain, depth_and_normal
 from rover_sim.physics.tether import Tether
 
@@ -59,7 +59,7 @@ _POSITION_ROWS = np.zeros((POINTS, 2, 8))  # of the point's shape functions, by 
 _POSITION_ROWS[:, :, :3] = _SHAPES[:, [0, 2], None]
 _SLOPE_ROWS = np.zeros((POINTS, 2, 8))
 _SLOPE_ROWS[:, :, 3:6] = _SHAPES[:, [1, 3], None]
-_CLEAR = 0.25  # `terrain` says little of points farther off than this [m]
+_EXACT_CLEARANCE = 0.25  # `terrain` says little of points farther off than this [m]
 _SMALL_TRAVEL = 1.0e-5  # below this the corrections along u fade out [m]
 _LARGEST_TILT = 0.5  # of the force by c u/u.u [-]
 
@@ -177,7 +177,7 @@ def _at_point(rows: Array, length: float, e: int, g: int, d: int) -> float:
 
 
 @inner
-def _look(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
+def _query_terrain(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
     """Depth, normal and rock at the first places: the one query of the terrain in this module."""
     for s in range(count):
         depth, nx, ny, nz, rock = depth_and_normal(
@@ -189,13 +189,13 @@ def _look(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
 
 
 @inner
-def _look_everywhere(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
+def _query_all_points(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
     """Places of all points and what the ground is there, by point."""
     for e in range(tether.elements):
         for g in range(POINTS):
             for d in range(3):
                 contact.place[POINTS * e + g, d] = _at_point(q, tether.element_length, e, g, d)
-    _look(terrain, contact.place, POINTS * tether.elements, contact.ground)
+    _query_terrain(terrain, contact.place, POINTS * tether.elements, contact.ground)
 
 
 @inner
@@ -213,7 +213,7 @@ def begin_tether_contact(
     Returns:
         Their number.
     """
-    _look_everywhere(terrain, tether, q, contact)
+    _query_all_points(terrain, tether, q, contact)
     count = 0
     for p in range(POINTS * tether.elements):
         depth = contact.ground[p, 0]
@@ -223,7 +223,7 @@ def begin_tether_contact(
             contact.start[p, d] = contact.place[p, d]
         near = depth > -NEAR or anchors[p, 0] != 0.0 or anchors[p, 1] != 0.0
         near = near or anchors[p, 2] != 0.0
-        if not near and depth > -_CLEAR:
+        if not near and depth > -_EXACT_CLEARANCE:
             speed = 0.0
             for d in range(3):
                 speed += _at_point(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
@@ -237,7 +237,7 @@ def begin_tether_contact(
 
 
 @inner
-def _law_at(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
+def _point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
     """The law of a point that stands for `weight` metres of tether."""
     a, b = law.regolith, law.rock
     return ContactLaw(
@@ -252,7 +252,7 @@ def _law_at(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
 
 
 @inner
-def _overshoots(contact: TetherContact, s: int, slip: Vector, width: float) -> bool:
+def _has_reversed(contact: TetherContact, s: int, slip: Vector, width: float) -> bool:
     """Whether the slip has turned round since the last iteration; remembers it.
 
     Width is the slip below which friction is regularised.
@@ -268,7 +268,7 @@ def _overshoots(contact: TetherContact, s: int, slip: Vector, width: float) -> b
 
 
 @inner
-def _from_rest(
+def _friction_from_rest(
     law: ContactLaw, depth0: float, depth1: float, normal: Vector, slip: Vector, h: float
 ) -> tuple[Vector, Matrix]:
     """Force and tangent that make Newton's step the one from no slip at all.
@@ -311,9 +311,9 @@ def _evaluate(
     """Forces and tangents at the near points for the increment in `work`.
 
     Returns:
-        At how many points `_from_rest` stands in.
+        At how many points `_friction_from_rest` stands in.
     """
-    overshot = 0
+    linearised = 0
     count = contact.near_count[0]
     weight = tether.element_length / POINTS
     for s in range(count):
@@ -322,7 +322,7 @@ def _evaluate(
             move = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
             contact.travel[s, d] = move
             contact.place[s, d] = contact.start[p, d] + move
-    _look(terrain, contact.place, count, contact.ground)
+    _query_terrain(terrain, contact.place, count, contact.ground)
     for s in range(count):
         p = contact.near[s]
         depth0 = contact.depth[p]
@@ -334,12 +334,14 @@ def _evaluate(
         nx, ny, nz = contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]
         ux, uy, uz = contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2]
         rock = contact.ground[s, 4]
-        here = _law_at(law, weight, rock)
+        here = _point_law(law, weight, rock)
         along = ux * nx + uy * ny + uz * nz
         wx, wy, wz = ux - along * nx, uy - along * ny, uz - along * nz
-        if _overshoots(contact, s, (wx, wy, wz), h * here.slip_speed):
-            overshot += 1
-            force, tangent = _from_rest(here, depth0, depth1, (nx, ny, nz), (wx, wy, wz), h)
+        if _has_reversed(contact, s, (wx, wy, wz), h * here.slip_speed):
+            linearised += 1
+            force, tangent = _friction_from_rest(
+                here, depth0, depth1, (nx, ny, nz), (wx, wy, wz), h
+            )
         else:
             force, tangent = contact_force(
                 here,
@@ -370,7 +372,7 @@ def _evaluate(
             out[s, 3, k] = force[0] + along * ux
             out[s, 3, k + 1] = force[1] + along * uy
             out[s, 3, k + 2] = force[2] + along * uz
-    return overshot
+    return linearised
 
 
 @inner
@@ -386,20 +388,20 @@ def add_tether_contact(
     """Add the ground's forces for the increment in `work` to the elements' residual and tangent.
 
     Returns:
-        The number of points at which this iteration stands on a makeshift (`_from_rest`): another
-        one must follow, unless it is 0.
+        Number of points at which friction is linearised (`_friction_from_rest`); unless it is 0,
+        another iteration must follow.
     """
     if contact.near_count[0] == 0:
         return 0
-    overshot = _evaluate(terrain, law, tether, h, anchors, work, contact)
+    linearised = _evaluate(terrain, law, tether, h, anchors, work, contact)
     for s in range(contact.near_count[0]):
         if contact.touches[s] != 0:
-            _spread(tether, contact.near[s], s, contact.force, work.blocks)
-    return int(overshot)
+            _subtract_point(tether, contact.near[s], s, contact.force, work.blocks)
+    return int(linearised)
 
 
 @inner
-def _spread(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
+def _subtract_point(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
     """Take a point's force and tangent off its element's blocks, see `block_elimination`."""
     tag = tether.gravity
     length = tether.element_length
@@ -443,7 +445,7 @@ def end_tether_contact(
     """
     weight = tether.element_length / POINTS
     stored_change = 0.0
-    received = 0.0
+    work_on_ground = 0.0
     normal_force = 0.0
     touching = 0
     for s in range(contact.near_count[0]):
@@ -455,9 +457,9 @@ def end_tether_contact(
             contact.travel[s, d] = travel
             depth -= contact.place[s, d] * contact.ground[s, 1 + d]
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
-        before = _law_at(law, weight, contact.rock[p])
+        before = _point_law(law, weight, contact.rock[p])
         stored_change -= contact_energy(before, contact.depth[p], bristle)
-        after = _law_at(law, weight, contact.ground[s, 4])
+        after = _point_law(law, weight, contact.ground[s, 4])
         bristle = advance_bristle(
             after,
             contact.depth[p],
@@ -476,8 +478,10 @@ def end_tether_contact(
                 force = contact.force[s, 3, d]
                 for c in range(3):
                     force += contact.force[s, c, d] * contact.place[s, c]
-                received -= force * contact.travel[s, d]
-    return TetherContactTotals(received - stored_change, stored_change, normal_force, touching)
+                work_on_ground -= force * contact.travel[s, d]
+    return TetherContactTotals(
+        work_on_ground - stored_change, stored_change, normal_force, touching
+    )
 
 
 @inner
@@ -490,11 +494,11 @@ def tether_contact_energy(
     contact: TetherContact,
 ) -> float:
     """Energy stored in ground and anchors [J]; `contact` lends its arrays."""
-    _look_everywhere(terrain, tether, q, contact)
+    _query_all_points(terrain, tether, q, contact)
     weight = tether.element_length / POINTS
     stored = 0.0
     for p in range(POINTS * tether.elements):
-        here = _law_at(law, weight, contact.ground[p, 4])
+        here = _point_law(law, weight, contact.ground[p, 4])
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
         stored += contact_energy(here, contact.ground[p, 0], bristle)
     return stored

@@ -55,12 +55,12 @@ def direction_of(slope: Vector, otherwise: Vector) -> Vector:
 
 
 @checked_inner
-def carried(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
+def transported(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
     """d, normal to t1, turned by the smallest rotation from t1 to t2; False if there is none."""
-    room = 1.0 + dot(t1, t2)
-    if not room > FOLDED:
+    denominator = 1.0 + dot(t1, t2)
+    if not denominator > FOLDED:
         return d, False
-    return axpy(-dot(d, t2) / room, add(t1, t2), d), True
+    return axpy(-dot(d, t2) / denominator, add(t1, t2), d), True
 
 
 @checked_inner
@@ -75,10 +75,10 @@ def twist_axis(elements: int, q: Array, orientation: Quaternion) -> Vector:
     """The vector a (3,) such that the twist changes at the rate w.a; zero where folded."""
     t = tip_direction(elements, q)
     b = scale(-1.0, rotation_of(orientation)[2])
-    room = 1.0 + dot(t, b)
-    if not room > FOLDED:
+    denominator = 1.0 + dot(t, b)
+    if not denominator > FOLDED:
         return (0.0, 0.0, 0.0)
-    return scale(1.0 / room, add(t, b))
+    return scale(1.0 / denominator, add(t, b))
 
 
 @checked
@@ -103,7 +103,7 @@ def twist_angle(
             t2 = scale(-1.0, body[2])
         elif i >= 0:
             t2 = direction_of((q[3, i], q[4, i], q[5, i]), t1)
-        d, defined = carried(d, t1, t2)
+        d, defined = transported(d, t1, t2)
         if not defined:
             return before
         t1 = t2
@@ -131,10 +131,10 @@ def swivel_torque(
     Returns:
         Torque on the rover about `twist_axis` [N m]; the slip after; and the heat of slipping [J].
     """
-    held = stiffness * (twist - slip)
-    if abs(held) <= friction:
-        return -held, slip, 0.0
-    limit = math.copysign(friction, held)
+    elastic = stiffness * (twist - slip)
+    if abs(elastic) <= friction:
+        return -elastic, slip, 0.0
+    limit = math.copysign(friction, elastic)
     after = twist - limit / stiffness
     return -limit, after, friction * abs(after - slip)
 

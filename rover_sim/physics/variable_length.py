@@ -77,7 +77,7 @@ _SLOPE = ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)  # f' at the quadrature po
 _WEIGHTS = ancf.GAUSS_WEIGHTS
 
 
-class Exit(NamedTuple):
+class ExitElement(NamedTuple):
     """Arrays of the first element's part of a step; m = 2 dim coordinates a node."""
 
     increment: Array  # of the exit slope, (dim,)
@@ -100,9 +100,9 @@ class Payout(NamedTuple):
     rate1: float
 
 
-def make_exit(dim: int) -> Exit:
+def make_exit(dim: int) -> ExitElement:
     """Allocate the arrays."""
-    return Exit(
+    return ExitElement(
         np.zeros(dim),
         np.zeros((4, dim)),
         np.zeros((4, dim)),
@@ -123,7 +123,7 @@ def _scale(i: int, length: float) -> float:
 
 @inner
 def begin_exit(
-    fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_: Exit
+    fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_element: ExitElement
 ) -> None:
     """Take over the state at the start of a step.
 
@@ -133,30 +133,30 @@ def begin_exit(
         slope_rate: rate of that slope as seen at the fairlead [1/s], (dim,).
         q: chain's rows (2 dim, width), its first column being the second node (r, r').
         v: its rates.
-        exit_: filled.
+        exit_element: filled.
     """
     dim = fairlead.shape[0]
     for d in range(dim):
-        exit_.start[0, d], exit_.rate[0, d] = fairlead[d], 0.0
-        exit_.start[1, d], exit_.rate[1, d] = slope[d], slope_rate[d]
-        exit_.start[2, d], exit_.rate[2, d] = q[d, 0], v[d, 0]
-        exit_.start[3, d], exit_.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
+        exit_element.start[0, d], exit_element.rate[0, d] = fairlead[d], 0.0
+        exit_element.start[1, d], exit_element.rate[1, d] = slope[d], slope_rate[d]
+        exit_element.start[2, d], exit_element.rate[2, d] = q[d, 0], v[d, 0]
+        exit_element.start[3, d], exit_element.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
 
 
 @inner
-def _clear(exit_: Exit) -> None:
+def _clear(exit_element: ExitElement) -> None:
     """Empty residual and tangent."""
-    dim = exit_.increment.shape[0]
+    dim = exit_element.increment.shape[0]
     for i in range(4):
         for d in range(dim):
-            exit_.residual[i, d] = 0.0
+            exit_element.residual[i, d] = 0.0
             for j in range(4):
                 for c in range(dim):
-                    exit_.tangent[i, j, d, c] = 0.0
+                    exit_element.tangent[i, j, d, c] = 0.0
 
 
 @inner
-def _linear_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
+def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
     """Inertia, weight and bending: residual and the isotropic part of the tangent."""
     dim = len(tether.gravity)
     length = 0.5 * (pay.length0 + pay.length1)
@@ -172,20 +172,20 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
             place += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
             isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * place
             for d in range(dim):
-                change = exit_.change[j, d]
-                exit_.residual[i, d] += (
-                    inertia * 2.0 / h * (change / h - exit_.rate[j, d])
+                change = exit_element.change[j, d]
+                exit_element.residual[i, d] += (
+                    inertia * 2.0 / h * (change / h - exit_element.rate[j, d])
                     + 2.0 * sigma * flow * change / h
-                    + place * (exit_.start[j, d] + 0.5 * change)
+                    + place * (exit_element.start[j, d] + 0.5 * change)
                 )
-                exit_.tangent[i, j, d, d] += isotropic
+                exit_element.tangent[i, j, d, d] += isotropic
         for d in range(dim):
             load = rho * length * _scale(i, length) * _LOAD[i]
-            exit_.residual[i, d] -= load * tether.gravity[d]
+            exit_element.residual[i, d] -= load * tether.gravity[d]
 
 
 @inner
-def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
+def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
     """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
     dim = len(tether.gravity)
     length = 0.5 * (pay.length0 + pay.length1)
@@ -197,9 +197,9 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
             slope0 = 0.0
             slope1 = 0.0
             for i in range(4):
-                place = exit_.start[i, d]
+                place = exit_element.start[i, d]
                 slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
-                place += exit_.change[i, d]
+                place += exit_element.change[i, d]
                 slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
             square0 += slope0 * slope0
             square1 += slope1 * slope1
@@ -208,54 +208,56 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_: Exit) -> None:
         for d in range(dim):
             middle = 0.0
             for i in range(4):
-                place = exit_.start[i, d] + 0.5 * exit_.change[i, d]
+                place = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
                 middle += _SLOPE[g, i] * _scale(i, length) / length * place
             for i in range(4):
                 shape = _SLOPE[g, i] * _scale(i, length) / length
-                exit_.residual[i, d] += weight * strain * shape * middle
+                exit_element.residual[i, d] += weight * strain * shape * middle
                 for j in range(4):
                     other = _SLOPE[g, j] * _scale(j, length) / length
-                    exit_.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
+                    exit_element.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
         for c in range(dim):
             end = 0.0
             for i in range(4):
-                place = exit_.start[i, c] + exit_.change[i, c]
+                place = exit_element.start[i, c] + exit_element.change[i, c]
                 end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
             for d in range(dim):
                 middle = 0.0
                 for i in range(4):
-                    place = exit_.start[i, d] + 0.5 * exit_.change[i, d]
+                    place = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
                     middle += _SLOPE[g, i] * _scale(i, length) / length * place
                 for i in range(4):
                     shape = _SLOPE[g, i] * _scale(i, length) / length
                     for j in range(4):
                         other = _SLOPE[g, j] * _scale(j, pay.length1) / pay.length1
-                        exit_.tangent[i, j, d, c] += (
+                        exit_element.tangent[i, j, d, c] += (
                             weight * end_share * shape * middle * other * end
                         )
 
 
 @inner
-def add_exit(tether: Tether, h: float, pay: Payout, work: Workspace, exit_: Exit) -> None:
+def add_exit(
+    tether: Tether, h: float, pay: Payout, work: Workspace, exit_element: ExitElement
+) -> None:
     """Add the first element to the chain's root, its exit slope condensed into the second node."""
     dim = len(tether.gravity)
     m = 2 * dim
     for d in range(dim):
-        exit_.change[0, d] = 0.0
-        exit_.change[1, d] = exit_.increment[d]
-        exit_.change[2, d] = work.increment[d, 0]
-        exit_.change[3, d] = work.increment[dim + d, 0]
-    _clear(exit_)
-    _linear_parts(tether, h, pay, exit_)
-    _axial_parts(tether, h, pay, exit_)
+        exit_element.change[0, d] = 0.0
+        exit_element.change[1, d] = exit_element.increment[d]
+        exit_element.change[2, d] = work.increment[d, 0]
+        exit_element.change[3, d] = work.increment[dim + d, 0]
+    _clear(exit_element)
+    _linear_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, exit_element)
 
-    rows = exit_.condensed
+    rows = exit_element.condensed
     for d in range(dim):
         for c in range(dim):
-            rows[d, c] = exit_.tangent[1, 1, d, c]
-            rows[d, dim + c] = exit_.tangent[1, 2, d, c]
-            rows[d, m + c] = exit_.tangent[1, 3, d, c]
-        rows[d, m + dim] = exit_.residual[1, d]
+            rows[d, c] = exit_element.tangent[1, 1, d, c]
+            rows[d, dim + c] = exit_element.tangent[1, 2, d, c]
+            rows[d, m + c] = exit_element.tangent[1, 3, d, c]
+        rows[d, m + dim] = exit_element.residual[1, d]
     for k in range(dim):
         inverse = 1.0 / rows[k, k]
         for c in range(k, m + dim + 1):
@@ -268,57 +270,62 @@ def add_exit(tether: Tether, h: float, pay: Payout, work: Workspace, exit_: Exit
     for a in range(2):
         for d in range(dim):
             r = a * dim + d
-            residual = exit_.residual[2 + a, d]
+            residual = exit_element.residual[2 + a, d]
             for k in range(dim):
-                residual -= exit_.tangent[2 + a, 1, d, k] * rows[k, m + dim]
+                residual -= exit_element.tangent[2 + a, 1, d, k] * rows[k, m + dim]
             set_end(work, 0, m, r, residual)
             for b in range(2):
                 for c in range(dim):
-                    entry = exit_.tangent[2 + a, 2 + b, d, c]
+                    entry = exit_element.tangent[2 + a, 2 + b, d, c]
                     for k in range(dim):
-                        entry -= exit_.tangent[2 + a, 1, d, k] * rows[k, dim + b * dim + c]
+                        entry -= exit_element.tangent[2 + a, 1, d, k] * rows[k, dim + b * dim + c]
                     set_end(work, 0, b * dim + c, r, entry)
 
 
 @inner
-def exit_increment(length: float, work: Workspace, exit_: Exit) -> float:
+def exit_increment(length: float, work: Workspace, exit_element: ExitElement) -> float:
     """Newton increment of the exit slope from that of the second node; largest entry [m]."""
-    dim = exit_.increment.shape[0]
+    dim = exit_element.increment.shape[0]
     m = 2 * dim
     largest = 0.0
     for d in range(dim):
-        change = exit_.condensed[d, m + dim]
+        change = exit_element.condensed[d, m + dim]
         for c in range(m):
-            change -= exit_.condensed[d, dim + c] * work.solution[1, c]
-        exit_.increment[d] -= change
+            change -= exit_element.condensed[d, dim + c] * work.solution[1, c]
+        exit_element.increment[d] -= change
         largest += length * abs(change)
     return largest
 
 
 @inner
 def end_exit_step(
-    tether: Tether, h: float, pay: Payout, exit_: Exit, slope1: Array, slope_rate1: Array
+    tether: Tether,
+    h: float,
+    pay: Payout,
+    exit_element: ExitElement,
+    slope1: Array,
+    slope_rate1: Array,
 ) -> float:
     """Write exit slope and rate after a converged step, and the reaction; returns the loss [J].
 
     The reaction is what the fairlead does to the tether, the residual of the held position; the
     tension at the fairlead is its part along the tether at mid-step.
     """
-    dim = exit_.increment.shape[0]
+    dim = exit_element.increment.shape[0]
     length = 0.5 * (pay.length0 + pay.length1)
-    _clear(exit_)
-    _linear_parts(tether, h, pay, exit_)
-    _axial_parts(tether, h, pay, exit_)
+    _clear(exit_element)
+    _linear_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, exit_element)
     square = 0.0
     along = 0.0
     for d in range(dim):
-        slope1[d] = exit_.start[1, d] + exit_.increment[d]
-        slope_rate1[d] = 2.0 / h * exit_.increment[d] - exit_.rate[1, d]
-        middle = exit_.start[1, d] + 0.5 * exit_.increment[d]
-        exit_.reaction[d] = exit_.residual[0, d]
+        slope1[d] = exit_element.start[1, d] + exit_element.increment[d]
+        slope_rate1[d] = 2.0 / h * exit_element.increment[d] - exit_element.rate[1, d]
+        middle = exit_element.start[1, d] + 0.5 * exit_element.increment[d]
+        exit_element.reaction[d] = exit_element.residual[0, d]
         square += middle * middle
-        along -= middle * exit_.residual[0, d]
-    exit_.tension[0] = along / np.sqrt(square)
+        along -= middle * exit_element.residual[0, d]
+    exit_element.tension[0] = along / np.sqrt(square)
     damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
     loss = 0.0
     for g in range(len(_WEIGHTS)):
@@ -327,9 +334,9 @@ def end_exit_step(
             slope0 = 0.0
             slope1_ = 0.0
             for i in range(4):
-                place = exit_.start[i, d]
+                place = exit_element.start[i, d]
                 slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
-                place += exit_.change[i, d]
+                place += exit_element.change[i, d]
                 slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
             change += 0.5 * (slope1_ * slope1_ - slope0 * slope0)
         loss += _WEIGHTS[g] * change * change

@@ -85,7 +85,7 @@ def rotation_of(q: Quaternion) -> Rotation:
 
 
 @checked_inner
-def turned(q: Quaternion, th: Vector) -> Quaternion:
+def cayley_update(q: Quaternion, th: Vector) -> Quaternion:
     """Quaternion after the turn by the Cayley vector th, given in the body's axes; unit again."""
     w, x, y, z = q
     a, b, c = 0.5 * th[0], 0.5 * th[1], 0.5 * th[2]
@@ -100,7 +100,7 @@ def turned(q: Quaternion, th: Vector) -> Quaternion:
 
 
 @checked_inner
-def cayley_shrink(th: Vector) -> float:
+def cayley_scale(th: Vector) -> float:
     """Factor s = 1 / (1 + th.th / 4)."""
     return 1.0 / (1.0 + 0.25 * dot(th, th))
 
@@ -115,10 +115,10 @@ def cayley(th: Vector, u: Vector) -> Vector:
 def cayley_change(th: Vector, u: Vector) -> Vector:
     """C u - u, to the last digit however small th is."""
     first = cross(th, u)
-    return scale(cayley_shrink(th), axpy(0.5, cross(th, first), first))
+    return scale(cayley_scale(th), axpy(0.5, cross(th, first), first))
 
 
 @checked_inner
-def cayley_spin(th: Vector, u: Vector) -> Vector:
+def cayley_tangent(th: Vector, u: Vector) -> Vector:
     """A u: the spin of C that belongs to the change u of th."""
-    return scale(cayley_shrink(th), axpy(0.5, cross(th, u), u))
+    return scale(cayley_scale(th), axpy(0.5, cross(th, u), u))

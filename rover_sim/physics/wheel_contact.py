@@ -1,7 +1,7 @@
 """The force on a wheel inside an implicit step: on regolith, on rock, rolling, slipping, parked.
 
 On regolith (the floor) a wheel meets the stresses of `wheel_soil`, on rock (boulders, wall, bare
-floor) the law of `contact`; where it touches is found by `rim`.
+floor) the law of `contact`; where it touches is found by `rim_speed`.
 
 Signs: the axle's direction a points to the left of the wheel, forward is t = a x n / |a x n|
 (n the ground's normal), the spin w is positive rolling forward. The force F acts at the touching
@@ -296,9 +296,9 @@ def soil_force(
     rate = 1.0 / h
     v = (travel[0] * forward[0] + travel[1] * forward[1] + travel[2] * forward[2]) * rate
     vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
-    rim = spin * system.shear_radius
+    rim_speed = spin * system.shear_radius
     factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
-    x, xz, xv, _, f, fz, fv, _, m, _, _, mw = rolling_force(law, sinkage, v, rim)
+    x, xz, xv, _, f, fz, fv, _, m, _, _, mw = rolling_force(law, sinkage, v, rim_speed)
 
     # A derivative by u is held as its parts along n, and along t and y times h.
     push = fall * rate
@@ -315,10 +315,12 @@ def soil_force(
     strength_t = system.friction * load_t
 
     # sideways
-    rolled = math.sqrt(v * v + rim * rim + 1.0e-4 * law.parking_speed * law.parking_speed)
+    rolled = math.sqrt(
+        v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
+    )
     lag = 2.0 * system.shear_modulus / length
     soft = lag * rolled + law.slip_speed
-    slip = rim - v
+    slip = rim_speed - v
     inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
     share = -vy * inverse
     cubed = strength * vy * inverse * inverse * inverse
@@ -328,7 +330,7 @@ def soil_force(
     drift_y = -strength * inverse + cubed * vy
 
     # parking
-    parked, parked_slope = _parked(law, v * v + vy * vy + rim * rim)
+    parked, parked_slope = _parked(law, v * v + vy * vy + rim_speed * rim_speed)
     moving = 1.0 - parked
     parked_t, parked_y = 2.0 * parked_slope * v, 2.0 * parked_slope * vy
     torque = moving * factor * m
@@ -341,13 +343,13 @@ def soil_force(
             law.anchor_stiffness,
             law.slip_speed,
             normal,
-            _over_ground(_in_plane(travel, normal), forward, rim * h),
+            _over_ground(_in_plane(travel, normal), forward, rim_speed * h),
             h,
             _in_plane(bristle, normal),
         )
         grip = hold[0] * forward[0] + hold[1] * forward[1] + hold[2] * forward[2]
         share = by_limit[0] * forward[0] + by_limit[1] * forward[1] + by_limit[2] * forward[2]
-        fade = 2.0 * parked_slope * rim * system.shear_radius
+        fade = 2.0 * parked_slope * rim_speed * system.shear_radius
         torque += system.shear_radius * grip
         slope += fade * (system.shear_radius * share * strength - factor * m)
         slope -= system.shear_radius * system.shear_radius * h * _twice(tangent, forward)
@@ -429,15 +431,15 @@ def advance_soil_bristle(
     slide = _in_plane(travel, normal)
     v = (slide[0] * forward[0] + slide[1] * forward[1] + slide[2] * forward[2]) / h
     speed_squared = (slide[0] ** 2 + slide[1] ** 2 + slide[2] ** 2) / (h * h)
-    rim = spin * system.shear_radius
-    parked, _ = _parked(law, speed_squared + rim * rim)
+    rim_speed = spin * system.shear_radius
+    parked, _ = _parked(law, speed_squared + rim_speed * rim_speed)
     factor, _ = damping_factor(law.damping, (depth1 - depth0) / h)
-    load = factor * rolling_force(law, sinkage, v, rim)[4]
+    load = factor * rolling_force(law, sinkage, v, rim_speed)[4]
     length = math.sqrt(2.0 * system.radius * sinkage)
     strength = system.cohesion * system.width * length + system.friction * load
     return advance_anchor(
         parked * strength,
         law.anchor_stiffness,
-        _over_ground(slide, forward, rim * h),
+        _over_ground(slide, forward, rim_speed * h),
         _in_plane(bristle, normal),
     )

@@ -62,16 +62,16 @@ from rover_sim.physics.motor import (
     make_motor,
     rate_servo,
 )
-from rover_sim.physics.ranges import check_ranges
+from rover_sim.physics.parameter_ranges import check_ranges
 from rover_sim.physics.shaft import (
     Friction,
     FrictionParameters,
-    Motion,
+    ShaftMotion,
     advance_shaft,
-    by_direction,
-    carried_work,
+    base_motion_work,
+    directional_work,
     dry_heat,
-    geared,
+    geared_torques,
     make_friction,
     sliding_torque,
     slope_heat,
@@ -200,7 +200,7 @@ class WheelOutputs(NamedTuple):
     stalled: bool  # the motor pulls and neither wheel turns
 
 
-class WheelBooks(NamedTuple):
+class WheelEnergyBalance(NamedTuple):
     """Energy of the step [J]; the heats are never negative."""
 
     kinetic: float  # at the step's end: wheels absolute, motor rotor relative
@@ -240,7 +240,9 @@ class _Side(NamedTuple):
 
 
 @checked_inner
-def _alone(inertia: float, side: _Side, rate: float, may_reverse: bool, h: float) -> Motion:
+def _separate_motion(
+    inertia: float, side: _Side, rate: float, may_reverse: bool, h: float
+) -> ShaftMotion:
     """Motion of one wheel that the other does not touch."""
     return advance_shaft(
         inertia,
@@ -256,20 +258,22 @@ def _alone(inertia: float, side: _Side, rate: float, may_reverse: bool, h: float
 
 
 @checked_inner
-def _heat(motion: Motion, side: _Side) -> float:
+def _heat(motion: ShaftMotion, side: _Side) -> float:
     """Friction heat [J] of one wheel's motion."""
     return dry_heat(motion, side.sliding, side.breakaway) + viscous_heat(motion, side.viscous)
 
 
 @checked_inner
-def _load_impulse(motion: Motion, load: float, slope: float, span: float) -> float:
+def _load_impulse(motion: ShaftMotion, load: float, slope: float, span: float) -> float:
     """Impulse [N m s] of a ground torque over the span of a motion."""
     last_time = motion.second_time if motion.second != 0.0 else motion.first_time
     return load * span - slope * motion.rate * last_time
 
 
 @checked_inner
-def _together(drive: WheelDrive, left: _Side, right: _Side, rate: float, h: float) -> Motion:
+def _engaged_motion(
+    drive: WheelDrive, left: _Side, right: _Side, rate: float, h: float
+) -> ShaftMotion:
     """Motion of both wheels as one shaft that turns forward, until it comes to rest."""
     torque = left.drive_forward + right.drive_forward
     at_rest = torque - left.breakaway - right.breakaway if rate == 0.0 else 0.0
@@ -289,7 +293,7 @@ def _together(drive: WheelDrive, left: _Side, right: _Side, rate: float, h: floa
 @checked_inner
 def advance(
     drive: WheelDrive, state: WheelState, command: WheelCommand, loads: WheelLoads, h: float
-) -> tuple[WheelState, WheelOutputs, WheelBooks]:
+) -> tuple[WheelState, WheelOutputs, WheelEnergyBalance]:
     """Advance the wheels by h.
 
     Args:
@@ -318,7 +322,9 @@ def advance(
             state.integral,
             h,
         )
-    forward, backward = geared(ratio * shaft_torque, drive.efficiency, drive.back_efficiency)
+    forward, backward = geared_torques(
+        ratio * shaft_torque, drive.efficiency, drive.back_efficiency
+    )
 
     inertia = drive.wheel_inertia
     carried = -inertia * (loads.body_rate - state.body_rate) / h
@@ -346,18 +352,18 @@ def advance(
     remaining = h
     while remaining > 0.0:  # a second time if the wheels come to rest together within the step
         span = remaining
-        left_motion = _alone(drive.train_inertia, left, u, True, span)
-        right_motion = _alone(inertia, right, w, False, span)
+        left_motion = _separate_motion(drive.train_inertia, left, u, True, span)
+        right_motion = _separate_motion(inertia, right, w, False, span)
         # Engaged, if by itself the right wheel would fall behind the axle.
         if w <= u + _TOUCH and right_motion.rate < left_motion.rate:
-            left_motion = right_motion = _together(drive, left, right, w, span)
+            left_motion = right_motion = _engaged_motion(drive, left, right, w, span)
             if w > 0.0 and right_motion.rate == 0.0:
                 span = right_motion.first_time
         left_turn = left_motion.first + left_motion.second
         right_turn = right_motion.first + right_motion.second
         left_angle += left_turn
         right_angle += right_turn
-        transmitted += by_direction(left_motion, forward, backward)
+        transmitted += directional_work(left_motion, forward, backward)
         friction_heat += _heat(left_motion, left) + _heat(right_motion, right)
         load_work += left_load * left_turn - slope_heat(left_motion, left.slope)
         load_work += right_load * right_turn - slope_heat(right_motion, right.slope)
@@ -381,8 +387,8 @@ def advance(
     base0, base1 = state.body_rate, loads.body_rate
     before = inertia * (state.left + state.right + 2.0 * base0)
     momentum = inertia * (u + w + 2.0 * base1)
-    body_work = carried_work(inertia, state.left, u, left_angle, base0, base1, h)
-    body_work += carried_work(inertia, state.right, w, right_angle, base0, base1, h)
+    body_work = base_motion_work(inertia, state.left, u, left_angle, base0, base1, h)
+    body_work += base_motion_work(inertia, state.right, w, right_angle, base0, base1, h)
     motor_work = ratio * shaft_torque * left_angle
     motor_rate = ratio * u
     kinetic = 0.5 * inertia * ((u + base1) ** 2 + (w + base1) ** 2)
@@ -402,7 +408,7 @@ def advance(
             shaft_torque / drive.motor.torque_constant,
             shaft_torque != 0.0 and left_angle == 0.0 and right_angle == 0.0,
         ),
-        WheelBooks(
+        WheelEnergyBalance(
             kinetic,
             motor_work,
             load_work,

@@ -19,7 +19,7 @@ from rover_sim.physics.terrain import (
 )
 
 
-class RimContact(NamedTuple):
+class WheelContactGeometry(NamedTuple):
     """The deepest point of a wheel's rim in a surface."""
 
     depth: float  # [m], not above -0.1 m unless a surface is that near
@@ -31,8 +31,8 @@ class RimContact(NamedTuple):
 _CLEAR = -1.0  # depth told where nothing is near [m]
 NO_ROCK = 0.0
 """In place of a rock where there is none."""
-_WALL = -1.0  # in place of a boulder
-_TOLD_FROM = 1.0e4  # so that no boulder is told by 0 or -1 [m]
+_WALL_KEY = -1.0  # in place of a boulder
+_KEY_OFFSET = 1.0e4  # so that no boulder is told by 0 or -1 [m]
 
 
 @inner
@@ -60,7 +60,9 @@ def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
 
 
 @inner
-def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) -> RimContact:
+def wheel_on_floor(
+    terrain: Terrain, centre: Vector, axle: Vector, radius: float
+) -> WheelContactGeometry:
     """The rim's deepest point in the floor, boulders and wall apart.
 
     Args:
@@ -72,11 +74,11 @@ def rim_on_floor(terrain: Terrain, centre: Vector, axle: Vector, radius: float) 
     x, y, z = centre
     depth, nx, ny, nz = floor_depth_and_normal(terrain, x, y, z)
     if depth < -radius - 0.1:
-        return RimContact(depth + radius, (nx, ny, nz), NO_VECTOR, NO_VECTOR)
+        return WheelContactGeometry(depth + radius, (nx, ny, nz), NO_VECTOR, NO_VECTOR)
     arm = _arm(axle, radius, (-nx, -ny, -nz))
     depth, nx, ny, nz = floor_depth_and_normal(terrain, x + arm[0], y + arm[1], z + arm[2])
     normal = (nx, ny, nz)
-    return RimContact(depth, normal, _forward(axle, normal), arm)
+    return WheelContactGeometry(depth, normal, _forward(axle, normal), arm)
 
 
 @inner
@@ -100,7 +102,7 @@ def _disc_in_boulder(
 
 
 @inner
-def _rim_in_wall(
+def _wheel_in_wall(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float
 ) -> tuple[float, Vector, Vector]:
     """Depth [m], normal and arm of the rim's deepest point in the hole's wall or around it."""
@@ -118,9 +120,9 @@ def _rim_in_wall(
 
 
 @inner
-def _boulder(terrain: Terrain, k: int) -> float:
+def _boulder_key(terrain: Terrain, k: int) -> float:
     """What a boulder is told by, in whichever cell's list it stands: its centre."""
-    return _TOLD_FROM + terrain.table[k]
+    return _KEY_OFFSET + terrain.table[k]
 
 
 @inner
@@ -130,7 +132,7 @@ def deepest_rocks(
     """The two rocks that a disc lies deepest in.
 
     Boulders are exact spheres here, without the fillet at their foot; wheels up to 0.3 m of radius
-    find them. The arguments are those of `rim_on_floor`.
+    find them. The arguments are those of `wheel_on_floor`.
 
     Returns:
         Depth [m] and rock of the deepest and of the next. Rocks farther off than 0.1 m may be left
@@ -138,7 +140,7 @@ def deepest_rocks(
     """
     x, y, z = centre
     first, second = _CLEAR, _CLEAR
-    rock1, rock2 = NO_ROCK, NO_ROCK
+    key1, key2 = NO_ROCK, NO_ROCK
     table = terrain.table
     start, stop = cell_boulders(terrain, x, y)
     for k in range(start, stop, 5):
@@ -148,23 +150,23 @@ def deepest_rocks(
             continue
         depth = _disc_in_boulder(terrain, k, centre, axle, radius)[0]
         if depth > first:
-            second, rock2 = first, rock1
-            first, rock1 = depth, _boulder(terrain, k)
+            second, key2 = first, key1
+            first, key1 = depth, _boulder_key(terrain, k)
         elif depth > second:
-            second, rock2 = depth, _boulder(terrain, k)
-    depth = _rim_in_wall(terrain, centre, axle, radius)[0]
+            second, key2 = depth, _boulder_key(terrain, k)
+    depth = _wheel_in_wall(terrain, centre, axle, radius)[0]
     if depth > first:
-        second, rock2 = first, rock1
-        first, rock1 = depth, _WALL
+        second, key2 = first, key1
+        first, key1 = depth, _WALL_KEY
     elif depth > second:
-        second, rock2 = depth, _WALL
-    return first, rock1, second, rock2
+        second, key2 = depth, _WALL_KEY
+    return first, key1, second, key2
 
 
 @inner
-def rim_on_rock(
+def wheel_on_rock(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float, rock: float
-) -> RimContact:
+) -> WheelContactGeometry:
     """The disc's deepest point in one rock.
 
     Args:
@@ -175,11 +177,11 @@ def rim_on_rock(
         rock: of `deepest_rocks`.
     """
     depth, normal, arm = _CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
-    if rock == _WALL:
-        depth, normal, arm = _rim_in_wall(terrain, centre, axle, radius)
+    if rock == _WALL_KEY:
+        depth, normal, arm = _wheel_in_wall(terrain, centre, axle, radius)
     elif rock != NO_ROCK:
         start, stop = cell_boulders(terrain, centre[0], centre[1])
         for k in range(start, stop, 5):
-            if _boulder(terrain, k) == rock:
+            if _boulder_key(terrain, k) == rock:
                 depth, normal, arm = _disc_in_boulder(terrain, k, centre, axle, radius)
-    return RimContact(depth, normal, _forward(axle, normal), arm)
+    return WheelContactGeometry(depth, normal, _forward(axle, normal), arm)

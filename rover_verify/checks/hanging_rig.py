@@ -206,12 +206,12 @@ class HangingFlight:
         ):
             body[at : at + 3] += np.cross(spin, place)
         body[spatial_rover.SPIN : spatial_rover.SPIN + 3] += state.rotation.T @ spin
-        mouth = state.mouth.copy()
-        mouth[1] += np.cross(spin, mouth[0])
+        fairlead_slope = state.fairlead_slope.copy()
+        fairlead_slope[1] += np.cross(spin, fairlead_slope[0])
         self.state = replace(
             state,
             node_rates=state.node_rates + np.cross(spin, state.nodes),
-            mouth=mouth,
+            fairlead_slope=fairlead_slope,
             body=body,
         )
 

@@ -75,7 +75,7 @@ def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[
 
 def is_finite(state: SpatialState) -> bool:
     """Whether every number of the state is finite, but for those that say never."""
-    arrays = (state.nodes, state.node_rates, state.mouth, state.body, state.book)
+    arrays = (state.nodes, state.node_rates, state.fairlead_slope, state.body, state.memory)
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
 

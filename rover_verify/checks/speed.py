@@ -14,7 +14,7 @@ from pathlib import Path
 
 from msg_schemas import topics
 from rover_sim import SpatialPlant, load_spatial
-from rover_sim.physics.parts import parts
+from rover_sim.physics.compile_targets import step_parts
 from rover_sim.physics.spatial_step import make_solver
 from rover_verify import bench, bench_spatial, exudyn_peer
 from rover_verify.bench_cases import Case, cases
@@ -181,9 +181,9 @@ def compiled_in_vain(batch: Batch) -> Measured:
         timeout=_LONGEST_START,
     )
     plant = SpatialPlant(load_spatial(_START))
-    solver = make_solver(2, len(plant.model.feet.corners))
+    solver = make_solver(2, len(plant.model.rover_contact.corners))
     details: dict[str, float | str] = {}
-    for function, _ in parts(plant.model, solver, plant.initial_state().machines):
+    for function, _ in step_parts(plant.model, solver, plant.initial_state().drives):
         name = function.py_func.__qualname__
         details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
     made = [kinds for kinds in details.values() if kinds != 1]

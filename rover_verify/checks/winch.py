@@ -320,7 +320,7 @@ def unsafe_cases(_batch: Batch) -> Measured:
     wrong = []
     for name, case in _cases().items():
         session, rig = _in_fault(case)
-        winch, drum = session.winch, rig.state.machines.drum
+        winch, drum = session.winch, rig.state.drives.drum
         safe = (
             winch.mode is (Mode.STOP if case.fault is None else Mode.FAULT)
             and winch.fault is case.fault

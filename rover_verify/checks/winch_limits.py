@@ -99,7 +99,7 @@ def largest_heat(batch: Batch) -> Measured:
             break
     session.run(2.0)
     winch, state = session.winch, rig.state
-    if winch.fault is not Fault.OVERHEATED or state.machines.drum.rate != 0.0:
+    if winch.fault is not Fault.OVERHEATED or state.drives.drum.rate != 0.0:
         return Measured(math.inf, f"it ended in {winch.mode}, {winch.fault}")
     return Measured(heat, f"stood braked at {state.length:.3g} m: {winch.fault_reason}")
 

@@ -104,7 +104,7 @@ class SpatialRig:
         if touch > 0.0 and not self._has_lip and self._is_above_floor:
             self.touches += self.state.time - self._last_touch > _APART
             self._last_touch = self.state.time
-        drum = self.state.machines.drum
+        drum = self.state.drives.drum
         return Readings(
             self.state.length,
             self._plant.payout_rate(self.state),

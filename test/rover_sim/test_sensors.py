@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.body_motion import BodyMotion, image_rate, mean_rate, specific_force
-from rover_sim.physics.places import HoleParameters, TerrainParameters
 from rover_sim.physics.ray import distance_to_ground
 from rover_sim.physics.terrain import build_terrain
+from rover_sim.physics.terrain_parameters import HoleParameters, TerrainParameters
 from rover_sim.sensors import (
     Camera,
     Channel,

@@ -37,7 +37,7 @@ def test_a_displaced_start_is_the_one_that_a_scenario_asks_for():
     # Second order: the load along a swung tether is less by its cosine, more by the motion.
     assert found.nodes == pytest.approx(asked.nodes, abs=5e-5)
     assert found.node_rates == pytest.approx(asked.node_rates, abs=2e-5)
-    assert found.mouth == pytest.approx(asked.mouth, abs=2e-5)
+    assert found.fairlead_slope == pytest.approx(asked.fairlead_slope, abs=2e-5)
     assert found.orientation == pytest.approx(asked.orientation, abs=2e-5)
     # The configured push of 6 deg/s about z, seen from axes that are tilted by up to 2 degrees.
     assert found.omega == pytest.approx(asked.omega, abs=math.radians(6.0) * math.radians(2.3))

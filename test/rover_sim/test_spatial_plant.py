@@ -52,11 +52,11 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
 def test_a_state_that_is_placed_is_the_state_it_was_taken_from():
     plant = make_plant({"start.swing_angle": 20.0, "start.tilt": [1.0, 2.0, 3.0]})
     wanted = plant.initial_state()
-    rates = np.concatenate([[[np.zeros(3), wanted.mouth[1]]], wanted.node_rates])
+    rates = np.concatenate([[[np.zeros(3), wanted.fairlead_slope[1]]], wanted.node_rates])
     state = plant.state_at(
         plant.to_full_nodes(wanted), rates, orientation=wanted.orientation, slide=wanted.s
     )
-    for name in ("nodes", "node_rates", "mouth", "body"):
+    for name in ("nodes", "node_rates", "fairlead_slope", "body"):
         np.testing.assert_allclose(getattr(state, name), getattr(wanted, name), atol=1e-12)
     assert plant.energies(state).stored == pytest.approx(plant.energies(wanted).stored)
 

@@ -22,7 +22,7 @@ from rover_sim import (
 )
 from rover_sim.ground import Environment, Floor, Hole
 from rover_sim.machine import Rover, Winch, jump_height, rest_slide
-from rover_sim.physics import places
+from rover_sim.physics import terrain_parameters
 from rover_sim.physics_section import PhysicsSection
 from rover_sim.sensors import Sensors
 from rover_sim.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
@@ -145,7 +145,9 @@ class TestMeaning:
 
     def test_a_known_hole_or_one_by_numbers(self):
         known = Hole(preset="marius_hills", wall_distance=2.0)
-        assert known.parameters() == dataclasses.replace(places.MARIUS_HILLS, wall_distance=2.0)
+        assert known.parameters() == dataclasses.replace(
+            terrain_parameters.MARIUS_HILLS, wall_distance=2.0
+        )
         own = Hole(diameter=20.0, depth=30.0, overhang=2.0, overhang_depth=10.0)
         assert own.parameters().profile == ((10.0, 0.0), (30.0, 2.0))
         environment = Environment(gravity=1.62, hole=own)

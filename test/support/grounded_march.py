@@ -28,7 +28,7 @@ from rover_sim.physics.tether_contact import (
 
 # Entries of the log.
 (
-    TETHER_HEAT, GROUND_HEAT, GROUND_STORED, NORMAL, TOUCHING, ITERATIONS, STEPS, HALVINGS,
+    TETHER_HEAT, GROUND_HEAT, CONTACT_ENERGY, NORMAL, TOUCHING, ITERATIONS, STEPS, HALVINGS,
     LEAST_HEAT, DEEPEST,
 ) = range(10)  # fmt: skip
 
@@ -57,10 +57,10 @@ def _attempt(
                 set_end(work, 1, 6, d, mass * pull)
                 set_end(work, 1, d, d, 2.0 * mass / h**2)
         assemble(cable, h, work)
-        makeshift = add_tether_contact(terrain, law, cable, h, anchors, work, contact)
+        linearised = add_tether_contact(terrain, law, cable, h, anchors, work, contact)
         change = solve_increment(cable, work)
         log[ITERATIONS] += 1.0
-        if change < tolerance and makeshift == 0:
+        if change < tolerance and linearised == 0:
             done = True
             break
     if not done:
@@ -68,7 +68,7 @@ def _attempt(
     log[TETHER_HEAT] += end_step(cable, h, q, v, work, q1, v1)[0]
     ground = end_tether_contact(law, cable, h, anchors, work, contact)
     log[GROUND_HEAT] += ground.dissipated
-    log[GROUND_STORED] += ground.stored_change
+    log[CONTACT_ENERGY] += ground.stored_change
     log[NORMAL], log[TOUCHING] = ground.normal_force, ground.touching
     log[LEAST_HEAT] = min(log[LEAST_HEAT], ground.dissipated)
     for s in range(contact.near_count[0]):

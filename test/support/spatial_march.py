@@ -27,7 +27,7 @@ SPLIT_BEYOND, MERGE_BELOW = 1.5, 0.5  # of the element's length
 @checked
 def _attempt(
     cable: Any, rover: Any, spring: Any, mass: float, root: int, h: float, pay: Any,
-    q: Array, v: Array, mouth: Array, body: Array, work: Any, step: Any, exit_: Any,
+    q: Array, v: Array, fairlead_slope: Array, body: Array, work: Any, step: Any, exit_element: Any,
     q1: Array, v1: Array, body1: Array,
 ) -> float:  # fmt: skip
     n = cable.elements
@@ -42,13 +42,13 @@ def _attempt(
     energy_momentum.begin_step(cable, h, q, v, work)
     for k in range(3):
         step.turn[k] = h * body[spatial_rover.SPIN + k]
-        exit_.increment[k] = h * mouth[1, k]
+        exit_element.increment[k] = h * fairlead_slope[1, k]
     axis = vectors.rotation_of(spatial_rover.orientation(body))[2]
     step.turn[3] = 0.0
     for k in range(3):
         step.turn[3] += h * axis[k] * (body[13 + k] - body[10 + k])
     if root == PAYING_OUT:
-        variable_length.begin_exit(ORIGIN, mouth[0], mouth[1], q, v, exit_)
+        variable_length.begin_exit(ORIGIN, fairlead_slope[0], fairlead_slope[1], q, v, exit_element)
     for _ in range(30):
         if mass > 0.0:
             for d in range(3):
@@ -61,12 +61,12 @@ def _attempt(
             step.slide[1], step.slide[2] = -spring[0], -spring[2]
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
-            variable_length.add_exit(cable, h, pay, work, exit_)
+            variable_length.add_exit(cable, h, pay, work, exit_element)
         change = energy_momentum.newton_increment(cable, h, work)
         if mass == 0.0:
             change += spatial_rover.rover_increment(n, work, step)
         if root == PAYING_OUT:
-            change += variable_length.exit_increment(pay.length0, work, exit_)
+            change += variable_length.exit_increment(pay.length0, work, exit_element)
         if change < TOLERANCE:
             break
     if not change < TOLERANCE:
@@ -76,7 +76,9 @@ def _attempt(
         spatial_rover.end_rover_step(rover, h, n, body, work, step, body1)
         loss += spring[2] * step.turn[3] ** 2 / h
     if root == PAYING_OUT:
-        loss += variable_length.end_exit_step(cable, h, pay, exit_, mouth[2], mouth[3])
+        loss += variable_length.end_exit_step(
+            cable, h, pay, exit_element, fairlead_slope[2], fairlead_slope[3]
+        )
     return float(loss)
 
 
@@ -126,19 +128,19 @@ class March:
             pay = variable_length.Payout(
                 self.length, self.length + h * mean, self.payout_rate, rate1
             )
-            mouth = np.array([self.slope, self.slope_rate, self.slope, self.slope_rate])
+            fairlead_slope = np.array([self.slope, self.slope_rate, self.slope, self.slope_rate])
             loss = _attempt(
                 self.cable, self._rover, self.spring, self.mass, self.root, h, pay, self.q,
-                self.v, mouth, self.body, self._work, self._step, self._exit, *self._after,
+                self.v, fairlead_slope, self.body, self._work, self._step, self._exit, *self._after,
             )  # fmt: skip
             assert np.isfinite(loss), "the step did not converge"
             self.dissipated += loss
             if self.root == PAYING_OUT:
-                self._count_flow(h, mean, 0.5 * (self.slope + mouth[2]))
+                self._count_flow(h, mean, 0.5 * (self.slope + fairlead_slope[2]))
             self.q[:], self.v[:] = self._after[0], self._after[1]
             if self.mass == 0.0:
                 self.body[:] = self._after[2]
-            self.slope, self.slope_rate = mouth[2].copy(), mouth[3].copy()
+            self.slope, self.slope_rate = fairlead_slope[2].copy(), fairlead_slope[3].copy()
             self.length, self.payout_rate = pay.length1, rate1
             if self.room > 0:
                 self._remesh()
@@ -146,8 +148,8 @@ class March:
     def _remesh(self) -> None:
         """Divide or join at the fairlead, as the length of the first element asks."""
         nominal, n = self.cable.element_length, self.cable.elements
-        mouth = np.array([self.slope, self.slope_rate])
-        state = (self.length, self.payout_rate, mouth, self.q, self.v, self._anchors)
+        fairlead_slope = np.array([self.slope, self.slope_rate])
+        state = (self.length, self.payout_rate, fairlead_slope, self.q, self.v, self._anchors)
         if self.length > SPLIT_BEYOND * nominal:
             self.length = remesh.split_first(self.cable, *state)
             self.cable = self.cable._replace(elements=n + 1)
@@ -156,7 +158,7 @@ class March:
             self.remeshed.append(remesh.merge_first(self.cable, *state))
             self.length += nominal
             self.cable = self.cable._replace(elements=n - 1)
-            self.slope, self.slope_rate = mouth[0].copy(), mouth[1].copy()
+            self.slope, self.slope_rate = fairlead_slope[0].copy(), fairlead_slope[1].copy()
 
     def _count_flow(self, h: float, rate: float, slope: Array) -> None:
         """dE/dt = R.(r' v) + v (rhoA |dr/dt|^2/2 + EA eps^2/2) at the fairlead."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from rover_sim.physics import jump_drive
 from rover_sim.physics.jump_drive import (
-    JumpBooks,
     JumpCommand,
     JumpDrive,
+    JumpEnergyBalance,
     JumpLoads,
     JumpState,
     Latch,
@@ -56,11 +56,11 @@ class JumpRun:
         self.standing = rig.on_floor
         self.body_rate = 0.0
         self.visited: list[Latch] = []
-        self.books = dict.fromkeys(JumpBooks._fields, 0.0)
+        self.balance = dict.fromkeys(JumpEnergyBalance._fields, 0.0)
         self.slider_heat = 0.0
         self.floor_heat = 0.0
         self.fastest = 0.0
-        self.last = JumpBooks(*[0.0] * len(JumpBooks._fields))
+        self.last = JumpEnergyBalance(*[0.0] * len(JumpEnergyBalance._fields))
         self._start = self._mechanical()
 
     @property
@@ -87,9 +87,9 @@ class JumpRun:
 
     @property
     def drift(self) -> float:
-        books = self.books
-        put_in = books["motor_work"] + books["body_work"]
-        heat = books["screw_heat"] + books["friction_heat"] + books["stop_heat"]
+        balance = self.balance
+        put_in = balance["motor_work"] + balance["body_work"]
+        heat = balance["screw_heat"] + balance["friction_heat"] + balance["stop_heat"]
         return self._mechanical() - self._start - put_in + heat + self.slider_heat + self.floor_heat
 
     def _pressing(self) -> bool:
@@ -137,7 +137,7 @@ class JumpRun:
             self.drive, self.slider, self.state, command, loads, h
         )
         for name, value in self.last._asdict().items():
-            self.books[name] += value
+            self.balance[name] += value
         if not self.visited or self.visited[-1] != self.state.latch:
             self.visited.append(Latch(self.state.latch))
         elapsed = float(outputs.elapsed)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rover_sim.physics import drum as drums
 from rover_sim.physics.drum import (
     Drum,
-    DrumBooks,
     DrumCommand,
+    DrumEnergyBalance,
     DrumParameters,
     DrumState,
     advance,
@@ -35,11 +35,11 @@ def opened(drum: Drum, length: float, rate: float = 0.0) -> DrumState:
     return initial_state(drum, length)._replace(braked=False, rate=rate)
 
 
-def residual(drum: Drum, before: DrumState, books: DrumBooks) -> float:
+def residual(drum: Drum, before: DrumState, balance: DrumEnergyBalance) -> float:
     """What the books of a step leave unexplained [J]."""
-    change = books.kinetic - 0.5 * drum.inertia * before.rate**2
-    heats = books.gear_heat + books.friction_heat + books.brake_heat + books.stop_heat
-    return change - (books.motor_work + books.tension_work - heats)
+    change = balance.kinetic - 0.5 * drum.inertia * before.rate**2
+    heats = balance.gear_heat + balance.friction_heat + balance.brake_heat + balance.stop_heat
+    return change - (balance.motor_work + balance.tension_work - heats)
 
 
 def test_a_mass_on_a_free_drum_falls_as_the_closed_form_says() -> None:
@@ -68,8 +68,8 @@ def test_vertical_payout_tension_and_speed_with_a_lumped_mass() -> None:
         acceleration = (state.rate * drum.radius - previous) / H
         previous = state.rate * drum.radius
         # Relaxed: reflected, drum and rover weigh about the same.
-        wanted = (mass + density * state.length) * (g - acceleration)
-        tension += 0.5 * (wanted - tension)
+        requested = (mass + density * state.length) * (g - acceleration)
+        tension += 0.5 * (requested - tension)
     hanging = mass + density * state.length
     torque = -0.01 * drum.gear_ratio / drum.back_efficiency
     exact = (drum.radius * hanging * g + torque) / (drum.inertia + hanging * drum.radius**2)
@@ -132,13 +132,13 @@ def test_the_brake_holds_its_capacity_exactly_and_slips_above_it() -> None:
     start = initial_state(drum, 5.0)
     state = start
     for _ in range(1000):
-        state, outputs, books = advance(drum, state, HOLD, capacity, H)
+        state, outputs, balance = advance(drum, state, HOLD, capacity, H)
     assert state == start
     assert outputs.stuck
-    assert (books.brake_heat, books.tension_work, books.kinetic) == (0.0, 0.0, 0.0)
-    state, outputs, books = advance(drum, start, HOLD, capacity + 1.0, H)
+    assert (balance.brake_heat, balance.tension_work, balance.kinetic) == (0.0, 0.0, 0.0)
+    state, outputs, balance = advance(drum, start, HOLD, capacity + 1.0, H)
     assert state.rate == pytest.approx(drum.radius / drum.inertia * H, rel=1e-9)
-    assert books.brake_heat == pytest.approx(2.0 * drum.radius / drum.inertia * H * H / 2.0)
+    assert balance.brake_heat == pytest.approx(2.0 * drum.radius / drum.inertia * H * H / 2.0)
     assert not outputs.stuck
 
 
@@ -165,10 +165,10 @@ def test_the_brake_opens_and_closes_after_its_delays_and_forgets_a_change_of_min
 def test_a_tether_pressed_at_the_fairlead_pushes_the_drum() -> None:
     drum = make_drum(DrumParameters(friction=SMOOTH))
     start = opened(drum, 5.0)
-    state, outputs, books = advance(drum, start, COAST, -50.0, H)
+    state, outputs, balance = advance(drum, start, COAST, -50.0, H)
     assert state.rate == pytest.approx(-50.0 * drum.radius / drum.inertia * H, rel=1e-6)
-    assert books.tension_work == pytest.approx(-50.0 * outputs.payout_rate * H, rel=1e-9)
-    assert residual(drum, start, books) == pytest.approx(0.0, abs=1e-14)
+    assert balance.tension_work == pytest.approx(-50.0 * outputs.payout_rate * H, rel=1e-9)
+    assert residual(drum, start, balance) == pytest.approx(0.0, abs=1e-14)
 
 
 @pytest.mark.parametrize(("length", "rate", "stop"), [(59.9999, 6.0, 1), (2.0001, -6.0, -1)])
@@ -177,12 +177,12 @@ def test_the_stops_are_met_inside_the_step_and_turn_the_motion_into_heat(
 ) -> None:
     drum = make_drum(DrumParameters(min_length=2.0, max_length=60.0))
     start = opened(drum, length, rate)
-    state, outputs, books = advance(drum, start, COAST, 16.0, H)
+    state, outputs, balance = advance(drum, start, COAST, 16.0, H)
     end = 60.0 if stop == 1 else 2.0
     assert (state.length, state.rate, outputs.stop) == (end, 0.0, stop)
     assert start.length + outputs.payout_rate * H == pytest.approx(end, abs=1e-12)
-    assert books.stop_heat == pytest.approx(0.5 * drum.inertia * 36.0, rel=0.01)
-    assert residual(drum, start, books) == pytest.approx(0.0, abs=1e-14)
+    assert balance.stop_heat == pytest.approx(0.5 * drum.inertia * 36.0, rel=0.01)
+    assert residual(drum, start, balance) == pytest.approx(0.0, abs=1e-14)
     # It leaves the stop as freely as it came.
     command = DrumCommand(TORQUE, -0.1 * stop, 0.0, math.inf, True)
     state, outputs, _ = advance(drum, state, command, 0.0, H)
@@ -261,14 +261,19 @@ def test_books_balance_and_heat_is_never_negative_over_random_runs(
     for command, tension in script:
         for _ in range(60):
             before = state
-            state, outputs, books = advance(drum, state, command, tension, H)
-            scale = books.kinetic + abs(books.motor_work) + abs(books.tension_work) + 1e-12
+            state, outputs, balance = advance(drum, state, command, tension, H)
+            scale = balance.kinetic + abs(balance.motor_work) + abs(balance.tension_work) + 1e-12
             scale += 0.5 * drum.inertia * before.rate**2
             turnover += scale
-            drift += residual(drum, before, books)
+            drift += residual(drum, before, balance)
             length += outputs.payout_rate * H
-            assert abs(residual(drum, before, books)) <= 1e-9 * scale
-            heats = (books.gear_heat, books.friction_heat, books.brake_heat, books.stop_heat)
+            assert abs(residual(drum, before, balance)) <= 1e-9 * scale
+            heats = (
+                balance.gear_heat,
+                balance.friction_heat,
+                balance.brake_heat,
+                balance.stop_heat,
+            )
             assert min(heats) >= -1e-12 * scale
             assert 0.0 <= state.length <= drum.max_length
             assert math.isfinite(state.rate)

@@ -7,7 +7,7 @@ import pytest
 
 from rover_sim.physics import ancf, energy_momentum, tether
 from rover_sim.physics.energy_momentum import Workspace
-from rover_sim.physics.section import TetherSection
+from rover_sim.physics.tether_section import TetherSection
 
 TABLE_1 = TetherSection.round(0.5e9, 3.45e-4, 1e4)
 DAMPED = TetherSection.round(0.5e9, 3.45e-4, 1e4, 2e-3, 0.5)

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from two_bodies import JumpRun, Rig, settled
 
 from rover_sim.physics.jump_drive import (
-    JumpBooks,
     JumpCommand,
     JumpDrive,
     JumpDriveParameters,
+    JumpEnergyBalance,
     JumpLoads,
     JumpState,
     Latch,
@@ -39,11 +39,15 @@ def run_to(position: float, rate: float = 0.02, trip: float = math.inf) -> JumpC
     return JumpCommand(int(MotorMode.POSITION), 0.0, position, rate, math.inf, trip)
 
 
-def residual(drive: JumpDrive, before: JumpState, books: JumpBooks) -> float:
+def residual(drive: JumpDrive, before: JumpState, balance: JumpEnergyBalance) -> float:
     """What the books of a step leave unexplained [J]."""
     kinetic = 0.5 * drive.inertia * (before.rate + before.body_rate) ** 2
-    heats = books.screw_heat + books.friction_heat + books.stop_heat
-    return books.kinetic - kinetic - (books.motor_work + books.body_work - books.nut_work - heats)
+    heats = balance.screw_heat + balance.friction_heat + balance.stop_heat
+    return (
+        balance.kinetic
+        - kinetic
+        - (balance.motor_work + balance.body_work - balance.nut_work - heats)
+    )
 
 
 def held_at(compression: float) -> JumpLoads:
@@ -106,10 +110,10 @@ def test_a_flywheel_at_rest_turns_with_the_body() -> None:
     state = initial_state(DRIVE)
     for i in range(300):
         loads = RELAXED._replace(body_rate=0.1 * math.sin(0.03 * i))
-        state, outputs, books = advance(DRIVE, SLIDER, state, OFF, loads, H)
+        state, outputs, balance = advance(DRIVE, SLIDER, state, OFF, loads, H)
         assert (state.rate, state.nut) == (0.0, -0.03)
         assert outputs.momentum == pytest.approx(DRIVE.inertia * loads.body_rate, abs=1e-18)
-        assert books.friction_heat == 0.0
+        assert balance.friction_heat == 0.0
 
 
 def test_thirty_turns_of_free_travel_are_the_bodys_54_degrees() -> None:
@@ -143,11 +147,11 @@ def test_the_screws_ends_stop_the_nut_dead(
 ) -> None:
     latch = int(Latch.RELEASED if flag > 0 else Latch.FREE)
     before = JumpState(latch, start, rate, 0.0, 0.0, math.inf, 0.0)
-    state, outputs, books = advance(DRIVE, SLIDER, before, OFF, RELAXED, H)
+    state, outputs, balance = advance(DRIVE, SLIDER, before, OFF, RELAXED, H)
     assert (state.nut, state.rate, outputs.hard_limit) == (end, 0.0, flag)
     assert outputs.torque_on_body * H == pytest.approx(DRIVE.inertia * rate, rel=1e-3)
-    assert books.stop_heat == pytest.approx(0.5 * DRIVE.inertia * rate**2, rel=1e-2)
-    assert residual(DRIVE, before, books) == pytest.approx(0.0, abs=1e-12)
+    assert balance.stop_heat == pytest.approx(0.5 * DRIVE.inertia * rate**2, rel=1e-2)
+    assert residual(DRIVE, before, balance) == pytest.approx(0.0, abs=1e-12)
     state, outputs, _ = advance(DRIVE, SLIDER, state, torque(-0.05 * flag), RELAXED, H)
     assert state.rate * flag < 0.0
     assert outputs.hard_limit == 0
@@ -211,25 +215,25 @@ def test_the_trip_is_located_inside_the_step() -> None:
         nut = at - fraction * 0.02 * H
         state = JumpState(int(Latch.COMPRESSING), nut, rate, 0.0, 0.0, math.inf, 0.0)
         force = 824.0 * trip
-        balance = torque(force * DRIVE.pitch / 0.9 + 5e-3 + 1e-5 * rate)
+        holding = torque(force * DRIVE.pitch / 0.9 + 5e-3 + 1e-5 * rate)
         loads = JumpLoads(SLIDER.free_length - nut + force / 2e6, -0.02, 0.0)
-        end, outputs, books = advance(DRIVE, SLIDER, state, balance._replace(trip=trip), loads, H)
+        end, outputs, balance = advance(DRIVE, SLIDER, state, holding._replace(trip=trip), loads, H)
         assert outputs.tripped
         assert outputs.elapsed == pytest.approx(fraction * H, rel=1e-3)
         assert end.latch == Latch.RELEASED
         assert end.nut == pytest.approx(at, abs=1e-12)
         assert end.trip_force == pytest.approx(force, rel=1e-9)
-        assert residual(DRIVE, state, books) == pytest.approx(0.0, abs=1e-14)
+        assert residual(DRIVE, state, balance) == pytest.approx(0.0, abs=1e-14)
 
 
 def test_a_trip_that_is_due_takes_no_time() -> None:
     state = JumpState(int(Latch.COMPRESSING), 0.16, 10.0, 0.0, 0.0, math.inf, 0.0)
     command = run_to(0.2, trip=0.15)
-    end, outputs, books = advance(DRIVE, SLIDER, state, command, held_at(0.16), H)
+    end, outputs, balance = advance(DRIVE, SLIDER, state, command, held_at(0.16), H)
     assert outputs.tripped
     assert outputs.elapsed == 0.0
     assert (end.nut, end.rate, end.latch) == (0.16, 10.0, Latch.RELEASED)
-    assert residual(DRIVE, state, books) == 0.0
+    assert residual(DRIVE, state, balance) == 0.0
 
 
 def test_a_latch_that_lets_go_gives_its_forces_mean_over_each_step() -> None:
@@ -329,14 +333,14 @@ def test_the_default_rovers_full_cycle_at_steps_of_a_millisecond() -> None:
     stored = 0.5 * 824.0 * (x**2 - sag**2) + n**2 / (2.0 * SLIDER.nut_stiffness)
     lowered = 4.0 * 1.62 * (x - sag)
     expected = stored - lowered + (1.0 + 0.2 * 0.02) * (x - sag)
-    assert run.books["nut_work"] == pytest.approx(expected, rel=5e-4)
-    into_screw = run.books["motor_work"] - run.books["friction_heat"] - run.kinetic
-    assert into_screw == pytest.approx(run.books["nut_work"] / 0.9, rel=1e-9)
+    assert run.balance["nut_work"] == pytest.approx(expected, rel=5e-4)
+    into_screw = run.balance["motor_work"] - run.balance["friction_heat"] - run.kinetic
+    assert into_screw == pytest.approx(run.balance["nut_work"] / 0.9, rel=1e-9)
     run.until_airborne(OFF)
     height = run.take_off**2 / (2.0 * 1.62)
     assert height == pytest.approx(0.3748, rel=0.03)
     run.steps(OFF, 500)
-    assert run.drift == pytest.approx(0.0, abs=1e-3 * run.books["motor_work"])
+    assert run.drift == pytest.approx(0.0, abs=1e-3 * run.balance["motor_work"])
     assert run.slider_heat >= 0.0
 
 
@@ -398,12 +402,12 @@ def test_books_balance_and_nothing_is_gained_over_random_runs(
         for _ in range(60):
             before = run.state
             run.steps(command, 1)
-            books = run.last
-            heats = (books.screw_heat, books.friction_heat, books.stop_heat)
-            work = abs(books.motor_work) + abs(books.nut_work) + abs(books.body_work)
-            scale = books.kinetic + work + books.stop_heat + 1e-9
+            balance = run.last
+            heats = (balance.screw_heat, balance.friction_heat, balance.stop_heat)
+            work = abs(balance.motor_work) + abs(balance.nut_work) + abs(balance.body_work)
+            scale = balance.kinetic + work + balance.stop_heat + 1e-9
             assert min(heats) >= -1e-12 * scale
-            assert abs(residual(drive, before, books)) <= 1e-9 * scale
+            assert abs(residual(drive, before, balance)) <= 1e-9 * scale
             assert -0.06 <= run.state.nut <= 0.21
             assert math.isfinite(run.state.rate)
             assert math.isfinite(run.v2)

@@ -220,7 +220,7 @@ def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
     body[[planar_rover.VX2, planar_rover.VY2]] = body[[planar_rover.VX1, planar_rover.VY1]]
     body[planar_rover.VX2] -= omega * body[planar_rover.SLIDE]
     body[planar_rover.VY2] += 0.4
-    return model, [q, v, body, np.zeros(planar.BOOK_SIZE)]
+    return model, [q, v, body, np.zeros(planar.MEMORY_SIZE)]
 
 
 def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray) -> np.ndarray:
@@ -249,16 +249,16 @@ def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray)
 
 
 def test_momenta_are_conserved_in_free_flight() -> None:
-    model, (q, v, body, book) = free_system()
+    model, (q, v, body, memory) = free_system()
     before, energy = momenta(model, q, v, body), planar.stored_energy(model, q, v, body)
-    book[planar.START_Y] = -1e9
+    memory[planar.TAKE_OFF_Y] = -1e9
     solver = planar.make_solver(model.tether.elements)
     outcome, phase, _ = planar.advance(
         model,
         q,
         v,
         body,
-        book,
+        memory,
         planar.FLIGHT,
         (0.0, 0.0, False),
         0.5,
@@ -269,8 +269,8 @@ def test_momenta_are_conserved_in_free_flight() -> None:
     assert outcome == planar.OUTCOME_CONVERGED
     assert phase == planar.FLIGHT
     assert momenta(model, q, v, body) == pytest.approx(before, abs=1e-10)
-    assert book[planar.DISSIPATED] > 0.1
-    after = planar.stored_energy(model, q, v, body) + book[planar.DISSIPATED]
+    assert memory[planar.DISSIPATED] > 0.1
+    after = planar.stored_energy(model, q, v, body) + memory[planar.DISSIPATED]
     assert after == pytest.approx(energy, abs=1e-9)
     assert solver.report[planar.CONSTRAINT_DRIFT] < 1e-12
 

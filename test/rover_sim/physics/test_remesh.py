@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from spatial_march import PAYING_OUT, March
 
 from rover_sim.physics import remesh
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.tether import Tether, make_tether, row_width
+from rover_sim.physics.tether_section import TetherSection
 
 LUNAR = 1.62
 ARAMID = TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=0.015, bending_damping_time=0.05)
@@ -42,22 +42,24 @@ def test_merging_what_was_split_gives_back_the_state(
     nodes[:, 0] = s[:, None] * [0.0, 0.1, -0.98] + 0.05 * nominal * rng.standard_normal((3, 3))
     nodes[:, 1] = [0.0, 0.1, -0.98] + 0.1 * rng.standard_normal((3, 3))
     q, v = state(nodes, 0.5 * rng.standard_normal((3, 2, 3)))
-    mouth = np.array([[0.0, 0.1, -0.98], [0.0, 0.0, 0.0]]) + 0.1 * rng.standard_normal((2, 3))
+    fairlead_slope = np.array([[0.0, 0.1, -0.98], [0.0, 0.0, 0.0]]) + 0.1 * rng.standard_normal(
+        (2, 3)
+    )
     anchors = rng.standard_normal((14, 3))
     anchors[4:] = 0.0
-    before = [array.copy() for array in (mouth, q[:, :3], v[:, :3], anchors)]
+    before = [array.copy() for array in (fairlead_slope, q[:, :3], v[:, :3], anchors)]
 
-    length = remesh.split_first(cable, share * nominal, payout_rate, mouth, q, v, anchors)
+    length = remesh.split_first(cable, share * nominal, payout_rate, fairlead_slope, q, v, anchors)
     assert length == pytest.approx((share - 1.0) * nominal)
     np.testing.assert_array_equal(q[:, 1:4], before[1])
     np.testing.assert_array_equal(anchors[2:6], before[3][:4])
     assert not anchors[:2].any()
     longer = cable._replace(elements=3)
-    change = remesh.merge_first(longer, length, payout_rate, mouth, q, v, anchors)
+    change = remesh.merge_first(longer, length, payout_rate, fairlead_slope, q, v, anchors)
     # A short rest of an element knows the shape of the whole but for rounding over its length.
     scale = 1e-13 / (share - 1.0) ** 3
     assert abs(change) < 1e4 * nominal * scale
-    for array, old in zip((mouth, q[:, :3], v[:, :3], anchors), before, strict=True):
+    for array, old in zip((fairlead_slope, q[:, :3], v[:, :3], anchors), before, strict=True):
         np.testing.assert_allclose(array, old, atol=100.0 * scale / nominal)
 
 
@@ -79,8 +81,10 @@ def merging_step(nominal: float, payout_rate: float = 0.3) -> float:
     field = [bent(s, payout_rate) for s in length + nominal * np.arange(3.0)]
     q, v = state(np.array([[f[0], f[1]] for f in field]), np.array([[f[3], f[4]] for f in field]))
     _, slope, curvature, _, slope_speed = bent(0.0, payout_rate)
-    mouth = np.array([slope, slope_speed - payout_rate * curvature])
-    return float(remesh.merge_first(cable, length, payout_rate, mouth, q, v, np.zeros((14, 3))))
+    fairlead_slope = np.array([slope, slope_speed - payout_rate * curvature])
+    return float(
+        remesh.merge_first(cable, length, payout_rate, fairlead_slope, q, v, np.zeros((14, 3)))
+    )
 
 
 def test_the_step_of_energy_falls_with_a_high_power_of_the_length():

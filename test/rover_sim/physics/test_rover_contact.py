@@ -7,28 +7,28 @@ import pytest
 
 from rover_sim.physics.boulders import BoulderParameters
 from rover_sim.physics.contact import REGOLITH, ROCK, contact_energy
-from rover_sim.physics.places import TerrainParameters
 from rover_sim.physics.rover_contact import (
-    KINDS,
-    Feet,
-    FeetStep,
+    CONTACTS_PER_WHEEL,
+    RoverContact,
+    RoverContactStep,
     anchor_rows,
-    begin_feet,
-    make_feet_step,
+    begin_rover_contact,
+    make_rover_contact_step,
 )
 from rover_sim.physics.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
 from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain, cell_boulders
+from rover_sim.physics.terrain_parameters import TerrainParameters
 from rover_sim.physics.wheel_contact import WheelLaw
-from rover_sim.physics.wheel_ground_geometry import NO_ROCK, deepest_rocks, rim_on_rock
+from rover_sim.physics.wheel_ground_geometry import NO_ROCK, deepest_rocks, wheel_on_rock
 from rover_sim.physics.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
 
 RADIUS = 0.16
 AXLE = (0.0, 1.0, 0.0)
-WAY = np.array([1.0, 0.0, 0.0])
+AHEAD = np.array([1.0, 0.0, 0.0])
 CORNERS = 1
-FEET = Feet(
+CONTACT = RoverContact(
     corners=np.array([[0.0, 0.0, 9.0]]),
-    first_of_body2=1,
+    first_body2_corner=1,
     left_wheel=(0.0, 0.0, 0.0),
     right_wheel=(0.0, 0.0, 9.0),
     radius=0.15,
@@ -46,7 +46,7 @@ def rubble() -> Terrain:
     return build_terrain(TerrainParameters(floor_height=0.0, boulders=boulders), 3)
 
 
-def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> FeetStep:
+def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> RoverContactStep:
     """What a step begins with whose left wheel is at a place."""
     body = np.zeros(BODY_SIZE)
     body[POSITION : POSITION + 3] = hub
@@ -54,16 +54,16 @@ def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> FeetStep:
     level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     none = (0.0, 0.0, 0.0)
     pose = Pose(level, none, none, none, level[2], level[2], none, none, 0.0, 0.0, 0.0)
-    step = make_feet_step(CORNERS)
-    assert begin_feet(FEET, terrain, pose, body, anchors, step)
+    step = make_rover_contact_step(CORNERS)
+    assert begin_rover_contact(CONTACT, terrain, pose, body, anchors, step)
     return step
 
 
-def remembered(step: FeetStep) -> np.ndarray:
+def remembered(step: RoverContactStep) -> np.ndarray:
     """Anchors after a step, each rock's deflected."""
     anchors = np.zeros((anchor_rows(CORNERS), 3))
-    anchors[CORNERS + 1 : CORNERS + KINDS] = ANCHOR
-    anchors[CORNERS + 2 * KINDS :] = step.boulder
+    anchors[CORNERS + 1 : CORNERS + CONTACTS_PER_WHEEL] = ANCHOR
+    anchors[CORNERS + 2 * CONTACTS_PER_WHEEL :] = step.rock_key
     return anchors
 
 
@@ -72,10 +72,10 @@ def wedge(terrain: Terrain) -> np.ndarray:
     boulders = boulder_list(terrain)
     for i, one in enumerate(boulders):
         for other in boulders[:i]:
-            way = other[:2] - one[:2]
-            gap = math.hypot(*way)
+            offset = other[:2] - one[:2]
+            gap = math.hypot(*offset)
             reach = 0.5 * (one[3] + other[3])
-            if abs(way[1]) > 0.3 * gap or not reach < gap < reach + RADIUS:
+            if abs(offset[1]) > 0.3 * gap or not reach < gap < reach + RADIUS:
                 continue
             hub = np.array([*0.5 * (one[:2] + other[:2]), 0.0])
             for _ in range(200):  # up until both are just touched, each time evenly
@@ -86,16 +86,16 @@ def wedge(terrain: Terrain) -> np.ndarray:
                 low, high = -0.1, 0.1
                 for _ in range(60):
                     middle = 0.5 * (low + high)
-                    place = tuple(hub + middle * WAY)
+                    place = tuple(hub + middle * AHEAD)
                     depths = [
-                        rim_on_rock(terrain, place, AXLE, RADIUS, rock).depth
+                        wheel_on_rock(terrain, place, AXLE, RADIUS, rock).depth
                         for rock in sorted((rock1, rock2))
                     ]
                     low, high = (middle, high) if depths[0] > depths[1] else (low, middle)
-                found = hub + middle * WAY
+                found = hub + middle * AHEAD
                 second = deepest_rocks(terrain, tuple(found), AXLE, RADIUS)[2]
                 sides = [
-                    float(rim_on_rock(terrain, tuple(found), AXLE, RADIUS, rock).normal[0])
+                    float(wheel_on_rock(terrain, tuple(found), AXLE, RADIUS, rock).normal[0])
                     for rock in (rock1, rock2)
                 ]
                 if second > 1e-4 and min(sides) < -0.1 and max(sides) > 0.1:
@@ -106,7 +106,7 @@ def wedge(terrain: Terrain) -> np.ndarray:
 def test_a_wheel_between_two_boulders_is_in_contact_with_both(rubble: Terrain):
     hub = wedge(rubble)
     step = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3)))
-    wheel = slice(CORNERS + 1, CORNERS + KINDS)
+    wheel = slice(CORNERS + 1, CORNERS + CONTACTS_PER_WHEEL)
     depths = step.depth0[wheel]
     assert depths[0] == pytest.approx(depths[1], abs=1e-9)
     assert np.all(step.near[wheel] == 1.0)
@@ -114,14 +114,14 @@ def test_a_wheel_between_two_boulders_is_in_contact_with_both(rubble: Terrain):
 
 def test_a_rock_keeps_its_place_when_the_other_one_becomes_the_deepest(rubble: Terrain):
     hub = wedge(rubble)
-    before = begun(rubble, hub - 2e-4 * WAY, np.zeros((anchor_rows(CORNERS), 3)))
-    after = begun(rubble, hub + 2e-4 * WAY, remembered(before))
-    np.testing.assert_array_equal(after.boulder, before.boulder)
-    wheel = slice(CORNERS + 1, CORNERS + KINDS)
+    before = begun(rubble, hub - 2e-4 * AHEAD, np.zeros((anchor_rows(CORNERS), 3)))
+    after = begun(rubble, hub + 2e-4 * AHEAD, remembered(before))
+    np.testing.assert_array_equal(after.rock_key, before.rock_key)
+    wheel = slice(CORNERS + 1, CORNERS + CONTACTS_PER_WHEEL)
     turned = np.sign(np.diff(after.depth0[wheel])), np.sign(np.diff(before.depth0[wheel]))
     assert turned[0] == -turned[1]
     assert np.all(after.depth0[wheel] > 0.0)
-    assert after.left[0] == 0.0
+    assert after.dropped_energy[0] == 0.0
 
 
 def with_third(terrain: Terrain, hub: np.ndarray) -> tuple[Terrain, float]:
@@ -130,8 +130,8 @@ def with_third(terrain: Terrain, hub: np.ndarray) -> tuple[Terrain, float]:
     table = terrain.table.copy()
     start, stop = cell_boulders(terrain, hub[0], hub[1])
     entries = {k: 1e4 + table[k] for k in range(start, stop, 5)}
-    (deepest,) = (k for k, told in entries.items() if told == rock)
-    spare = next(k for k, told in entries.items() if told not in (rock, other))
+    (deepest,) = (k for k, key in entries.items() if key == rock)
+    spare = next(k for k, key in entries.items() if key not in (rock, other))
     table[spare : spare + 5] = table[deepest : deepest + 5]
     table[spare] += 1e-7
     table[spare + 3] -= 1e-5
@@ -140,23 +140,23 @@ def with_third(terrain: Terrain, hub: np.ndarray) -> tuple[Terrain, float]:
 
 def test_what_a_third_rock_stores_is_not_lost_from_the_books(rubble: Terrain):
     hub = wedge(rubble)
-    first, second = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3))).boulder[0, 1:]
+    first, second = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3))).rock_key[0, 1:]
     crowded, third = with_third(rubble, hub)
     step = begun(crowded, hub, np.zeros((anchor_rows(CORNERS), 3)))
-    assert {first, second} == set(step.boulder[0, 1:])
+    assert {first, second} == set(step.rock_key[0, 1:])
     # The third one had the first one's place: what it stores goes, what that one stores comes.
     anchors = remembered(step)
-    anchors[CORNERS + 2 * KINDS, 1:] = [third, second]
+    anchors[CORNERS + 2 * CONTACTS_PER_WHEEL, 1:] = [third, second]
     again = begun(crowded, hub, anchors)
-    depth = rim_on_rock(crowded, tuple(hub), AXLE, RADIUS, third).depth
-    gone = contact_energy(FEET.rock, depth, tuple(ANCHOR))
-    come = contact_energy(FEET.rock, float(again.depth0[CORNERS + 1]), (0.0, 0.0, 0.0))
-    assert again.boulder[0, 1] == first
+    depth = wheel_on_rock(crowded, tuple(hub), AXLE, RADIUS, third).depth
+    gone = contact_energy(CONTACT.rock, depth, tuple(ANCHOR))
+    come = contact_energy(CONTACT.rock, float(again.depth0[CORNERS + 1]), (0.0, 0.0, 0.0))
+    assert again.rock_key[0, 1] == first
     assert gone > 0.0
-    assert again.left[0] == pytest.approx(gone - come)
+    assert again.dropped_energy[0] == pytest.approx(gone - come)
 
 
 def test_a_rover_that_stands_between_rocks_at_the_start_has_no_books_yet(rubble: Terrain):
     step = begun(rubble, wedge(rubble), np.zeros((anchor_rows(CORNERS), 3)))
-    assert np.all(step.depth0[CORNERS + 1 : CORNERS + KINDS] > 0.0)
-    assert step.left[0] == 0.0
+    assert np.all(step.depth0[CORNERS + 1 : CORNERS + CONTACTS_PER_WHEEL] > 0.0)
+    assert step.dropped_energy[0] == 0.0

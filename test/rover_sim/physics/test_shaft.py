@@ -11,7 +11,7 @@ from rover_sim.physics.motor import (
     make_motor,
     rate_servo,
 )
-from rover_sim.physics.shaft import FrictionParameters, Motion, advance_shaft, make_friction
+from rover_sim.physics.shaft import FrictionParameters, ShaftMotion, advance_shaft, make_friction
 
 TORQUES = st.floats(-5.0, 5.0)
 
@@ -24,9 +24,9 @@ def step(
     viscous: float = 0.0,
     h: float = 1e-3,
     slope: float = 0.0,
-) -> Motion:
+) -> ShaftMotion:
     """One inertia under a drive with Coulomb friction."""
-    motion: Motion = advance_shaft(
+    motion: ShaftMotion = advance_shaft(
         inertia, rate, drive - dry, drive + dry, drive - dry, drive + dry, viscous, slope, h
     )
     return motion
@@ -122,7 +122,7 @@ def test_the_base_gives_a_rotor_what_relative_work_leaves_open(
     rates: tuple[float, float], bases: tuple[float, float], angle: float
 ) -> None:
     inertia, h = 1e-3, 1e-3
-    work = shaft.carried_work(inertia, *rates, angle, *bases, h)
+    work = shaft.base_motion_work(inertia, *rates, angle, *bases, h)
     absolute = 0.5 * inertia * ((rates[1] + bases[1]) ** 2 - (rates[0] + bases[0]) ** 2)
     relative = 0.5 * inertia * (rates[1] ** 2 - rates[0] ** 2)
     inertial = -inertia * (bases[1] - bases[0]) / h * angle
@@ -130,8 +130,8 @@ def test_the_base_gives_a_rotor_what_relative_work_leaves_open(
 
 
 def test_gears_hold_between_driving_and_being_driven() -> None:
-    assert shaft.geared(2.0, 0.8, 0.5) == (1.6, 4.0)
-    assert shaft.geared(-2.0, 0.8, 0.5) == (-4.0, -1.6)
+    assert shaft.geared_torques(2.0, 0.8, 0.5) == (1.6, 4.0)
+    assert shaft.geared_torques(-2.0, 0.8, 0.5) == (-4.0, -1.6)
 
 
 MOTOR = MotorParameters(0.2, 0.6, 600.0, 0.04, 40.0)
@@ -153,9 +153,9 @@ MOTOR = MotorParameters(0.2, 0.6, 600.0, 0.04, 40.0)
     ],
 )
 def test_motor_torque_is_limited_by_current_and_voltage(
-    wanted: float, rate: float, limit: float, given: float
+    requested: float, rate: float, limit: float, given: float
 ) -> None:
-    assert limited_torque(make_motor(MOTOR), wanted, rate, limit) == pytest.approx(given)
+    assert limited_torque(make_motor(MOTOR), requested, rate, limit) == pytest.approx(given)
 
 
 def test_the_rate_servo_settles_without_windup_against_a_load() -> None:

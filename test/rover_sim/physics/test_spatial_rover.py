@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from spatial_march import FREE, March, rotation, rover_at
 
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.spatial_rover import ROTORS, SPIN, Rover
 from rover_sim.physics.tether import make_tether
+from rover_sim.physics.tether_section import TetherSection
 from rover_sim.planar_plant import PlanarPlant
 from rover_sim.plant import Command
 from rover_sim.scenario import load_planar

@@ -15,7 +15,6 @@ from scipy.optimize import fsolve
 
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.starting_shapes import Catenary, arc_nodes, straight_nodes
 from rover_sim.physics.statics import (
     StaticsError,
@@ -23,6 +22,7 @@ from rover_sim.physics.statics import (
     potential_energy,
     static_equilibrium,
 )
+from rover_sim.physics.tether_section import TetherSection
 
 GRAVITY = (0.0, -9.81)
 LENGTH = 5.0

@@ -8,15 +8,6 @@ import pytest
 from numba import njit
 
 from rover_sim.physics.boulders import BoulderParameters, cap_radius, diameter_at, scatter
-from rover_sim.physics.places import (
-    LAB_RIG,
-    MARE_INGENII,
-    MARE_TRANQUILLITATIS,
-    MARIUS_HILLS,
-    HoleParameters,
-    ReliefParameters,
-    TerrainParameters,
-)
 from rover_sim.physics.terrain import (
     CLEARANCE,
     Terrain,
@@ -29,6 +20,15 @@ from rover_sim.physics.terrain import (
     wall_depth_and_normal,
     wall_profile,
     wall_radius,
+)
+from rover_sim.physics.terrain_parameters import (
+    LAB_RIG,
+    MARE_INGENII,
+    MARE_TRANQUILLITATIS,
+    MARIUS_HILLS,
+    HoleParameters,
+    ReliefParameters,
+    TerrainParameters,
 )
 
 HOLES = {
@@ -81,15 +81,15 @@ def test_a_slope_s_depth_is_the_distance_to_it():
 
 def test_a_boulder_is_a_spherical_cap_of_rock():
     terrain = build_terrain(TerrainParameters(boulders=rubble(density=0.3)), seed=3)
-    x, y, foot, diameter, height = boulder_list(terrain)[0]
-    assert foot == -5.0
+    x, y, base, diameter, height = boulder_list(terrain)[0]
+    assert base == -5.0
     assert height == pytest.approx(0.5 * diameter)
-    top = depth_and_normal(terrain, x, y, foot + height + 0.1)
+    top = depth_and_normal(terrain, x, y, base + height + 0.1)
     assert top == pytest.approx((-0.1, 0.0, 0.0, 1.0, 1.0), abs=1e-9)
     # half way up its flank, from the sphere's centre at the floor
     c = math.sqrt(0.5)
     r = 0.5 * diameter + 0.02
-    flank = depth_and_normal(terrain, x - r * c, y, foot + r * c)
+    flank = depth_and_normal(terrain, x - r * c, y, base + r * c)
     assert flank == pytest.approx((-0.02, -c, 0.0, c, 1.0), abs=1e-9)
 
 
@@ -157,8 +157,8 @@ def test_the_landing_place_stays_clear():
 
 def test_every_boulder_is_found_by_the_query():
     terrain = build_terrain(TerrainParameters(boulders=rubble(), relief=ReliefParameters()), 4)
-    for x, y, foot, _, height in boulder_list(terrain):
-        assert depth_and_normal(terrain, x, y, foot + height - 1e-3)[0] >= 1e-3 - 1e-9
+    for x, y, base, _, height in boulder_list(terrain):
+        assert depth_and_normal(terrain, x, y, base + height - 1e-3)[0] >= 1e-3 - 1e-9
 
 
 # --------------------------------------------------------------------------- relief
@@ -278,10 +278,10 @@ def test_depth_and_normal_are_continuous_and_belong_together(terrain: Terrain):
     for _ in range(60):
         start = np.array([*rng.uniform(-10.0, 10.0, 2), 0.0])
         angle = rng.uniform(0.0, 2 * math.pi)
-        way = np.array([math.cos(angle), math.sin(angle), rng.uniform(-0.5, 0.5)])
+        direction = np.array([math.cos(angle), math.sin(angle), rng.uniform(-0.5, 0.5)])
         start[2] = floor_height(terrain, start[0], start[1]) + rng.uniform(-0.1, 0.6)
-        way /= np.linalg.norm(way)
-        points = start + step * np.arange(2000)[:, None] * way
+        direction /= np.linalg.norm(direction)
+        points = start + step * np.arange(2000)[:, None] * direction
         values = np.array([depth_and_normal(terrain, *point) for point in points])
         np.testing.assert_allclose(np.linalg.norm(values[:, 1:4], axis=1), 1.0, atol=1e-9)
         assert values[:, 4].min() >= 0.0

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from rover_sim.physics import tether_contact
 from rover_sim.physics.boulders import BoulderParameters
-from rover_sim.physics.places import HoleParameters, ReliefParameters, TerrainParameters
-from rover_sim.physics.section import TetherSection
 from rover_sim.physics.terrain import Terrain, build_terrain
+from rover_sim.physics.terrain_parameters import HoleParameters, ReliefParameters, TerrainParameters
 from rover_sim.physics.tether import make_tether
 from rover_sim.physics.tether_contact import TetherContactParameters
+from rover_sim.physics.tether_section import TetherSection
 
 LUNAR = 1.62
 ARAMID = TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=0.015, bending_damping_time=0.05)
@@ -121,7 +121,7 @@ def test_on_a_floor_the_books_close_to_rounding(heights: tuple[float, float]):
     log = tether.log
     assert log[grounded_march.GROUND_HEAT] > 0.1 * start
     assert log[grounded_march.LEAST_HEAT] > -1e-15
-    assert tether.ground_energy == pytest.approx(log[grounded_march.GROUND_STORED], abs=1e-12)
+    assert tether.ground_energy == pytest.approx(log[grounded_march.CONTACT_ENERGY], abs=1e-12)
 
 
 def test_without_damping_and_friction_it_bounces_for_ever():
@@ -147,10 +147,10 @@ def forces(tether: GroundedTether, increment: np.ndarray, h: float) -> tuple[Any
     tether_contact.begin_tether_contact(
         tether.terrain, tether.cable, h, tether.q, tether.v, tether.anchors, tether.contact
     )
-    makeshift = tether_contact.add_tether_contact(
+    linearised = tether_contact.add_tether_contact(
         tether.terrain, tether.law, tether.cable, h, tether.anchors, tether.work, tether.contact
     )
-    assert makeshift == 0
+    assert linearised == 0
     first, second = tether.work.blocks[1, 0], tether.work.blocks[1, 1]
     tangent = np.block(
         [[first[:6, :6].T, first[7:13, :6].T], [second[7:13, :6].T, second[:6, :6].T]]

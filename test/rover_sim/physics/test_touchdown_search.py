@@ -26,7 +26,7 @@ def tries_until_found(
     length = STEP
     for tries in range(MOST_TRIES):
         solver.body1[Y1], solver.body1[VY1] = after(length)
-        if planar._seek_touchdown(length, 0.0, accuracy, body, solver):
+        if planar._locate_touchdown(length, 0.0, accuracy, body, solver):
             return tries, length
         length = solver.search[planar._LENGTH]
     raise AssertionError(f"not found in {MOST_TRIES} tries")

@@ -10,10 +10,10 @@ from rover_sim.physics.motor import MotorMode
 from rover_sim.physics.shaft import FrictionParameters
 from rover_sim.physics.wheel_drive import (
     Ratchet,
-    WheelBooks,
     WheelCommand,
     WheelDrive,
     WheelDriveParameters,
+    WheelEnergyBalance,
     WheelLoads,
     WheelOutputs,
     WheelState,
@@ -43,21 +43,21 @@ def rate(value: float) -> WheelCommand:
 
 def run(
     drive: WheelDrive, state: WheelState, command: WheelCommand, loads: WheelLoads, steps: int
-) -> tuple[WheelState, WheelOutputs, WheelBooks]:
+) -> tuple[WheelState, WheelOutputs, WheelEnergyBalance]:
     for _ in range(steps):
-        state, outputs, books = advance(drive, state, command, loads, H)
-    return state, outputs, books
+        state, outputs, balance = advance(drive, state, command, loads, H)
+    return state, outputs, balance
 
 
-def residual(drive: WheelDrive, before: WheelState, books: WheelBooks) -> float:
+def residual(drive: WheelDrive, before: WheelState, balance: WheelEnergyBalance) -> float:
     """What the books of a step leave unexplained [J]."""
     inertia = drive.wheel_inertia
     kinetic = 0.5 * inertia * (before.left + before.body_rate) ** 2
     kinetic += 0.5 * inertia * (before.right + before.body_rate) ** 2
     kinetic += 0.5 * drive.motor_inertia * (drive.gear_ratio * before.left) ** 2
-    put_in = books.motor_work + books.load_work + books.body_work
-    heat = books.gear_heat + books.friction_heat + books.ratchet_heat
-    return books.kinetic - kinetic - put_in + heat
+    put_in = balance.motor_work + balance.load_work + balance.body_work
+    heat = balance.gear_heat + balance.friction_heat + balance.ratchet_heat
+    return balance.kinetic - kinetic - put_in + heat
 
 
 def test_a_forward_motor_drives_both_wheels_forward_as_one() -> None:
@@ -120,11 +120,11 @@ def test_the_left_wheel_drives_the_motor_back_both_ways() -> None:
 
 def test_a_load_on_the_right_wheel_stalls_a_forward_motor_but_not_a_reverse_one() -> None:
     heavy = WheelLoads(0.0, 0.0, -4.0, 0.0, 0.0)
-    state, outputs, books = run(DEFAULT, WheelState(), torque(0.05), heavy, 50)
+    state, outputs, balance = run(DEFAULT, WheelState(), torque(0.05), heavy, 50)
     assert (state.left, state.right) == (0.0, 0.0)
     assert outputs.stalled
     assert outputs.current == pytest.approx(2.5)
-    assert (books.motor_work, books.friction_heat) == (0.0, 0.0)
+    assert (balance.motor_work, balance.friction_heat) == (0.0, 0.0)
     state, outputs, _ = run(DEFAULT, WheelState(), torque(-0.05), heavy, 50)
     assert state.left < 0.0
     assert not outputs.stalled
@@ -182,10 +182,10 @@ def test_wheels_at_rest_follow_a_turning_body_exactly() -> None:
     state = WheelState()
     for i in range(200):
         loads = HANGING._replace(body_rate=0.02 * math.sin(0.05 * i))
-        state, outputs, books = advance(DEFAULT, state, OFF, loads, H)
+        state, outputs, balance = advance(DEFAULT, state, OFF, loads, H)
         assert (state.left, state.right) == (0.0, 0.0)
         assert outputs.momentum == pytest.approx(2.0 * 6e-3 * loads.body_rate, rel=1e-12)
-        assert books.friction_heat == 0.0
+        assert balance.friction_heat == 0.0
 
 
 def test_the_motor_saturates_at_its_no_load_rate() -> None:
@@ -201,9 +201,9 @@ def test_an_overtaken_wheel_engages_without_jolt() -> None:
     total = SMOOTH.train_inertia * 1.0 + SMOOTH.wheel_inertia * 1.5
     time, losses = 0.0, 0.0
     while True:
-        state, outputs, books = advance(SMOOTH, state, torque(0.02), HANGING, H)
+        state, outputs, balance = advance(SMOOTH, state, torque(0.02), HANGING, H)
         time += H
-        losses += books.ratchet_heat
+        losses += balance.ratchet_heat
         if outputs.ratchet == Ratchet.DRIVEN:
             break
     after = SMOOTH.train_inertia * state.left + SMOOTH.wheel_inertia * state.right
@@ -249,11 +249,11 @@ def test_books_balance_and_ratchets_hold_over_random_runs(
     for command, loads in script:
         for _ in range(40):
             before = state
-            state, outputs, books = advance(drive, state, command, loads, H)
-            gross = abs(books.motor_work) + abs(books.load_work) + abs(books.body_work)
-            scale = books.kinetic + gross + books.friction_heat + 1e-9
-            assert abs(residual(drive, before, books)) <= 1e-9 * scale
-            heats = (books.gear_heat, books.friction_heat, books.ratchet_heat)
+            state, outputs, balance = advance(drive, state, command, loads, H)
+            gross = abs(balance.motor_work) + abs(balance.load_work) + abs(balance.body_work)
+            scale = balance.kinetic + gross + balance.friction_heat + 1e-9
+            assert abs(residual(drive, before, balance)) <= 1e-9 * scale
+            heats = (balance.gear_heat, balance.friction_heat, balance.ratchet_heat)
             assert min(heats) >= -1e-12 * scale
             assert state.right >= max(state.left, 0.0) - 1e-12
             assert state.right_angle >= before.right_angle
@@ -272,10 +272,10 @@ def test_without_input_the_energy_only_falls(left: float, more: float, slope: fl
     loads = WheelLoads(-slope * left, slope, -slope * state.right, slope, 0.0)
     energy = math.inf
     for _ in range(200):
-        state, _, books = advance(DEFAULT, state, OFF, loads, H)
+        state, _, balance = advance(DEFAULT, state, OFF, loads, H)
         loads = WheelLoads(-slope * state.left, slope, -slope * state.right, slope, 0.0)
-        assert books.kinetic <= energy
-        energy = books.kinetic
+        assert balance.kinetic <= energy
+        energy = balance.kinetic
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,6 @@ import pytest
 
 from rover_sim.physics.boulders import BoulderParameters
 from rover_sim.physics.contact import Vector
-from rover_sim.physics.places import (
-    MARE_TRANQUILLITATIS,
-    ReliefParameters,
-    TerrainParameters,
-)
 from rover_sim.physics.terrain import (
     Terrain,
     boulder_list,
@@ -19,12 +14,17 @@ from rover_sim.physics.terrain import (
     floor_depth_and_normal,
     wall_radius,
 )
+from rover_sim.physics.terrain_parameters import (
+    MARE_TRANQUILLITATIS,
+    ReliefParameters,
+    TerrainParameters,
+)
 from rover_sim.physics.wheel_ground_geometry import (
     NO_ROCK,
-    RimContact,
+    WheelContactGeometry,
     deepest_rocks,
-    rim_on_floor,
-    rim_on_rock,
+    wheel_on_floor,
+    wheel_on_rock,
 )
 
 RADIUS = 0.15
@@ -43,16 +43,16 @@ def rim_depths(terrain: Terrain, centre: np.ndarray, axle: Vector) -> np.ndarray
     return np.array([depth_and_normal(terrain, *point)[0] for point in points])
 
 
-def in_rock(terrain: Terrain, centre: Vector, axle: Vector) -> RimContact:
+def in_rock(terrain: Terrain, centre: Vector, axle: Vector) -> WheelContactGeometry:
     """In the rock that a disc lies deepest in."""
     depth, rock, _, _ = deepest_rocks(terrain, centre, axle, RADIUS)
-    found: RimContact = rim_on_rock(terrain, centre, axle, RADIUS, rock)
+    found: WheelContactGeometry = wheel_on_rock(terrain, centre, axle, RADIUS, rock)
     assert found.depth == pytest.approx(depth, abs=1e-12)
     return found
 
 
 def test_an_upright_wheel_touches_below_its_axle():
-    found = rim_on_floor(FLAT, (1.0, 2.0, 0.145), LEFT, RADIUS)
+    found = wheel_on_floor(FLAT, (1.0, 2.0, 0.145), LEFT, RADIUS)
     assert found.depth == pytest.approx(0.005)
     np.testing.assert_allclose(found.normal, (0.0, 0.0, 1.0))
     np.testing.assert_allclose(found.forward, (1.0, 0.0, 0.0))
@@ -62,20 +62,20 @@ def test_an_upright_wheel_touches_below_its_axle():
 def test_a_leaning_wheel_touches_with_its_rim():
     lean = math.radians(30.0)
     axle = (0.0, math.cos(lean), math.sin(lean))
-    found = rim_on_floor(FLAT, (0.0, 0.0, 0.1), axle, RADIUS)
+    found = wheel_on_floor(FLAT, (0.0, 0.0, 0.1), axle, RADIUS)
     assert found.depth == pytest.approx(RADIUS * math.cos(lean) - 0.1)
     np.testing.assert_allclose(found.arm, (0.0, RADIUS * math.sin(lean), -RADIUS * math.cos(lean)))
     np.testing.assert_allclose(found.forward, (1.0, 0.0, 0.0))
 
 
 def test_a_wheel_that_lies_flat_has_no_forward():
-    found = rim_on_floor(FLAT, (0.0, 0.0, -0.01), (0.0, 0.0, 1.0), RADIUS)
+    found = wheel_on_floor(FLAT, (0.0, 0.0, -0.01), (0.0, 0.0, 1.0), RADIUS)
     assert found.depth == pytest.approx(0.01)
     assert found.forward == (0.0, 0.0, 0.0)
 
 
 def test_a_wheel_in_the_air_is_clear():
-    assert rim_on_floor(FLAT, (0.0, 0.0, 3.0), LEFT, RADIUS).depth == pytest.approx(-2.85)
+    assert wheel_on_floor(FLAT, (0.0, 0.0, 3.0), LEFT, RADIUS).depth == pytest.approx(-2.85)
     assert in_rock(FLAT, (0.0, 0.0, 0.1), LEFT).depth < -0.1
 
 
@@ -87,7 +87,7 @@ def test_relief_is_met_at_the_rim():
         height = -floor_depth_and_normal(terrain, x, y, 0.0)[0]
         centre = np.array([x, y, -height + RADIUS - 0.005])
         centre[2] = height + RADIUS - 0.005
-        found = rim_on_floor(terrain, tuple(centre), LEFT, RADIUS)
+        found = wheel_on_floor(terrain, tuple(centre), LEFT, RADIUS)
         assert found.depth == pytest.approx(rim_depths(terrain, centre, LEFT).max(), abs=2e-4)
 
 
@@ -101,7 +101,9 @@ def rubble() -> Terrain:
     )
 
 
-def touching(terrain: Terrain, axle: Vector, side: np.ndarray) -> tuple[np.ndarray, RimContact]:
+def touching(
+    terrain: Terrain, axle: Vector, side: np.ndarray
+) -> tuple[np.ndarray, WheelContactGeometry]:
     """A wheel 5 mm deep in the largest boulder, which lies to the given side of it."""
     x, y, _, diameter, _ = boulder_list(terrain)[0]
     distance = 0.5 * diameter + RADIUS - 0.005
@@ -137,11 +139,11 @@ def test_the_two_deepest_boulders_are_found_and_none_is_missed(rubble: Terrain):
     hits = pairs = 0
     for _ in range(3000):
         k = rng.integers(len(boulders))
-        way = rng.normal(size=3)
-        way[2] = abs(way[2])
-        way /= np.linalg.norm(way)
+        direction = rng.normal(size=3)
+        direction[2] = abs(direction[2])
+        direction /= np.linalg.norm(direction)
         reach = 0.5 * boulders[k, 3] + rng.uniform(0.0, RADIUS)
-        centre = np.array([*boulders[k, :2], 0.0]) + reach * way
+        centre = np.array([*boulders[k, :2], 0.0]) + reach * direction
         axle = rng.normal(size=3)
         axle /= np.linalg.norm(axle)
         to = np.column_stack([boulders[:, :2], np.zeros(len(boulders))]) - centre

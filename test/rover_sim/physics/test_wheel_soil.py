@@ -38,8 +38,8 @@ def by_adaptive_quadrature(system: WheelOnSoil, entry: float, slip: float) -> np
         mirrored = theta if theta >= peak else theta1 - theta / peak * (theta1 - peak)
         depth = system.radius * (math.cos(mirrored) - math.cos(theta1))
         pressure = system.modulus * max(depth, 0.0) ** system.exponent
-        way = (theta1 - theta) - ratio * (math.sin(theta1) - math.sin(theta))
-        shear = system.shear_radius * way
+        angular_travel = (theta1 - theta) - ratio * (math.sin(theta1) - math.sin(theta))
+        shear = system.shear_radius * angular_travel
         strength = system.cohesion + pressure * system.friction
         mobilised = strength * (1 - math.exp(-abs(shear) / system.shear_modulus))
         return pressure, math.copysign(mobilised, shear)

@@ -6,31 +6,31 @@ import numpy as np
 import pytest
 from numba import njit
 
-from rover_sim.physics import packets
+from rover_sim.physics import simd
 
 TAGS = [((0.0, 0.0), 4), ((0.0, 0.0, 0.0), 8)]
 
 
 @njit
 def _arithmetic(tag: Any, a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-    x, y = packets.load(tag, a, (1, 2)), packets.load(tag, b, (0,))
-    packets.store(out, (0, 0), 2.0 * x + y / (x * x + 1.0) - packets.root(y))
+    x, y = simd.load(tag, a, (1, 2)), simd.load(tag, b, (0,))
+    simd.store(out, (0, 0), 2.0 * x + y / (x * x + 1.0) - simd.root(y))
     y += 1.5 - x
-    packets.store(out, (1, 0), y)
-    packets.store(out, (2, 0), packets.fill(tag, packets.lane(x, 3)))
-    packets.store(out, (3, 0), packets.with_lane(x, 2, -7.0))
-    packets.store(out, (4, 0), packets.larger(packets.magnitude(x), y))
+    simd.store(out, (1, 0), y)
+    simd.store(out, (2, 0), simd.fill(tag, simd.lane(x, 3)))
+    simd.store(out, (3, 0), simd.with_lane(x, 2, -7.0))
+    simd.store(out, (4, 0), simd.larger(simd.magnitude(x), y))
 
 
 @njit
 def _transposed(tag: Any, square: np.ndarray) -> None:
-    rows = packets.stack(tag, 9)
+    rows = simd.stack(tag, 9)
     n = square.shape[0]
     for i in range(n):
-        rows[i + 1] = packets.load(tag, square, (i, 0))
-    packets.transpose(rows, 1)
+        rows[i + 1] = simd.load(tag, square, (i, 0))
+    simd.transpose(rows, 1)
     for i in range(n):
-        packets.store(square, (i, 0), rows[i + 1])
+        simd.store(square, (i, 0), rows[i + 1])
 
 
 @pytest.mark.parametrize(("tag", "lanes"), TAGS)

@@ -1,0 +1,93 @@
+"""A step in space as two processes compile it side by side: the whole, and parts ahead of it."""
+
+from typing import Any
+
+import numpy as np
+
+from rover_sim.physics import integrator_memory, spatial
+from rover_sim.physics.energy_momentum import end_step, solve_increment
+from rover_sim.physics.integrator_memory import record_wheel_torques, report_loads
+from rover_sim.physics.remesh import merge_first, split_first
+from rover_sim.physics.rover_contact import (
+    add_rover_contact,
+    begin_rover_contact,
+    end_rover_contact,
+)
+from rover_sim.physics.spatial import DriveCommands, DriveStates
+from rover_sim.physics.spatial_rover import Pose
+from rover_sim.physics.spatial_step import Model, Solver
+from rover_sim.physics.tether_contact import add_tether_contact
+from rover_sim.physics.variable_length import Payout, end_exit_step
+
+
+def full_step(
+    model: Model, solver: Solver, drives: DriveStates, commands: DriveCommands
+) -> tuple[Any, tuple[Any, ...]]:
+    """`spatial.advance`, with arguments of the types that it is called with."""
+    memory, report = (
+        np.zeros(integrator_memory.MEMORY_SIZE),
+        np.zeros(integrator_memory.REPORT_SIZE),
+    )
+    events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
+    arguments = (model, solver.after, drives, commands, memory, model.step, events, report, solver)
+    return spatial.advance, arguments
+
+
+def step_parts(
+    model: Model, solver: Solver, drives: DriveStates
+) -> list[tuple[Any, tuple[Any, ...]]]:
+    """Functions that take half of the time in which `full_step` is compiled.
+
+    In the order in which it comes to them, first those that it calls late enough for another
+    process to be ahead of it.
+
+    Returns:
+        Each with arguments of the types that it is called with there.
+    """
+    tether, h, motion = model.tether, model.step, solver.after
+    work, tether_contact, exit_element = solver.work, solver.tether_contact, solver.exit_element
+    memory, report = (
+        np.zeros(integrator_memory.MEMORY_SIZE),
+        np.zeros(integrator_memory.REPORT_SIZE),
+    )
+    q, v, anchors, fairlead_slope = motion.q, motion.v, motion.tether_anchors, motion.fairlead_slope
+    body, rover_anchors = motion.body, motion.rover_anchors
+    terrain, contact_model, ground = model.terrain, model.rover_contact, model.tether_contact
+    pay = Payout(1.0, 1.0, 0.0, 0.0)
+    p = model.rover.attachment
+    zero = (0.0, 0.0, 0.0)
+    pose = Pose((zero, zero, zero), zero, zero, zero, zero, zero, zero, zero, 0.0, 0.0, 0.0)
+    return [
+        (
+            begin_rover_contact,
+            (contact_model, terrain, pose, body, rover_anchors, solver.rover_contact),
+        ),
+        (
+            add_rover_contact,
+            (
+                contact_model,
+                terrain,
+                p,
+                h,
+                pose,
+                body,
+                zero,
+                rover_anchors,
+                solver.rover,
+                solver.rover_contact,
+            ),
+        ),
+        (end_exit_step, (tether, h, pay, exit_element, fairlead_slope[0], fairlead_slope[1])),
+        (
+            end_rover_contact,
+            (contact_model, terrain, h, pose, rover_anchors, solver.rover_contact, rover_anchors),
+        ),
+        (end_step, (tether, h, q, v, work, q, v)),
+        (solve_increment, (tether, work)),
+        (add_tether_contact, (terrain, ground, tether, h, anchors, work, tether_contact)),
+        (record_wheel_torques, (contact_model, solver.rover_contact, body, body, memory)),
+        (report_loads, (4, solver.rover_contact, True, report)),
+        (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
+        (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
+        (spatial.energies, (model, motion, drives, memory, solver)),
+    ]
