@@ -58,7 +58,7 @@ class SpatialState:
             "node_rates",
             "fairlead_slope",
             "body",
-            "feet_anchors",
+            "rover_anchors",
             "tether_anchors",
             "memory",
         ):
