@@ -9,8 +9,8 @@ ros2 topic pub --once /descent/request sensor_msgs/msg/JointState \
 from launch import LaunchDescription
 
 from rover_launch.description import describe
-from rover_launch.plan import HANGING
+from rover_launch.plan import HANGING_DEFAULTS
 
 
 def generate_launch_description() -> LaunchDescription:
-    return describe("winch_node", "descent_node", **HANGING)
+    return describe("winch_node", "descent_node", **HANGING_DEFAULTS)

@@ -14,8 +14,8 @@ ros2 launch mother_rover rehearsal.launch.py drives:=socketcan:can0
 from launch import LaunchDescription
 
 from rover_launch.description import describe
-from rover_launch.plan import HANGING, HIL
+from rover_launch.plan import HANGING_DEFAULTS, HIL
 
 
 def generate_launch_description() -> LaunchDescription:
-    return describe("winch_node", "descent_node", plant=HIL, **HANGING)
+    return describe("winch_node", "descent_node", plant=HIL, **HANGING_DEFAULTS)

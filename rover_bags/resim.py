@@ -395,7 +395,7 @@ def _give(simulation: Simulation[Any], commands: Sequence[Arrival], found: Resim
         try:
             sample = decode(command.name, command.message, simulation.stamp_ns)
             if isinstance(sample, JointSample):
-                simulation.take(command.name, sample)
+                simulation.accept_command(command.name, sample)
                 found.commands += 1
                 found.schedule.append((simulation.stamp_ns, command))
         except Refusal:
@@ -431,7 +431,7 @@ def _pairs(
         for name in recorded
         if name in interface.topics
         and name not in _NOT_COMPARED
-        and (over_a_tick or name not in interface.measured_over_a_tick)
+        and (over_a_tick or name not in interface.available_after_tick)
     ]
     for name, sample in interface.samples(due):
         yield name, recorded[name], sample

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 
 from msg_schemas import topics
 from msg_schemas.access_policy import enclave
-from rover_launch.plan import PACKAGE, Plan, Started, arguments_of, plan
+from rover_launch.plan import PACKAGE, Plan, ProcessSpec, arguments_of, plan
 
 
 def describe(*controllers: str, **defaults: str) -> LaunchDescription:
@@ -48,8 +48,10 @@ def _actions(planned: Plan) -> list[Any]:
     return [*messages, *(_node(each, planned) for each in planned.started)]
 
 
-def _node(started: Started, planned: Plan) -> Node:
-    ending = {"on_exit": Shutdown(reason=started.ends_all)} if started.ends_all else {}
+def _node(started: ProcessSpec, planned: Plan) -> Node:
+    shutdown = (
+        {"on_exit": Shutdown(reason=started.shutdown_reason)} if started.shutdown_reason else {}
+    )
     # A namespace has a clock of its own: the one topic that is absolute by convention.
     own_clock = [(topics.CLOCK, topics.CLOCK.strip("/"))] if planned.namespace else []
     return Node(
@@ -61,9 +63,9 @@ def _node(started: Started, planned: Plan) -> Node:
         arguments=[
             *started.arguments,
             "--ros-args",
-            *("--enclave", enclave(started.as_whom, f"/{planned.namespace.strip('/')}")),
+            *("--enclave", enclave(started.enclave_name, f"/{planned.namespace.strip('/')}")),
             *("--log-level", planned.log_level),
         ],
         output="screen",
-        **ending,
+        **shutdown,
     )

@@ -41,7 +41,7 @@ PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
 }
 """Parameters of the plant that go before those of its file where they are given: type, meaning."""
 
-EMULATOR_HAS = ("scenario", "overrides", "seed")
+EMULATOR_PARAMETERS = ("scenario", "overrides", "seed")
 """Those of them that emulated drives have as well: they keep to the wall clock."""
 
 PRIORITY = "realtime_priority"
@@ -56,12 +56,12 @@ CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
 }
 """Parameter files of each controller, the last one's values hold."""
 
-WITH_DESCENT: Mapping[str, tuple[str, ...]] = {"winch_node": ("winch_descent",)}
+EXTRA_FILES_WITH_DESCENT: Mapping[str, tuple[str, ...]] = {"winch_node": ("winch_descent",)}
 """Further files of a controller beside `descent_node`."""
 
 _FILE_ARGUMENTS = {"sim_node": "sim_params_file", "winch_descent": "winch_descent_file"}
 
-HANGING: Mapping[str, str] = {
+HANGING_DEFAULTS: Mapping[str, str] = {
     "scenario": "marius_hills",
     "model": SPATIAL,
     "overrides": '{"winch.min_length": 1.4, "tether.element_length": 0.9}',
@@ -84,14 +84,14 @@ class Argument:
 
 
 @dataclass(frozen=True)
-class Started:
+class ProcessSpec:
     """One process.
 
     Attributes:
         files: parameter files, the last one's values hold.
         parameters: that go before those of the files.
         arguments: before ``--ros-args``.
-        ends_all: why all the others end when it does; empty: they go on.
+        shutdown_reason: why all the others end when it does; empty: they go on.
     """
 
     executable: str
@@ -99,10 +99,10 @@ class Started:
     files: tuple[str, ...] = ()
     parameters: Mapping[str, Value] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
-    ends_all: str = ""
+    shutdown_reason: str = ""
 
     @property
-    def as_whom(self) -> str:
+    def enclave_name(self) -> str:
         """Whose access it has: its own, or what is not of the suite that of the operator."""
         return self.executable if self.package == PACKAGE else "operator"
 
@@ -119,7 +119,7 @@ class Plan:
 
     namespace: str
     log_level: str
-    started: tuple[Started, ...]
+    started: tuple[ProcessSpec, ...]
     messages: tuple[str, ...] = ()
 
 
@@ -129,7 +129,7 @@ def files_of(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
         name: (name,) for name in (*PLANTS.values(), "drive_emulator", "view_node")
     }
     for name in controllers:
-        further = WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
+        further = EXTRA_FILES_WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
         files[name] = CONTROLLER_FILES[name] + further
     return files
 
@@ -224,7 +224,7 @@ def plan(
     started = _hil(given) if kind == HIL else [_simulated(PLANTS[kind], given)]
     simulated_time = kind != HIL or given["drives"] == EMULATED
     started += [
-        Started(
+        ProcessSpec(
             name,
             files=tuple(given[_argument_of(file)] for file in files_of(controllers)[name]),
             parameters={"use_sim_time": simulated_time},
@@ -235,10 +235,10 @@ def plan(
         replace(each, parameters={**each.parameters, **_priority(given)}) for each in started
     ]
     if given["record"]:
-        started.append(Started("bag_record", arguments=("--output", given["record"])))
+        started.append(ProcessSpec("bag_record", arguments=("--output", given["record"])))
     if given["rviz"] == TRUE:
         started.append(
-            Started(
+            ProcessSpec(
                 "view_node",
                 files=(given[_argument_of("view_node")],),
                 parameters={"use_sim_time": simulated_time},
@@ -246,7 +246,7 @@ def plan(
         )
         if find(VIEWER):
             started.append(
-                Started(
+                ProcessSpec(
                     VIEWER,
                     VIEWER,
                     parameters={"use_sim_time": simulated_time},
@@ -260,7 +260,7 @@ def plan(
             )
     if given[CONSOLE] == TRUE:
         started.append(
-            Started(
+            ProcessSpec(
                 _PAGE,
                 files=(given[_argument_of(_PAGE)],),
                 parameters={"use_sim_time": simulated_time},
@@ -269,28 +269,28 @@ def plan(
     return Plan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
 
 
-def _simulated(executable: str, given: Mapping[str, str]) -> Started:
-    return Started(
+def _simulated(executable: str, given: Mapping[str, str]) -> ProcessSpec:
+    return ProcessSpec(
         executable,
         files=(given[_argument_of(executable)],),
         parameters=_parameters(given, PARAMETERS),
-        ends_all="the plant has ended",
+        shutdown_reason="the plant has ended",
     )
 
 
-def _hil(given: Mapping[str, str]) -> list[Started]:
+def _hil(given: Mapping[str, str]) -> list[ProcessSpec]:
     """The bridge, and the drives that it speaks to unless they are real."""
     emulated = given["drives"] == EMULATED
     for name in PARAMETERS:
         plays = {"", "scenario", SPATIAL} if name == "model" else {""}
-        if name not in EMULATOR_HAS and given[name] not in plays:
+        if name not in EMULATOR_PARAMETERS and given[name] not in plays:
             raise PlanError(
                 f"{name} is {given[name]!r}: with plant:=hil nothing has that, it keeps to the "
                 "wall clock; emulated drives play a spatial scenario"
             )
     link = given["link"] if emulated else given["drives"]
     of_link: dict[str, Value] = {"link": link} if link else {}
-    bridge = Started(
+    bridge = ProcessSpec(
         PLANTS[HIL],
         files=(given[_argument_of(PLANTS[HIL])],),
         # Real drives run by the wall clock, emulated ones by the plant's.
@@ -298,11 +298,11 @@ def _hil(given: Mapping[str, str]) -> list[Started]:
     )
     if not emulated:
         return [bridge]
-    emulator = Started(
+    emulator = ProcessSpec(
         "drive_emulator",
         files=(given[_argument_of("drive_emulator")],),
-        parameters={**_parameters(given, EMULATOR_HAS), **of_link},
-        ends_all="the emulated drives have ended",
+        parameters={**_parameters(given, EMULATOR_PARAMETERS), **of_link},
+        shutdown_reason="the emulated drives have ended",
     )
     return [emulator, bridge]
 

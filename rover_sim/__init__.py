@@ -48,7 +48,7 @@ else a plant shows on the contract's topics:
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.actuators import COMMANDS
 from rover_sim.ahead_of_time import compile_ahead
-from rover_sim.interfaces import build_interface
+from rover_sim.interface_factory import build_interface
 from rover_sim.physics.statics import StaticsError, static_equilibrium
 from rover_sim.physics.tether_section import TetherSection
 from rover_sim.planar_plant import PlanarPlant, PlanarState
@@ -67,7 +67,7 @@ from rover_sim.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.plants import build_plant
+from rover_sim.plant_factory import build_plant
 from rover_sim.process_pool import available_cores, worker_processes
 from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
 from rover_sim.scenario import (
@@ -88,7 +88,7 @@ from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.spatial_state import SpatialState
-from rover_sim.state_publisher import StatePublisher, TruthRates, ready_simulation, totals
+from rover_sim.state_publisher import StatePublisher, TruthRates, build_simulation, run_statistics
 
 __all__ = [
     "COMMANDS",
@@ -127,6 +127,7 @@ __all__ = [
     "available_cores",
     "build_interface",
     "build_plant",
+    "build_simulation",
     "compile_ahead",
     "compressed",
     "displaced",
@@ -140,11 +141,10 @@ __all__ = [
     "load_spatial",
     "parse_override",
     "read_yaml",
-    "ready_simulation",
     "roll_out",
     "run",
+    "run_statistics",
     "scenario_from_mapping",
     "static_equilibrium",
-    "totals",
     "worker_processes",
 ]

@@ -76,10 +76,10 @@ class Equipment:
     nut: Nut | None = None
     flywheel: bool = False
     wheels: bool = False
-    held_length: float | None = None  # of a drum without a motor [m]; None: it has one
+    fixed_length: float | None = None  # of a drum without a motor [m]; None: it has one
 
 
-class DriveStates(NamedTuple):
+class DriveFeedback(NamedTuple):
     """What the drives feel at the start of a tick."""
 
     phase: Phase
@@ -90,7 +90,7 @@ class DriveStates(NamedTuple):
     payout_rate: float = 0.0  # [m/s]
 
 
-class Silence(NamedTuple):
+class CommandTimeout(NamedTuple):
     """A drive that was stopped because its commands have ceased."""
 
     name: str  # of the event
@@ -101,16 +101,16 @@ class Silence(NamedTuple):
 C = TypeVar("C")
 
 
-class _Held(Generic[C]):
+class _LatestCommand(Generic[C]):
     """The last command of one motor, while it holds."""
 
     def __init__(self) -> None:
         self.command: C | None = None
         self._topic = ""
-        self._heard_ns = 0
+        self._received_ns = 0
 
     def take(self, topic: str, command: C, now_ns: int) -> None:
-        self.command, self._topic, self._heard_ns = command, topic, now_ns
+        self.command, self._topic, self._received_ns = command, topic, now_ns
 
     def drop(self) -> None:
         self.command = None
@@ -125,10 +125,10 @@ class _Held(Generic[C]):
             return None
         stale = TOPICS[self._topic].stale
         limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
-        if now_ns + tick_ns - self._heard_ns <= round(limit * _NANO):
+        if now_ns + tick_ns - self._received_ns <= round(limit * _NANO):
             return None
         self.drop()
-        return (now_ns - self._heard_ns) / _NANO
+        return (now_ns - self._received_ns) / _NANO
 
 
 class Actuators:
@@ -143,10 +143,10 @@ class Actuators:
         self._equipment = equipment
         self._tick_ns = tick_ns
         self._tripped_ns: int | None = None
-        self._jump: _Held[JumpMotorCommand | FlywheelCommand] = _Held()
-        self._wheel: _Held[WheelRateCommand | WheelTorqueCommand] = _Held()
-        self._winch: _Held[WinchCommand] = _Held()
-        self._takers: dict[str, Callable[[JointSample, DriveStates, int], None]] = {
+        self._jump: _LatestCommand[JumpMotorCommand | FlywheelCommand] = _LatestCommand()
+        self._wheel: _LatestCommand[WheelRateCommand | WheelTorqueCommand] = _LatestCommand()
+        self._winch: _LatestCommand[WinchCommand] = _LatestCommand()
+        self._takers: dict[str, Callable[[JointSample, DriveFeedback, int], None]] = {
             topics.JUMP_MOTOR_COMMAND: self._take_nut,
             topics.FLYWHEEL_COMMAND: self._take_flywheel,
             topics.WHEEL_COMMAND: self._take_wheel_rate,
@@ -171,12 +171,14 @@ class Actuators:
             drive.drop()
         self._tripped_ns = None
 
-    def note_trip(self, now_ns: int) -> None:
+    def on_latch_trip(self, now_ns: int) -> None:
         """The latch has tripped: what was commanded is done."""
         self._jump.drop()
         self._tripped_ns = now_ns
 
-    def take(self, topic: str, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+    def accept_command(
+        self, topic: str, sample: JointSample, states: DriveFeedback, now_ns: int
+    ) -> None:
         """Take a command.
 
         Args:
@@ -194,7 +196,7 @@ class Actuators:
 
     # --- jump motor ------------------------------------------------------------------------------
 
-    def _take_nut(self, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+    def _take_nut(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
         topic, nut = topics.JUMP_MOTOR_COMMAND, self._equipment.nut
         if nut is None:
             raise self._missing(topic, "rover", "jump motor")
@@ -250,7 +252,7 @@ class Actuators:
         latch = sample.joints.get(JUMP_LATCH, _TRIPS).position
         return bool(_switch(topics.JUMP_MOTOR_COMMAND, JUMP_LATCH, latch, "trip", "hold"))
 
-    def _take_flywheel(self, sample: JointSample, states: DriveStates, now_ns: int) -> None:
+    def _take_flywheel(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
         topic = topics.FLYWHEEL_COMMAND
         if not self._equipment.flywheel:
             raise self._missing(topic, "rover with a free screw", "reaction wheel")
@@ -265,14 +267,14 @@ class Actuators:
 
     # --- wheels ----------------------------------------------------------------------------------
 
-    def _take_wheel_rate(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
+    def _take_wheel_rate(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic = topics.WHEEL_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
         _, rate, torque = sample.joints[WHEEL_DRIVE]
         self._wheel.take(topic, WheelRateCommand(rate, torque), now_ns)
 
-    def _take_wheel_torque(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
+    def _take_wheel_torque(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic = topics.WHEEL_TORQUE_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
@@ -281,8 +283,8 @@ class Actuators:
 
     # --- winch -----------------------------------------------------------------------------------
 
-    def _take_winch(self, sample: JointSample, _states: DriveStates, now_ns: int) -> None:
-        topic, held = topics.WINCH_COMMAND, self._equipment.held_length
+    def _take_winch(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
+        topic, held = topics.WINCH_COMMAND, self._equipment.fixed_length
         length, rate, tension = sample.joints[WINCH_DRUM]
         brake = sample.joints[WINCH_BRAKE].position
         brake = _switch(topic, WINCH_BRAKE, brake, "release", "close")
@@ -309,7 +311,7 @@ class Actuators:
 
     # --- stopping --------------------------------------------------------------------------------
 
-    def let_go(self, topic: str, states: DriveStates) -> None:
+    def stop_drive(self, topic: str, states: DriveFeedback) -> None:
         """Stop a drive at once, as its watchdog would: its controller tells it to do nothing.
 
         Args:
@@ -334,7 +336,7 @@ class Actuators:
 
     # --- watchdogs -------------------------------------------------------------------------------
 
-    def silenced(self, states: DriveStates, now_ns: int) -> list[Silence]:
+    def expire_commands(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
         """Stop the drives whose commands have ceased; returns those that were at work.
 
         Args:
@@ -345,22 +347,22 @@ class Actuators:
         jump, wheel, winch = self._jump.command, self._wheel.command, self._winch.command
         age = self._jump.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
-            found.append(_silence("flywheel", age, "the motor is off", torque=jump.torque))
+            found.append(_timeout("flywheel", age, "the motor is off", torque=jump.torque))
         if age is not None and isinstance(jump, JumpMotorCommand):
             at = states.compression
             if _on_its_way(jump, at):
                 what = f"the nut stops at {at:.4g} m"
-                found.append(_silence("jump_motor", age, what, compression=at))
+                found.append(_timeout("jump_motor", age, what, compression=at))
             self._hold_nut(jump, at)
         age = self._wheel.silence(now_ns, self._tick_ns, moves=False)
         if age is not None and wheel is not None and _asks_for_motion(wheel):
-            found.append(_silence("wheel_motor", age, "the motor is off"))
+            found.append(_timeout("wheel_motor", age, "the motor is off"))
         moves = abs(states.payout_rate) > _STANDING or (winch is not None and winch.rate != 0.0)
         age = self._winch.silence(now_ns, self._tick_ns, moves=moves)
         if age is not None and winch is not None and winch.brake_released:
             rate = states.payout_rate
             found.append(
-                _silence(
+                _timeout(
                     "winch",
                     age,
                     f"the brake closes at {states.length:.4g} m, {rate:+.3g} m/s",
@@ -391,9 +393,9 @@ def _asks_for_motion(command: WheelRateCommand | WheelTorqueCommand) -> bool:
     return not math.isclose(wanted, 0.0, abs_tol=1e-12)
 
 
-def _silence(drive: str, age: float, what: str, **values: object) -> Silence:
+def _timeout(drive: str, age: float, what: str, **values: object) -> CommandTimeout:
     message = f"no command for {age:.3g} s while the drive worked: {what}"
-    return Silence(f"{drive}_silent", message, {"silence": age, **values})
+    return CommandTimeout(f"{drive}_silent", message, {"silence": age, **values})
 
 
 def stopped(phase: Phase) -> str:

@@ -26,7 +26,7 @@ import numba
 
 from rover_sim.physics import planar
 from rover_sim.physics.compiled import cache_only, source_stamp
-from rover_sim.plants import build_plant
+from rover_sim.plant_factory import build_plant
 from rover_sim.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.spatial_plant import SpatialPlant
 
@@ -37,12 +37,12 @@ _IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
 _STACK: Final = 1 << 17  # words, of which a compiler's deepest calls need a twentieth
 
 
-def compile_ahead(scenario: AnyScenario, given_up: Callable[[], bool] = lambda: False) -> bool:
+def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda: False) -> bool:
     """Compile what the scenario's plant needs, in another process, unless that was done before.
 
     Args:
         scenario: whose plant is compiled.
-        given_up: asked again and again meanwhile; once it says so, compiling is left off.
+        cancelled: asked again and again meanwhile; once it says so, compiling is left off.
 
     Returns:
         Whether the code is in the cache now. If it is not (nothing can be written there, or the
@@ -68,7 +68,7 @@ def compile_ahead(scenario: AnyScenario, given_up: Callable[[], bool] = lambda: 
             _at_work([*command, _PARTS], given, environment),
             _at_work(command, given, environment) as process,
         ):
-            if not _has_succeeded(process, given_up):
+            if not _has_succeeded(process, cancelled):
                 return False
         marker.touch()
     except OSError:
@@ -76,9 +76,9 @@ def compile_ahead(scenario: AnyScenario, given_up: Callable[[], bool] = lambda: 
     return True
 
 
-def _has_succeeded(process: subprocess.Popen[bytes], given_up: Callable[[], bool]) -> bool:
+def _has_succeeded(process: subprocess.Popen[bytes], cancelled: Callable[[], bool]) -> bool:
     deadline = time.monotonic() + _LONGEST
-    while process.poll() is None and not given_up() and time.monotonic() < deadline:
+    while process.poll() is None and not cancelled() and time.monotonic() < deadline:
         with suppress(subprocess.TimeoutExpired):
             process.wait(_LOOK)
     return process.returncode == 0

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from msg_schemas.samples import Colour, Quaternion, Shape, Vector
 from msg_schemas.table import BODY1_FRAME, BODY2_FRAME, WHEEL_LEFT, WHEEL_RIGHT, WORLD_FRAME
-from rover_sim.machine import Rover
+from rover_sim.hardware import Rover
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.boulders import cap_radius

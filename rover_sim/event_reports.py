@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from msg_schemas.samples import Level
-from rover_sim.actuators import Silence, stopped
+from rover_sim.actuators import CommandTimeout, stopped
 from rover_sim.plant import Event, Phase, State, StepResult
 from rover_sim.scenario import AnyScenario
 
@@ -30,12 +30,12 @@ class EventReport:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-def of_silence(silence: Silence, stamp_ns: int) -> EventReport:
+def timeout_report(timeout: CommandTimeout, stamp_ns: int) -> EventReport:
     """A drive that was stopped because its commands have ceased."""
-    return EventReport(silence.name, silence.message, stamp_ns, Level.WARN, silence.values)
+    return EventReport(timeout.name, timeout.message, stamp_ns, Level.WARN, timeout.values)
 
 
-def of_event(
+def plant_event_report(
     event: Event, stamp_ns: int, after: State, result: StepResult, scenario: AnyScenario
 ) -> EventReport:
     """An event of the plant.

@@ -34,7 +34,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
-from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.actuators import DriveFeedback, Equipment, Nut
 from rover_sim.drawing import (
     as_quaternion,
     as_vector,
@@ -46,7 +46,7 @@ from rover_sim.drawing import (
 from rover_sim.mock_plant import MockPlant, MockState
 from rover_sim.physics.ancf import Array
 from rover_sim.plant import Phase, StepResult
-from rover_sim.truth import energy_sample, tether_sample
+from rover_sim.truth_samples import energy_sample, tether_sample
 
 _NONE_SEEN = 1000.0  # what the camera tells where there is no wall [m]
 
@@ -58,7 +58,7 @@ class MockInterface:
         plant: the plant whose states are told.
     """
 
-    measured_over_a_tick: frozenset[str] = frozenset()
+    available_after_tick: frozenset[str] = frozenset()
 
     def __init__(self, plant: MockPlant) -> None:
         self.plant = plant
@@ -100,19 +100,21 @@ class MockInterface:
             trip_event="latch_released",
         )
         held = scenario.tether.length if scenario.winch is None else None
-        return Equipment(scenario.name, nut=nut, flywheel=True, wheels=True, held_length=held)
+        return Equipment(scenario.name, nut=nut, flywheel=True, wheels=True, fixed_length=held)
 
-    def drives(self, state: MockState) -> DriveStates:
+    def drive_feedback(self, state: MockState) -> DriveFeedback:
         """What the drives feel."""
         held = state.nut > 0.0
-        return DriveStates(state.phase, state.nut, not held, held, state.length, state.payout_rate)
+        return DriveFeedback(
+            state.phase, state.nut, not held, held, state.length, state.payout_rate
+        )
 
     def restart(self, state: MockState, stamp_ns: int) -> None:
         """Take a state with no tick before it."""
         self._last = (state, stamp_ns)
 
     def measure(self, state: MockState, stamp_ns: int, result: StepResult) -> None:  # noqa: ARG002
-        """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
+        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
         self._last = (state, stamp_ns)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
@@ -123,7 +125,7 @@ class MockInterface:
         for name in due:
             yield name, self._makers[name](state, stamp_ns)
 
-    def place(self, stamp_ns: int) -> DrawingSample:
+    def environment_markers(self, stamp_ns: int) -> DrawingSample:
         """The level floor that it stands on, if there is one."""
         height = self._scenario.environment.floor_height
         shapes = (bare_floor(height),) if math.isfinite(height) else ()

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 
 from msg_schemas.machine import MAX_PAYOUT_RATE
-from rover_sim.machine import Rover, Winch, jump_height
+from rover_sim.hardware import Rover, Winch, jump_height
 from rover_sim.plant import (
     Command,
     Energies,
@@ -202,7 +202,7 @@ class MockPlant:
     def _yielding(self, state: MockState, winch: Winch, wanted: WinchCommand, dt: float) -> float:
         """Rate of a drum whose motor gives no more than it may, and that has dry friction [m/s]."""
         fairlead, rover = self.tension(state)
-        friction, most = winch.friction.breakaway / winch.radius, wanted.largest_tension
+        friction, most = winch.friction.breakaway / winch.radius, wanted.max_tension
         if self._weight == 0.0 or most - friction >= fairlead - rover + self._weight:
             return wanted.rate
         if state.phase is not Phase.GROUNDED:

@@ -31,12 +31,12 @@ class MockPlantNode(SimNode):
     """Tells and obeys what `sim_node` does, without mechanics and without compiling anything."""
 
     NAME = "mock_plant"
-    WANTED = MockPlantParameters
-    PARAMETERS = (WANTED, RateParameters)
+    SIM_PARAMETERS = MockPlantParameters
+    PARAMETERS = (SIM_PARAMETERS, RateParameters)
 
-    def simulation_of(self, scenario: AnyScenario, wanted: SimParameters) -> Simulation[Any]:
+    def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
         """The mock plant with the scenario's machine."""
-        return Simulation(MockInterface(MockPlant(scenario)), wanted.tick)
+        return Simulation(MockInterface(MockPlant(scenario)), parameters.tick)
 
 
 def main() -> int:

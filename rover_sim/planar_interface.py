@@ -30,7 +30,7 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
-from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.actuators import DriveFeedback, Equipment, Nut
 from rover_sim.drawing import (
     BODY1_COLOUR,
     BODY2_COLOUR,
@@ -44,7 +44,7 @@ from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Energies, Phase, StepResult
-from rover_sim.truth import energy_sample, tether_sample
+from rover_sim.truth_samples import energy_sample, tether_sample
 
 # Topics of every plant, and those that need a rover.
 _ALWAYS = (
@@ -75,7 +75,7 @@ class PlanarInterface:
         plant: the plant whose states are told.
     """
 
-    measured_over_a_tick = frozenset({topics.IMU})
+    available_after_tick = frozenset({topics.IMU})
 
     def __init__(self, plant: PlanarPlant) -> None:
         self.plant = plant
@@ -106,12 +106,12 @@ class PlanarInterface:
         """A jump motor where there is a rover; the drum only holds."""
         rover = self._scenario.rover
         nut = None if rover is None else Nut(rover.spring_rate, holds=True, needs_ground=True)
-        return Equipment(self._scenario.name, nut=nut, held_length=self._scenario.tether.length)
+        return Equipment(self._scenario.name, nut=nut, fixed_length=self._scenario.tether.length)
 
-    def drives(self, state: PlanarState) -> DriveStates:
+    def drive_feedback(self, state: PlanarState) -> DriveFeedback:
         """What the jump motor feels."""
         held = state.compression > 0.0
-        return DriveStates(
+        return DriveFeedback(
             state.phase, state.compression, not held, held, self._scenario.tether.length
         )
 
@@ -120,7 +120,7 @@ class PlanarInterface:
         self._moment = _Moment(self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state))
 
     def measure(self, state: PlanarState, stamp_ns: int, result: StepResult) -> None:
-        """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
+        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
         last = self._moment
         if last is None:
             raise AssertionError("no state came before the tick")
@@ -218,8 +218,8 @@ class PlanarInterface:
                 shapes.append(solid(name, "box", colour, size, place, orientation))
         return DrawingSample(moment.stamp_ns, tuple(shapes))
 
-    def place(self, stamp_ns: int) -> DrawingSample:
-        """Nothing: the plane has no ground; see `interface.PlantInterface.place`."""
+    def environment_markers(self, stamp_ns: int) -> DrawingSample:
+        """Nothing: the planar model has no ground."""
         return DrawingSample(stamp_ns, ())
 
 

@@ -385,9 +385,9 @@ def _drive_of(command: Command, spring_rate: float) -> tuple[float, float, bool]
     if not (math.isfinite(jump.rate) and jump.rate > 0.0):
         raise ValueError(f"rate = {jump.rate}: must be finite and above 0 m/s")
     holding = spring_rate * jump.compression
-    if not jump.largest_force >= holding:
+    if not jump.max_force >= holding:
         raise ValueError(
-            f"largest_force = {jump.largest_force}: must be at least the {holding:.4g} N that"
+            f"max_force = {jump.max_force}: must be at least the {holding:.4g} N that"
             f" holding the spring at {jump.compression:.4g} m takes"
         )
     return float(jump.compression), float(jump.rate), bool(jump.trips)

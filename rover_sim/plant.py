@@ -56,7 +56,7 @@ class JumpMotorCommand:
 
     compression: float  # setpoint [m]; reaching one above 0 releases the spring if it trips
     rate: float  # largest speed of the nut [m/s], > 0
-    largest_force: float = math.inf  # that the nut may use [N], > 0; inf: the motor's own limit
+    max_force: float = math.inf  # that the nut may use [N], > 0; inf: the motor's own limit
     trips: bool = True  # False: the nut stays at the setpoint, the latch holds
 
 
@@ -72,7 +72,7 @@ class WheelRateCommand:
     """Wheel motor holds a rate."""
 
     rate: float  # of the left wheel [rad/s], > 0 forward
-    largest_torque: float = math.inf  # at the wheel [N m], > 0; inf: the motor's own limit
+    max_torque: float = math.inf  # at the wheel [N m], > 0; inf: the motor's own limit
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class WinchCommand:
     rate: float  # payout rate [m/s], > 0 lengthens the tether
     feed_forward: float = 0.0  # tension that the motor is told to carry [N], >= 0
     brake_released: bool = True  # power the brake open
-    largest_tension: float = math.inf  # that the motor may use [N], > 0; inf: its own limit
+    max_tension: float = math.inf  # that the motor may use [N], > 0; inf: its own limit
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from msg_schemas.table import (
     WORLD_FRAME,
 )
 from rover_sim.drawing import BODY1_COLOUR, BODY2_COLOUR, WHEEL_COLOUR
-from rover_sim.machine import Rover, Winch
+from rover_sim.hardware import Rover, Winch
 from rover_sim.physics.ancf import Array
 from rover_sim.spatial_scenario import SpatialScenario
 

@@ -11,9 +11,9 @@ from typing import Generic
 
 from msg_schemas.samples import JointSample
 from rover_sim.actuators import Actuators
-from rover_sim.event_reports import EventReport, of_event, of_silence
-from rover_sim.interface import PlantInterface
+from rover_sim.event_reports import EventReport, plant_event_report, timeout_report
 from rover_sim.plant import Outcome, Phase, S, StepResult
+from rover_sim.plant_interface import PlantInterface
 
 NANO = 1_000_000_000
 _RUSH = 2.0  # times the factor at which a delay is caught up
@@ -59,7 +59,7 @@ class Pacer:
     """Holds simulated time to wall time by absolute deadlines.
 
     A delay is caught up as long as it is short, at no more than twice the factor: controllers
-    must be able to answer each tick, or the drives would take the rush for their silence. A
+    must be able to answer each tick, or the drives would take the rush for their timeout. A
     longer delay is given up, and counted.
 
     Args:
@@ -71,7 +71,7 @@ class Pacer:
 
     def __init__(self, factor: float) -> None:
         self.factor = factor
-        self.given_up = 0.0  # wall time that could not be caught up [s]
+        self.dropped = 0.0  # wall time that could not be caught up [s]
         # Simulated per wall seconds over the last two wall seconds; None = not yet known.
         self.measured: float | None = None
         self._anchor: tuple[float, int] | None = None
@@ -107,7 +107,7 @@ class Pacer:
         deadline = start + (stamp_ns - start_ns) / NANO / self.factor
         late = wall - deadline
         if late > self.CATCH_UP:
-            self.given_up += late
+            self.dropped += late
             self._late_until = wall + self.WINDOW
             self._anchor = (wall, stamp_ns)
         begun, begun_ns = self._before or (wall, stamp_ns)
@@ -184,28 +184,30 @@ class Simulation(Generic[S]):
         twin._actuators = copy.deepcopy(self._actuators, shared)
         return twin
 
-    def take(self, topic: str, sample: JointSample) -> None:
+    def accept_command(self, topic: str, sample: JointSample) -> None:
         """Take a command for a drive, one of ``actuators.COMMANDS``; raises Refusal."""
-        drives = self.interface.drives(self.state)
-        self._actuators.take(topic, sample, drives, self.stamp_ns)
+        drives = self.interface.drive_feedback(self.state)
+        self._actuators.accept_command(topic, sample, drives, self.stamp_ns)
         self.commands += 1
 
-    def let_go(self, topic: str) -> None:
+    def stop_drive(self, topic: str) -> None:
         """Stop the drive of a topic, one of ``actuators.COMMANDS``, as its watchdog would."""
-        self._actuators.let_go(topic, self.interface.drives(self.state))
+        self._actuators.stop_drive(topic, self.interface.drive_feedback(self.state))
 
     def tick(self) -> Tick[S]:
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns
-        silences = self._actuators.silenced(self.interface.drives(before), before_ns)
-        event_reports = [of_silence(silence, before_ns) for silence in silences]
+        timeouts = self._actuators.expire_commands(self.interface.drive_feedback(before), before_ns)
+        event_reports = [timeout_report(timeout, before_ns) for timeout in timeouts]
         dt = self.tick_ns / NANO
         after, result = self.plant.step(before, self._actuators.command, dt)
         for event in result.events:
             stamp_ns = before_ns + round((event.time - before.time) * NANO)
             if event.name == self._actuators.trip_event:
-                self._actuators.note_trip(stamp_ns)
-            event_reports.append(of_event(event, stamp_ns, after, result, self.plant.scenario))
+                self._actuators.on_latch_trip(stamp_ns)
+            event_reports.append(
+                plant_event_report(event, stamp_ns, after, result, self.plant.scenario)
+            )
         if after.phase.final:
             self._actuators.clear()
         self.state = after

@@ -24,10 +24,10 @@ from rover_sim.sim_runner import SimRunner
 from rover_sim.state_publisher import (
     StatePublisher,
     TruthRates,
+    build_simulation,
     rate_parameter,
-    ready_simulation,
+    run_statistics,
     table_rate,
-    totals,
 )
 
 AS_SCENARIO = "scenario"
@@ -88,8 +88,8 @@ class SimNode(ContractNode):
     """Simulates tether and rover: publishes clock, sensors and truth, obeys actuator commands."""
 
     NAME = "sim_node"
-    WANTED: type[SimParameters] = SimParameters
-    PARAMETERS = (WANTED, RateParameters)
+    SIM_PARAMETERS: type[SimParameters] = SimParameters
+    PARAMETERS = (SIM_PARAMETERS, RateParameters)
 
     _runner: SimRunner | None = None
     _scenario: AnyScenario | None = None
@@ -98,20 +98,20 @@ class SimNode(ContractNode):
 
     def setup(self) -> None:
         """Load the scenario, compile and build the plant, open everything."""
-        wanted = self.parameters_of(self.WANTED)
+        parameters = self.parameters_of(self.SIM_PARAMETERS)
         rates = self.parameters_of(RateParameters)
-        rates.check(wanted.tick)
-        scenario = load(wanted)
-        simulation = self.simulation_of(scenario, wanted)
+        rates.check(parameters.tick)
+        scenario = load(parameters)
+        simulation = self.make_simulation(scenario, parameters)
         told = rates.of_topics(simulation.interface.topics, rates.sensor_rate)
         self._publisher = StatePublisher(self, simulation, told | {topics.CLOCK: rates.clock_rate})
         self._status_publisher = self.publisher(topics.SIM_STATUS)
         runner = SimRunner(
             simulation,
-            wanted.real_time_factor,
+            parameters.real_time_factor,
             self,
-            paused=wanted.start_paused,
-            duration=wanted.duration,
+            paused=parameters.start_paused,
+            duration=parameters.duration,
         )
         for name in COMMANDS:
             self.subscribe(name, partial(runner.command, name))
@@ -121,14 +121,14 @@ class SimNode(ContractNode):
         self.serve(topics.SIM_RESET_PLANT, lambda: (True, self._reset(runner, clock=False)))
         self._scenario, self._runner = scenario, runner
 
-    def simulation_of(self, scenario: AnyScenario, wanted: SimParameters) -> Simulation[Any]:
+    def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
         """The plant in its simulation, ready to run."""
-        return ready_simulation(scenario, wanted.seed, wanted.tick, self)
+        return build_simulation(scenario, parameters.seed, parameters.tick, self)
 
     def start(self) -> None:
         """Let simulated time run."""
         if self._runner is not None:
-            self._publisher.begin()
+            self._publisher.publish_static()
             self._runner.start()
         period = 1.0 / table_rate(topics.SIM_STATUS)
         self.every(period, self._publish_status, by_wall_clock=True)
@@ -145,7 +145,7 @@ class SimNode(ContractNode):
     def configuration(self) -> Mapping[str, Any]:
         """Scenario with all values, and the seed."""
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
-        return {"scenario": scenario, "seed": self.parameters_of(self.WANTED).seed}
+        return {"scenario": scenario, "seed": self.parameters_of(self.SIM_PARAMETERS).seed}
 
     def now_ns(self) -> int:
         """Simulated time [ns]: this node is the clock."""
@@ -158,7 +158,7 @@ class SimNode(ContractNode):
     def parameters_changed(self) -> None:
         """Take the new real-time factor."""
         if self._runner is not None and self.active:
-            self._runner.set_factor(self.parameters_of(self.WANTED).real_time_factor)
+            self._runner.set_factor(self.parameters_of(self.SIM_PARAMETERS).real_time_factor)
 
     def _reset(self, runner: SimRunner, *, clock: bool) -> str:
         message = runner.reset(clock=clock)
@@ -168,26 +168,26 @@ class SimNode(ContractNode):
 
     # --- told by the plant's thread ---------------------------------------------------------------
 
-    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+    def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish what is due."""
-        self._publisher.ticked(tick, before_ns)
+        self._publisher.on_tick(tick, before_ns)
 
-    def restarted(self) -> None:
+    def on_restart(self) -> None:
         """Publish everything once that can be told without a tick before it."""
-        self._publisher.restarted()
+        self._publisher.on_restart()
 
-    def happened(self, happening: EventReport) -> None:
+    def on_event(self, report: EventReport) -> None:
         """Publish an event."""
-        self._publisher.happened(happening)
+        self._publisher.on_event(report)
 
-    def finished(self) -> None:
-        """End the process: the wanted duration is over."""
+    def on_finish(self) -> None:
+        """End the process: the parameters duration is over."""
         simulation = self._simulation
         phase, seconds = simulation.phase, simulation.stamp_ns / NANO
         self.event("finished", f"simulated {seconds:g} s, the phase is {phase.value}")
         self.exit_code = ExitCode.DIVERGED if phase is Phase.DIVERGED else ExitCode.OK
 
-    def crashed(self, error: Exception) -> None:
+    def on_crash(self, error: Exception) -> None:
         """End the process: the plant's thread is gone."""
         self.get_logger().fatal("".join(traceback.format_exception(error)))
         self.exit_code = ExitCode.CRASH
@@ -214,11 +214,11 @@ class SimNode(ContractNode):
             return Status(f"{self.NAME}: plant", "not configured")
         simulation, pacer = runner.simulation, runner.pacer
         phase, measured = simulation.phase, pacer.measured
-        values = totals(simulation) | {
+        values = run_statistics(simulation) | {
             "paused": str(runner.paused).lower(),
             "real_time_factor": repr(pacer.factor),
             "measured_real_time_factor": "" if measured is None else f"{measured:.4g}",
-            "wall_time_dropped": f"{pacer.given_up:.4g}",
+            "wall_time_dropped": f"{pacer.dropped:.4g}",
         }
         level, message = Level.OK, "running"
         if phase.final:
@@ -232,18 +232,18 @@ class SimNode(ContractNode):
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
 
 
-def load(wanted: SimParameters) -> AnyScenario:
+def load(parameters: SimParameters) -> AnyScenario:
     """Load the scenario that the parameters ask for.
 
     Raises:
         ScenarioError: it does not exist or holds bad values; the overrides are no mapping; or it is
             of another model than asked for.
     """
-    scenario = load_overridden(wanted.scenario, wanted.overrides)
-    if wanted.model not in (AS_SCENARIO, scenario.model):
+    scenario = load_overridden(parameters.scenario, parameters.overrides)
+    if parameters.model not in (AS_SCENARIO, scenario.model):
         raise ScenarioError(
             "model",
-            wanted.model,
+            parameters.model,
             f"the scenario {scenario.name} is {scenario.model}: should be {scenario.model}, or "
             f"{AS_SCENARIO} to take what the scenario says",
         )

@@ -27,22 +27,22 @@ _FACTOR_WHEN_STOPPED = 1.0
 _LOOK_AGAIN = 0.5
 
 
-class Listener(Protocol):
+class SimulationListener(Protocol):
     """Who is told what the simulation does; called in its thread."""
 
-    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+    def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         """A tick was made."""
 
-    def restarted(self) -> None:
+    def on_restart(self) -> None:
         """The state is there without a tick before it: at the start and after a reset."""
 
-    def happened(self, happening: EventReport) -> None:
+    def on_event(self, report: EventReport) -> None:
         """Something else than a tick happened."""
 
-    def finished(self) -> None:
+    def on_finish(self) -> None:
         """The wanted duration is simulated, or the plant has stopped before; time stands still."""
 
-    def crashed(self, error: Exception) -> None:
+    def on_crash(self, error: Exception) -> None:
         """The thread has ended by an error that nobody foresaw."""
 
 
@@ -78,7 +78,7 @@ class SimRunner:
         self,
         simulation: Simulation[Any],
         factor: float,
-        listener: Listener,
+        listener: SimulationListener,
         *,
         paused: bool = False,
         duration: float = 0.0,
@@ -114,7 +114,7 @@ class SimRunner:
             self._thread.join()
             self._thread = None
 
-    def ask(self, act: Callable[[], T]) -> T:
+    def call(self, act: Callable[[], T]) -> T:
         """Have the thread do something between two ticks, and return what it gives.
 
         Raises:
@@ -134,7 +134,7 @@ class SimRunner:
 
     def command(self, topic: str, sample: JointSample) -> None:
         """Hand a command to a drive; raises Refusal."""
-        self.ask(lambda: self.simulation.take(topic, sample))
+        self.call(lambda: self.simulation.accept_command(topic, sample))
 
     def set_factor(self, factor: float) -> None:
         """Go on at another real-time factor."""
@@ -143,25 +143,25 @@ class SimRunner:
             self._factor = factor
             self.pacer.set_factor(factor)
 
-        self.ask(act)
+        self.call(act)
 
     def pause(self, pause: bool) -> str:
         """Stop simulated time or let it run on; returns what was done."""
-        return self.ask(lambda: self._pause(pause))
+        return self.call(lambda: self._pause(pause))
 
     def step(self) -> str:
         """Make one tick while paused; raises Refusal."""
-        return self.ask(self._step)
+        return self.call(self._step)
 
     def reset(self, *, clock: bool) -> str:
         """Put the plant back to its start, and with ``clock`` simulated time to zero."""
-        return self.ask(lambda: self._reset(clock))
+        return self.call(lambda: self._reset(clock))
 
     # --- in the thread ---------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:
-            self._listener.restarted()
+            self._listener.on_restart()
             due_in = 0.0
             while True:
                 request = self._next_request(due_in)
@@ -173,7 +173,7 @@ class SimRunner:
                     request.serve()
                 due_in = self.pacer.wait(time.monotonic(), self.stamp_ns)
         except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
-            self._listener.crashed(error)
+            self._listener.on_crash(error)
 
     def _next_request(self, due_in: float) -> _Request[Any] | None:
         """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
@@ -188,14 +188,14 @@ class SimRunner:
     def _advance(self) -> None:
         before_ns = self.stamp_ns
         tick = self.simulation.tick()
-        self._listener.ticked(tick, before_ns)
+        self._listener.on_tick(tick, before_ns)
         stopped = tick.after.phase.final
         if stopped and self.pacer.factor == 0.0:
             self.pacer.set_factor(_FACTOR_WHEN_STOPPED)
         over = self._duration_ns > 0 and (stopped or self.stamp_ns >= self._duration_ns)
         if over and not self._finished:
             self._finished = self.paused = True
-            self._listener.finished()
+            self._listener.on_finish()
 
     def _pause(self, pause: bool) -> str:
         if pause == self.paused:
@@ -204,7 +204,7 @@ class SimRunner:
         self.pacer.restart()
         name = "paused" if pause else "resumed"
         at = f"at {self.stamp_ns / NANO:g} s"
-        self._listener.happened(EventReport(name, f"simulated time {name} {at}", self.stamp_ns))
+        self._listener.on_event(EventReport(name, f"simulated time {name} {at}", self.stamp_ns))
         return f"{name} {at}"
 
     def _step(self) -> str:
@@ -227,8 +227,8 @@ class SimRunner:
         self.pacer.set_factor(self._factor)
         name, what = ("reset", "plant and clock") if clock else ("reset_plant", "the plant")
         message = f"{what} put back to the start at {before:g} s"
-        self._listener.happened(EventReport(name, message, self.stamp_ns))
-        self._listener.restarted()
+        self._listener.on_event(EventReport(name, message, self.stamp_ns))
+        self._listener.on_restart()
         return message
 
 

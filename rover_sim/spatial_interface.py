@@ -41,7 +41,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
-from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.actuators import DriveFeedback, Equipment, Nut
 from rover_sim.drawing import (
     as_quaternion,
     as_vector,
@@ -51,7 +51,7 @@ from rover_sim.drawing import (
     tether_line,
     usual_tension,
 )
-from rover_sim.machine import Rover
+from rover_sim.hardware import Rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.body_motion import BodyMotion
 from rover_sim.physics.jump_drive import Latch
@@ -59,7 +59,7 @@ from rover_sim.plant import Energies, Forces, StepResult
 from rover_sim.sensors import Readings, SensorState, SensorSuite, Truth
 from rover_sim.spatial_plant import SpatialPlant
 from rover_sim.spatial_state import SpatialState
-from rover_sim.truth import energy_sample, tether_sample
+from rover_sim.truth_samples import energy_sample, tether_sample
 
 _TRUTH = (topics.CLOCK, topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.MARKERS)
 _TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
@@ -83,7 +83,7 @@ class SpatialInterface:
         seed: of the sensors' errors.
     """
 
-    measured_over_a_tick = frozenset((*_SENSORS, *_SENSORS_OF_ROVER))
+    available_after_tick = frozenset((*_SENSORS, *_SENSORS_OF_ROVER))
 
     def __init__(self, plant: SpatialPlant, seed: int) -> None:
         self.plant = plant
@@ -145,12 +145,12 @@ class SpatialInterface:
             nut=nut,
             flywheel=nut is not None,
             wheels=nut is not None,
-            held_length=scenario.tether.length if scenario.winch is None else None,
+            fixed_length=scenario.tether.length if scenario.winch is None else None,
         )
 
-    def drives(self, state: SpatialState) -> DriveStates:
+    def drive_feedback(self, state: SpatialState) -> DriveFeedback:
         """What the drives feel."""
-        return DriveStates(
+        return DriveFeedback(
             state.phase,
             state.nut,
             state.latch is Latch.FREE,
@@ -173,7 +173,7 @@ class SpatialInterface:
         self._moment = _Moment(state, stamp_ns, self.plant.energies(state), forces)
 
     def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
-        """Take the state at a tick's end; see `interface.PlantInterface.measure`."""
+        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
         if self._sensors is None:
             raise AssertionError("sensors were not switched on")
         # A plant that has stopped for good stands still; its sensors keep their last readings.
@@ -279,8 +279,8 @@ class SpatialInterface:
             if load > 0.0
         ]
 
-    def place(self, stamp_ns: int) -> DrawingSample:
-        """The ground, if there is any; see `interface.PlantInterface.place`."""
+    def environment_markers(self, stamp_ns: int) -> DrawingSample:
+        """The ground, if there is any; see `plant_interface.PlantInterface.environment_markers`."""
         model = self.plant.model
         return DrawingSample(stamp_ns, ground(model.terrain) if model.has_ground else ())
 

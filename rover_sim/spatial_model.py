@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rover_sim.machine import Rover
+from rover_sim.hardware import Rover
 from rover_sim.physics import drum as drums
 from rover_sim.physics import jump_drive, slider, wheel_drive
 from rover_sim.physics import spatial_rover as bodies
@@ -165,7 +165,7 @@ def _jump_order(
         0.0,
         compression + (_BEYOND_TRIP if trips else 0.0),
         _positive("rate", command.rate, "m/s"),
-        _limit("largest_force", command.largest_force, "N"),
+        _limit("max_force", command.max_force, "N"),
         compression if trips else math.inf,
     )
 
@@ -177,7 +177,7 @@ def _drum_order(model: Model, command: WinchCommand, radius: float) -> drums.Dru
     feed_forward = _finite("feed_forward", command.feed_forward, "N")
     if feed_forward < 0.0:
         raise ValueError(f"feed_forward = {feed_forward}: must not be below 0 N")
-    largest = _limit("largest_tension", command.largest_tension, "N")
+    largest = _limit("max_tension", command.max_tension, "N")
     per_newton = radius / drum.gear_ratio
     return drums.DrumCommand(
         int(MotorMode.RATE),
@@ -198,7 +198,7 @@ def _wheel_order(
     if isinstance(command, WheelTorqueCommand):
         torque = _finite("torque", command.torque, "N m")
         return _NO_WHEELS._replace(mode=int(MotorMode.TORQUE), torque=torque * at_motor)
-    largest = _limit("largest_torque", command.largest_torque, "N m")
+    largest = _limit("max_torque", command.max_torque, "N m")
     rate = _finite("rate", command.rate, "rad/s")
     return wheel_drive.WheelCommand(int(MotorMode.RATE), 0.0, rate, largest * at_motor)
 

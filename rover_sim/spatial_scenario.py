@@ -15,8 +15,8 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, quantity, text
-from rover_sim.ground import Environment, TetherContact
-from rover_sim.machine import Rover, Vector, Winch
+from rover_sim.environment import Environment, TetherContact
+from rover_sim.hardware import Rover, Vector, Winch
 from rover_sim.physics.drum import DrumParameters
 from rover_sim.scenario_parts import CrossSection, Integration, ScenarioError
 from rover_sim.sensors import Sensors

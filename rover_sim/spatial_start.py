@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from rover_sim.machine import Rover, rest_slide
+from rover_sim.hardware import Rover, rest_slide
 from rover_sim.physics import ancf
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.starting_shapes import arc_nodes

@@ -14,9 +14,9 @@ from msg_schemas.samples import Level, Status, TextSample
 from msg_schemas.table import TOPICS
 from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.event_reports import EventReport
-from rover_sim.interfaces import build_interface
+from rover_sim.interface_factory import build_interface
 from rover_sim.plant import Phase
-from rover_sim.plants import build_plant
+from rover_sim.plant_factory import build_plant
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import AnyScenario, SpatialScenario
 from rover_sim.sim_loop import NANO, Schedule, Simulation, Tick
@@ -75,7 +75,7 @@ class TruthRates:
         return {name: rates.get(name, otherwise) for name in wanted}
 
 
-def ready_simulation(
+def build_simulation(
     scenario: AnyScenario, seed: int, tick: float, node: ContractNode
 ) -> Simulation[Any]:
     """Compile and build a scenario's plant, and say how that goes.
@@ -127,58 +127,60 @@ class StatePublisher:
         self._publishers = {name: node.publisher(name) for name in rates}
         self._phase_publisher = node.publisher(topics.TRUTH_PHASE)
         self._place_publisher = node.publisher(topics.PLACE)
-        self._told_phase: Phase | None = None
+        self._published_phase: Phase | None = None
         scenario = simulation.plant.scenario
         self._description = ""
         if isinstance(scenario, SpatialScenario) and scenario.rover is not None:
             self._description = robot_description(scenario)
             self._description_publisher = node.publisher(topics.ROBOT_DESCRIPTION)
 
-    def begin(self) -> None:
+    def publish_static(self) -> None:
         """Tell what stands around the plant, and what the machine looks like."""
         stamp_ns = self._simulation.stamp_ns
-        self._place_publisher.send(self._simulation.interface.place(stamp_ns))
+        self._place_publisher.send(self._simulation.interface.environment_markers(stamp_ns))
         if self._description:
             self._description_publisher.send(TextSample(self._description))
 
-    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+    def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish what is due after a tick that began at `before_ns`."""
-        self._tell(self._schedule.due(before_ns, tick.stamp_ns))
+        self._publish_due(self._schedule.due(before_ns, tick.stamp_ns))
         self._publish_phase(tick.after.phase)
-        for happening in tick.event_reports:
-            self.happened(happening)
+        for report in tick.event_reports:
+            self.on_event(report)
 
-    def restarted(self) -> None:
+    def on_restart(self) -> None:
         """Publish everything once that can be told without a tick before it."""
         outside = self._simulation.interface
-        self._tell(name for name in self._publishers if name not in outside.measured_over_a_tick)
+        self._publish_due(
+            name for name in self._publishers if name not in outside.available_after_tick
+        )
         self._publish_phase(self._simulation.phase)
 
-    def happened(self, happening: EventReport) -> None:
+    def on_event(self, report: EventReport) -> None:
         """Publish an event; what is not well goes to the diagnostics too."""
         self._node.event(
-            happening.name,
-            happening.message,
-            happening.level,
-            happening.values,
-            happening.stamp_ns,
+            report.name,
+            report.message,
+            report.level,
+            report.values,
+            report.stamp_ns,
         )
-        if happening.level is not Level.OK:
-            name = f"{self._node.NAME}: {happening.name}"
-            self._node.report(Status(name, happening.message, happening.level, self._node.NAME))
+        if report.level is not Level.OK:
+            name = f"{self._node.NAME}: {report.name}"
+            self._node.report(Status(name, report.message, report.level, self._node.NAME))
 
-    def _tell(self, due: Iterable[str]) -> None:
-        heard = [name for name in due if self._publishers[name].is_heard]
-        for name, sample in self._simulation.interface.samples(heard):
+    def _publish_due(self, due: Iterable[str]) -> None:
+        received = [name for name in due if self._publishers[name].is_heard]
+        for name, sample in self._simulation.interface.samples(received):
             self._publishers[name].send(sample)
 
     def _publish_phase(self, phase: Phase) -> None:
-        if phase is not self._told_phase:
-            self._told_phase = phase
+        if phase is not self._published_phase:
+            self._published_phase = phase
             self._phase_publisher.send(TextSample(phase.value))
 
 
-def totals(simulation: Simulation[Any]) -> dict[str, str]:
+def run_statistics(simulation: Simulation[Any]) -> dict[str, str]:
     """What a simulation has come to, as a status's values."""
     result = simulation.last
     values = {

@@ -98,7 +98,7 @@ class Recording:
         }
         self.tell(topics.CONFIG, TextSample(json.dumps(content)))
         outside = self.simulation.interface
-        self._due([name for name in outside.topics if name not in outside.measured_over_a_tick])
+        self._due([name for name in outside.topics if name not in outside.available_after_tick])
 
     @property
     def time(self) -> float:
@@ -120,7 +120,7 @@ class Recording:
         simulation = self.simulation
         for name, joints in orders.items():
             sample = JointSample(max(simulation.stamp_ns, 1), joints)
-            simulation.take(name, sample)
+            simulation.accept_command(name, sample)
             self.tell(name, sample)
         before_ns = simulation.stamp_ns
         tick = simulation.tick()

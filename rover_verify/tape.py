@@ -12,7 +12,7 @@ from msg_schemas.codecs import encode
 from msg_schemas.samples import Sample
 from msg_schemas.table import TOPICS
 from rover_bags.files.store import BagWriter, standard_type
-from rover_sim.interface import PlantInterface
+from rover_sim.plant_interface import PlantInterface
 from rover_sim.sim_loop import Schedule
 
 _EPOCH_NS = 1_790_000_000_000_000_000

@@ -14,7 +14,7 @@ from msg_schemas.table import (
     WALL_DISTANCE,
     WORLD_FRAME,
 )
-from rover_view.machine import Machine, about_z, plus, product, turn
+from rover_view.robot_model import RobotModel, about_z, plus, product, turn
 
 STEADY: Colour = (0.20, 0.75, 0.35, 0.8)
 SMEARED: Colour = (0.85, 0.25, 0.15, 0.8)
@@ -35,7 +35,7 @@ class ObservedWall:
     def __init__(self) -> None:
         self._shapes: list[Shape] = []
 
-    def add(self, picture: JointSample, machine: Machine) -> bool:
+    def add(self, picture: JointSample, machine: RobotModel) -> bool:
         """Take a picture; False where the range finder saw no wall.
 
         Args:

@@ -19,9 +19,9 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
-from rover_view.machine import DescriptionError, Machine, Placed
 from rover_view.observed_wall import ObservedWall
 from rover_view.predicted_jump import predicted
+from rover_view.robot_model import DescriptionError, LinkFrame, RobotModel
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -52,7 +52,7 @@ class ViewNode(ContractNode):
 
     def setup(self) -> None:
         """Open everything; without tf2_msgs, say so and go on with the wall."""
-        self._machine: Machine | None = None
+        self._machine: RobotModel | None = None
         self._wall = ObservedWall()
         self._wall_publisher = self.publisher(topics.OBSERVED_WALL)
         self._jump_publisher = self.publisher(topics.PREDICTED_JUMP)
@@ -93,7 +93,7 @@ class ViewNode(ContractNode):
 
     def _on_description(self, sample: TextSample) -> None:
         try:
-            self._machine = Machine.read(sample.text)
+            self._machine = RobotModel.read(sample.text)
         except DescriptionError as error:
             raise Refusal(topics.ROBOT_DESCRIPTION, RefusalCode.BAD_TEXT, str(error)) from None
         if self._still is not None:
@@ -138,7 +138,7 @@ class ViewNode(ContractNode):
         self._moving.publish(frames_message(placed, body.stamp_ns))
 
 
-def frames_message(placed: Iterable[Placed], stamp_ns: int) -> Any:
+def frames_message(placed: Iterable[LinkFrame], stamp_ns: int) -> Any:
     """The frames as tf's message."""
     transforms = []
     for each in placed:

@@ -90,8 +90,8 @@ def compiled() -> None:
 @pytest.fixture(scope="session")
 def compiled_in_space() -> None:
     """As `compiled`, for the spatial plant and its sensors."""
-    from rover_sim.interfaces import build_interface
-    from rover_sim.plants import build_plant
+    from rover_sim.interface_factory import build_interface
+    from rover_sim.plant_factory import build_plant
     from rover_sim.scenario import load_spatial
     from rover_sim.sim_loop import Simulation
     from rover_verify.harness.ros_domain import locked

@@ -14,7 +14,7 @@ from rover_launch.plan import (
     PLANTS,
     Plan,
     PlanError,
-    Started,
+    ProcessSpec,
     arguments_of,
     files_of,
     plan,
@@ -36,7 +36,7 @@ def controllers_of(path: Path) -> tuple[str, ...]:
 
 def planned(
     *controllers: str, find: Any = lambda _name: None, **values: str
-) -> tuple[Plan, dict[str, Started]]:
+) -> tuple[Plan, dict[str, ProcessSpec]]:
     given = {each.name: each.default for each in arguments_of(controllers, CONFIG, {})}
     assert values.keys() <= given.keys()
     made = plan(controllers, given | values, find)
@@ -104,7 +104,7 @@ def test_the_winch_has_room_for_the_trim_only_beside_a_descent():
 
 def test_the_end_of_the_plant_ends_all_and_that_of_a_controller_nothing():
     made, started = planned(*MISSION)
-    assert [each.executable for each in made.started if each.ends_all] == ["sim_node"]
+    assert [each.executable for each in made.started if each.shutdown_reason] == ["sim_node"]
     assert started["winch_node"].parameters["use_sim_time"]
 
 

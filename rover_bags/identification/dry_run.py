@@ -142,7 +142,7 @@ def record(
         "scenario": configured.to_mapping(),
         "seed": 0,
     }
-    told = set(simulation.interface.measured_over_a_tick) - {topics.CAMERA}
+    told = set(simulation.interface.available_after_tick) - {topics.CAMERA}
     with BagWriter(path, sync=False) as writer:
         channels: dict[str, int] = {}
 
@@ -165,7 +165,7 @@ def record(
             for name, joints in orders.items():
                 sample = JointSample(now, joints)
                 put(name, (tick + _LATER) * TICK, cdr(name, sample))
-                simulation.take(name, sample)
+                simulation.accept_command(name, sample)
             simulation.tick()
             wall = (tick + 1) * TICK
             put(topics.CLOCK, wall, cdr(topics.CLOCK, ClockSample(simulation.stamp_ns)))

@@ -392,7 +392,7 @@ def predict(
         while waiting and waiting[-1][0] <= simulation.stamp_ns:
             _, name, sample = waiting.pop()
             try:
-                simulation.take(name, sample)
+                simulation.accept_command(name, sample)
             except Refusal:  # as the recorded plant may have
                 continue
         if simulation.tick().after.phase.final:

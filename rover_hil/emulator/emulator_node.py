@@ -28,7 +28,14 @@ from rover_hil.impairment import read_impairments
 from rover_hil.link import SYNC_ID, Link, waited_ns
 from rover_hil.transport import open_bus
 from rover_hil.wiring import TOLD
-from rover_sim import StatePublisher, Tick, TruthRates, load_overridden, ready_simulation, totals
+from rover_sim import (
+    StatePublisher,
+    Tick,
+    TruthRates,
+    build_simulation,
+    load_overridden,
+    run_statistics,
+)
 
 # Threads of this process take turns this often [s]: what comes by the link is answered at once.
 SWITCH_INTERVAL = 0.0005
@@ -134,7 +141,7 @@ class EmulatorNode(ContractNode):
         scenario = load_overridden(wanted.scenario, wanted.overrides)
         rates = self.parameters_of(TruthRates)
         rates.check(SYNC_PERIOD)
-        simulation = ready_simulation(scenario, wanted.seed, SYNC_PERIOD, self)
+        simulation = build_simulation(scenario, wanted.seed, SYNC_PERIOD, self)
         link = Link(open_bus(wanted.link))
         try:
             machine = EmulatedMachine(
@@ -163,7 +170,7 @@ class EmulatorNode(ContractNode):
     def start(self) -> None:
         """Switch the devices on, and let the world run."""
         machine = self._emulated
-        self._publisher.begin()
+        self._publisher.publish_static()
         if not self._hears_config:
             # Not before it is active: what is latched comes once.
             self.subscribe(topics.CONFIG, self._on_config, _NODES)
@@ -300,7 +307,7 @@ class EmulatorNode(ContractNode):
         """
         untold, self._untold = self._untold, None
         if untold is not None:
-            self._publisher.ticked(*untold)
+            self._publisher.on_tick(*untold)
 
     def _kill_bridge(self) -> None:
         """Kill the bridge that tells its process, as long as it still is one on this machine."""
@@ -345,7 +352,7 @@ class EmulatorNode(ContractNode):
             else:
                 simulation.reset_plant()
             machine.restart()
-        self._publisher.restarted()
+        self._publisher.on_restart()
         what = "plant and clock" if clock else "the plant"
         message = f"{what} put back to the start at {before:g} s, the devices switched on anew"
         self.event("reset" if clock else "reset_plant", message)
@@ -365,7 +372,7 @@ class EmulatorNode(ContractNode):
         lockstep = self.parameters_of(EmulatorParameters).lockstep
         real_time = not lockstep and pace.is_real_time(time.monotonic())
         measured = "" if pace.measured is None else f"{pace.measured:.4g}"
-        values = totals(machine.simulation) | {
+        values = run_statistics(machine.simulation) | {
             "real_time": str(real_time).lower(),
             "real_time_factor": "lockstep" if lockstep else "1.0",
             "measured_real_time_factor": measured,

@@ -81,7 +81,7 @@ class EmulatedMachine:
         played = played_beside(real)
         missing = [topic for topic in TOLD if topic not in simulation.interface.topics]
         scenario = simulation.plant.scenario
-        held = simulation.interface.equipment.held_length is not None
+        held = simulation.interface.equipment.fixed_length is not None
         if missing or held or not isinstance(scenario, SpatialScenario) or scenario.rover is None:
             raise ValueError(
                 f"the scenario {scenario.name} lacks what the devices tell "
@@ -231,12 +231,12 @@ class EmulatedMachine:
         if setpoint is None or command is None:
             if not self._let_go[name]:
                 topic = next(t for t, device in COMMANDED.items() if device is drive.device)
-                self.simulation.let_go(topic)
+                self.simulation.stop_drive(topic)
                 self._let_go[name] = True
             return
         topic, joints = command
         try:
-            self.simulation.take(topic, JointSample(setpoint.taken_ns, joints))
+            self.simulation.accept_command(topic, JointSample(setpoint.taken_ns, joints))
             self._let_go[name] = False
         except Refusal as refusal:
             drive.refuse()

@@ -91,7 +91,7 @@ def _flown(
         time = (simulation.stamp_ns - begun) * 1e-9
         assert simulation.last is not None
         forces = simulation.last.forces
-        length = simulation.interface.drives(simulation.state).length
+        length = simulation.interface.drive_feedback(simulation.state).length
         yield time, length, forces.fairlead_tension
         if time > _LONGEST:
             raise RuntimeError(f"the winch did not come to rest within {_LONGEST:g} s")
@@ -104,7 +104,7 @@ def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
     def cycle() -> None:
         samples = dict(simulation.interface.samples(_HEARD))
         for topic, sample in flight.commands(samples, simulation.stamp_ns).items():
-            simulation.take(topic, sample)
+            simulation.accept_command(topic, sample)
         simulation.tick()
 
     return np.array(list(_flown(simulation, flight, cycle)))

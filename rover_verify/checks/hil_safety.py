@@ -71,7 +71,7 @@ def _of(topic: str) -> Commands:
 
 def payout_rate(bench: HilBench) -> float:
     """True rate [m/s], exactly 0 while the brake holds."""
-    return bench.simulation.interface.drives(bench.simulation.state).payout_rate
+    return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
 def works(bench: HilBench) -> list[str]:
@@ -368,7 +368,7 @@ def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
     with open_bench() as bench:
         bench.arm()
         bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
-        begun = bench.simulation.interface.drives(bench.simulation.state).length
+        begun = bench.simulation.interface.drive_feedback(bench.simulation.state).length
         bench.impair(
             f"[{{what: loss, strength: 0.3, seed: {seed}}}, "
             f"{{what: delay, strength: {max(delay, SYNC_PERIOD)!r}}}]"
@@ -380,6 +380,6 @@ def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
             bench.cycles(SYNC_PERIOD, commands, [])
             if k * SYNC_PERIOD > _STOPPED:
                 unsafe |= payout_rate(bench) != 0.0 or bool(works(bench))
-        end = bench.simulation.interface.drives(bench.simulation.state).length
+        end = bench.simulation.interface.drive_feedback(bench.simulation.state).length
     way = end - begun
     return unsafe or way > rate * _STOPPED + _STOPPING, way

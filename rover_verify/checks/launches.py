@@ -19,7 +19,7 @@ from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
-from rover_launch.plan import Plan, Started, arguments_of, plan
+from rover_launch.plan import Plan, ProcessSpec, arguments_of, plan
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
@@ -97,7 +97,7 @@ def _start(harness: NodeHarness, planned: Plan) -> list[Process]:
     ]
 
 
-def _started(harness: NodeHarness, module: str, started: Started, namespace: str) -> Process:
+def _started(harness: NodeHarness, module: str, started: ProcessSpec, namespace: str) -> Process:
     files: Sequence[str] = [
         part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
     ]

@@ -16,7 +16,7 @@ from rover_sim import (
     SpatialState,
     load_spatial,
 )
-from rover_sim.machine import Friction, Rover, jump_height
+from rover_sim.hardware import Friction, Rover, jump_height
 from rover_verify import scripted_mission
 from rover_verify.checks import Batch, Measured
 

@@ -197,7 +197,7 @@ def test_the_executable_tells_by_text_json_and_exit_code(jump_bag: Path, capsys:
 def test_a_fork_goes_on_alike_and_by_itself():
     simulation = Recorder(PLANAR).simulation
     twin = simulation.fork()
-    twin.take(topics.JUMP_MOTOR_COMMAND, JointSample(0, NUT))
+    twin.accept_command(topics.JUMP_MOTOR_COMMAND, JointSample(0, NUT))
     for _ in range(3):
         twin.tick()
     simulation.tick()

@@ -79,7 +79,7 @@ def assert_it_stops(bench: HilBench, within: float) -> None:
     """The drum stands with its brake closed, by the plant itself, whoever is heard."""
     bench.cycles(within)
     state = bench.simulation.state
-    assert bench.simulation.interface.drives(state).payout_rate == 0.0
+    assert bench.simulation.interface.drive_feedback(state).payout_rate == 0.0
     assert not bench.machine.drives["winch"].automaton.enabled
 
 
@@ -226,7 +226,7 @@ def test_a_dead_bridge_stops_the_drives_by_their_own_watchdogs(bench: HilBench):
     before = drum(bench).position
     assert_it_stops(bench, STOP)
     assert bench.machine.drives["winch"].automaton.error_code == 0x8250
-    drives = bench.simulation.interface.drives(bench.simulation.state)
+    drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
     assert drives.length - before < RATE * 0.4
 
 

@@ -49,7 +49,7 @@ def bench(compiled_in_space: None) -> Iterator[HilBench]:
 
 def rate(bench: HilBench) -> float:
     """True payout rate [m/s]: exactly 0 where the brake holds."""
-    return bench.simulation.interface.drives(bench.simulation.state).payout_rate
+    return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
 def told(bench: HilBench, name: str) -> list[str]:

@@ -20,7 +20,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_sim.actuators import COMMANDS, Actuators, DriveStates, Equipment
+from rover_sim.actuators import COMMANDS, Actuators, DriveFeedback, Equipment
 from rover_sim.event_reports import EventReport
 from rover_sim.plant import (
     Command,
@@ -36,7 +36,7 @@ from rover_sim.sim_loop import NANO, Simulation
 TICK = 0.01
 PAYING_OUT = 0.3
 BRAKED_AFTER = TOPICS[topics.WINCH_COMMAND].stale.timeout_moving
-HANGING = DriveStates(Phase.HANGING, -0.03)
+HANGING = DriveFeedback(Phase.HANGING, -0.03)
 
 
 def nut(position: float) -> JointSample:
@@ -102,10 +102,10 @@ def orders(simulation: Simulation[FakeState]) -> list[Command]:
 
 
 def refusal_of(
-    actuators: Actuators, topic: str, sample: JointSample, states: DriveStates = HANGING
+    actuators: Actuators, topic: str, sample: JointSample, states: DriveFeedback = HANGING
 ) -> Refusal:
     with pytest.raises(Refusal) as caught:
-        actuators.take(topic, sample, states, 0)
+        actuators.accept_command(topic, sample, states, 0)
     assert caught.value.subject == topic
     assert actuators.command == Command()
     return caught.value
@@ -116,7 +116,7 @@ def refusal_of(
 
 def test_every_command_reaches_the_plant_with_its_numbers(actuators: Actuators):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
-        actuators.take(topic, GOOD[topic], HANGING, 0)
+        actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     command = actuators.command
     assert command.jump == JumpMotorCommand(0.2, 0.1, 400.0)
     assert command.wheel == WheelRateCommand(3.0, 2.0)
@@ -125,12 +125,12 @@ def test_every_command_reaches_the_plant_with_its_numbers(actuators: Actuators):
 
 def test_one_motor_obeys_the_command_that_came_last(actuators: Actuators):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND):
-        actuators.take(topic, GOOD[topic], HANGING, 0)
+        actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     for topic in (topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND):
-        actuators.take(topic, GOOD[topic], HANGING, 0)
+        actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     assert actuators.command == Command(FlywheelCommand(0.01), None, WheelTorqueCommand(0.1))
-    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(-0.05), HANGING, 0)
-    actuators.take(topics.WHEEL_COMMAND, wheels(-1.0), HANGING, 0)
+    actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(-0.05), HANGING, 0)
+    actuators.accept_command(topics.WHEEL_COMMAND, wheels(-1.0), HANGING, 0)
     assert actuators.command == Command(
         JumpMotorCommand(-0.05, 0.1, 400.0), None, WheelRateCommand(-1.0, 2.0)
     )
@@ -146,7 +146,7 @@ def test_the_drives_topics_are_those_of_the_contract():
 def test_a_winch_that_pays_out_is_braked_within_a_tenth_of_a_second(
     simulation: Simulation[FakeState],
 ):
-    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("winch_silent", Level.WARN)]
     assert BRAKED_AFTER <= 0.08  # its brake takes 0.02 s to bite
@@ -160,7 +160,7 @@ def test_a_winch_that_pays_out_is_braked_within_a_tenth_of_a_second(
 @pytest.mark.parametrize("tick", [0.003, 0.007, 0.03, 0.05])
 def test_no_tick_is_long_enough_to_brake_late(tick: float):
     simulation = Simulation(fake_interface(EVERYTHING), tick)
-    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
     run_to(simulation, 1.0)
     paid_out = simulation.state.length - 5.0
     assert BRAKED_AFTER - tick < paid_out / PAYING_OUT <= BRAKED_AFTER + 1e-9
@@ -169,23 +169,23 @@ def test_no_tick_is_long_enough_to_brake_late(tick: float):
 def test_a_winch_that_is_told_to_stand_with_its_brake_open_does_so_until_the_timeout(
     simulation: Simulation[FakeState],
 ):
-    simulation.take(topics.WINCH_COMMAND, drum(0.0))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(0.0))
     happened = run_to(simulation, 1.0)
     assert [h.name for h in happened] == ["winch_silent"]
     assert happened[0].stamp_ns == round(0.5 * NANO)
 
 
 def test_a_drum_that_turns_against_its_command_counts_as_moving(actuators: Actuators):
-    actuators.take(topics.WINCH_COMMAND, drum(0.0), HANGING, 0)
+    actuators.accept_command(topics.WINCH_COMMAND, drum(0.0), HANGING, 0)
     at = round(0.1 * NANO)
-    assert not actuators.silenced(HANGING, at)
+    assert not actuators.expire_commands(HANGING, at)
     dragged = HANGING._replace(payout_rate=0.05)
-    assert [s.name for s in actuators.silenced(dragged, at)] == ["winch_silent"]
+    assert [s.name for s in actuators.expire_commands(dragged, at)] == ["winch_silent"]
     assert actuators.command.winch is None
 
 
 def test_a_winch_that_holds_by_its_brake_may_be_left_alone(simulation: Simulation[FakeState]):
-    simulation.take(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
     assert not run_to(simulation, 2.0)
     assert orders(simulation)[-1].winch is None
 
@@ -200,7 +200,7 @@ def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
         begin = simulation.stamp_ns / NANO
         for step in range(100):
             if step % 10 != 5:  # one in ten is lost
-                simulation.take(topic, GOOD[topic])
+                simulation.accept_command(topic, GOOD[topic])
             happened += run_to(simulation, begin + (step + 1) * period)
         assert not happened
         run_to(simulation, simulation.stamp_ns / NANO + 1.0)
@@ -217,7 +217,7 @@ def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
 def test_other_motors_are_off_after_the_contract_s_silence(
     simulation: Simulation[FakeState], topic: str, event: str
 ):
-    simulation.take(topic, GOOD[topic])
+    simulation.accept_command(topic, GOOD[topic])
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == [event]
     assert happened[0].stamp_ns == round(TOPICS[topic].stale.timeout * NANO)
@@ -228,7 +228,7 @@ def test_other_motors_are_off_after_the_contract_s_silence(
 def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
     simulation: Simulation[FakeState],
 ):
-    simulation.take(topics.JUMP_MOTOR_COMMAND, nut(0.3))
+    simulation.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.3))
     happened = run_to(simulation, 5.0)
     assert [h.name for h in happened] == ["jump_motor_silent"]
     assert happened[0].stamp_ns == round(0.5 * NANO)
@@ -249,34 +249,34 @@ def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
 def test_a_drive_that_is_let_go_is_off_at_once(
     actuators: Actuators, topic: str, sample: JointSample
 ):
-    actuators.take(topic, sample, HANGING, 0)
+    actuators.accept_command(topic, sample, HANGING, 0)
     assert actuators.command != Command()
-    actuators.let_go(topic, HANGING)
+    actuators.stop_drive(topic, HANGING)
     assert actuators.command == Command()
 
 
 def test_a_nut_that_is_let_go_is_held_where_it_is_as_after_silence(actuators: Actuators):
-    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.2), HANGING, 0)
-    actuators.let_go(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
+    actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.2), HANGING, 0)
+    actuators.stop_drive(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
     held = actuators.command.jump
     assert isinstance(held, JumpMotorCommand)
     assert (held.compression, held.trips) == (0.1, False)
 
 
 def test_a_nut_that_was_told_to_stay_stays_without_renewal(simulation: Simulation[FakeState]):
-    simulation.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.02))
+    simulation.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.02))
     assert not run_to(simulation, 5.0)
     assert simulation.state.phase is Phase.HELD
     assert simulation.state.compression == pytest.approx(0.02)
-    simulation.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.025, latch=1.0))
+    simulation.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.025, latch=1.0))
     assert [h.name for h in run_to(simulation, 5.2)] == ["take_off"]
     assert orders(simulation)[-1].jump is None
 
 
 @pytest.mark.parametrize("at", [-0.065, 0.36])
 def test_a_nut_held_beyond_its_travel_is_told_the_travel_s_end(actuators: Actuators, at: float):
-    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.0), HANGING, 0)
-    actuators.silenced(HANGING._replace(compression=at), NANO)
+    actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.0), HANGING, 0)
+    actuators.expire_commands(HANGING._replace(compression=at), NANO)
     held = actuators.command.jump
     assert isinstance(held, JumpMotorCommand)
     assert held.compression == (-0.06 if at < 0.0 else 0.35)
@@ -294,13 +294,13 @@ def test_a_nut_held_beyond_its_travel_is_told_the_travel_s_end(actuators: Actuat
 def test_a_drive_at_rest_may_be_left_alone(
     simulation: Simulation[FakeState], topic: str, sample: JointSample
 ):
-    simulation.take(topic, sample)
+    simulation.accept_command(topic, sample)
     assert not run_to(simulation, 2.0)
 
 
 def test_a_reset_forgets_every_command(simulation: Simulation[FakeState]):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
-        simulation.take(topic, GOOD[topic])
+        simulation.accept_command(topic, GOOD[topic])
     simulation.reset()
     assert not run_to(simulation, 1.0)
     assert set(orders(simulation)) == {Command()}
@@ -312,14 +312,14 @@ def test_a_reset_forgets_every_command(simulation: Simulation[FakeState]):
 @pytest.mark.parametrize("topic", COMMANDS)
 @pytest.mark.parametrize("phase", [Phase.DIVERGED, Phase.TETHER_BROKEN])
 def test_nothing_is_taken_where_nothing_moves(actuators: Actuators, topic: str, phase: Phase):
-    refusal = refusal_of(actuators, topic, GOOD[topic], DriveStates(phase))
+    refusal = refusal_of(actuators, topic, GOOD[topic], DriveFeedback(phase))
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert topics.SIM_RESET in refusal.reason
 
 
 @pytest.mark.parametrize("topic", [t for t in COMMANDS if t != topics.WINCH_COMMAND])
 def test_a_plant_without_the_drive_says_so(topic: str):
-    bare = Actuators(Equipment("bare_tether", held_length=5.0), round(TICK * NANO))
+    bare = Actuators(Equipment("bare_tether", fixed_length=5.0), round(TICK * NANO))
     refusal = refusal_of(bare, topic, GOOD[topic])
     assert refusal.code is RefusalCode.NOT_SUPPORTED
     assert "bare_tether" in refusal.reason
@@ -341,7 +341,7 @@ def test_the_flywheel_needs_a_nut_that_is_clear_of_the_latch(actuators: Actuator
     ],
 )
 def test_the_nut_s_setpoint_must_be_within_reach(
-    actuators: Actuators, position: float, states: DriveStates, words: str
+    actuators: Actuators, position: float, states: DriveFeedback, words: str
 ):
     refusal = refusal_of(actuators, topics.JUMP_MOTOR_COMMAND, nut(position), states)
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
@@ -350,7 +350,7 @@ def test_the_nut_s_setpoint_must_be_within_reach(
 
 def test_a_nut_past_the_latch_may_come_back(actuators: Actuators):
     released = HANGING._replace(compression=0.2, nut_free=False)
-    actuators.take(topics.JUMP_MOTOR_COMMAND, nut(0.1), released, 0)
+    actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.1), released, 0)
     assert actuators.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
 
 
@@ -365,19 +365,19 @@ def test_the_latch_trips_or_holds(actuators: Actuators):
     refusal = refusal_of(actuators, topics.JUMP_MOTOR_COMMAND, held_nut(0.1, latch=0.5))
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     simple = Actuators(HELD_BY_THE_GROUND, round(TICK * NANO))
-    standing = DriveStates(Phase.HELD)
+    standing = DriveFeedback(Phase.HELD)
     refusal = refusal_of(simple, topics.JUMP_MOTOR_COMMAND, held_nut(0.1), standing)
     assert refusal.code is RefusalCode.NOT_SUPPORTED
-    simple.take(topics.JUMP_MOTOR_COMMAND, held_nut(0.1, latch=1.0), standing, 0)
+    simple.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.1, latch=1.0), standing, 0)
     assert simple.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
 
 
 def test_a_refused_command_does_not_feed_the_watchdog(simulation: Simulation[FakeState]):
-    simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
     happened: list[Any] = []
     for step in range(1, 20):
         with pytest.raises(Refusal):
-            simulation.take(topics.WINCH_COMMAND, drum(PAYING_OUT, brake=0.5))
+            simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT, brake=0.5))
         happened += run_to(simulation, 0.02 * step)
     assert [h.name for h in happened] == ["winch_silent"]
     assert happened[0].stamp_ns == round(BRAKED_AFTER * NANO)

@@ -22,7 +22,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_sim.machine import jump_height
+from rover_sim.hardware import jump_height
 from rover_sim.mock_interface import MockInterface
 from rover_sim.mock_plant import MockPlant, MockState
 from rover_sim.plant import (
@@ -297,7 +297,7 @@ def test_it_tells_every_topic_of_a_plant_within_the_contract():
     interface.restart(state, 5)
     for name, sample in interface.samples(interface.topics):
         decode(name, encode(name, sample), 5)
-    assert interface.place(0).shapes
+    assert interface.environment_markers(0).shapes
 
 
 def test_the_tether_runs_from_the_fairlead_to_its_attachment():
@@ -333,18 +333,20 @@ def test_commands_are_refused_and_cease_as_with_every_plant():
         WINCH_BRAKE: JointValue(1.0),
         WINCH_LIMIT: JointValue(effort=40.0),
     }
-    simulation.take(topics.WINCH_COMMAND, JointSample(0, joints))
+    simulation.accept_command(topics.WINCH_COMMAND, JointSample(0, joints))
     happened = [h.name for _ in range(100) for h in simulation.tick().event_reports]
     assert happened == ["winch_silent"]
     assert 10.0 < simulation.state.length < 10.3
     assert not simulation.state.brake_released
-    simulation.take(
+    simulation.accept_command(
         topics.JUMP_MOTOR_COMMAND, JointSample(0, {JUMP_SCREW: JointValue(0.1, 0.5, 400.0)})
     )
     for _ in range(20):
         simulation.tick()
     with pytest.raises(Refusal, match="driven clear first") as refused:
-        simulation.take(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue(effort=0.1)}))
+        simulation.accept_command(
+            topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue(effort=0.1)})
+        )
     assert refused.value.code is RefusalCode.WRONG_PHASE
     simulation.reset()
     assert simulation.state == build().initial_state()

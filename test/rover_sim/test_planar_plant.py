@@ -92,7 +92,7 @@ def test_bad_ticks_are_refused(dt: float) -> None:
         (Command(jump=JumpMotorCommand(-0.1, 0.1)), "compression"),
         (Command(jump=JumpMotorCommand(0.1, 0.0)), "rate"),
         (Command(jump=JumpMotorCommand(0.1, math.inf)), "rate"),
-        (Command(jump=JumpMotorCommand(0.1, 0.1, largest_force=80.0)), "largest_force"),
+        (Command(jump=JumpMotorCommand(0.1, 0.1, max_force=80.0)), "max_force"),
         (Command(jump=FlywheelCommand(0.1)), "flywheel"),
         (Command(winch=WinchCommand(1.0, 0.1)), "winch"),
         (Command(wheel=WheelRateCommand(1.0)), "wheel"),

@@ -20,7 +20,7 @@ from msg_schemas.table import (
     WORLD_FRAME,
 )
 from rover_sim import scenario as scenarios
-from rover_sim.machine import Rover
+from rover_sim.hardware import Rover
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import SpatialScenario, load_overridden
 

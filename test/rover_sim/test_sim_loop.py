@@ -97,7 +97,7 @@ def test_a_short_delay_is_caught_up_at_no_more_than_twice_the_factor():
     assert waits[1:18] == pytest.approx([0.005] * 17)
     assert waits[20:] == pytest.approx([0.01] * 4)
     assert wall == pytest.approx(0.24)
-    assert pacer.given_up == 0.0
+    assert pacer.dropped == 0.0
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
@@ -117,7 +117,7 @@ def test_a_long_delay_is_given_up_and_told_of():
     pacer = Pacer(1.0)
     pacer.wait(0.0, 0)
     pacer.wait(1.0, 10_000_000)
-    assert pacer.given_up == pytest.approx(0.99)
+    assert pacer.dropped == pytest.approx(0.99)
     assert not pacer.keeps_up(1.0)
     # It does not rush: the next tick is due a tick later.
     assert pacer.wait(1.0, 20_000_000) == pytest.approx(0.01)
@@ -143,7 +143,7 @@ def test_simulated_time_advances_by_exact_ticks(simulation: Simulation[Any]):
 
 
 def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.0255))
+    simulation.accept_command(NUT, nut(0.0255))
     happened = run_to(simulation, 0.3)
     assert [h.name for h in happened] == ["take_off"]
     assert happened[0].stamp_ns == pytest.approx(0.255 * NANO, abs=2)
@@ -152,16 +152,16 @@ def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[
 
 
 def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.0255))
+    simulation.accept_command(NUT, nut(0.0255))
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == ["take_off"]
     assert simulation.phase is Phase.LANDED
-    simulation.take(NUT, nut(0.02, at=2.0))
+    simulation.accept_command(NUT, nut(0.02, at=2.0))
     assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
 
 
 def test_silence_stops_the_nut_where_it_is(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("jump_motor_silent", Level.WARN)]
     assert happened[0].stamp_ns == pytest.approx(0.5 * NANO, abs=0.02 * NANO)
@@ -171,36 +171,36 @@ def test_silence_stops_the_nut_where_it_is(simulation: Simulation[Any]):
 def test_renewed_commands_keep_the_nut_moving(simulation: Simulation[Any]):
     happened = []
     for step in range(1, 16):
-        simulation.take(NUT, nut(0.3, at=simulation.stamp_ns / NANO))
+        simulation.accept_command(NUT, nut(0.3, at=simulation.stamp_ns / NANO))
         happened += run_to(simulation, 0.1 * step)
     assert not happened
     assert simulation.state.compression == pytest.approx(0.15)
 
 
 def test_a_nut_that_rests_at_its_setpoint_may_be_left_alone(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.0))
+    simulation.accept_command(NUT, nut(0.0))
     assert not run_to(simulation, 2.0)
 
 
 def refusal_of(simulation: Simulation[Any], topic: str, sample: JointSample) -> Refusal:
     with pytest.raises(Refusal) as caught:
-        simulation.take(topic, sample)
+        simulation.accept_command(topic, sample)
     return caught.value
 
 
 def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
     simulation: Simulation[Any],
 ):
-    simulation.take(NUT, nut(0.02))
+    simulation.accept_command(NUT, nut(0.02))
     run_to(simulation, 0.25)
     assert simulation.phase is Phase.FLIGHT
-    simulation.take(NUT, nut(0.02, at=0.19))
+    simulation.accept_command(NUT, nut(0.02, at=0.19))
     refusal = refusal_of(simulation, NUT, nut(0.02, at=0.35))
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "flight" in refusal.reason
     run_to(simulation, 1.0)
     # What was on its way at the take-off starts nothing after the landing either.
-    simulation.take(NUT, nut(0.02, at=0.19))
+    simulation.accept_command(NUT, nut(0.02, at=0.19))
     assert not run_to(simulation, 1.2)
     assert simulation.state.phase is Phase.LANDED
 
@@ -216,25 +216,25 @@ def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation[Any]):
 def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down(
     simulation: Simulation[Any],
 ):
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.3)
     refusal = refusal_of(simulation, NUT, nut(0.01))
     assert "0 to let it down" in refusal.reason
-    simulation.take(NUT, nut(0.0))
+    simulation.accept_command(NUT, nut(0.0))
     run_to(simulation, 0.7)
     assert simulation.state.compression == 0.0
     assert simulation.phase is Phase.HELD
 
 
 def test_a_scenario_without_a_rover_has_no_jump_motor():
-    simulation = Simulation(fake_interface(Equipment("pendulum", held_length=5.0)), TICK)
+    simulation = Simulation(fake_interface(Equipment("pendulum", fixed_length=5.0)), TICK)
     refusal = refusal_of(simulation, NUT, nut(0.1))
     assert refusal.code is RefusalCode.NOT_SUPPORTED
     assert "pendulum has no rover" in refusal.reason
 
 
 def test_a_drum_without_a_motor_only_holds(simulation: Simulation[Any]):
-    simulation.take(DRUM, drum(5.0))
+    simulation.accept_command(DRUM, drum(5.0))
     for bad in (drum(5.0, 0.1), drum(4.9), drum(5.1, -0.1), drum(5.0, brake=1.0)):
         refusal = refusal_of(simulation, DRUM, bad)
         assert refusal.code is RefusalCode.NOT_SUPPORTED
@@ -243,7 +243,7 @@ def test_a_drum_without_a_motor_only_holds(simulation: Simulation[Any]):
 
 def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
     simulation = Simulation(fake_interface(diverges_at=0.3), TICK)
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("diverged", Level.ERROR)]
     assert "0.3 s" in happened[0].message
@@ -256,7 +256,7 @@ def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
 
 
 def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.3)
     simulation.reset_plant()
     assert (simulation.stamp_ns, simulation.state.compression) == (round(0.3 * NANO), 0.0)
@@ -269,22 +269,22 @@ def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation
 def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: Simulation[Any]):
     run_to(simulation, 3.0)
     simulation.reset_plant()
-    simulation.take(NUT, nut(0.02, at=3.0))
+    simulation.accept_command(NUT, nut(0.02, at=3.0))
     happened = run_to(simulation, 3.5)
     assert happened[0].stamp_ns == pytest.approx(3.2 * NANO, abs=2)
 
 
 def test_totals_count_halved_ticks_and_the_peak_tension(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.2)
     assert simulation.halved_ticks == 20
     assert simulation.peak_tension == 2.0
 
 
 def test_commands_taken_are_counted_and_refused_ones_are_not(simulation: Simulation[Any]):
-    simulation.take(NUT, nut(0.2))
+    simulation.accept_command(NUT, nut(0.2))
     refusal_of(simulation, NUT, nut(0.2, effort=1.0))
-    simulation.take(DRUM, drum(5.0))
+    simulation.accept_command(DRUM, drum(5.0))
     assert simulation.commands == 2
 
 

@@ -39,7 +39,7 @@ class Listening:
             act()
             self.changed.notify_all()
 
-    def ticked(self, tick: Tick[Any], before_ns: int) -> None:
+    def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         def note() -> None:
             self.ticks.append(tick.stamp_ns)
             self.walls.append(time.monotonic())
@@ -47,16 +47,16 @@ class Listening:
 
         self._note(note)
 
-    def restarted(self) -> None:
+    def on_restart(self) -> None:
         self._note(lambda: setattr(self, "restarts", self.restarts + 1))
 
-    def happened(self, happening: EventReport) -> None:
-        self._note(lambda: self.event_reports.append(happening.name))
+    def on_event(self, report: EventReport) -> None:
+        self._note(lambda: self.event_reports.append(report.name))
 
-    def finished(self) -> None:
+    def on_finish(self) -> None:
         self._note(lambda: setattr(self, "ends", self.ends + 1))
 
-    def crashed(self, error: Exception) -> None:
+    def on_crash(self, error: Exception) -> None:
         self._note(lambda: setattr(self, "error", error))
 
     def wait(self, condition: Any) -> None:
@@ -153,7 +153,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
             runner.step()
         runner.reset(clock=False)
         assert runner.stamp_ns == 30_000_000
-        assert runner.ask(lambda: runner.simulation.state.time) == 0.0
+        assert runner.call(lambda: runner.simulation.state.time) == 0.0
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
@@ -213,4 +213,4 @@ def test_what_was_asked_of_a_stopped_simulation_is_not_done_when_it_runs_again(
         runner.step()
     with running:
         listening.wait(lambda: listening.restarts == 2)
-        assert runner.ask(lambda: runner.stamp_ns) == 0
+        assert runner.call(lambda: runner.stamp_ns) == 0

@@ -31,7 +31,7 @@ from msg_schemas.table import (
     WINCH_MOTOR,
 )
 from rover_sim import build_plant
-from rover_sim.interfaces import build_interface
+from rover_sim.interface_factory import build_interface
 from rover_sim.plant import Phase
 from rover_sim.scenario import SpatialScenario, load_spatial
 from rover_sim.sim_loop import NANO, Simulation, Tick
@@ -75,7 +75,7 @@ def run(
 
 def happened(every: list[Told]) -> list[str]:
     ticks: list[Tick[SpatialState]] = [each["tick"] for each in every]
-    return [happening.name for tick in ticks for happening in tick.event_reports]
+    return [report.name for tick in ticks for report in tick.event_reports]
 
 
 def joints(sample: JointSample, name: str) -> JointValue:
@@ -128,8 +128,8 @@ def test_every_timed_topic_of_the_sim_node_is_told(swinging: list[Told]):
 def test_before_the_first_tick_the_truth_is_told_and_no_sensor():
     simulation = simulate(load_spatial("free_hang"))
     outside = simulation.interface
-    assert {*told(simulation)} == {*outside.topics} - outside.measured_over_a_tick
-    assert topics.WINCH_STATE in outside.measured_over_a_tick
+    assert {*told(simulation)} == {*outside.topics} - outside.available_after_tick
+    assert topics.WINCH_STATE in outside.available_after_tick
 
 
 def test_without_a_rover_nothing_of_a_rover_is_told():
@@ -138,7 +138,7 @@ def test_without_a_rover_nothing_of_a_rover_is_told():
     of_a_rover = {topics.IMU, topics.TRUTH_BODY1, topics.WHEEL_STATE, topics.JUMP_MOTOR_STATE}
     assert not of_a_rover & {*outside.topics}
     assert outside.equipment.nut is None
-    assert outside.equipment.held_length == 5.0
+    assert outside.equipment.fixed_length == 5.0
 
 
 def rotation(sample: Any) -> Rotation:
@@ -244,7 +244,7 @@ def test_the_same_seed_gives_the_same_readings_and_another_one_others():
 
 def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
     simulation = simulate(load_spatial("free_hang", PERFECT))
-    every = run(simulation, 2.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))
+    every = run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     drum = [joints(each[topics.WINCH_STATE], WINCH_DRUM) for each in every]
     assert drum[-1].velocity == pytest.approx(0.3, abs=0.01)
     way = TICK * sum(value.velocity for value in drum)
@@ -259,7 +259,7 @@ def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
 
 def test_silence_brakes_the_winch_within_the_contract_s_time_and_way():
     simulation = simulate(load_spatial("free_hang", PERFECT))
-    run(simulation, 2.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))
+    run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     before = simulation.state.length
     every = run(simulation, 1.0)
     assert happened(every) == ["winch_silent"]
@@ -277,7 +277,7 @@ def test_silence_brakes_the_winch_within_the_contract_s_time_and_way():
 def test_a_wheel_torque_turns_the_hanging_body_against_the_wheels():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     command = JointSample(0, {WHEEL_DRIVE: JointValue(effort=0.2)})
-    every = run(simulation, 0.3, lambda s: s.take(topics.WHEEL_TORQUE_COMMAND, command))
+    every = run(simulation, 0.3, lambda s: s.accept_command(topics.WHEEL_TORQUE_COMMAND, command))
     wheels = every[-1][topics.WHEEL_STATE]
     assert joints(wheels, WHEEL_LEFT).velocity > 0.5
     assert joints(wheels, WHEEL_RIGHT).velocity == pytest.approx(
@@ -290,7 +290,7 @@ def test_a_wheel_torque_turns_the_hanging_body_against_the_wheels():
 def test_backward_the_left_wheel_turns_alone():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, -2.0, 1.0)})
-    every = run(simulation, 0.5, lambda s: s.take(topics.WHEEL_COMMAND, command))
+    every = run(simulation, 0.5, lambda s: s.accept_command(topics.WHEEL_COMMAND, command))
     wheels = every[-1][topics.WHEEL_STATE]
     assert joints(wheels, WHEEL_LEFT).velocity == pytest.approx(-2.0, abs=0.05)
     assert joints(wheels, WHEEL_RIGHT).velocity == 0.0
@@ -302,7 +302,7 @@ def test_the_flywheel_turns_the_body_about_x_and_moves_the_nut():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     nut0 = simulation.state.nut
     command = JointSample(0, {FLYWHEEL: JointValue(effort=0.05)})
-    every = run(simulation, 0.4, lambda s: s.take(topics.FLYWHEEL_COMMAND, command))
+    every = run(simulation, 0.4, lambda s: s.accept_command(topics.FLYWHEEL_COMMAND, command))
     value = joints(every[-1][topics.FLYWHEEL_STATE], FLYWHEEL)
     assert value.velocity > 5.0
     screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
@@ -326,7 +326,7 @@ def test_a_standing_rover_compresses_waits_and_jumps():
     height = simulation.state.G1[2]
 
     def to(setpoint: float, latch: float) -> Callable[[Simulation[SpatialState]], None]:
-        return lambda s: s.take(topics.JUMP_MOTOR_COMMAND, nut(setpoint, latch))
+        return lambda s: s.accept_command(topics.JUMP_MOTOR_COMMAND, nut(setpoint, latch))
 
     every = run(simulation, 5.0, to(0.1, 0.0))
     screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
@@ -340,7 +340,7 @@ def test_a_standing_rover_compresses_waits_and_jumps():
         0.1, abs=5e-4
     )
     with pytest.raises(ValueError, match="driven clear first"):
-        simulation.take(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue()}))
+        simulation.accept_command(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue()}))
     flown = run(simulation, 0.5, to(0.102, 1.0))
     names = happened(flown)
     assert names.index("latch_released") < names.index("take_off")
@@ -355,7 +355,7 @@ def test_commands_beyond_the_machine_are_refused_and_the_plant_runs_on():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     for setpoint in (-0.07, 0.21):
         with pytest.raises(ValueError, match="must be at"):
-            simulation.take(topics.JUMP_MOTOR_COMMAND, nut(setpoint))
+            simulation.accept_command(topics.JUMP_MOTOR_COMMAND, nut(setpoint))
     assert not happened(run(simulation, 0.1))
 
 
@@ -370,14 +370,16 @@ def test_a_broken_tether_stops_all_and_the_sensors_keep_their_last_readings():
     assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
     assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)
     with pytest.raises(ValueError, match="tether is broken"):
-        simulation.take(topics.WINCH_COMMAND, pay_out(0.1))
+        simulation.accept_command(topics.WINCH_COMMAND, pay_out(0.1))
 
 
 def test_after_a_reset_everything_is_as_the_first_time():
     simulation = simulate(load_spatial("free_hang"))
 
     def mission() -> list[Told]:
-        return run(simulation, 1.0, lambda s: s.take(topics.WINCH_COMMAND, pay_out(0.3)))[-1:]
+        return run(simulation, 1.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))[
+            -1:
+        ]
 
     (first,) = mission()
     simulation.reset()

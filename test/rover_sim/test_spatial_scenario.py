@@ -20,8 +20,8 @@ from rover_sim import (
     load_spatial,
     scenario_from_mapping,
 )
-from rover_sim.ground import Environment, Floor, Hole
-from rover_sim.machine import Rover, Winch, jump_height, rest_slide
+from rover_sim.environment import Environment, Floor, Hole
+from rover_sim.hardware import Rover, Winch, jump_height, rest_slide
 from rover_sim.physics import terrain_parameters
 from rover_sim.physics_section import PhysicsSection
 from rover_sim.sensors import Sensors

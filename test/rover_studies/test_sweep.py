@@ -16,7 +16,7 @@ import pyarrow.csv
 import pytest
 
 from rover_sim import Scenario, jump, load_scenario
-from rover_sim.plants import build_plant
+from rover_sim.plant_factory import build_plant
 from rover_studies.sweep import (
     DONE,
     FAILED,

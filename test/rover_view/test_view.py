@@ -27,14 +27,14 @@ from msg_schemas.table import (
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
-from rover_view.machine import DescriptionError, Machine, about_y, about_z, turn
 from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
 from rover_view.predicted_jump import predicted
+from rover_view.robot_model import DescriptionError, RobotModel, about_y, about_z, turn
 
 SCENARIO = load_overridden("marius_hills", "")
 assert isinstance(SCENARIO, SpatialScenario)
 DESCRIPTION = robot_description(SCENARIO)
-MACHINE = Machine.read(DESCRIPTION)
+MACHINE = RobotModel.read(DESCRIPTION)
 
 
 def picture(depth: float, heading: float, **more: float) -> JointSample:
@@ -90,7 +90,7 @@ def test_wheels_and_drum_turn_at_their_places():
 )
 def test_what_is_no_description_of_ours_is_refused(text: str, complaint: str):
     with pytest.raises(DescriptionError, match=complaint):
-        Machine.read(text)
+        RobotModel.read(text)
 
 
 def test_a_picture_lies_where_the_camera_looked():

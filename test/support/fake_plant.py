@@ -10,7 +10,7 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
-from rover_sim.actuators import DriveStates, Equipment, Nut
+from rover_sim.actuators import DriveFeedback, Equipment, Nut
 from rover_sim.plant import (
     Command,
     Energies,
@@ -123,7 +123,7 @@ EVERYTHING = Equipment(
 )
 """Drives as the spatial plant has them."""
 
-HELD_BY_THE_GROUND = Equipment("fake", nut=Nut(SPRING_RATE, needs_ground=True), held_length=LENGTH)
+HELD_BY_THE_GROUND = Equipment("fake", nut=Nut(SPRING_RATE, needs_ground=True), fixed_length=LENGTH)
 """Drives as the planar plant has them."""
 
 
@@ -135,7 +135,7 @@ class FakeInterface:
     """
 
     topics = (topics.CLOCK, topics.WINCH_STATE)
-    measured_over_a_tick: frozenset[str] = frozenset()
+    available_after_tick: frozenset[str] = frozenset()
 
     def __init__(self, plant: FakePlant, equipment: Equipment = HELD_BY_THE_GROUND) -> None:
         self.plant = plant
@@ -143,9 +143,9 @@ class FakeInterface:
         self.measured: list[float] = []
         self._last = (FakeState(), 0)
 
-    def drives(self, state: FakeState) -> DriveStates:
+    def drive_feedback(self, state: FakeState) -> DriveFeedback:
         held = state.compression > 0.0
-        return DriveStates(
+        return DriveFeedback(
             state.phase, state.compression, not held, held, state.length, state.payout_rate
         )
 
@@ -167,7 +167,7 @@ class FakeInterface:
         }
         return ((name, made[name]) for name in due)
 
-    def place(self, stamp_ns: int) -> DrawingSample:
+    def environment_markers(self, stamp_ns: int) -> DrawingSample:
         return DrawingSample(stamp_ns, ())
 
 

@@ -82,7 +82,7 @@ class Recorder:
                 in_transit.append((tick + late, name, sample))
             for due, name, sample in list(in_transit):
                 if due <= tick:
-                    self.simulation.take(name, sample)
+                    self.simulation.accept_command(name, sample)
                     in_transit.remove((due, name, sample))
             self.simulation.tick()
             self.wall += TICK

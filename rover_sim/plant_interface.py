@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
 
 from msg_schemas.samples import DrawingSample, Sample
-from rover_sim.actuators import DriveStates, Equipment
+from rover_sim.actuators import DriveFeedback, Equipment
 from rover_sim.plant import Plant, State, StepResult
 
 S = TypeVar("S", bound=State)
@@ -31,10 +31,10 @@ class PlantInterface(Protocol[S]):
         """Topics that can be told: without a rover there is nothing of a rover."""
 
     @property
-    def measured_over_a_tick(self) -> frozenset[str]:
+    def available_after_tick(self) -> frozenset[str]:
         """Those of them that can be told only after a tick, as an accelerometer's."""
 
-    def drives(self, state: S) -> DriveStates:
+    def drive_feedback(self, state: S) -> DriveFeedback:
         """What the drives feel."""
 
     def restart(self, state: S, stamp_ns: int) -> None:
@@ -52,7 +52,7 @@ class PlantInterface(Protocol[S]):
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of what was last taken, for the topics that are due."""
 
-    def place(self, stamp_ns: int) -> DrawingSample:
+    def environment_markers(self, stamp_ns: int) -> DrawingSample:
         """What stands around the plant, to be looked at; nothing changes it.
 
         Args:

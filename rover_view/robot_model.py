@@ -24,7 +24,7 @@ class DescriptionError(ValueError):
     """A robot description that is none: what is missing or wrong in it."""
 
 
-class Placed(NamedTuple):
+class LinkFrame(NamedTuple):
     """A frame in its parent."""
 
     parent: str
@@ -34,7 +34,7 @@ class Placed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Machine:
+class RobotModel:
     """Joints of a robot description.
 
     Attributes:
@@ -43,12 +43,12 @@ class Machine:
         drum_radius: [m]; nan without a drum.
     """
 
-    joints: Mapping[str, Placed]
-    fixed: tuple[Placed, ...]
+    joints: Mapping[str, LinkFrame]
+    fixed: tuple[LinkFrame, ...]
     drum_radius: float
 
     @classmethod
-    def read(cls, description: str) -> Machine:
+    def read(cls, description: str) -> RobotModel:
         """Read a robot description.
 
         Raises:
@@ -78,21 +78,21 @@ class Machine:
         fixed = tuple(placed for kind, placed in joints if kind == "fixed")
         return cls(by_child, fixed, radii[0] if radii else math.nan)
 
-    def bodies(self, body1: OdometrySample, body2: OdometrySample | None) -> list[Placed]:
+    def bodies(self, body1: OdometrySample, body2: OdometrySample | None) -> list[LinkFrame]:
         """The bodies' frames; Body 2 is where the slider lets it be nearest to where it is told."""
-        placed = [Placed(WORLD_FRAME, BODY1_FRAME, body1.position, body1.orientation)]
+        placed = [LinkFrame(WORLD_FRAME, BODY1_FRAME, body1.position, body1.orientation)]
         if body2 is not None:
             away = _minus(body2.position, body1.position)
             slide = turn(conjugate(body1.orientation), away)[2]
-            placed.append(Placed(BODY1_FRAME, BODY2_FRAME, (0.0, 0.0, slide), IDENTITY))
+            placed.append(LinkFrame(BODY1_FRAME, BODY2_FRAME, (0.0, 0.0, slide), IDENTITY))
         return placed
 
-    def wheels(self, left: float, right: float) -> list[Placed]:
+    def wheels(self, left: float, right: float) -> list[LinkFrame]:
         """Frames of wheels that have turned by so much [rad]."""
         angles = ((WHEEL_LEFT, left), (WHEEL_RIGHT, right))
         return [self.joints[name]._replace(orientation=about_y(angle)) for name, angle in angles]
 
-    def drum(self, length: float) -> list[Placed]:
+    def drum(self, length: float) -> list[LinkFrame]:
         """The drum's frame with so much paid out [m]; nothing without a drum."""
         if WINCH_DRUM not in self.joints or not self.drum_radius > 0.0:
             return []
@@ -100,7 +100,7 @@ class Machine:
         return [self.joints[WINCH_DRUM]._replace(orientation=about_y(angle))]
 
 
-def _placed(joint: ET.Element) -> Placed:
+def _placed(joint: ET.Element) -> LinkFrame:
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
         raise KeyError(f"joint {joint.get('name')} joins no two links")
@@ -108,7 +108,7 @@ def _placed(joint: ET.Element) -> Placed:
     place, turned = ZERO, ZERO
     if origin is not None:
         place, turned = _three(origin.get("xyz", "0 0 0")), _three(origin.get("rpy", "0 0 0"))
-    return Placed(parent.attrib["link"], child.attrib["link"], place, _quaternion(*turned))
+    return LinkFrame(parent.attrib["link"], child.attrib["link"], place, _quaternion(*turned))
 
 
 def _three(text: str) -> Vector:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from rover_sim.interface import PlantInterface
 from rover_sim.planar_interface import PlanarInterface
 from rover_sim.planar_plant import PlanarPlant
+from rover_sim.plant_interface import PlantInterface
 from rover_sim.spatial_interface import SpatialInterface
 from rover_sim.spatial_plant import SpatialPlant
 
