@@ -26,19 +26,19 @@ help:  ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
 demo: $(VENV)/.ready-run  ## a mission down the Marius Hills Hole and back, reported into out/demo
-	@$(BIN)/demo
+	@$(BIN)/mother_rover demo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
 	@tools/run_tests.sh $(BIN)/python $(PYTEST)
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
-	@$(BIN)/verify --runs $(RUNS) --seed $(SEED)
+	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED)
 
 study: $(VENV)/.ready-run  ## the paper's study of the tethered jump, figures 11 to 16, into out/study
-	@$(BIN)/paper_study --all
+	@$(BIN)/mother_rover study all
 
 bench: $(VENV)/.ready-bench  ## speed and error side by side with Exudyn, into out/bench.json
-	@$(BIN)/bench
+	@$(BIN)/mother_rover bench
 
 lint: $(VENV)/.ready-test-dev  ## ruff, the glossary's words, the subjects of commits
 	@$(RUN) ruff check .
@@ -50,7 +50,7 @@ types: $(VENV)/.ready-test-dev  ## mypy, strict
 	@$(RUN) mypy
 
 contract: $(VENV)/.ready-run  ## write docs/contract.md anew from the contract
-	@$(RUN) msg_schemas.document
+	@$(BIN)/mother_rover contract
 
 environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
 	@echo "$(VENV) is ready"

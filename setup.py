@@ -4,33 +4,11 @@ from setuptools import find_packages, setup
 
 PACKAGE = "mother_rover"
 
-# Every executable of the suite, once: pip and colcon make bin/<name> of it, and the shim
-# scripts/<name> makes it known to `ros2 run` (the tests hold both together).
-EXECUTABLES = {
-    "sim_node": "rover_sim.sim_node:main",
-    "mock_plant": "rover_sim.mock_plant_node:main",
-    "jump_node": "rover_control.jump_node:main",
-    "descent_node": "rover_control.descent_node:main",
-    "drive_node": "rover_control.drive_node:main",
-    "mission_node": "rover_control.mission_node:main",
-    "view_node": "rover_view.view_node:main",
-    "winch_node": "tether_winch.winch_node:main",
-    "hil_bridge": "rover_hil.bridge_node:main",
-    "drive_emulator": "rover_hil.emulator.emulator_node:main",
-    "hil_rehearsal": "rover_hil.rehearsal.rehearsal_node:main",
-    "operator_console": "operator_console.console_node:main",
-    "bag_record": "rover_bags.record:main",
-    "bag_recover": "rover_bags.recover:main",
-    "bag_report": "rover_bags.report:main",
-    "bag_resim": "rover_bags.resim:main",
-    "bag_identify": "rover_bags.identify:main",
-    "paper_study": "rover_studies.paper_study:main",
-    "sweep": "rover_studies.sweep:main",
-    "demo": "rover_verify.demo:main",
-    "verify": "rover_verify.matrix:main",
-    "bench": "rover_verify.bench:main",
+# The commands on PATH. Nodes are not: scripts/<node> is installed into lib/mother_rover, where
+# `ros2 run` looks for it, and starts `bin/mother_rover run <node>` of the same prefix.
+CONSOLE_SCRIPTS = {
+    "mother_rover": "rover_cli.command_line:main",
     "rover": "operator_console.command_line:main",
-    "winch_report": "rover_verify.winch_report:main",
 }
 
 TOP_LEVEL = [
@@ -40,6 +18,7 @@ TOP_LEVEL = [
     "tether_winch",
     "rover_hil",
     "rover_launch",
+    "rover_cli",
     "rover_bags",
     "operator_console",
     "rover_studies",
@@ -73,7 +52,7 @@ setup(
         ("share/" + PACKAGE + "/config", sorted(glob("config/*"))),
     ],
     entry_points={
-        "console_scripts": [f"{name}={target}" for name, target in EXECUTABLES.items()],
+        "console_scripts": [f"{name}={target}" for name, target in CONSOLE_SCRIPTS.items()],
         # So that other tools of python-can read our serial lines too.
         "can.interface": ["cobs_serial=rover_hil.serial_bus:CobsSerialBus"],
     },

@@ -1,4 +1,4 @@
-"""Writes the SROS 2 policy: ``python -m msg_schemas.access_policy [--namespace /NAME] [FILE]``.
+"""Writes the SROS 2 policy: ``mother_rover policy [--namespace /NAME] [FILE]``.
 
 One enclave a node, ``/mother_rover/<namespace>/<node>``, with no more than its row of ``ACCESS``.
 The format is version 0.2.0 of sros2's policies, without its includes, which not every installation
@@ -61,7 +61,7 @@ def policy(namespace: str = ROOT_NAMESPACE) -> str:
     ET.indent(root)
     head = (
         "<!-- Generated from the table in msg_schemas/access.py by\n"
-        "     python -m msg_schemas.access_policy; edit the table, not this file. -->\n"
+        "     mother_rover policy; edit the table, not this file. -->\n"
     )
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{head}{ET.tostring(root, "unicode")}\n'
 
@@ -91,14 +91,20 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
             ET.SubElement(granted, kind).text = told
 
 
-def main() -> int:
-    """Write the policy."""
-    parser = argparse.ArgumentParser(
-        prog="python -m msg_schemas.access_policy", description="write the SROS 2 policy"
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Write the SROS 2 policy: one enclave for each node, with the topics and services that the "
+        "contract allows it."
     )
-    parser.add_argument("file", type=Path, nargs="?", default=DEFAULT_PATH)
-    parser.add_argument("--namespace", default=ROOT_NAMESPACE, help="of the nodes (default: /)")
-    given = parser.parse_args()
+    parser.add_argument("file", type=Path, nargs="?", default=DEFAULT_PATH, metavar="FILE",
+                        help="file to write (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--namespace", default=ROOT_NAMESPACE, metavar="/NAME",
+                        help="namespace of the nodes (default: %(default)s)")  # fmt: skip
+
+
+def run(given: argparse.Namespace) -> int:
+    """Write the policy; return 2 if it cannot be written."""
     try:
         given.file.write_text(policy(given.namespace), encoding="utf-8")
     except (ValueError, OSError) as error:
@@ -106,7 +112,3 @@ def main() -> int:
         return 2
     print(f"wrote {given.file}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

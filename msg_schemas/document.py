@@ -1,4 +1,4 @@
-"""Writes ``docs/contract.md`` from the table: ``python -m msg_schemas.document [FILE]``."""
+"""Writes ``docs/contract.md`` from the table: ``mother_rover contract [FILE]``."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _HEAD = """\
 # The contract
 
 *Version {version}. This file is generated from the table in `msg_schemas` by
-`python -m msg_schemas.document`; edit the table, not this file.*
+`mother_rover contract`; edit the table, not this file.*
 
 Every topic and service of the suite stands here. Names are relative: namespaces and
 remapping give several rovers; only the clock is absolute, by ROS convention. Units are SI,
@@ -154,16 +154,17 @@ def _field(row: Field) -> str:
     return f"| `{row.path}` | {row.unit} | {limits} | {default} | {row.about} |"
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Write the document; returns 0."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", nargs="?", type=Path, default=DEFAULT_PATH)
-    path: Path = parser.parse_args(arguments).path
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = "Write the contract's document from the table of topics and services."
+    parser.add_argument("path", nargs="?", type=Path, default=DEFAULT_PATH, metavar="FILE",
+                        help="file to write (default: %(default)s)")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the document; return 0."""
+    path: Path = options.path
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(render(), encoding="utf-8")
     print(f"wrote {path}")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

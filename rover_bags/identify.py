@@ -1,4 +1,4 @@
-"""``bag_identify``: what the machine in recorded runs was like, by least squares on the plant.
+"""``mother_rover bag identify``: estimates machine parameters from recorded runs by least squares.
 
 The recorded runs are simulated again and again, with other values of the parameters that are
 sought, until the sensors' readings come out as well as they can. How each run began (its swing, its
@@ -354,7 +354,7 @@ def _notes(signals: Sequence[SignalFit], *, converged: bool) -> tuple[str, ...]:
 
 
 class ExitCode(IntEnum):
-    """What the exit code of ``bag_identify`` says."""
+    """Exit codes of ``mother_rover bag identify``."""
 
     IDENTIFIED = 0
     NOT_ALL = 1
@@ -362,16 +362,19 @@ class ExitCode(IntEnum):
 
 
 # fmt: off
-def _parser() -> argparse.ArgumentParser:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     listed = "\n".join(f"  {name}: {one.about} [{one.unit}]" for name, one in PARAMETERS.items())
-    parser = argparse.ArgumentParser(
-        prog="bag_identify",
-        description="Estimates parameters of the machine from recorded runs, by least squares of "
-        "the sensors' readings on the plant, with intervals that hold all true values together "
-        "with a probability of 95 %. What the runs do not show is named, not estimated.",
-        epilog=f"parameters:\n{listed}\n\nexit codes: 0 every parameter is identified, 1 the runs "
-        "do not show all of them, 2 refused",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = (
+        "Estimate parameters of the machine from recorded runs, by least squares of the sensor\n"
+        "readings against the simulated plant, with intervals that contain all true values\n"
+        "jointly with a probability of 95 %. Parameters that the runs do not excite are listed,\n"
+        "not estimated."
+    )
+    parser.epilog = (
+        f"parameters:\n{listed}\n\nexit codes: 0 every parameter is identified, 1 the runs do not "
+        "excite all of them, 2 refused"
     )
     add = parser.add_argument
     add("bags", nargs="*", type=Path, metavar="BAG", help="bags of one machine: folders or files")
@@ -390,7 +393,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=0, help="of a rehearsal's sensors (default: %(default)d)")
     add("--set", action="append", default=[], metavar="PATH=VALUE",
         help="a value that the rehearsed machine really has, other than configured")
-    return parser
 # fmt: on
 
 
@@ -409,9 +411,8 @@ def _sought(texts: Sequence[str] | None) -> tuple[list[str] | None, dict[str, fl
     return names, guesses
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``bag_identify``; returns an :class:`ExitCode`."""
-    options = _parser().parse_args(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
     try:
         if options.jobs < 1:
             raise IdentifyError(f"--jobs is {options.jobs}, it should be at least 1")
@@ -436,11 +437,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show_progress=sys.stderr.isatty(),
         )
     except (BagError, ReadError, ScenarioError) as error:
-        print(f"bag_identify: {error}", file=sys.stderr)
+        print(f"mother_rover bag identify: {error}", file=sys.stderr)
         return ExitCode.REFUSED
     print(json.dumps(found.to_mapping(), indent=2) if options.json else found.text())
     return ExitCode.IDENTIFIED if found.complete else ExitCode.NOT_ALL
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""``bag_record``: the recorder node.
+"""The recorder node: `mother_rover bag record`, and the executable `bag_record` of launch files.
 
 It records the contract's topics (or a selection, or everything it can discover) exactly as they
 come over the wire, into a bag that survives the death of the recorder, of the disk's free space,
@@ -41,11 +41,11 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from msg_schemas import qos, topics
+from msg_schemas import node_process, qos, topics
 from msg_schemas.codecs import message_class
 from msg_schemas.node import ContractNode, ExitCode, package_version
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
+from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.spool import Continuity, Item, Source, Spool
@@ -454,16 +454,16 @@ def _named(kind: Any, policy: Any) -> Any:
     return kind.__members__.get(policy.name, kind.UNKNOWN)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bag_record",
-        description="Records the suite's topics into an MCAP bag. Ends cleanly on Ctrl-C; after "
-        "a kill everything but the last moments is in the file and `bag_recover` makes a clean "
-        "bag of it.",
-        epilog="Namespaces, remapping and parameters as for every node: --ros-args "
-        "-r __ns:=/rover1 -r config:=settings. Exit codes: 0 recorded, 1 crashed, 2 refused "
-        "(arguments, or a bag that cannot be written), 4 the disk filled up or failed (what was "
-        "recorded until then is kept).",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Record the suite's topics into an MCAP bag. Ctrl-C ends it cleanly. After a kill the file "
+        "lacks at most the last half second; `mother_rover bag recover` makes a valid bag of it."
+    )
+    parser.epilog = (
+        "Namespace, remapping and parameters as for every node: --ros-args -r __ns:=/rover1 -r "
+        "config:=settings. Exit codes: 0 recorded, 1 crashed, 2 refused (arguments, or a bag that "
+        "cannot be written), 4 the disk is full or failed (what was recorded until then is kept)."
     )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder to create for the bag")
     parser.add_argument(
@@ -478,7 +478,6 @@ def _parser() -> argparse.ArgumentParser:
                         "chunks are forced onto the disk")  # fmt: skip
     parser.add_argument("--queue-mib", type=int, metavar="N", help="what may wait for a disk")
     parser.add_argument("--min-free-mib", type=int, metavar="N", help="room to leave on the disk")
-    return parser
 
 
 def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
@@ -501,28 +500,15 @@ def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
     return ["--ros-args", *assignments] if assignments else []
 
 
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Own arguments, and those between ``--ros-args`` and ``--``."""
-    plain: list[str] = []
-    ros: list[str] = []
-    inside = False
-    for argument in arguments:
-        if argument == "--ros-args":
-            inside = True
-        elif inside and argument == "--":
-            inside = False
-        else:
-            (ros if inside else plain).append(argument)
-    return plain, ["--ros-args", *ros] if ros else []
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``bag_record``."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    plain, ros = _split(given)
-    options = _parser().parse_args(plain)
-    code = run(RecordNode, [*ros, *_as_ros_arguments(options)])
+def run(options: argparse.Namespace) -> int:
+    """Record until a signal or the duration ends it; return an exit code."""
+    code = node_process.run(RecordNode, [*options.ros_arguments, *_as_ros_arguments(options)])
     return DISK_FAILED if RecordNode.disk_failed and code == ExitCode.OK else code
+
+
+def main() -> int:
+    """Run the node as `ros2 run` and launch files start it."""
+    return run(parse_node_arguments(RecordNode.NAME, add_arguments))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""``bag_recover``: makes a clean bag of one whose recorder was killed or whose file is damaged.
+"""``mother_rover bag recover``: makes a valid bag of a truncated or damaged one.
 
 What is whole is copied byte by byte; what is damaged is named and left out. The broken bag is
 only ever read.
@@ -7,7 +7,6 @@ only ever read.
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import chain
@@ -25,7 +24,7 @@ RECOVERY_RECORD = "mother_rover.recovery"
 
 
 class ExitCode(IntEnum):
-    """What the exit code of ``bag_recover`` says."""
+    """Exit codes of ``mother_rover bag recover``."""
 
     WHOLE = 0
     LOSSES = 1
@@ -64,7 +63,7 @@ class Recovery:
         return not (self.damage or self.lost or self.attachments)
 
     def text(self) -> str:
-        """The report that ``bag_recover`` prints."""
+        """The report that the command prints."""
         summary = self.summary
         lines = [
             f"{self.source}: "
@@ -87,7 +86,7 @@ class Recovery:
             if not self.was_closed:
                 lines.append(
                     "what its recorder had not yet written when it ended is not in the file "
-                    "(bag_record: at most the last half second)"
+                    "(mother_rover bag record: at most the last half second)"
                 )
             return "\n".join(lines)
         lines.append("left out:")
@@ -201,35 +200,31 @@ def as_json(recovery: Recovery) -> str:
     return json.dumps(content, indent=2)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bag_recover",
-        description="Makes a clean bag of one whose recorder was killed, whose disk filled up or "
-        "whose file is damaged. The broken bag is only read.",
-        epilog="exit codes: 0 all that the bag holds was recovered, 1 recovered with parts left "
-        "out, 2 refused (no bag, nothing to recover), 3 the new bag could not be written",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Make a valid bag of one whose recorder was killed, whose disk filled up or whose file is "
+        "damaged. The broken bag is only read."
+    )
+    parser.epilog = (
+        "Exit codes: 0 every message was recovered, 1 recovered without damaged parts, 2 no bag or "
+        "nothing to recover, 3 the new bag could not be written."
     )
     parser.add_argument("broken", type=Path, help="the broken bag: its folder or its file")
     parser.add_argument("out", type=Path, help="the clean bag: a folder that does not exist yet")
     parser.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``bag_recover``; returns an :class:`ExitCode`."""
-    options = _parser().parse_args(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
     try:
         recovery = recover(options.broken, options.out, compression=options.compression)
     except ScanError as error:
-        print(f"bag_recover: {error}", file=sys.stderr)
+        print(f"mother_rover bag recover: {error}", file=sys.stderr)
         return ExitCode.REFUSED
     except BagError as error:
-        print(f"bag_recover: {error}", file=sys.stderr)
+        print(f"mother_rover bag recover: {error}", file=sys.stderr)
         return ExitCode.NOT_WRITTEN
     print(as_json(recovery) if options.json else recovery.text())
     return ExitCode.WHOLE if recovery.whole else ExitCode.LOSSES
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""``bag_report``: what a bag tells, in the terminal, as JSON for machines and as a page for people.
+"""``mother_rover bag report``: reports a bag in the terminal, as JSON and as a page.
 
 The page stands alone: it opens offline, in any browser, and loads nothing.
 """
@@ -7,14 +7,13 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from rover_bags.compare import compare, write_comparison
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
 from rover_bags.read import Progress
@@ -26,11 +25,14 @@ from rover_bags.views.summary import as_mapping, as_text
 
 
 class ExitCode(IntEnum):
-    """What the exit code of ``bag_report`` says."""
+    """Exit codes of ``mother_rover bag report`` and ``bag compare``."""
 
     OK = 0
     REFUSED = 2
     NOT_WRITTEN = 3
+
+
+EXIT_CODES = "Exit codes: 0 reported, 2 no readable bag, 3 the report could not be written."
 
 
 def write_report(found: Survey, folder: Path) -> list[Path]:
@@ -69,36 +71,34 @@ def write_report(found: Survey, folder: Path) -> list[Path]:
     return written
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bag_report",
-        description="Reports what a bag holds: what the machine did when, descents, pictures, "
-        "drives and jumps with their figures, audits of energy and momentum, rates, gaps and "
-        "latencies of every topic, events and refusals. Bags that were never closed or are "
-        "damaged are read as far as they are whole; long ones in bounded memory. Several bags are "
-        "compared side by side.",
-        epilog="exit codes: 0 reported, 2 no bag or none that can be read, 3 the report could "
-        "not be written",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Report what a bag contains: activities of the machine, metrics of descents, imaging, "
+        "drives and jumps, audits of energy and momentum, rates, gaps and latencies of every "
+        "topic, events and refusals. A bag that was never closed or is damaged is read as far as "
+        "it is valid; a long one in bounded memory."
     )
-    parser.add_argument(
-        "bags", type=Path, nargs="+", metavar="bag",
-        help="the bag: its folder or its .mcap file; several: they are compared",
-    )  # fmt: skip
+    parser.epilog = EXIT_CODES
+    parser.add_argument("bag", type=Path, help="the bag: its folder or its .mcap file")
     parser.add_argument(
         "--out", type=Path, metavar="DIR",
-        help="write metrics.json, report.html, plots and animation here (default: beside the bag, "
-        "BAG_report); of several bags comparison.json and comparison.html (default: beside the "
-        "first, BAG_comparison)",
+        help="folder of metrics.json, report.html, plots and animation (default: beside the bag, "
+        "BAG_report)",
     )  # fmt: skip
+    add_output_arguments(parser)
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that reports and comparisons share."""
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print JSON and write nothing else")
     form.add_argument("--html", action="store_true", help="print the page and write nothing else")
-    parser.add_argument("--namespace", help="which rover, where a bag holds several")
+    parser.add_argument("--namespace", metavar="NS", help="rover, if a bag holds several")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
-    return parser
 
 
-class _Bars:
+class ProgressBars:
     """Progress bars of the passes over bags, on a terminal or a log."""
 
     def __init__(self, *, quiet: bool) -> None:
@@ -106,6 +106,7 @@ class _Bars:
         self._bar: Any = None
 
     def __call__(self, path: Path, what: str) -> Progress:
+        """Start the bar of one pass over a bag; return the function that moves it."""
         self.close()
         total = BagScan(path).size
         self._bar = tqdm(
@@ -120,56 +121,38 @@ class _Bars:
         return told
 
     def close(self) -> None:
+        """Complete the bar that is shown."""
         if self._bar is not None:
             self._bar.update(max(0, self._bar.total - self._bar.n))
             self._bar.close()
             self._bar = None
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``bag_report``; returns an :class:`ExitCode`."""
-    options = _parser().parse_args(arguments)
-    bars = _Bars(quiet=options.quiet)
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
+    path: Path = options.bag
+    bars = ProgressBars(quiet=options.quiet)
     try:
-        if len(options.bags) > 1:
-            return _compare(options, bars)
-        (path,) = options.bags
         drawn = not options.json or options.out is not None
         found = survey(path, namespace=options.namespace, drawn=drawn, reading=bars)
     except BagError as error:
         bars.close()
-        print(f"bag_report: {error}", file=sys.stderr)
+        print(f"mother_rover bag report: {error}", file=sys.stderr)
         return ExitCode.REFUSED
     bars.close()
     if options.json:
-        _show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
+        show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
     elif options.html and found.drawings is not None:
-        _show(as_page(found.bag, found.metrics, found.drawings))
+        show(as_page(found.bag, found.metrics, found.drawings))
     else:
-        _show(as_text(found.bag, found.metrics))
+        show(as_text(found.bag, found.metrics))
     if options.out is None and (options.json or options.html):
         return ExitCode.OK
     folder = options.out or path.with_name(path.name + "_report")
-    return _written(folder, lambda: write_report(found, folder))
+    return list_written("report", folder, lambda: write_report(found, folder))
 
 
-def _compare(options: argparse.Namespace, bars: _Bars) -> int:
-    comparison = compare(options.bags, namespace=options.namespace, reading=bars)
-    bars.close()
-    if options.json:
-        _show(json.dumps(comparison.to_mapping(), indent=2))
-    elif options.html:
-        _show(comparison.as_page())
-    else:
-        _show(comparison.as_text())
-    if options.out is None and (options.json or options.html):
-        return ExitCode.OK
-    first = options.bags[0]
-    folder = options.out or first.with_name(first.name + "_comparison")
-    return _written(folder, lambda: write_comparison(comparison, folder))
-
-
-def _show(text: str) -> None:
+def show(text: str) -> None:
     """Print; a reader such as `head` may leave early, and the report is written all the same."""
     try:
         print(text, flush=True)
@@ -177,16 +160,13 @@ def _show(text: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _written(folder: Path, write: Callable[[], list[Path]]) -> int:
+def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) -> int:
+    """Write files and list them on standard error; return an :class:`ExitCode`."""
     try:
         written = write()
     except OSError as error:
         why = error.strerror
-        print(f"bag_report: cannot write the report into {folder}: {why}", file=sys.stderr)
+        print(f"mother_rover bag {command}: cannot write into {folder}: {why}", file=sys.stderr)
         return ExitCode.NOT_WRITTEN
     print("\nwritten: " + ", ".join(str(path) for path in written), file=sys.stderr)
     return ExitCode.OK
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""``bag_resim``: simulates a recorded run once more and compares it with the record.
+"""``mother_rover bag resim``: simulates a recorded run once more and compares it with the record.
 
 The scenario, its seed and the control tick come from the configuration that the simulator latched;
 the commands are those of the bag, each given to the plant at the tick at which it came. A run
@@ -492,38 +492,41 @@ def _fields(sample: Sample) -> list[str]:
 
 
 class ExitCode(IntEnum):
-    """What the exit code of ``bag_resim`` says."""
+    """Exit codes of ``mother_rover bag resim``."""
 
     SAME = 0
     DIFFERS = 1
     REFUSED = 2
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bag_resim",
-        description="Simulates a recorded run once more, from the configuration and the commands "
-        "in the bag, and compares every recorded sample of the plant with what comes out. Locates "
-        "the first difference in time, topic and field.",
-        epilog="exit codes: 0 the same to the last bit (or within the tolerance), 1 it differs, "
-        "2 refused (no bag, or nothing tells what was simulated)",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Simulate a recorded run again, with the configuration and the commands in the bag, and "
+        "compare every recorded sample of the plant with the simulated one. Locate the first "
+        "difference by time, topic and field."
+    )
+    parser.epilog = (
+        "Exit codes: 0 identical, or within the tolerance; 1 different; 2 no bag, or the bag holds "
+        "no configuration."
     )
     parser.add_argument("bag", type=Path, help="the bag: its folder or one of its files")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="X",
-                        help="of numbers whose bits differ, relative to 1 + their size "
+                        help="tolerance of numbers, relative to 1 + their size "
                         "(default: %(default)g)")  # fmt: skip
     parser.add_argument("--exact", action="store_true", help="exit with 1 if a single bit differs")
     parser.add_argument("--namespace", metavar="NS", help="which rover, if the bag holds several")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``bag_resim``; returns an :class:`ExitCode`."""
-    options = _parser().parse_args(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
     if not 0.0 <= options.tolerance < math.inf:
-        print(f"bag_resim: --tolerance is {options.tolerance}, it should be a finite number of at "
-              "least 0", file=sys.stderr)  # fmt: skip
+        print(
+            f"mother_rover bag resim: --tolerance is {options.tolerance}, it should be a finite "
+            "number of at least 0",
+            file=sys.stderr,
+        )
         return ExitCode.REFUSED
     try:
         found = resimulate(
@@ -533,12 +536,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show_progress=sys.stderr.isatty(),
         )
     except (BagError, ReadError) as error:
-        print(f"bag_resim: {error}", file=sys.stderr)
+        print(f"mother_rover bag resim: {error}", file=sys.stderr)
         return ExitCode.REFUSED
     print(json.dumps(found.to_mapping(), indent=2) if options.json else found.text())
     good = found.identical if options.exact else found.within
     return ExitCode.SAME if good else ExitCode.DIFFERS
-
-
-if __name__ == "__main__":
-    sys.exit(main())

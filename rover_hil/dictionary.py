@@ -1,6 +1,6 @@
 """The devices' object dictionaries as the `canopen` library has them, and their EDS files.
 
-``python -m rover_hil.dictionary`` writes ``rover_hil/eds/<device>.eds`` and the table of objects in
+``mother_rover hil dictionary`` writes ``rover_hil/eds/<device>.eds`` and the table of objects in
 ``docs/hil.md``; with ``--compare`` it holds another EDS file to a device.
 """
 
@@ -11,7 +11,7 @@ import configparser
 import io
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -265,17 +265,22 @@ def write_all() -> None:
         DOCUMENT.write_text(with_table(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 1 where another dictionary differs, 2 where it cannot be read."""
-    parser = argparse.ArgumentParser(
-        prog="python -m rover_hil.dictionary",
-        description="Writes the EDS files and the document's table, or compares another EDS file.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Write the EDS file of every device and the table of objects in docs/hil.md, or compare "
+        "another EDS file with a device."
     )
+    parser.epilog = "Exit codes: 0 written or equal, 1 the EDS file differs, 2 it cannot be read."
     parser.add_argument(
         "--compare", nargs=2, metavar=("DEVICE", "EDS"),
-        help=f"one of {', '.join(BY_NAME)}, and the file that is to be as its own",
+        help=f"device ({', '.join(BY_NAME)}) and the EDS file to compare with it",
     )  # fmt: skip
-    compared = parser.parse_args(arguments).compare
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return 1 where another dictionary differs, 2 where it cannot be read."""
+    compared = options.compare
     if compared is None:
         write_all()
         return 0
@@ -291,7 +296,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = differences(BY_NAME[name], other)
     print("".join(f"{line}\n" for line in found), end="")
     return 1 if found else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """One point of the source paper's study of the tethered jump, from the command line.
 
-    paper_study --scenario paper_table1_high --geometry=+K --slack 2 --elements 20 --json
+    mother_rover study point --geometry=+K --slack 2 --elements 20 --json
 
 Exit status: 0 if the rover jumped and landed, 1 if the simulation did not come to a landing
 (no equilibrium to start from, divergence, a broken tether), 2 if what was asked for is wrong.
@@ -14,7 +14,7 @@ import math
 import sys
 import threading
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 from rover_sim import (
     Outcome,
@@ -64,11 +64,8 @@ def study_point(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
-    options = _parser().parse_args(
-        _joined_geometry(sys.argv[1:] if arguments is None else arguments)
-    )
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
     if options.list:
         for name in list_scenarios("planar"):
             scenario = load_planar(name)
@@ -141,20 +138,12 @@ def _scenario_of(options: argparse.Namespace) -> Scenario:
     return base.with_overrides(overrides)
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message}\n")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="paper_study",
-        description="Simulate one tethered jump of the paper's study and print what came of it.",
-        epilog="Exit status: 0 landed, 1 no landing, 2 bad input. `paper_study --all` makes the "
-        "whole study (figures 11 to 16); `paper_study --all --help` tells more.",
-        allow_abbrev=False,
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = "Simulate one tethered jump of the paper's study and print its results."
+    parser.epilog = (
+        "Exit codes: 0 landed, 1 no landing, 2 bad input. `mother_rover study all` makes the whole "
+        "study (figures 11 to 16)."
     )
     add = parser.add_argument
     add("--scenario", default="paper_table1_high", help="name (see --list) or path of a YAML file")
@@ -179,11 +168,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--json", action="store_true", help="print one JSON object instead of a table")
     add("--list", action="store_true", help="list the scenarios with a rover and exit")
-    return parser
 
 
-def _joined_geometry(arguments: Sequence[str]) -> list[str]:
-    """Let ``--geometry -H`` mean ``--geometry=-H``, which argparse takes for two options."""
+def normalize_arguments(arguments: Sequence[str]) -> list[str]:
+    """Write ``--geometry -H``, which argparse reads as two options, as ``--geometry=-H``."""
     joined: list[str] = []
     for argument in arguments:
         if joined and joined[-1] == "--geometry" and not argument.startswith("--"):
@@ -222,9 +210,11 @@ def _table(point: dict[str, Any]) -> str:
 
 
 def _complain(error: Exception, status: int) -> int:
-    sys.stderr.write(f"paper_study: {error}\n")
+    sys.stderr.write(f"mother_rover study point: {error}\n")
     return status
 
 
 def _note_compilation() -> None:
-    sys.stderr.write("paper_study: the first run compiles the integrator, up to a minute ...\n")
+    sys.stderr.write(
+        "mother_rover study point: the first run compiles the integrator, up to a minute ...\n"
+    )

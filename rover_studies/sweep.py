@@ -1,6 +1,6 @@
-"""``sweep``: runs a plan of many simulations on all cores or on a cluster, and keeps what is done.
+"""``mother_rover sweep``: runs a plan of many simulations on all cores or a cluster, resumably.
 
-    sweep plan.yaml --out out/my_sweep
+    mother_rover sweep plan.yaml --out out/my_sweep
 
 Killed, interrupted or out of power: the same command goes on where it was.
 """
@@ -20,7 +20,7 @@ from enum import IntEnum
 from functools import cache
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import numpy as np
 import yaml
@@ -291,25 +291,21 @@ def as_text(numbers: Mapping[str, Any]) -> str:
 # --- the executable -------------------------------------------------------------------------------
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(ExitCode.REFUSED, f"{self.prog}: {message}\n")
-
-
-def _parser() -> argparse.ArgumentParser:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     experiments = "\n".join(
         f"  {name}: {one.about}; settings: "
         + ", ".join(f"{key} = {s.default:g} {s.unit}" for key, s in one.settings.items())
         for name, one in EXPERIMENTS.items()
     )
-    parser = _Parser(
-        prog="sweep",
-        description="Runs a plan of many simulations: a grid over any values of any scenario, "
-        "Monte Carlo draws, or both. Uses all cores, or a dask.distributed cluster; goes on where "
-        "it was after a kill; leaves results.parquet and summary.json.",
-        epilog="a plan:\n"
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = (
+        "Run a plan of many simulations: a grid over any values of any scenario, Monte Carlo\n"
+        "draws, or both. Uses all cores, or a dask.distributed cluster; resumes after a kill;\n"
+        "writes results.parquet and summary.json."
+    )
+    parser.epilog = (
+        "a plan:\n"
         "  scenario: paper_table1_high\n"
         "  experiment: jump\n"
         "  seed: 1\n"
@@ -321,8 +317,7 @@ def _parser() -> argparse.ArgumentParser:
         "distributions: uniform, log_uniform, normal, integers, choice\n\n"
         f"experiments:\n{experiments}\n\n"
         "exit codes: 0 every run is made (failed ones are results too), 2 refused, 3 stopped "
-        "before the end, 130 interrupted; after 3 and 130 the same command goes on",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "early, 130 interrupted; after 3 and 130 the same command resumes"
     )
     add = parser.add_argument
     add("plan", type=Path, help="the plan, a YAML file")
@@ -339,8 +334,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("--csv", action="store_true", help="write results.csv too")
     add("--json", action="store_true", help="print the summary as JSON")
-    add("--dry-run", action="store_true", help="check the plan, say what it amounts to, and end")
-    return parser
+    add("--dry-run", action="store_true", help="check the plan, print its extent, and end")
 
 
 def _plan(options: argparse.Namespace) -> Plan:
@@ -352,9 +346,8 @@ def _plan(options: argparse.Namespace) -> Plan:
     return load_plan(options.plan, changes)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``sweep``; returns an :class:`ExitCode`."""
-    options = _parser().parse_args(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
     if options.workers is not None and options.workers < 1:
         return _complain(f"--workers is {options.workers}, it should be at least 1")
     try:
@@ -408,9 +401,5 @@ def _outline(plan: Plan) -> str:
 
 
 def _complain(error: object) -> int:
-    print(f"sweep: {error}", file=sys.stderr)
+    print(f"mother_rover sweep: {error}", file=sys.stderr)
     return ExitCode.REFUSED
-
-
-if __name__ == "__main__":
-    sys.exit(main())

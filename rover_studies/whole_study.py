@@ -17,7 +17,6 @@ from rover_studies.sweep import Stopped, sweep
 from rover_studies.sweep_store import STATUS, StoreError
 from rover_studies.workers import WorkersError, package_version
 
-ALL: Final = "--all"
 DONE, REFUSED, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _RUNS: Final = "runs"
 
@@ -87,27 +86,25 @@ def as_text(cause: Attribution, told: Sequence[Verdict]) -> str:
     return "\n".join(lines)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=f"paper_study {ALL}",
-        description="Make the whole study of the paper: figures 11 to 16 over the slack value, for "
-        "each geometry, starting shape and mesh, with convergence and energy evidence and a "
-        "verdict on each claim, as one HTML report and CSV tables.",
-        epilog="Exit status: 0 done, 2 bad input, 3 stopped before the end, 130 interrupted; after "
-        "3 and 130 the same command goes on.",
-        allow_abbrev=False,
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Reproduce the paper's study: figures 11 to 16 over the slack value, for each geometry, "
+        "starting shape and mesh, with convergence and energy evidence and a verdict on each "
+        "claim, as one HTML report and CSV tables."
     )
-    parser.add_argument(ALL, action="store_true", required=True, help=argparse.SUPPRESS)
+    parser.epilog = (
+        "Exit codes: 0 done, 2 bad input, 3 stopped early, 130 interrupted; after 3 and 130 the "
+        "same command resumes."
+    )
     parser.add_argument("--out", type=Path, default=Path("out/study"), metavar="DIR",
                         help="folder of the results (default: %(default)s)")  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="fewer slack values and meshes")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
-    """``paper_study --all``; returns the exit status."""
-    options = _parser().parse_args(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Make the study; return the exit code."""
     if options.workers is not None and options.workers < 1:
         return _complain(f"--workers is {options.workers}, it should be at least 1", REFUSED)
     extent = QUICK if options.quick else WHOLE
@@ -128,5 +125,5 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _complain(error: object, status: int) -> int:
-    print(f"paper_study: {error}", file=sys.stderr)
+    print(f"mother_rover study all: {error}", file=sys.stderr)
     return status

@@ -1,4 +1,4 @@
-"""`bench`: speed and error of the plant, side by side with Exudyn in one run.
+"""`mother_rover bench`: speed and error of the plant, side by side with Exudyn in one run.
 
 Single thread, CPU time, warm-up excluded, several repetitions in turn, medians. Every case is
 compared at matched tip error: each code is surveyed over step sizes, tolerances and methods, its
@@ -259,18 +259,24 @@ def notes(*, peer: bool) -> str:
     return "\n".join(lines)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the bench; exit code 0 when every chosen case was measured."""
-    parser = argparse.ArgumentParser(prog="bench", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
+        "medians of several repetitions, every case at matched tip error."
+    )
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for bench.json")
     parser.add_argument("--repetitions", type=int, default=5, help="timings of each (median)")
     parser.add_argument(
         "--case", action="append", metavar="NAME", help="only cases whose name holds this word"
     )
     parser.add_argument("--elements", type=int, nargs="+", metavar="N", help="only these n")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the bench; return 0 when every chosen case was measured."""
     if options.repetitions < 1:
-        parser.error(f"--repetitions {options.repetitions}: must be at least 1")
+        options.usage_error(f"--repetitions {options.repetitions}: must be at least 1")
     chosen = [
         case
         for case in cases()
@@ -287,12 +293,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         names = sorted(
             {case.name for case in cases()} | {bench_spatial.RESTING, bench_spatial.WORST}
         )
-        parser.error(f"no such case; there are {', '.join(names)}")
+        options.usage_error(f"no such case; there are {', '.join(names)}")
     peer = exudyn_peer.load() is not None
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
+        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
     planar = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
     spatial: list[Row] = []
     if in_space:
@@ -318,7 +324,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"Median ratio over the cases: {statistics.median(ratios):.1f}")
     print(f"Written: {path}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

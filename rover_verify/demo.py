@@ -1,4 +1,4 @@
-"""`demo`: what the suite does, shown: a whole mission, or one jump through the running nodes."""
+"""`mother_rover demo`: a whole mission, or one jump through the running nodes, with a report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -52,39 +52,59 @@ def _replace(target: Path, made: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Show the mission, or the jump.
-
-    Returns:
-        0 all as it should be, 1 something is off, 2 it could not be shown, 130 stopped.
-    """
-    parser = argparse.ArgumentParser(prog="demo", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Simulate a whole mission, or one jump through the running nodes, check it and write a "
+        "report with plots, an animation and a bag."
+    )
+    parser.epilog = (
+        "Exit codes: 0 every check passed, 1 a check failed, 2 it could not run, 130 interrupted."
+    )
     parser.add_argument(
         "what", nargs="?", choices=(MISSION, JUMP), default=MISSION,
         help="mission: down the Marius Hills Hole and back, all controllers in one process; jump: "
         "a jump over DDS, compared with an independent code (default: mission)",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="replaced when done")
-    parser.add_argument("--seed", type=int, default=1, help="of the mission's sensor errors")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/demo"),
+        help="folder of the report, replaced when done (default: %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the mission's sensor errors")
     parser.add_argument(
         "--real-time-factor", type=float, default=1.0, metavar="X",
         help="of the jump, simulated s per second; the mission goes as fast as it can",
     )  # fmt: skip
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate the mission or the jump, and write the report.
+
+    Returns:
+        0 every check passed, 1 a check failed, 2 it could not run, 130 interrupted.
+    """
     factor = options.real_time_factor
     if not 0.1 <= factor <= 10.0:
-        parser.error(f"--real-time-factor {factor}: must be 0.1 .. 10")
+        options.usage_error(f"--real-time-factor {factor}: must be 0.1 .. 10")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     target: Path = options.out.resolve()
     if target.exists() and not (target / "metrics.json").exists() and any(target.iterdir()):
-        print(f"demo: {target} holds something else than a demo; not touched", file=sys.stderr)
+        print(
+            f"mother_rover demo: {target} holds something else than a demo; not touched",
+            file=sys.stderr,
+        )
         return 2
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         made.chmod(0o755)
     except OSError as error:
-        print(f"demo: cannot write into {target.parent}: {error.strerror}", file=sys.stderr)
+        print(
+            f"mother_rover demo: cannot write into {target.parent}: {error.strerror}",
+            file=sys.stderr,
+        )
         return 2
     quiet = not sys.stderr.isatty()
     try:
@@ -95,10 +115,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 metrics = jump_show.show_jump(made, factor, quiet=quiet)
         _replace(target, made)
     except ShowError as error:
-        print(f"demo: {error}", file=sys.stderr)
+        print(f"mother_rover demo: {error}", file=sys.stderr)
         return 2
     except _Stopped as stopped:
-        print(f"\ndemo: stopped by {stopped}; nothing is left running", file=sys.stderr)
+        print(
+            f"\nmother_rover demo: stopped by {stopped}; nothing is left running", file=sys.stderr
+        )
         return 130
     finally:
         shutil.rmtree(made, ignore_errors=True)
@@ -120,7 +142,3 @@ def _tell(folder: Path, metrics: Mapping[str, Any], what: str) -> None:
     ):
         if (folder / name).exists():
             print(f"  {folder / name}  {what_it_is}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

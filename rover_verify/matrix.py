@@ -1,4 +1,4 @@
-"""`verify`: measure every requirement that has a check, and report all of them.
+"""`mother_rover verify`: measure every requirement that has a check, and report all of them.
 
 Results are kept as they come: a run that was stopped goes on where it was with the same command,
 as long as runs, seed and source code are the same. Checks of many long runs keep each of them, for
@@ -244,9 +244,16 @@ def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Verify; exit code 1 if a required row failed or its check broke."""
-    parser = argparse.ArgumentParser(prog="verify", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Measure every requirement that has a check and report all of them. Results are kept as "
+        "they come: the same command resumes a stopped run while runs, seed and source are the "
+        "same."
+    )
+    parser.epilog = (
+        "Exit codes: 0 every required row passed, 1 one failed or its check broke, 130 interrupted."
+    )
     parser.add_argument(
         "--runs", type=int, default=20, help="of each batch; open rows: 2, unless named"
     )
@@ -255,14 +262,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--list", action="store_true", help="show the requirements and stop")
     parser.add_argument("--fresh", action="store_true", help="measure anew what is kept, too")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Verify; return 1 if a required row failed or its check broke."""
     if options.runs < 1 or options.seed < 0:
-        parser.error("--runs must be at least 1 and --seed at least 0")
+        options.usage_error("--runs must be at least 1 and --seed at least 0")
     rows = load_requirements()
     if options.only:
         rows = [row for row in rows if any(row.id.startswith(name) for name in options.only)]
         if not rows:
-            parser.error(f"no requirement begins with {' or '.join(options.only)}; see --list")
+            options.usage_error(
+                f"no requirement begins with {' or '.join(options.only)}; see --list"
+            )
     if options.list:
         for row in rows:
             print(f"{row.id:22}{row.status:10}{row.limit!s:20}{row.statement}")
@@ -270,7 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
+        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
     # Nothing reaches out of this machine, and wrong types are errors.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
@@ -296,7 +308,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(", ".join(f"{count} {state}" for state, count in counts.items() if count))
     print(f"Written: {path}, {html}")
     return 1 if counts["FAIL"] or counts["ERROR"] else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

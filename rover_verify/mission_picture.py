@@ -2,15 +2,13 @@
 
 The mission is that of `rover_verify.scripted_mission`, flown when the picture is made:
 
-    python -m rover_verify.mission_picture docs/mission.png
+    mother_rover picture docs/mission.png
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -119,14 +117,17 @@ def _curve(one: Array, two: Array, length: float) -> Array:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly the mission and write its picture."""
-    parser = argparse.ArgumentParser(
-        prog="python -m rover_verify.mission_picture", description=__doc__
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Simulate a scripted mission and draw it as one picture, several instants in each view."
     )
     parser.add_argument("picture", type=Path, help="file to write, .png")
-    parser.add_argument("--seed", type=int, default=3, help="of relief and boulders")
-    options = parser.parse_args(arguments)
+    parser.add_argument("--seed", type=int, default=3, help="seed of relief and boulders")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate the mission and write its picture."""
     moments = Moments()
     mission = Mission(make_plant(options.seed), moments.watch)
     fly(mission)
@@ -134,7 +135,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     FigureCanvasAgg(figure).print_figure(str(options.picture), dpi=100, metadata={"Software": None})
     print(f"wrote {options.picture}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

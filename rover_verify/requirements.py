@@ -6,7 +6,6 @@ import argparse
 import importlib.resources
 import math
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,7 +134,7 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
         check=check,
         status=status,
         milestone=str(row.get("milestone", area.get("milestone", ""))),
-        command=str(row.get("command", f"verify --only {name}")),
+        command=str(row.get("command", f"mother_rover verify --only {name}")),
         note=" ".join(str(row.get("note", "")).split()),
     )
 
@@ -156,7 +155,7 @@ def document(rows: Sequence[Requirement]) -> str:
     lines = [
         "# Requirements",
         "",
-        "Written by `python -m rover_verify.requirements`; do not edit. The source is",
+        "Written by `mother_rover requirements`; do not edit. The source is",
         "`rover_verify/requirements.yaml`, and `make verify` measures.",
         "",
         "Status `required` must pass; `open` states what does not exist yet, or what is measured",
@@ -182,16 +181,15 @@ def document(rows: Sequence[Requirement]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("--out", type=Path, default=Path("docs/requirements.md"), metavar="FILE",
+                        help="file to write (default: %(default)s)")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
     """Write the document."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/requirements.md"))
-    options = parser.parse_args(arguments)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(document(load_requirements()), encoding="utf-8")
     print(f"Written: {options.out}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -4,7 +4,7 @@ Simulator, drives and sensors are the suite's own, without processes: every tick
 one before is written. The script tells its own truth, from what it commanded and from what the
 plant reports, and never from the bag. To have such a bag:
 
-    python -m rover_verify.scripted_bag --seed 3 BAG
+    mother_rover bag example --seed 3 BAG
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -346,17 +345,19 @@ def record_mission(path: Path, generator: np.random.Generator) -> list[Deed]:
         recording.close()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Record a mission and print what was done when."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bag", type=Path, help="folder of the bag, which must not exist")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args(arguments)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Simulate a scripted mission of the default rover, write its bag, and print what the rover "
+        "did at which time."
+    )
+    parser.add_argument("bag", type=Path, help="folder to create for the bag")
+    parser.add_argument("--seed", type=int, default=1, help="default: %(default)d")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the bag of a mission and print its activities."""
     for deed in record_mission(options.bag, np.random.default_rng(options.seed)):
         figures = ", ".join(f"{name} {value:.3f}" for name, value in deed.detail.items())
         print(f"{deed.begin:8.2f}{deed.end:8.2f}  {deed.what:12} {figures}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

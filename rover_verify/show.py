@@ -23,7 +23,7 @@ def write_report(folder: Path, domain: int) -> None:
     """
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "rover_bags.report", "bag", "--out", "."],
+            [sys.executable, "-m", "rover_cli", "bag", "report", "bag", "--out", "."],
             cwd=folder,
             check=False,
             capture_output=True,
@@ -32,7 +32,11 @@ def write_report(folder: Path, domain: int) -> None:
             env=environment(domain),
         )
     except subprocess.TimeoutExpired as error:
-        raise ShowError(f"bag_report took longer than {_REPORT_TIMEOUT:g} s") from error
+        raise ShowError(
+            f"mother_rover bag report took longer than {_REPORT_TIMEOUT:g} s"
+        ) from error
     if done.returncode != 0:
-        raise ShowError(f"bag_report ended with code {done.returncode}:\n{done.stderr}")
+        raise ShowError(
+            f"mother_rover bag report ended with code {done.returncode}:\n{done.stderr}"
+        )
     (folder / "report.txt").write_text(done.stdout, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`winch_report`: the winch's descent to 45 m and back, and how it judges its load, as one page.
+"""`mother_rover winch report`: one page on the winch's tracking and load detection.
 
 The controller that `winch_node` runs is flown on the spatial plant, with errors of its sensors: the
 descent that the requirements ask for, and descents drawn at random. Or the descent is flown by the
@@ -188,9 +188,13 @@ def _tally_table(tally: Sequence[checks.Tally], seed: int) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly, draw and write; exit code 1 without a flight, 2 if the folder cannot be written."""
-    parser = argparse.ArgumentParser(prog="winch_report", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Report how the winch follows its setpoints and detects its load: the descent of the "
+        "requirements to 45 m and back, and descents drawn at random, as one page with plots."
+    )
+    parser.epilog = "Exit codes: 0 reported, 1 no descent, 2 the folder cannot be written."
     parser.add_argument("--runs", type=int, default=20, help="descents drawn at random; 0 = none")
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
     parser.add_argument("--out", type=Path, default=Path("out/winch"), help="folder")
@@ -199,17 +203,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--nodes", action="store_true", help="the descent by the nodes, in real time, recorded"
     )
     source.add_argument("--bag", type=Path, help="a recorded descent instead of one flown now")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate, draw and write; return 1 without a descent, 2 if the folder cannot be written."""
     if options.runs < 0 or options.seed < 0:
-        parser.error("--runs and --seed must not be below 0")
+        options.usage_error("--runs and --seed must not be below 0")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        parser.error(f"--out {options.out}: cannot be written: {error.strerror}")
+        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
     try:
         flight, origin = _flight(options)
     except (BagError, RuntimeError) as error:
-        print(f"winch_report: {error}", file=sys.stderr)
+        print(f"mother_rover winch report: {error}", file=sys.stderr)
         return 1
     pictures = {name: _png(figure) for name, figure in descent_figures(flight).items()}
     measured = figures_of(flight)
@@ -253,7 +260,3 @@ def _flight(options: argparse.Namespace) -> tuple[Flight, str]:
         return recorded.flight, f"The nodes' descent: {recorded}."
     session = checks.descent(options.seed)
     return flight_of_session(session), f"The controller on the plant, seed {options.seed}."
-
-
-if __name__ == "__main__":
-    sys.exit(main())

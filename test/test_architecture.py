@@ -64,13 +64,15 @@ def tree(tmp_path: Path) -> Path:
     files = {
         "setup.py": (
             "from setuptools import setup\n"
-            "EXECUTABLES = {'run': 'rover_sim.run:main'}\n"
+            "CONSOLE_SCRIPTS = {'command': 'rover_sim.run:main'}\n"
             "setup(version='1.0.0', install_requires=['numpy>=1.26'], extras_require={})\n"
         ),
         "package.xml": (
             "<package><version>1.0.0</version><depend>python3-numpy</depend></package>\n"
         ),
-        "scripts/run": '#!/bin/sh\nexec "$(dirname "$0")/../../bin/run" "$@"\n',
+        "scripts/command": '#!/bin/sh\nexec "$(dirname "$0")/../../bin/command" "$@"\n',
+        "scripts/run": '#!/bin/sh\nexec "$(dirname "$0")/../../bin/mother_rover" run run "$@"\n',
+        "rover_launch/nodes.py": "NODES = {'run': 'rover_sim.run'}\n",
         "msg_schemas/topics.py": "SWITCH = 'lamp/switch'\nCONFIG = 'config'\nCLOCK = '/clock'\n",
         "rover_sim/run.py": "import numpy\nfrom msg_schemas import topics\ndef main(): ...\n",
         "rover_sim/physics/__init__.py": "",
@@ -83,7 +85,8 @@ def tree(tmp_path: Path) -> Path:
         files[f"{package}/py.typed"] = ""
     for name, text in files.items():
         write(tmp_path, name, text)
-    (tmp_path / "scripts" / "run").chmod(0o755)
+    for name in ("command", "run"):
+        (tmp_path / "scripts" / name).chmod(0o755)
     return tmp_path
 
 
@@ -209,12 +212,12 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
         (architecture.sleeps, "rover_sim/bad.py", "import time\ntime.sleep(1)", "bad.py:2"),
         (architecture.sleeps, "test/bad.py", "from time import sleep", "time.sleep"),
         (architecture.long_files, "rover_sim/bad.py", "x = 1\n" * 601, "601 lines"),
-        (architecture.broken_executables, "scripts/more", "", "belongs to no executable"),
+        (architecture.broken_executables, "scripts/more", "", "belongs to no node or command"),
         (
             architecture.broken_executables,
             "scripts/run",
             '#!/bin/sh\nexec "$(dirname "$0")/../../bin/other" "$@"\n',
-            "does not start ../../bin/run",
+            "scripts/run is not",
         ),
         (architecture.broken_executables, "rover_sim/run.py", "x = 1", "has no main"),
         (undeclared_requirements, "rover_sim/bad.py", "import scipy", "does not require scipy"),

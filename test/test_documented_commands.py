@@ -9,15 +9,13 @@ from __future__ import annotations
 import ast
 import functools
 import importlib
-import importlib.util
 import re
 import runpy
 import subprocess
 import sys
-from argparse import ArgumentParser
+from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
 
 import architecture
 import documented
@@ -26,53 +24,32 @@ import ros2_commands
 from documented import DOCUMENTS, ROOT, SHELL, Block, Command
 from ros2_commands import check_parameters, node_class, split_ros_arguments
 
+from msg_schemas.ros_arguments import split_ros_arguments as split_ros_words
 from operator_console.command_line import checked_arguments, make_parser
 from operator_console.commands import COMMANDS
+from rover_cli.command_line import make_parser as make_suite_parser
+from rover_cli.subcommands import SUBCOMMANDS, find_subcommand
 from rover_hil.rehearsal.procedure import load_procedure
 from rover_launch.plan import PACKAGE
 from rover_verify.requirements import load_requirements
 
 Way = Callable[[Sequence[str]], None]
 
-EXECUTABLES = architecture.executables(ROOT)
+NODES = architecture.nodes(ROOT)
+COMMANDS_ON_PATH = architecture.commands(ROOT)
 # Languages of blocks that no shell is given: text is what a command printed, mermaid is drawn.
 SHOWN = {"text", "python", "yaml", "mermaid"}
-
-# Of `python -m`, what takes arguments of its own.
-PARSED_MODULES = {
-    "msg_schemas.access_policy",
-    "msg_schemas.document",
-    "rover_hil.dictionary",
-    "rover_verify.mission_picture",
-    "rover_verify.requirements",
-    "rover_verify.scripted_bag",
-}
 
 # ------------------------------------------------------------------------------ ways of doing it
 
 
-class _ParsedError(Exception):
-    """The arguments were taken: what would come now is not for a test."""
-
-
-def parsed(words: Sequence[str]) -> None:
-    """By the executable itself, as far as its own parser goes: it takes long, or never ends."""
-    module, _, function = EXECUTABLES[words[0]].partition(":")
-    _parse_in(vars(importlib.import_module(module))[function], words)
-
-
-def _parse_in(main: Callable[[], object], words: Sequence[str]) -> None:
-    own = ArgumentParser.parse_args
-
-    def parse(parser: ArgumentParser, arguments: Any = None, namespace: Any = None) -> NoReturn:
-        own(parser, arguments, namespace)
-        raise _ParsedError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ArgumentParser, "parse_args", parse)
-        patch.setattr(sys, "argv", list(words))
-        with pytest.raises(_ParsedError):
-            main()
+def parsed(words: Sequence[str]) -> Namespace:
+    """`mother_rover`: the arguments are parsed; the subcommand itself would take too long."""
+    subcommand = find_subcommand(words[1:])
+    assert subcommand is not None, f"{' '.join(words)}: no such subcommand"
+    module = importlib.import_module(subcommand.module)
+    own, _ = split_ros_words(words[1:]) if subcommand.is_node else (list(words[1:]), [])
+    return make_suite_parser(subcommand, module).parse_args(own)
 
 
 @functools.cache
@@ -81,28 +58,27 @@ def requirements() -> tuple[str, ...]:
     return tuple(requirement.id for requirement in load_requirements())
 
 
-def measured(words: Sequence[str]) -> None:
-    """`verify`, which takes long: parsed, and what it is to measure is listed."""
-    parsed(words)
-    if "--only" in words:
-        wanted = words[list(words).index("--only") + 1]
-        assert wanted in {"ID"} or any(each.startswith(wanted) for each in requirements()), wanted
+def by_mother_rover(words: Sequence[str]) -> None:
+    """`mother_rover`: parsed; nodes, requirements and procedures that it names exist."""
+    if any(each.path[: len(words) - 1] == tuple(words[1:]) for each in SUBCOMMANDS):
+        return  # named without arguments
+    options = parsed(words)
+    if words[1] == "run":
+        started([options.node, *options.arguments])
+    for name in getattr(options, "only", None) or ():
+        assert name == "ID" or any(each.startswith(name) for each in requirements()), name
+    if words[1] == "hil" and "procedure" in options:
+        own = {"my_procedure.yaml": "docs/tutorials/own_procedure.yaml"}
+        load_procedure(own.get(options.procedure, options.procedure))
 
 
 def started(words: Sequence[str]) -> None:
-    """A node, which never ends: its parameters are held to those it has, with their rules."""
+    """A node, which runs until it is stopped: its parameters are checked against its rules."""
     arguments, parameters = split_ros_arguments(words)
     node = node_class(words[0])
     assert node is not None, f"{words[0]} is no node"
     assert arguments == [words[0]], f"{words[0]} takes parameters alone"
     check_parameters(node, parameters)
-
-
-def rehearsed(words: Sequence[str]) -> None:
-    """A rehearsal, which wants a machine: its arguments are parsed and its procedure is read."""
-    parsed(words)
-    own = {"my_procedure.yaml": "docs/tutorials/own_procedure.yaml"}
-    load_procedure(own.get(words[1], words[1]))
 
 
 def operated(words: Sequence[str]) -> None:
@@ -122,17 +98,13 @@ def by_ros2(words: Sequence[str]) -> None:
     command = ros2_commands.read(words)
     command.check()
     if isinstance(command, ros2_commands.Run):
-        WAYS[command.words[0]](command.words)
+        started(command.words)
 
 
 def by_python(words: Sequence[str]) -> None:
     """`python3`: a line is run; a node of the tutorials as `started`, others are looked for."""
     if words[1] == "-c":
         subprocess.run([sys.executable, *words[1:3]], check=True, capture_output=True)
-    elif words[1] == "-m":
-        assert importlib.util.find_spec(words[2]) is not None, words[2]
-        if words[2] in PARSED_MODULES:
-            _parse_in(vars(importlib.import_module(words[2]))["main"], words[2:])
     elif words[1].endswith("lander.py"):
         _, parameters = split_ros_arguments(words)
         check_parameters(runpy.run_path(str(ROOT / words[1]))["LanderNode"], parameters)
@@ -176,17 +148,7 @@ def of_the_shell(words: Sequence[str]) -> None:
 
 
 WAYS: Mapping[str, Way] = {
-    # what starts and never ends by itself
-    **{name: started for name in EXECUTABLES if node_class(name) is not None},
-    "bag_record": parsed,
-    # what takes minutes
-    **dict.fromkeys(("bag_identify", "bench", "demo", "paper_study", "sweep"), parsed),
-    "verify": measured,
-    "winch_report": parsed,
-    # what is run on a bag in test_documented_runs.py, word for word
-    **dict.fromkeys(("bag_recover", "bag_report", "bag_resim"), parsed),
-    # what wants a machine
-    "hil_rehearsal": rehearsed,
+    "mother_rover": by_mother_rover,
     "rover": operated,
     # what is not ours
     "ros2": by_ros2,
@@ -217,8 +179,8 @@ def test_a_command_within_the_text_can_be_done(typed: Command):
     WAYS[typed.program](typed.words)
 
 
-def test_there_is_a_way_for_every_executable_that_is_listed():
-    assert EXECUTABLES.keys() <= WAYS.keys()
+def test_there_is_a_way_for_every_command_on_the_path():
+    assert COMMANDS_ON_PATH.keys() <= WAYS.keys()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -246,11 +208,12 @@ def test_code_that_is_shown_stands_in_a_file_that_runs(block: Block):
     assert block.text.strip() in text, f"{block.place} is not in {block.file}"
 
 
-def test_the_table_of_executables_is_the_list_in_setup_py():
+def test_the_readme_lists_every_command_subcommand_and_node():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*?) \|", text, re.MULTILINE)
-    listed = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
-    assert EXECUTABLES.keys() <= listed
+    listed = {name for row in rows for name in re.findall(r"`([\w ]+)`", row)}
+    assert NODES.keys() | {"rover"} <= listed
+    assert {f"mother_rover {each.path[0]}" for each in SUBCOMMANDS} <= listed
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda p: p.name)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import runpy
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
-import architecture
 import documented
 import pytest
 from contract_bag import MadeUp, Parabola
 from documented import ROOT, Command
 from lockstep_run import PLANAR, Recorder, nut_until_trip
+
+from rover_cli.command_line import main
+from rover_cli.subcommands import find_subcommand
 
 TUTORIALS = ROOT / "docs" / "tutorials"
 SCRIPTS = (
@@ -23,13 +23,18 @@ SCRIPTS = (
     "into_the_pit.py",
 )
 # And the exit code: of the broken bag not everything can be had back.
-ON_BAGS = {"bag_report": 0, "bag_recover": 1, "bag_resim": 0}
+ON_BAGS = {"report": 0, "compare": 0, "recover": 1, "resim": 0}
 
 
-def main_of(executable: str) -> Callable[[list[str]], int]:
-    module, _, function = architecture.executables(ROOT)[executable].partition(":")
-    found: Callable[[list[str]], int] = vars(importlib.import_module(module))[function]
-    return found
+def subcommand_of(command: Command) -> tuple[str, ...]:
+    """The words that select a subcommand of `mother_rover`; empty for another program."""
+    found = find_subcommand(command.words[1:]) if command.program == "mother_rover" else None
+    return () if found is None else found.path
+
+
+def on_a_bag(command: Command) -> bool:
+    path = subcommand_of(command)
+    return path[:1] == ("bag",) and path[1] in ON_BAGS
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +54,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "command", [each for each in documented.commands() if each.program in ON_BAGS], ids=str
+    "command", [each for each in documented.commands() if on_a_bag(each)], ids=str
 )
 def test_what_is_done_with_bags(
     command: Command, recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -57,15 +62,15 @@ def test_what_is_done_with_bags(
     folder = tmp_path / "here"
     shutil.copytree(recorded, folder)
     monkeypatch.chdir(folder)
-    assert main_of(command.program)(list(command.words[1:])) == ON_BAGS[command.program]
+    assert main(command.words[1:]) == ON_BAGS[command.words[2]]
 
 
 def test_a_single_point_of_the_study(capsys: pytest.CaptureFixture[str]):
     (command,) = [
         each for each in documented.commands()
-        if each.program == "paper_study" and "--all" not in each.words
+        if subcommand_of(each) == ("study", "point")
     ]  # fmt: skip
-    assert main_of("paper_study")(list(command.words[1:])) == 0
+    assert main(command.words[1:]) == 0
     assert 0.2 < json.loads(capsys.readouterr().out)["jump_height_m"] < 0.4
 
 
@@ -81,5 +86,5 @@ def test_a_script_without_ros(script: str, capsys: pytest.CaptureFixture[str]):
 
 
 def test_the_words_of_the_documents_are_those_that_are_run():
-    programs = {command.program for command in documented.commands()}
-    assert programs >= {*ON_BAGS, "paper_study"}
+    paths = {subcommand_of(command) for command in documented.commands()}
+    assert paths >= {*(("bag", name) for name in ON_BAGS), ("study", "point")}

@@ -28,6 +28,6 @@ def test_the_controller_of_one_s_own_lands(harness: NodeHarness):
     session = Session(harness)
     heading = "Against the mock plant, then against the plant"
     for command in documented.section("docs/tutorials/own_controller.md", heading):
-        if command.program != "sim_node":  # the plant's turn: minutes on a busy machine
+        if "sim_node" not in command.words:  # the plant's turn: minutes on a busy machine
             session.do(command)
     session.started["lander"].wait_for_output("landed: it stands at 7.5")

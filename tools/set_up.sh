@@ -151,6 +151,7 @@ sys.exit(int(version("setuptools").split(".")[0]) < 71)' 2>/dev/null; then
 fi
 pip_install --no-build-isolation --editable ".${extras:+[$extras]}"
 # An editable install leaves data_files out: the ament index entry, shims, launch and config files.
+rm -rf "$venv/lib/mother_rover"
 "$venv/bin/python" setup.py --quiet install_data --install-dir "$venv" >>"$log" 2>&1 ||
     fail "could not install the package's data files." "Full log: $log"
 echo "Environment $venv: ready after $(($(date +%s) - started)) s"

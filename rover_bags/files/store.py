@@ -423,7 +423,7 @@ class BagWriter:
 
         Raises:
             DiskFullError: There was no room for that; every chunk written before is whole and
-                ``bag_recover`` makes a clean bag of it.
+                ``mother_rover bag recover`` makes a clean bag of it.
             BagError: The disk failed; as above.
         """
         self._closed = True
@@ -432,7 +432,7 @@ class BagWriter:
             raise BagError(
                 f"the bag {self.path} has no index, as the disk took no more; every message up "
                 f"to then is whole: make a clean bag elsewhere with "
-                f"`bag_recover {self.path} <new bag>`"
+                f"`mother_rover bag recover {self.path} <new bag>`"
             )
         try:
             self._writer.flush()
@@ -476,8 +476,8 @@ class BagWriter:
 
     def _explained(self, error: OSError, what: str) -> BagError:
         rescue = (
-            f"; every message written before is whole: `bag_recover {self.path} <new bag>` makes "
-            "a clean bag of it"
+            "; every message written before is whole: make a valid bag of them with "
+            f"`mother_rover bag recover {self.path} <new bag>`"
             if self._topics
             else ""
         )

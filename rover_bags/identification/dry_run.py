@@ -1,7 +1,7 @@
 """The identification procedure, and its rehearsal: simulated in lockstep and recorded.
 
-Two short runs show what ``bag_identify`` seeks; each parameter has a part that moves the sensors
-much and little else does:
+Two short runs show what ``mother_rover bag identify`` estimates; each parameter has a
+part that moves the sensors much and little else does:
 
 - ``identify_hang``: the winch starts and stops, and the rover bounces on the tether (axial
   stiffness and damping). The flywheel is turned to and fro (inertia about x); while it turns and

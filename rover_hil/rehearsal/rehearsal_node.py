@@ -1,4 +1,4 @@
-"""The ``hil_rehearsal`` executable: runs a procedure against a machine, and leaves a record."""
+"""The node that runs a procedure against a machine and writes a record: `hil rehearse`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -25,13 +25,13 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from msg_schemas import qos, topics
+from msg_schemas import node_process, qos, topics
 from msg_schemas.codecs import decode, message_class, to_time, topic_row
 from msg_schemas.endpoint_matching import listeners
 from msg_schemas.node import READY, ContractNode, ExitCode, package_version
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
+from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS
@@ -55,6 +55,11 @@ _BEATS = 60_000  # that are remembered
 _STARTING = 60.0  # longest for recorder and clock to come up [s]
 _NODE_ANSWERS = 5.0  # longest for parameters [s]
 _RECORDER = "bag_record"
+EXIT_CODES = (
+    "With an emulated machine add --ros-args -p use_sim_time:=true. Exit codes: 0 all passed, 1 "
+    "crashed, 2 refused (arguments, procedure, no clock), 4 a rule failed, 5 nothing failed, but "
+    "some steps could not run."
+)
 _ALWAYS_HEARD = (
     topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS, topics.LINK_STATUS, topics.SIM_STATUS,
 )  # fmt: skip
@@ -463,18 +468,20 @@ def _closed(recording: Recording) -> str:
         return f"NOT RECORDED: {error}"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="hil_rehearsal",
-        description="Runs a written procedure against an emulated or a real machine behind "
-        "hil_bridge, and leaves a record to be signed: record.html, junit.xml, record.json and a "
-        "bag. Nothing that could move the machine is done before motion is confirmed.",
-        epilog=f"Procedures of the package: {', '.join(shipped())}. An emulated machine keeps "
-        "simulated time: add --ros-args -p use_sim_time:=true. Exit codes: 0 all passed, 1 "
-        "crashed, 2 refused (arguments, procedure, no clock), 4 something failed, 5 nothing "
-        "failed, but not all could be run.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Run a test procedure against an emulated or a real machine behind hil_bridge, and write a "
+        "record for signature: record.html, junit.xml, record.json and a bag. Nothing moves before "
+        "motion is confirmed."
     )
-    parser.add_argument("procedure", help="a procedure's name, or the path of a .yaml file")
+    parser.epilog = f"Procedures of the package: {', '.join(shipped())}. {EXIT_CODES}"
+    parser.add_argument("procedure", help="name of a procedure, or path of a .yaml file")
+    add_run_arguments(parser)
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that are the same for every procedure."""
     parser.add_argument("-o", "--out", metavar="DIR", help="folder to create for the record")
     parser.add_argument("--operator", metavar="NAME", help="who runs it, for the record")
     parser.add_argument("--machine", metavar="TEXT", help="which machine, for the record")
@@ -483,16 +490,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--hands", metavar="PROGRAM",
-        help="called with a key and a text instead of asking the operator; its exit code says "
-        "0 done or yes, 1 no, else it cannot",
+        help="program called with a key and a text in place of the operator; its exit code means "
+        "0 done or yes, 1 no, else not possible",
     )  # fmt: skip
     parser.add_argument("--patience", type=float, metavar="S", help="wall time to wait beyond what "
-                        "is expected (default 3)")  # fmt: skip
-    parser.add_argument("--attempts", type=int, metavar="N", help="try a disturbed step "
-                        "so often at most, whatever the procedure says")  # fmt: skip
+                        "is expected [s] (default 3)")  # fmt: skip
+    parser.add_argument("--attempts", type=int, metavar="N", help="attempts at a disturbed step, "
+                        "in place of the procedure's own number")  # fmt: skip
     parser.add_argument("--no-bag", action="store_true", help="record no bag")
-    parser.add_argument("--check", action="store_true", help="only read the procedure")
-    return parser
+    parser.add_argument("--dry-run", action="store_true", help="check the procedure and end")
 
 
 def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
@@ -515,27 +521,27 @@ def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
     return assignments
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The executable ``hil_rehearsal``."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    own, ros = given, []
-    if "--ros-args" in given:
-        at = given.index("--ros-args")
-        own, ros = given[:at], given[at:]
-    options = _parser().parse_args(own)
+def run(options: argparse.Namespace) -> int:
+    """Run the procedure; return an exit code."""
     try:
         written = load_procedure(options.procedure)
     except ProcedureError as error:
-        print(f"hil_rehearsal: {error}", file=sys.stderr)
+        print(f"mother_rover hil rehearse: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
-    if options.check:
+    if options.dry_run:
         print(f"{written.path}: {len(written.procedure.steps)} steps, as they should be")
         return ExitCode.OK
-    code = run(RehearsalNode, [*(ros or ["--ros-args"]), *_as_ros_arguments(options)])
+    ros = options.ros_arguments or ["--ros-args"]
+    code = node_process.run(RehearsalNode, [*ros, *_as_ros_arguments(options)])
     verdict = RehearsalNode.verdict
     if code != ExitCode.OK or verdict is Verdict.PASS:
         return code
     return FAILED if verdict is Verdict.FAIL else INCOMPLETE
+
+
+def main() -> int:
+    """Run the node as `ros2 run` starts it."""
+    return run(parse_node_arguments(RehearsalNode.NAME, add_arguments))
 
 
 if __name__ == "__main__":

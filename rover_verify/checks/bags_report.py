@@ -30,6 +30,7 @@ LARGE = 2_000_000_000
 """Size of a large bag [byte]."""
 _MISSIONS = 5
 _FAULT = "fault"
+_COMMAND = (sys.executable, "-m", "rover_cli", "bag")
 _MEGA = 1e6
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4  # behind the bytes that tell how a message is encoded
@@ -153,7 +154,7 @@ def _restamped(message: Message, later: int) -> bytes:
 
 
 def memory(batch: Batch) -> Measured:
-    """Peak resident memory of `bag_report` on a bag of 2 GB [MB]; infinite if it misses a jump."""
+    """Peak resident memory of `bag report` on a bag of 2 GB [MB]; infinite if it misses a jump."""
     if shutil.disk_usage(batch.folder).free < 2 * LARGE:
         raise NotPossible(f"less than {2 * LARGE / 1e9:g} GB are free in {batch.folder}")
     source, large = batch.folder / "mission", batch.folder / "large"
@@ -187,7 +188,7 @@ def memory(batch: Batch) -> Measured:
 
 def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
     """Peak memory [MB], time [s] and standard error of the command on a bag."""
-    command = [sys.executable, "-m", "rover_bags.report", str(bag), "--out", str(folder)]
+    command = [*_COMMAND, "report", str(bag), "--out", str(folder)]
     log = folder.with_suffix(".log")
     with log.open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stream)
@@ -195,7 +196,9 @@ def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
         process.returncode = os.waitstatus_to_exitcode(status)
     words = log.read_text(encoding="utf-8")
     if process.returncode != 0:
-        raise RuntimeError(f"bag_report ended with {process.returncode}:\n{words[-2000:]}")
+        raise RuntimeError(
+            f"mother_rover bag report ended with {process.returncode}:\n{words[-2000:]}"
+        )
     return usage.ru_maxrss * 1024.0 / _MEGA, usage.ru_utime + usage.ru_stime, words
 
 
@@ -203,7 +206,7 @@ def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
 
 
 def comparison(batch: Batch) -> Measured:
-    """Differences between bags that `bag_report A B C` marks wrongly or not at all."""
+    """Differences between bags that `bag compare A B C` marks wrongly or not at all."""
     (generator,) = batch.generators(1)
     first = batch.folder / "first"
     record_mission(first, generator)
@@ -213,7 +216,7 @@ def comparison(batch: Batch) -> Measured:
     wrong, details = 0, {}
     for names, wanted in (((first, same), False), ((first, same, other), True)):
         out = batch.folder / f"compared_{len(names)}"
-        command = [sys.executable, "-m", "rover_bags.report", "--quiet", *map(str, names)]
+        command = [*_COMMAND, "compare", "--quiet", *map(str, names)]
         subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
         told = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
         page = (out / "comparison.html").read_text(encoding="utf-8")

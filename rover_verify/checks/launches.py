@@ -10,7 +10,6 @@ import runpy
 import signal
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from unittest.mock import patch
@@ -19,6 +18,7 @@ from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
+from rover_launch.nodes import NODES
 from rover_launch.plan import Plan, ProcessSpec, arguments_of, plan
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
@@ -81,16 +81,8 @@ def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan
     return plan(controllers, given)
 
 
-def _module_of(executable: str) -> str:
-    for entry in entry_points(group="console_scripts", name=executable):
-        if entry.dist is not None and entry.dist.name.replace("-", "_") == launching.PACKAGE:
-            return entry.module
-    raise NotPossible(f"{executable} is not installed: pip install or colcon build comes first")
-
-
 def _start(harness: NodeHarness, planned: Plan) -> list[Process]:
-    # All are looked for before the first is started.
-    modules = [_module_of(each.executable) for each in planned.started]
+    modules = [NODES[each.executable] for each in planned.started]
     return [
         _started(harness, module, each, planned.namespace)
         for module, each in zip(modules, planned.started, strict=True)

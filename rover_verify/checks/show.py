@@ -14,11 +14,11 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
 
-_MODULES = (
+_COMMANDS = (
     "rover_sim.sim_node", "rover_control.jump_node", "tether_winch.winch_node",
-    "rover_bags.record", "rover_bags.recover", "rover_bags.report", "rover_bags.resim",
-    "rover_studies.paper_study",
-    "rover_verify.demo", "rover_verify.matrix", "rover_verify.bench",
+    "rover_cli", "rover_cli bag record", "rover_cli bag recover", "rover_cli bag report",
+    "rover_cli bag resim", "rover_cli study point", "rover_cli demo", "rover_cli verify",
+    "rover_cli bench",
 )  # fmt: skip
 
 
@@ -104,11 +104,11 @@ def _processes_in(folder: str) -> list[str]:
 
 
 def help_texts(_batch: Batch) -> Measured:
-    """How many executables do not answer ``--help`` with code 0 and a text."""
+    """How many commands do not answer ``--help`` with code 0 and a text."""
     bad, details = 0, {}
-    for module in _MODULES:
+    for command in _COMMANDS:
         done = subprocess.run(
-            [sys.executable, "-m", module, "--help"],
+            [sys.executable, "-m", *command.split(), "--help"],
             check=False,
             capture_output=True,
             text=True,
@@ -117,5 +117,5 @@ def help_texts(_batch: Batch) -> Measured:
         )
         fine = done.returncode == 0 and len(done.stdout) > 80
         bad += not fine
-        details[module] = "fine" if fine else f"code {done.returncode}: {done.stderr[-200:]}"
-    return Measured(bad, f"of {len(_MODULES)} executables", details)
+        details[command] = "fine" if fine else f"code {done.returncode}: {done.stderr[-200:]}"
+    return Measured(bad, f"of {len(_COMMANDS)} commands", details)

@@ -66,7 +66,7 @@ def resumed(batch: Batch) -> Measured:
     plan = make_plan(content, name="plan")
     file, out = batch.folder / "plan.yaml", batch.folder / "killed"
     file.write_text(json.dumps(content), encoding="utf-8")
-    command = [sys.executable, "-m", "rover_studies.sweep", str(file), "--out", str(out),
+    command = [sys.executable, "-m", "rover_cli", "sweep", str(file), "--out", str(out),
                "--workers", "2"]  # fmt: skip
     generators = batch.generators(_KILLS)
     kept: set[int] = set()

@@ -10,8 +10,9 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access
-from msg_schemas.access_policy import DEFAULT_PATH, enclave, main, policy
+from msg_schemas.access_policy import DEFAULT_PATH, enclave, policy
 from msg_schemas.table import SERVICES, TOPICS
+from rover_cli.command_line import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -109,12 +110,9 @@ def test_in_a_namespace_all_is_within_it():
         policy("first")
 
 
-def test_it_is_written_by_a_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_it_is_written_by_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for namespace, code in (("/one", 0), ("one two", 2)):
         target = tmp_path / "policy.xml"
-        monkeypatch.setattr("sys.argv", ["x", str(target), "--namespace", namespace])
-        assert main() == code
+        assert main(["policy", str(target), "--namespace", namespace]) == code
     assert target.read_text(encoding="utf-8") == policy("/one")
     assert "'one two': should be absolute" in capsys.readouterr().err

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from msg_schemas.document import main, render
+from msg_schemas.document import render
+from rover_cli.command_line import main
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "contract.md"
 
@@ -13,5 +14,5 @@ def test_committed_document_is_what_the_table_generates():
 
 def test_command_writes_where_it_is_told(tmp_path: Path):
     target = tmp_path / "new" / "contract.md"
-    assert main([str(target)]) == 0
+    assert main(["contract", str(target)]) == 0
     assert target.read_text(encoding="utf-8") == render()

@@ -10,6 +10,7 @@ from made_up_mission import SHORT, Leg, write_mission
 
 from rover_bags import report
 from rover_bags.compare import compare
+from rover_cli.command_line import main
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_a_figure_that_a_bag_lacks_is_a_difference(bags: list[Path], tmp_path: P
 def test_page_json_and_terminal(
     bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    assert report.main([*map(str, bags), "--quiet", "--out", str(tmp_path / "out")]) == 0
+    assert main(["bag", "compare", *map(str, bags), "--quiet", "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     assert "a/bag" in shown
     assert any(line.startswith("*  descent 1: rate") for line in shown.splitlines())
@@ -72,4 +73,4 @@ def test_page_json_and_terminal(
 
 
 def test_one_bag_that_cannot_be_read_is_refused(bags: list[Path], tmp_path: Path):
-    assert report.main([str(bags[0]), str(tmp_path / "none")]) == report.ExitCode.REFUSED
+    assert main(["bag", "compare", str(bags[0]), str(tmp_path / "none")]) == report.ExitCode.REFUSED

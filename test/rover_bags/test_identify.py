@@ -15,7 +15,7 @@ from rover_bags.files.store import BagWriter, standard_type
 from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.parameters import IdentifyError
 from rover_bags.identification.runs import SIGNALS, read_experiments
-from rover_bags.identify import main
+from rover_cli.command_line import main
 from rover_sim import load_scenario, load_spatial
 
 HANG = load_spatial("identify_hang")
@@ -35,7 +35,7 @@ def test_what_a_bounce_shows_is_found_and_what_it_does_not_is_named(
 ):
     sought = ("EA", "axial_damping", "wheel_friction", "EI")
     arguments = [str(short_bag), *(word for name in sought for word in ("-p", name))]
-    assert main([*arguments, "--jobs", "1", "--json"]) == 1
+    assert main(["bag", "identify", *arguments, "--jobs", "1", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["converged"]
     assert not found["complete"]

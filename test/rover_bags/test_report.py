@@ -21,6 +21,7 @@ from rover_bags.analysis.metrics import measure
 from rover_bags.read import read_bag
 from rover_bags.views import summary
 from rover_bags.views.animation import scene_of
+from rover_cli.command_line import main
 
 VOID = {"meta", "input", "br", "link", "img", "hr"}
 
@@ -39,7 +40,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def written(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "out"
-    assert report.main([str(bag), "--out", str(folder)]) == report.ExitCode.OK
+    assert main(["bag", "report", str(bag), "--out", str(folder)]) == report.ExitCode.OK
     return folder
 
 
@@ -161,7 +162,7 @@ def test_the_plots_are_pictures_on_their_own(written: Path):
 
 
 def test_the_terminal_gets_the_same(bag: Path, tmp_path: Path, capsys: Any):
-    assert report.main([str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert main(["bag", "report", str(bag), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert f"{Parabola().height:.4f} m" in printed
     assert "jump 2, take-off at 2.000 s" in printed
@@ -172,7 +173,7 @@ def test_the_terminal_gets_the_same(bag: Path, tmp_path: Path, capsys: Any):
 @pytest.mark.parametrize("option", ["--json", "--html"])
 def test_one_format_to_the_terminal_writes_nothing(bag: Path, capsys: Any, option: str):
     before = sorted(bag.parent.iterdir())
-    assert report.main([str(bag), option]) == 0
+    assert main(["bag", "report", str(bag), option]) == 0
     printed = capsys.readouterr().out
     if option == "--json":
         assert json.loads(printed)["jump_height_m"] == pytest.approx(Parabola().height)
@@ -185,7 +186,17 @@ def test_a_reader_that_leaves_early_does_not_keep_the_report_from_being_written(
     bag: Path, tmp_path: Path
 ):
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "rover_bags.report", str(bag), "--quiet", "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "rover_cli",
+        "bag",
+        "report",
+        str(bag),
+        "--quiet",
+        "--out",
+        str(out),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -200,7 +211,7 @@ def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola(take_off=99.0)], until=1.0)
     path = made.write(tmp_path / "bag")
-    assert report.main([str(path)]) == 0
+    assert main(["bag", "report", str(path)]) == 0
     folder = tmp_path / "bag_report"
     assert json.loads((folder / "metrics.json").read_text())["jump_height_m"] is None
     assert "No jump in this bag" in (folder / "report.html").read_text()
@@ -210,15 +221,18 @@ def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):
 def test_a_bag_with_hardly_anything_still_makes_a_report(tmp_path: Path):
     made = MadeUp()
     made.refusal(0.1, topics.JUMP_REQUEST, "position is nan")
-    assert report.main([str(made.write(tmp_path / "bag")), "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(["bag", "report", str(made.write(tmp_path / "bag")), "--out", str(tmp_path / "out")])
+        == 0
+    )
     assert not (tmp_path / "out" / "animation.gif").exists()
 
 
 def test_refused_and_unwritable_have_their_exit_codes(tmp_path: Path, bag: Path, capsys: Any):
-    assert report.main([str(tmp_path / "none")]) == report.ExitCode.REFUSED
+    assert main(["bag", "report", str(tmp_path / "none")]) == report.ExitCode.REFUSED
     assert "there is no bag" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
-    code = report.main([str(bag), "--out", str(tmp_path / "file" / "out")])
+    code = main(["bag", "report", str(bag), "--out", str(tmp_path / "file" / "out")])
     assert code == report.ExitCode.NOT_WRITTEN
 
 

@@ -26,7 +26,8 @@ from msg_schemas.samples import (
     Sample,
     TextSample,
 )
-from rover_bags.resim import ResimError, main, resimulate
+from rover_bags.resim import ResimError, resimulate
+from rover_cli.command_line import main
 from rover_sim import load_scenario
 
 TICK_NS = 10_000_000
@@ -169,8 +170,8 @@ def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys
     bag = made.write(tmp_path / "bag")
     with pytest.raises(ResimError, match="holds no configuration of a simulator"):
         resimulate(bag)
-    assert main([str(bag)]) == 2
-    assert main([str(tmp_path / "nothing")]) == 2
+    assert main(["bag", "resim", str(bag)]) == 2
+    assert main(["bag", "resim", str(tmp_path / "nothing")]) == 2
     assert "there is no bag" in capsys.readouterr().err
     made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": {"name": "x"}, "seed": 1})))
     with pytest.raises(ResimError, match="cannot be simulated here"):
@@ -184,14 +185,14 @@ def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys
 
 
 def test_the_executable_tells_by_text_json_and_exit_code(jump_bag: Path, capsys: Any):
-    assert main([str(jump_bag), "--exact"]) == 0
+    assert main(["bag", "resim", str(jump_bag), "--exact"]) == 0
     assert "every recorded sample" in capsys.readouterr().out
-    assert main([str(jump_bag), "--json"]) == 0
+    assert main(["bag", "resim", str(jump_bag), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["identical"] is True
     assert told["differing"] == 0
     assert told["topics"][topics.TRUTH_BODY1]["compared"] == 120
-    assert main([str(jump_bag), "--tolerance", "nan"]) == 2
+    assert main(["bag", "resim", str(jump_bag), "--tolerance", "nan"]) == 2
 
 
 def test_a_fork_goes_on_alike_and_by_itself():

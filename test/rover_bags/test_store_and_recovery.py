@@ -31,12 +31,12 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from rover_bags import recover as recovery
 from rover_bags.files import store
 from rover_bags.files.folder import ScanError, stored_metadata
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError, BagWriter, DiskFullError, standard_type
 from rover_bags.recover import ExitCode, recover
+from rover_cli.command_line import main
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 INFINITE = QosTime(9223372036, 854775807)
@@ -323,8 +323,8 @@ def test_what_was_written_before_the_disk_failed_is_whole(tmp_path: Path):
     assert run.returncode == 3, run.stderr
     full, sent, at_close = run.stdout.strip().splitlines()
     assert "no room is left" in full
-    assert "bag_recover" in full
-    assert "bag_recover" in at_close
+    assert "bag recover" in full
+    assert "bag recover" in at_close
     result = recover(bag, tmp_path / "clean")
     assert result.whole
     found = [m.data for m in BagScan(tmp_path / "clean")]
@@ -353,7 +353,7 @@ def test_a_really_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
         sent = _write_until_full(
             writer, channel, text_message("y" * 500), os.strerror(errno.ENOSPC)
         )
-        with pytest.raises(BagError, match="bag_recover"):
+        with pytest.raises(BagError, match="bag recover"):
             writer.close()
         result = recover(disk / "bag", tmp_path / "clean")
         assert result.whole
@@ -480,7 +480,7 @@ def test_losses_are_counted_by_topic_and_the_damaged_chunk_is_named(
     first = _chunk_ends(bytes(data))[0][1] + before
     data[end - 10] ^= 0x10
     mcap_file(tmp_path / "bag").write_bytes(data)
-    code = recovery.main([str(tmp_path / "bag"), str(tmp_path / "clean")])
+    code = main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "clean")])
     printed = capsys.readouterr().out
     assert code == ExitCode.LOSSES
     kept = written[:first] + written[first + inside :]
@@ -550,7 +550,7 @@ def test_what_is_no_bag_is_refused_and_leaves_nothing(
     tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "thing.mcap").write_bytes(content)
-    code = recovery.main([str(tmp_path / "thing.mcap"), str(tmp_path / "clean")])
+    code = main(["bag", "recover", str(tmp_path / "thing.mcap"), str(tmp_path / "clean")])
     assert code == ExitCode.REFUSED
     assert "thing.mcap" in capsys.readouterr().err
     assert not (tmp_path / "clean").exists()
@@ -559,7 +559,14 @@ def test_what_is_no_bag_is_refused_and_leaves_nothing(
 def test_the_clean_bag_may_not_exist_yet(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_bag(tmp_path / "bag")
     (tmp_path / "clean").mkdir()
-    assert recovery.main([str(tmp_path / "bag"), str(tmp_path / "clean")]) == ExitCode.NOT_WRITTEN
+    assert (
+        main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "clean")])
+        == ExitCode.NOT_WRITTEN
+    )
     assert "exists already" in capsys.readouterr().err
-    assert recovery.main([str(tmp_path / "bag"), str(tmp_path / "bag")]) == ExitCode.REFUSED
-    assert recovery.main([str(tmp_path / "none"), str(tmp_path / "new")]) == ExitCode.REFUSED
+    assert (
+        main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "bag")]) == ExitCode.REFUSED
+    )
+    assert (
+        main(["bag", "recover", str(tmp_path / "none"), str(tmp_path / "new")]) == ExitCode.REFUSED
+    )

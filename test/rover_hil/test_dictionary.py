@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rover_cli.command_line import main
 from rover_hil.devices import BRIDGE_NODE, DEVICES, DRIVES, JUMP, WINCH
 from rover_hil.dictionary import (
     DOCUMENT,
     EDS_FOLDER,
     differences,
     export,
-    main,
     object_dictionary,
     with_table,
 )
@@ -48,12 +48,12 @@ def test_the_eds_file_read_back_by_the_library_is_the_dictionary(device: Device)
 @pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.name)
 def test_the_eds_file_is_what_the_dictionary_generates(device: Device):
     committed = (EDS_FOLDER / f"{device.name}.eds").read_text(encoding="utf-8")
-    assert committed == export(device), "run: python -m rover_hil.dictionary"
+    assert committed == export(device), "run: mother_rover hil dictionary"
 
 
 def test_the_document_s_table_is_what_the_dictionary_generates():
     text = (ROOT / DOCUMENT).read_text(encoding="utf-8")
-    assert text == with_table(text), "run: python -m rover_hil.dictionary"
+    assert text == with_table(text), "run: mother_rover hil dictionary"
     assert "60FFh" in text
 
 
@@ -136,12 +136,12 @@ def test_a_vendor_s_file_is_held_to_a_device_by_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     own = EDS_FOLDER / "winch.eds"
-    assert main(["--compare", "winch", str(own)]) == 0
+    assert main(["hil", "dictionary", "--compare", "winch", str(own)]) == 0
     assert capsys.readouterr().out == ""
     other = tmp_path / "vendor.eds"
     text = own.read_text(encoding="utf-8")
     other.write_text(text.replace("[60FF]", "[60FE]").replace("0x60FF", "0x60FE"), encoding="utf-8")
-    assert main(["--compare", "winch", str(other)]) == 1
+    assert main(["hil", "dictionary", "--compare", "winch", str(other)]) == 1
     assert "60FFh:00 Target velocity is missing" in capsys.readouterr().out
 
 
@@ -155,5 +155,5 @@ def test_a_vendor_s_file_is_held_to_a_device_by_command(
 def test_what_cannot_be_compared_is_refused(
     given: tuple[str, str], complaint: str, capsys: pytest.CaptureFixture[str]
 ):
-    assert main(["--compare", *given]) == 2
+    assert main(["hil", "dictionary", "--compare", *given]) == 2
     assert complaint in capsys.readouterr().err

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
+from rover_cli.command_line import main
 from rover_sim import ScenarioError, load_planar
-from rover_studies.paper_point import main, study_point
+from rover_studies.paper_point import study_point
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,7 +20,7 @@ SLACK_VALUES = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0, 3.25
 
 
 def point(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    assert main([*arguments, "--json"]) == 0
+    assert main(["study", "point", *arguments, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert isinstance(result, dict)
     return result
@@ -165,14 +166,14 @@ class TestClaimsOfThePaper:
         unrelaxed = point(capsys, *arguments, "--initial-shape", "catenary")
         assert unrelaxed["initial_axial_energy_J"] == pytest.approx(stored, rel=0.03)
         assert point(capsys, *arguments)["initial_axial_energy_J"] < 0.01
-        assert main([*arguments, "--initial-shape", "catenary"]) == 0
+        assert main(["study", "point", *arguments, "--initial-shape", "catenary"]) == 0
         warned = "the mesh's doing" in capsys.readouterr().out
         assert warned == (stored > 0.3465)
 
 
 class TestCommandLine:
     def test_one_json_object_and_nothing_else(self):
-        command = [sys.executable, "-m", "rover_studies.paper_study", *HIGH]
+        command = [sys.executable, "-m", "rover_cli", "study", "point", *HIGH]
         options = ["--geometry=+K", "--slack", "2", "--elements", "20", "--json"]
         done = subprocess.run(
             [*command, *options], cwd=ROOT, capture_output=True, text=True, check=False
@@ -214,13 +215,13 @@ class TestCommandLine:
         assert (found["geometry"], found["take_off_m"]) == ("-H", 0.1)
 
     def test_a_table_for_people(self, capsys: pytest.CaptureFixture[str]):
-        assert main([*HIGH, "--geometry=+K", "--slack=2"]) == 0
+        assert main(["study", "point", *HIGH, "--geometry=+K", "--slack=2"]) == 0
         shown = capsys.readouterr().out
         assert "geometry +K, slack 2, static start, 5 elements, h = 0.001 s" in shown
         assert "jump height         0.3085 m" in shown
 
     def test_the_list_holds_what_can_jump(self, capsys: pytest.CaptureFixture[str]):
-        assert main(["--list"]) == 0
+        assert main(["study", "point", "--list"]) == 0
         shown = capsys.readouterr().out
         assert "paper_table2_case2" in shown
         assert "tether_pendulum" not in shown
@@ -244,7 +245,7 @@ class TestCommandLine:
     def test_bad_values_are_refused_in_one_line(
         self, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
     ):
-        assert main(arguments) == 2
+        assert main(["study", "point", *arguments]) == 2
         shown = capsys.readouterr()
         assert words in shown.err
         assert shown.err.count("\n") == 1
@@ -257,13 +258,13 @@ class TestCommandLine:
         self, capsys: pytest.CaptureFixture[str], arguments: list[str]
     ):
         with pytest.raises(SystemExit) as ended:
-            main(arguments)
+            main(["study", "point", *arguments])
         assert ended.value.code == 2
         assert capsys.readouterr().err.count("\n") == 1
 
     def test_a_broken_tether_is_no_landing(self, capsys: pytest.CaptureFixture[str]):
         arguments = [*HIGH, "--geometry=+K", "--slack=2", "--set", "tether.breaking_load=5"]
-        assert main([*arguments, "--json"]) == 1
+        assert main(["study", "point", *arguments, "--json"]) == 1
         shown = capsys.readouterr()
         found = json.loads(shown.out)
         assert found["converged"] is False

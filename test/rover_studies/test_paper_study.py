@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rover_cli.command_line import main
 from rover_studies.paper_claims import verdicts
 from rover_studies.paper_curves import SCATTER, Curve, Key, attribution, convergence
 from rover_studies.paper_page import page
@@ -26,7 +27,6 @@ from rover_studies.paper_plan import (
     even_slacks,
     plans,
 )
-from rover_studies.paper_study import main
 from rover_studies.whole_study import evaluate, make_runs
 
 SLACKS = np.array(even_slacks(0.25))
@@ -176,8 +176,8 @@ def test_a_study_of_one_mesh_has_a_page_without_convergence(meshes: tuple[int, .
 
 
 def test_bad_options_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    assert main(["--all", "--workers", "0"]) == 2
+    assert main(["study", "all", "--workers", "0"]) == 2
     assert "should be at least 1" in capsys.readouterr().err
     (tmp_path / "plain").write_text("a file", encoding="utf-8")
-    assert main(["--all", "--quick", "--out", str(tmp_path / "plain")]) == 2
+    assert main(["study", "all", "--quick", "--out", str(tmp_path / "plain")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

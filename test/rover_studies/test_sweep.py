@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow.csv
 import pytest
 
+from rover_cli.command_line import main
 from rover_sim import Scenario, jump, load_scenario
 from rover_sim.plant_factory import build_plant
 from rover_studies.sweep import (
@@ -22,7 +23,6 @@ from rover_studies.sweep import (
     FAILED,
     REFUSED,
     Stopped,
-    main,
     run_one,
     run_sweep,
     summary,
@@ -149,7 +149,7 @@ def test_killed_at_any_moment_it_goes_on_and_does_nothing_twice(
     content = {**CONTENT, "runs": 150}
     plan, out = write(tmp_path / "plan.yaml", content), tmp_path / "out"
     whole = make_plan(content)
-    command = [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)]
+    command = [sys.executable, "-m", "rover_cli", "sweep", str(plan), "--out", str(out)]
     kept: set[int] = set()
     for kill in range(3):
         process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
@@ -196,7 +196,7 @@ def wait_for_parts(process: subprocess.Popen[bytes], out: Path, count: int) -> N
 def test_workers_do_not_outlive_a_killed_sweep(tmp_path: Path):
     plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)],
+        [sys.executable, "-m", "rover_cli", "sweep", str(plan), "--out", str(out)],
         cwd=ROOT,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
@@ -222,7 +222,7 @@ def test_workers_do_not_outlive_a_killed_sweep(tmp_path: Path):
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path: Path):
     plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "rover_studies.sweep", str(plan), "--out", str(out)],
+        [sys.executable, "-m", "rover_cli", "sweep", str(plan), "--out", str(out)],
         cwd=ROOT,
         stderr=subprocess.PIPE,
         text=True,
@@ -345,9 +345,9 @@ def test_the_command_runs_a_plan_and_tells_what_came_of_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], expected: list[dict[str, Any]]
 ):
     plan, out = write(tmp_path / "plan.yaml", CONTENT), tmp_path / "out"
-    assert main([str(plan), "--dry-run"]) == 0
+    assert main(["sweep", str(plan), "--dry-run"]) == 0
     assert "60 runs = 2 points of the grid x 30" in capsys.readouterr().out
-    assert main([str(plan), "--out", str(out), "--workers=1", "--json", "--csv"]) == 0
+    assert main(["sweep", str(plan), "--out", str(out), "--workers=1", "--json", "--csv"]) == 0
     told = json.loads(capsys.readouterr().out)
     heights = [row["jump_height_m"] for row in expected]
     assert told["runs"] == 60
@@ -356,7 +356,7 @@ def test_the_command_runs_a_plan_and_tells_what_came_of_it(
     table = pyarrow.csv.read_csv(out / "results.csv")
     assert table.column("jump_height_m").to_pylist() == pytest.approx(heights, rel=1e-9)
     # Done: asked again it only tells.
-    assert main([str(plan), "--out", str(out)]) == 0
+    assert main(["sweep", str(plan), "--out", str(out)]) == 0
     assert "jump_height_m" in capsys.readouterr().out
 
 
@@ -368,7 +368,7 @@ def test_the_command_runs_a_plan_and_tells_what_came_of_it(
 def test_bad_arguments_are_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
 ):
-    assert main([str(write(tmp_path / "plan.yaml", CONTENT)), *arguments]) == 2
+    assert main(["sweep", str(write(tmp_path / "plan.yaml", CONTENT)), *arguments]) == 2
     told = capsys.readouterr().err
     assert complaint in told
     assert len(told.splitlines()) == 1

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rover_cli.command_line import main
 from rover_verify import bench, bench_cases, bench_spatial, core_peak, exudyn_peer
 from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
 from rover_verify.bench_row import Row
@@ -152,7 +153,7 @@ def test_both_codes_move_alike(name: str):
 def test_the_file_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setattr(exudyn_peer, "load", lambda: None)
     monkeypatch.setattr(bench, "cases", lambda: [TINY])
-    assert bench.main(["--out", str(tmp_path), "--repetitions", "1", "--case", "tiny"]) == 0
+    assert main(["bench", "--out", str(tmp_path), "--repetitions", "1", "--case", "tiny"]) == 0
     check_rows(json.loads((tmp_path / "bench.json").read_text()), peer=False)
 
 
@@ -175,7 +176,7 @@ def test_the_smallest_bench_runs_to_its_tables(
 @pytest.mark.parametrize("arguments", [["--repetitions", "0"], ["--case", "nothing"]])
 def test_bad_arguments_are_refused(arguments: list[str]):
     with pytest.raises(SystemExit) as ended:
-        bench.main(arguments)
+        main(["bench", *arguments])
     assert ended.value.code == 2
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from msg_schemas import topics
-from rover_verify import demo
+from rover_cli.command_line import main
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
 from rover_verify.jump_show import judge
@@ -118,7 +118,7 @@ def test_a_folder_that_holds_something_else_is_not_touched(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "letters").write_text("dear")
-    assert demo.main(["--out", str(tmp_path)]) == 2
+    assert main(["demo", "--out", str(tmp_path)]) == 2
     assert "not touched" in capsys.readouterr().err
     assert (tmp_path / "letters").read_text() == "dear"
 
@@ -127,11 +127,11 @@ def test_a_place_that_cannot_be_written_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "file").write_text("")
-    assert demo.main(["--out", str(tmp_path / "file" / "demo")]) == 2
+    assert main(["demo", "--out", str(tmp_path / "file" / "demo")]) == 2
     assert "cannot write" in capsys.readouterr().err
 
 
 def test_a_real_time_factor_out_of_range_is_refused():
     with pytest.raises(SystemExit) as ended:
-        demo.main(["jump", "--real-time-factor", "0"])
+        main(["demo", "jump", "--real-time-factor", "0"])
     assert ended.value.code == 2

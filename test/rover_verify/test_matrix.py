@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rover_cli.command_line import main
 from rover_sim import Scenario, TetherSection, load_planar, static_equilibrium
 from rover_verify import checks, matrix, page
 from rover_verify.checks import Batch, Measured, NotPossible
@@ -244,7 +245,7 @@ def run_main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, value: float, *mor
     to_come = replace(first, id="TETHER-RIGID-02", status="open", check=None)
     monkeypatch.setattr(matrix, "load_requirements", lambda: [first, to_come])
     monkeypatch.setattr(matrix, "find_check", lambda _name: lambda _batch: Measured(value, "so"))
-    return matrix.main(["--only", "TETHER-RIGID", "--runs", "2", "--out", str(tmp_path), *more])
+    return main(["verify", "--only", "TETHER-RIGID", "--runs", "2", "--out", str(tmp_path), *more])
 
 
 def test_the_report_and_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
@@ -281,13 +282,13 @@ def test_the_page_needs_nothing_else_and_shows_every_row(tmp_path: Path):
 @pytest.mark.parametrize("arguments", [["--runs", "0"], ["--seed", "-1"], ["--only", "NO-SUCH"]])
 def test_bad_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as ended:
-        matrix.main(arguments)
+        main(["verify", *arguments])
     assert ended.value.code == 2
     assert arguments[0].strip("-") in capsys.readouterr().err or "requirement" in arguments[0]
 
 
 def test_the_list_shows_every_requirement(capsys: pytest.CaptureFixture[str]):
-    assert matrix.main(["--list"]) == 0
+    assert main(["verify", "--list"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert len(listed) == len(load_requirements())
 

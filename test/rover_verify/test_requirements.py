@@ -52,9 +52,7 @@ def test_what_is_required_has_a_check_and_what_is_open_says_what_will_bring_it()
 
 def test_the_document_says_what_the_table_says():
     path = ROOT / "docs" / "requirements.md"
-    assert path.read_text(encoding="utf-8") == document(ROWS), (
-        "run: python -m rover_verify.requirements"
-    )
+    assert path.read_text(encoding="utf-8") == document(ROWS), "run: mother_rover requirements"
 
 
 @pytest.mark.parametrize(
@@ -86,7 +84,7 @@ def table(*rows: dict[str, object]) -> str:
 def test_a_good_row_is_read():
     (row,) = load_requirements(table(GOOD))
     assert (row.id, row.area, str(row.limit)) == ("AREA-TOPIC-01", "Area", "<= 1 m")
-    assert row.command == "verify --only AREA-TOPIC-01"
+    assert row.command == "mother_rover verify --only AREA-TOPIC-01"
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ ARROWS: dict[str, set[str]] = {
     "rover_hil": {"msg_schemas"},
     "rover_launch": {"msg_schemas"},
     "rover_view": {"msg_schemas"},
+    "rover_cli": {"msg_schemas", "rover_launch"},  # it imports what implements a subcommand by name
     "rover_bags": {"msg_schemas", "rover_sim"},
     "operator_console": {"msg_schemas", "rover_bags"},
     "rover_studies": {"msg_schemas", "rover_sim"},
@@ -326,20 +327,31 @@ def long_files(root: Path) -> list[str]:
     return found
 
 
-def executables(root: Path) -> dict[str, str]:
-    """Return name and target of every executable, as setup.py lists them."""
-    listed = constants(root / "setup.py")["EXECUTABLES"]
+def nodes(root: Path) -> dict[str, str]:
+    """Return executable and module of every node, as rover_launch lists them."""
+    listed = constants(root / "rover_launch" / "nodes.py")["NODES"]
+    assert isinstance(listed, dict)
+    return {str(name): str(module) for name, module in listed.items()}
+
+
+def commands(root: Path) -> dict[str, str]:
+    """Return name and target of every command on PATH, as setup.py lists them."""
+    listed = constants(root / "setup.py")["CONSOLE_SCRIPTS"]
     assert isinstance(listed, dict)
     return {str(name): str(target) for name, target in listed.items()}
+
+
+def executables(root: Path) -> dict[str, str]:
+    """Return name and target of everything that `ros2 run` starts: nodes and commands."""
+    return {name: f"{module}:main" for name, module in nodes(root).items()} | commands(root)
 
 
 def broken_executables(root: Path) -> list[str]:
     """Executables without shim or target, shims without executable or with another command."""
     listed = executables(root)
+    started_by_name = commands(root)
     shims = {path.name: path for path in (root / "scripts").iterdir()}
-    found = [
-        f"scripts/{name} belongs to no executable of setup.py" for name in shims - listed.keys()
-    ]
+    found = [f"scripts/{name} belongs to no node or command" for name in shims - listed.keys()]
     for name, target in listed.items():
         module, _, function = target.partition(":")
         source = root.joinpath(*module.split(".")).with_suffix(".py")
@@ -350,9 +362,10 @@ def broken_executables(root: Path) -> list[str]:
         if name not in shims:
             found.append(f"executable {name} has no scripts/{name}: `ros2 run` cannot find it")
             continue
-        required = f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n'
-        if shims[name].read_text(encoding="utf-8") != required:
-            found.append(f"scripts/{name} does not start ../../bin/{name} as the others do")
+        command = f'{name}"' if name in started_by_name else f'mother_rover" run {name}'
+        expected = f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{command} "$@"\n'
+        if shims[name].read_text(encoding="utf-8") != expected:
+            found.append(f"scripts/{name} is not {expected!r}")
         if not shims[name].stat().st_mode & 0o100:
             found.append(f"scripts/{name} is not executable")
     return sorted(found)

@@ -43,7 +43,7 @@ class Parser(argparse.ArgumentParser):
 
 def node_class(executable: str) -> type[ContractNode] | None:
     """The node of an executable; None: it is no node that is run by parameters alone."""
-    module = importlib.import_module(architecture.executables(ROOT)[executable].partition(":")[0])
+    module = importlib.import_module(architecture.nodes(ROOT)[executable])
     found = [
         value
         for value in vars(module).values()
@@ -141,7 +141,7 @@ class Run:
 
     def check(self) -> None:
         """Check that the executable exists; its own test checks the arguments."""
-        assert self.words[0] in architecture.executables(ROOT), self.words[0]
+        assert self.words[0] in architecture.nodes(ROOT), self.words[0]
 
 
 @dataclass(frozen=True)

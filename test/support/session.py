@@ -37,9 +37,7 @@ OLD, HELD, TRIALS = "[stale]", "it goes on when it is resumed", 5
 # Nothing damps a swing of the mock plant, which has no mechanics: a descent is taken there and does
 # not end, so what is to wait for that does not, and what is refused until then is left out.
 UNTIL_ITS_END, AFTER_ITS_END = "--wait", {"release"}
-MODULES = {
-    name: target.partition(":")[0] for name, target in architecture.executables(ROOT).items()
-}
+MODULES = architecture.nodes(ROOT)
 
 
 @dataclass
@@ -60,7 +58,7 @@ class Session:
         elif command.program == "ros2":
             self.ros2(command)
         else:
-            self.start(command.words)
+            self.start(command.words[2:] if command.words[0] == "mother_rover" else command.words)
 
     # --- what is typed to `rover` -----------------------------------------------------------------
 

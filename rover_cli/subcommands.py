@@ -1,0 +1,101 @@
+"""Table of the subcommands of `mother_rover`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Subcommand:
+    """One subcommand and the module that implements it.
+
+    The module defines ``add_arguments(parser)`` and ``run(options) -> int``. ``add_arguments`` may
+    set the parser's description, epilog and formatter. ``options`` also holds ``ros_arguments``,
+    the words from ``--ros-args`` on, and ``usage_error(message)``, which ends the process with
+    exit code 2. ``normalize_arguments(words)``, if the module defines it, rewrites the words before
+    they are parsed.
+
+    Attributes:
+        path: words that select it.
+        module: dotted name of the implementing module.
+        summary: one line for the help of the level above.
+        is_node: whether it accepts ``--ros-args``.
+    """
+
+    path: tuple[str, ...]
+    module: str
+    summary: str
+    is_node: bool = False
+
+
+GROUPS = {
+    "study": "reproduce the source paper's study of the tethered jump",
+    "bag": "record, report, compare, recover, re-simulate and identify from bags",
+    "hil": "test the interface to drives and sensors, emulated or real",
+    "winch": "evaluate the winch controller",
+}
+"""Summary of every first word that selects several subcommands."""
+
+SUBCOMMANDS = (
+    Subcommand(("demo",), "rover_verify.demo", "simulate a mission or a jump and report it"),
+    Subcommand(("run",), "rover_cli.run_node", "start one ROS 2 node, as `ros2 run` does"),
+    Subcommand(
+        ("bag", "record"), "rover_bags.record", "record the suite's topics into a bag", is_node=True
+    ),
+    Subcommand(
+        ("bag", "report"), "rover_bags.report", "report metrics, plots and audits of one bag"
+    ),
+    Subcommand(("bag", "compare"), "rover_bags.report_comparison", "compare several bags"),
+    Subcommand(
+        ("bag", "recover"), "rover_bags.recover", "make a valid bag of a truncated or damaged one"
+    ),
+    Subcommand(
+        ("bag", "resim"), "rover_bags.resim", "simulate a recorded run again and compare it"
+    ),
+    Subcommand(("bag", "identify"), "rover_bags.identify", "estimate machine parameters from bags"),
+    Subcommand(
+        ("bag", "example"), "rover_verify.scripted_bag", "write a bag of a scripted mission"
+    ),
+    Subcommand(
+        ("hil", "check"),
+        "rover_hil.rehearsal.interface_check",
+        "run the interface check of the package",
+        is_node=True,
+    ),
+    Subcommand(
+        ("hil", "rehearse"),
+        "rover_hil.rehearsal.rehearsal_node",
+        "run a test procedure and leave a record",
+        is_node=True,
+    ),
+    Subcommand(
+        ("hil", "dictionary"),
+        "rover_hil.dictionary",
+        "write the CANopen object dictionaries, or compare one",
+    ),
+    Subcommand(("sweep",), "rover_studies.sweep", "run a parameter grid or a Monte Carlo plan"),
+    Subcommand(
+        ("study", "all"), "rover_studies.whole_study", "reproduce figures 11 to 16 of the paper"
+    ),
+    Subcommand(("study", "point"), "rover_studies.paper_point", "simulate one jump of the study"),
+    Subcommand(
+        ("winch", "report"), "rover_verify.winch_report", "report tracking and load detection"
+    ),
+    Subcommand(("verify",), "rover_verify.matrix", "measure every requirement"),
+    Subcommand(("bench",), "rover_verify.bench", "measure speed and error against Exudyn"),
+    Subcommand(("contract",), "msg_schemas.document", "write docs/contract.md"),
+    Subcommand(
+        ("policy",), "msg_schemas.access_policy", "write the SROS 2 access policy of the nodes"
+    ),
+    Subcommand(("requirements",), "rover_verify.requirements", "write docs/requirements.md"),
+    Subcommand(("picture",), "rover_verify.mission_picture", "draw a whole mission as a PNG file"),
+)
+
+
+def find_subcommand(words: Sequence[str]) -> Subcommand | None:
+    """Return the subcommand that the first words select, None without one."""
+    for subcommand in SUBCOMMANDS:
+        if tuple(words[: len(subcommand.path)]) == subcommand.path:
+            return subcommand
+    return None

@@ -1,0 +1,20 @@
+"""Executable and module of every node, as `ros2 run`, launch files and tests start them."""
+
+from __future__ import annotations
+
+# Each module has a `main` that reads `sys.argv` and returns the exit code.
+NODES = {
+    "sim_node": "rover_sim.sim_node",
+    "mock_plant": "rover_sim.mock_plant_node",
+    "jump_node": "rover_control.jump_node",
+    "descent_node": "rover_control.descent_node",
+    "drive_node": "rover_control.drive_node",
+    "mission_node": "rover_control.mission_node",
+    "winch_node": "tether_winch.winch_node",
+    "view_node": "rover_view.view_node",
+    "hil_bridge": "rover_hil.bridge_node",
+    "drive_emulator": "rover_hil.emulator.emulator_node",
+    "hil_rehearsal": "rover_hil.rehearsal.rehearsal_node",
+    "operator_console": "operator_console.console_node",
+    "bag_record": "rover_bags.record",
+}

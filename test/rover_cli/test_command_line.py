@@ -1,0 +1,188 @@
+"""The command `mother_rover`: its tree of subcommands, dispatch, errors and completion."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from msg_schemas.ros_arguments import split_ros_arguments
+from rover_cli import command_line, run_node
+from rover_cli.command_line import main
+from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
+from rover_launch.nodes import NODES
+
+LEVELS = [(), *((name,) for name in GROUPS)]
+COMPLETE = """
+eval "$(register-python-argcomplete mother_rover)"
+COMP_WORDS=({words}); COMP_CWORD={at}; COMP_LINE="{words}"; COMP_POINT=${{#COMP_LINE}}; COMP_TYPE=9
+_python_argcomplete mother_rover
+echo "${{COMPREPLY[@]}}"
+"""
+
+
+def named(path: tuple[str, ...]) -> str:
+    return " ".join(path)
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=named)
+def test_the_help_of_a_level_lists_its_subcommands(
+    path: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(SystemExit) as ended:
+        main([*path, "--help"])
+    assert ended.value.code == 0
+    words = capsys.readouterr().out.split()
+    below = {each.path[len(path)] for each in SUBCOMMANDS if each.path[: len(path)] == path}
+    assert below <= set(words)
+
+
+@pytest.mark.parametrize("subcommand", SUBCOMMANDS, ids=lambda each: named(each.path))
+def test_every_subcommand_has_help(subcommand: Subcommand, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as ended:
+        main([*subcommand.path, "--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: mother_rover {named(subcommand.path)} ")
+    assert len(shown) > 150
+
+
+@pytest.mark.parametrize("words", ["--help", "bag --help", "--version"])
+def test_help_of_the_tree_imports_no_subcommand(words: str):
+    script = (
+        "import atexit, sys\n"
+        "from rover_cli.command_line import main\n"
+        "atexit.register(lambda: print('loaded', *sys.modules))\n"
+        f"main({words.split()})\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.rpartition("loaded ")[2].split())
+    assert "rover_cli.subcommands" in loaded
+    assert loaded.isdisjoint({"rclpy", "numpy", "matplotlib", *(s.module for s in SUBCOMMANDS)})
+
+
+def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("mother_rover ")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "mother_rover: "),
+        (["fly"], "invalid choice: 'fly'"),
+        (["bag"], "mother_rover bag: "),
+        (["bag", "report"], "mother_rover bag report: "),
+        (["bag", "report", "run", "--ros-args"], "unrecognized arguments: --ros-args"),
+        (["sweep", "plan.yaml", "--worker", "2"], "unrecognized arguments: --worker"),
+        (["run", "no_node"], "invalid choice: 'no_node'"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == command_line.USAGE_ERROR
+    shown = capsys.readouterr().err
+    assert message in shown
+    assert shown.count("\n") == 1
+    assert "--help" in shown
+
+
+def test_a_missing_library_stops_its_subcommand_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def load(name: str) -> ModuleType:
+        raise ModuleNotFoundError(f"No module named 'exudyn' for {name}", name="exudyn")
+
+    monkeypatch.setattr(importlib, "import_module", load)
+    assert main(["bench"]) == command_line.MISSING_LIBRARY
+    assert capsys.readouterr().err == (
+        "mother_rover bench: install the Python library exudyn first\n"
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+
+
+def test_a_node_s_subcommand_receives_ros_arguments_apart(monkeypatch: pytest.MonkeyPatch):
+    module = importlib.import_module("rover_bags.record")
+    received: list[argparse.Namespace] = []
+
+    def run(options: argparse.Namespace) -> int:
+        received.append(options)
+        return 7
+
+    monkeypatch.setattr(module, "run", run)
+    words = ["bag", "record", "-o", "run", "--ros-args", "-r", "__ns:=/rover1", "--", "--all"]
+    assert main(words) == 7
+    (options,) = received
+    assert options.output == "run"
+    assert options.all
+    assert options.ros_arguments == ["--ros-args", "-r", "__ns:=/rover1"]
+
+
+def test_words_without_ros_arguments_stay_as_they_are():
+    assert split_ros_arguments(["a", "--", "b"]) == (["a", "--", "b"], [])
+
+
+def test_a_node_runs_with_its_own_arguments(monkeypatch: pytest.MonkeyPatch):
+    started: list[list[str]] = []
+    node = ModuleType("node")
+
+    def node_main() -> int:
+        started.append(sys.argv)
+        return 3
+
+    vars(node)["main"] = node_main
+    monkeypatch.setattr(sys, "argv", ["pytest"])
+    monkeypatch.setattr(run_node.importlib, "import_module", lambda _name: node)
+    options = argparse.Namespace(node="sim_node", arguments=["--ros-args", "-p", "seed:=1"])
+    assert run_node.run(options) == 3
+    assert started == [["sim_node", "--ros-args", "-p", "seed:=1"]]
+
+
+def test_the_arguments_of_a_node_are_not_parsed(capsys: pytest.CaptureFixture[str]):
+    subcommand = find_subcommand(["run"])
+    assert subcommand is not None
+    parser = command_line.make_parser(subcommand, run_node)
+    options = parser.parse_args(["run", "winch_node", "--help"])
+    assert (options.node, options.arguments) == ("winch_node", ["--help"])
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("module", NODES.values())
+def test_every_node_has_a_main(module: str):
+    assert callable(importlib.import_module(module).main)
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("mother_rover be", {"bench"}),
+        ("mother_rover bag re", {"record", "recover", "report", "resim"}),
+        ("mother_rover bag report --h", {"--help", "--html"}),
+        ("mother_rover run winch", {"winch_node"}),
+    ],
+)
+def test_the_shell_completes_subcommands_and_options(words: str, offered: set[str]):
+    own = Path(sys.executable).parent
+    if not all((own / name).exists() for name in ("mother_rover", "register-python-argcomplete")):
+        pytest.skip("neither is installed beside this Python")
+    given = {**os.environ, "PATH": f"{own}:{os.environ['PATH']}"}
+    script = COMPLETE.format(words=words, at=len(words.split()) - 1)
+    done = subprocess.run(
+        ["bash", "-c", script], env=given, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == offered
