@@ -153,7 +153,7 @@ def _measured(value: float, recorded: Recorded, **details: float) -> Measured:
 @cache
 def _descent(folder: Path, seed: int) -> Recorded:
     recorded = recorded_descent(folder, seed)
-    shutil.rmtree(recorded.bag.path)  # 70 MB; `winch_report --nodes` keeps it, with plots
+    shutil.rmtree(recorded.bag.path)  # 70 MB; `winch report --nodes` keeps it, with plots
     return recorded
 
 

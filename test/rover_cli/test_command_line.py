@@ -147,7 +147,7 @@ def test_a_node_runs_with_its_own_arguments(monkeypatch: pytest.MonkeyPatch):
 
     vars(node)["main"] = node_main
     monkeypatch.setattr(sys, "argv", ["pytest"])
-    monkeypatch.setattr(run_node.importlib, "import_module", lambda _name: node)
+    monkeypatch.setattr(importlib, "import_module", lambda _name: node)
     options = argparse.Namespace(node="sim_node", arguments=["--ros-args", "-p", "seed:=1"])
     assert run_node.run(options) == 3
     assert started == [["sim_node", "--ros-args", "-p", "seed:=1"]]

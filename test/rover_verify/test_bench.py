@@ -165,7 +165,7 @@ def test_the_smallest_bench_runs_to_its_tables(
     monkeypatch.setattr(bench, "COST_ELEMENTS", (3, 5))
     monkeypatch.setattr(bench, "_SWEEP_RUNS", 100)
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
-    assert bench.main(["--out", str(tmp_path), "--repetitions", "1"]) == 0
+    assert main(["bench", "--out", str(tmp_path), "--repetitions", "1"]) == 0
     printed = capsys.readouterr().out
     for heading in ("tiny", "cost per step", "resting on rubble", "workers", "Written:"):
         assert heading in printed
