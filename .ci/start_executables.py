@@ -3,7 +3,7 @@
 
 Usage: start_executables.py [--help-alone] FOLDER NAME ...      (by the Python under test)
 
-With --help-alone each prints its help and nothing more: enough for another way to the same program.
+With --help-alone each only prints its help.
 """
 
 import os
@@ -19,7 +19,7 @@ from rclpy.node import Node
 HELP_SECONDS = 120
 JOIN_SECONDS = 120
 STOP_SECONDS = 20
-NAMED_OTHERWISE = ("drive_emulator", "hil_bridge", "mock_plant")  # nodes too
+NAMED_OTHERWISE = ("drive_emulator", "hil_bridge", "mock_plant", "operator_console")  # nodes too
 
 
 def prints_help(path: Path) -> str:
