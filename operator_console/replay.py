@@ -31,7 +31,7 @@ from operator_console.page_state import SEEN, Entry, PageState, frame
 from operator_console.scene import USUAL_MACHINE
 from operator_console.telemetry import Telemetry
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Bag, Floats, TimeSeries, arrivals, read_bag
+from rover_bags.read import Bag, Floats, TimeSeries, read_bag, received_messages
 
 PERIOD: Final = 0.1
 """Of the frames of a short bag [s]."""
@@ -79,7 +79,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         BagError: It cannot be read; the text says why.
     """
     bag = _read(path)
-    axes = {name: _axis(bag, track) for name, track in bag.tracks.items() if len(track)}
+    axes = {name: _axis(bag, track) for name, track in bag.time_series.items() if len(track)}
     if not axes:
         raise ValueError(f"the bag {path.name} holds nothing that can be shown")
     page_state, telemetry = PageState(), Telemetry()
@@ -98,9 +98,11 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         for name, axis in axes.items():
             first, last = pointers[name], int(np.searchsorted(axis, now, side="right"))
             pointers[name] = last
-            told += [(float(axis[row]), name, row) for row in _rows(bag.tracks[name], first, last)]
+            told += [
+                (float(axis[row]), name, row) for row in _rows(bag.time_series[name], first, last)
+            ]
         for at, name, row in sorted(told, key=lambda item: item[0]):
-            sample = sample_at(bag.tracks[name], row)
+            sample = sample_at(bag.time_series[name], row)
             telemetry.hear(name, sample, at)
             journal += page_state.see(name, sample, at, at)
         made = frame(telemetry.snapshot(now), page_state, now, now)
@@ -126,9 +128,9 @@ def _read(path: Path) -> Bag:
     files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
     if sum(file.stat().st_size for file in files) < _LARGE:
         return read_bag(path, wanted)
-    coarse = read_bag(path, wanted, most=_MOST_ROWS)
+    coarse = read_bag(path, wanted, max_messages=_MOST_ROWS)
     said = [topic for topic in wanted if TOPICS[topic].sample is StatusSample]
-    return replace(coarse, tracks={**coarse.tracks, **read_bag(path, said).tracks})
+    return replace(coarse, time_series={**coarse.time_series, **read_bag(path, said).time_series})
 
 
 def _axis(bag: Bag, track: TimeSeries) -> Floats:
@@ -141,14 +143,14 @@ def _axis(bag: Bag, track: TimeSeries) -> Floats:
         told: Floats = np.maximum.accumulate(track.time)
         return told
     if restarts == 0 and bag.clock is not None and bag.clock.is_recorded:
-        return np.maximum.accumulate(bag.clock.arrivals(track.log_ns) * 1e-9)
+        return np.maximum.accumulate(bag.clock.at_reception(track.log_ns) * 1e-9)
     return np.asarray((track.log_ns - bag.start_ns) * 1e-9)
 
 
 def _restarts(bag: Bag) -> int:
     """How often simulated time was put back."""
-    pace = bag.paces.get(topics.CLOCK)
-    return 0 if pace is None else pace.restarts
+    timing = bag.timings.get(topics.CLOCK)
+    return 0 if timing is None else timing.restarts
 
 
 def _rows(track: TimeSeries, first: int, last: int) -> Sequence[int]:
@@ -159,7 +161,7 @@ def _rows(track: TimeSeries, first: int, last: int) -> Sequence[int]:
 
 
 def _see_place(bag: Bag, page_state: PageState) -> None:
-    found = arrivals(BagScan(bag.path), {topics.PLACE}, namespace=bag.namespace)
+    found = received_messages(BagScan(bag.path), {topics.PLACE}, namespace=bag.namespace)
     for arrival in found:
         page_state.see(arrival.name, arrival.sample, 0.0, 0.0)
         return

@@ -1,10 +1,9 @@
-"""Bags: recorded, rescued, read, reported, simulated again, and what they tell of the machine.
+"""Record, recover, read, report and re-simulate bags, and identify parameters from them.
 
-Each executable has its module here: ``record`` (the recorder node, the only one that needs
-rclpy), ``recover``, ``report``, ``resim`` and ``identify``. ``read`` turns a bag into typed tracks
-by the contract's table, ``survey`` reads, measures and draws one of any length, ``compare`` sets
-several side by side.
+One module per command: ``record`` (the recorder node, the only one that needs rclpy), ``recover``,
+``report``, ``compare``, ``resim`` and ``identify``. ``read`` turns a bag into time series typed by
+the contract; ``bag_analysis`` reads, measures and draws a bag of any length.
 
-Below them: ``files`` (what lies on disk), ``findings`` (what it tells), ``views`` (what is
-shown) and ``identification`` (of what machine it can be).
+Subpackages: ``files`` (file formats), ``analysis`` (metrics and audits), ``views`` (text, plots and
+pages) and ``identification`` (parameter estimation).
 """

@@ -19,10 +19,10 @@ from msg_schemas.table import WINCH_DRUM
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.jumps import Jump, motion
 from rover_bags.analysis.metrics import Metrics
+from rover_bags.bag_analysis import ProgressFactory, analyse_bag
 from rover_bags.read import Bag, Floats, windows
-from rover_bags.survey import Reading, survey
 from rover_bags.views.lines import envelope
-from rover_bags.views.markup import escaped, figures, whole_page
+from rover_bags.views.markup import escaped, plot_grid, whole_page
 from rover_bags.views.plots import (
     BLUE,
     GREEN,
@@ -131,7 +131,7 @@ class Comparison:
                 f'<p class="soft">{differing} of {len(self.rows)} figures differ by more than 1 %: '
                 "they are marked. Times count from each bag's begin.</p>"
             ),
-            figures(self.plots),
+            plot_grid(self.plots),
             (
                 '<p class="only"><label><input type="checkbox" id="only-differing"> '
                 "show only what differs</label></p>"
@@ -171,24 +171,26 @@ def compare(
     paths: Sequence[Path],
     *,
     namespace: str | None = None,
-    reading: Reading | None = None,
+    progress_factory: ProgressFactory | None = None,
 ) -> Comparison:
     """Read bags one after the other and put their figures side by side.
 
     Args:
         paths: Of the bags.
         namespace: Which rover, where bags hold several.
-        reading: Makes the progress bar of a pass.
+        progress_factory: Makes the progress bar of a pass.
 
     Raises:
         BagError: One of them cannot be read.
     """
     reports, tables, lines, scenarios = [], [], [], []
     for path in paths:
-        found = survey(path, namespace=namespace, drawn=False, reading=reading)
+        found = analyse_bag(
+            path, namespace=namespace, with_drawings=False, progress_factory=progress_factory
+        )
         report = as_mapping(found.bag, found.metrics)
         reports.append(report)
-        tables.append(dict(_figures(report)))
+        tables.append(dict(_report_metrics(report)))
         scenarios.append(dict(_flat(found.bag.scenario)))
         lines.append(_lines(found.bag, found.metrics))
     names = _names(paths)
@@ -221,11 +223,14 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
 Key = tuple[str, str]
 
 
-_WORDS: Final = {"downward": ("way", "down", "up"), "turning": ("what", "turn", "drive")}
+_KIND_LABELS: Final = {
+    "downward": ("direction", "down", "up"),
+    "turning": ("motion", "turn", "drive"),
+}
 """Of a stretch that is of either kind: what is told of it, and the words."""
 
 
-def _figures(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
+def _report_metrics(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
     """Group, name and value of each figure of a report."""
     for name in ("seed", "package_version", "contract_version"):
         value = report.get(name)
@@ -233,47 +238,47 @@ def _figures(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
     yield ("recording", "duration [s]"), report["duration_s"]
     yield ("recording", "simulated [s]"), report["simulated_s"]
     yield ("recording", "closed"), "yes" if report["closed"] else "no"
-    yield ("recording", "complaints"), float(len(report["complaints"]))
+    yield ("recording", "warnings"), float(len(report["warnings"]))
     times: dict[str, list[float]] = {}
-    for phase in report["phases"]:
-        times.setdefault(phase["what"], []).append(phase["end_s"] - phase["begin_s"])
+    for interval in report["activities"]:
+        times.setdefault(interval["activity"], []).append(interval["end_s"] - interval["begin_s"])
     for what, spans in times.items():
         yield ("activities", f"{what} [s]"), sum(spans)
         yield ("activities", f"{what}, times"), float(len(spans))
     kinds: dict[str, int] = {}
-    for moment in report["moments"]:
-        kinds[moment["what"]] = kinds.get(moment["what"], 0) + 1
+    for event in report["timeline_events"]:
+        kinds[event["event"]] = kinds.get(event["event"], 0) + 1
     for what, count in kinds.items():
         yield ("activities", f"{what.replace('_', ' ')}, times"), float(count)
-    for group, one in (("descents", "descent"), ("drives", "drive"), ("exposures", "stop"),
+    for group, one in (("descents", "descent"), ("drives", "drive"), ("imaging_stops", "stop"),
                        ("jumps", "jump")):  # fmt: skip
         for number, item in enumerate(report[group], 1):
             for name, value in item.items():
-                if name in _WORDS:
-                    told, if_so, if_not = _WORDS[name]
-                    yield (group, f"{one} {number}: {told}"), if_so if value else if_not
+                if name in _KIND_LABELS:
+                    label, if_true, if_false = _KIND_LABELS[name]
+                    yield (group, f"{one} {number}: {label}"), if_true if value else if_false
                     continue
                 if isinstance(value, bool) or not isinstance(value, int | float | None):
                     continue
                 yield (group, f"{one} {number}: {_named(name)}"), value
-    yield from _audit_figures(report["audits"])
+    yield from _audit_metrics(report["audits"])
     for topic, item in report["topics"].items():
         for name in ("count", "rate_hz", "max_gap_s", "gaps", "latency_p50_ms", "latency_p99_ms",
-                     "age_p99_ms", "dropped", "missed", "rejected"):  # fmt: skip
+                     "age_p99_ms", "dropped", "lost_in_transport", "rejected"):  # fmt: skip
             value = item[name]
             yield ("topics", f"{topic}: {_named(name)}"), None if value is None else float(value)
 
 
-def _audit_figures(audits: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
+def _audit_metrics(audits: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
     energy = audits["energy"]
-    for name in ("turnover_J", "missed_J", "share", "gravity_error_J"):
+    for name in ("turnover_J", "residual_J", "share", "gravity_error_J"):
         if energy is not None:
             yield ("audits", f"energy: {_named(name)}"), energy[name]
     for rotor in audits["rotors"]:
         name = f"{rotor['name'].replace('_', ' ')}: largest [N m s]"
-        yield ("audits", name), rotor["largest_N_m_s"]
+        yield ("audits", name), rotor["momentum_max_N_m_s"]
     for number, flight in enumerate(audits["flights"], 1):
-        for name in ("gained_N_s", "unexplained_N_s", "turned_N_m_s"):
+        for name in ("momentum_change_N_s", "unexplained_N_s", "angular_momentum_change_N_m_s"):
             yield ("audits", f"flight {number}: {_named(name)}"), flight[name]
 
 
@@ -284,9 +289,9 @@ _UNITS: Final = (("_N_m_s", "N m s"), ("_N_s", "N s"), ("_m_s", "m/s"), ("_hz", 
 
 def _named(name: str) -> str:
     """A figure's name in words, with its unit."""
-    for ending, unit in _UNITS:
-        if name.endswith(ending):
-            return f"{name.removesuffix(ending).replace('_', ' ')} [{unit}]"
+    for suffix, unit in _UNITS:
+        if name.endswith(suffix):
+            return f"{name.removesuffix(suffix).replace('_', ' ')} [{unit}]"
     return name.replace("_", " ")
 
 
@@ -340,8 +345,8 @@ _TITLES: Final = {
 def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
     """What is overlaid, thinned to what can be seen."""
     found: dict[str, Line] = {}
-    body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
-    cell, energy = bag.track(topics.LOAD_CELL), bag.track(topics.TRUTH_ENERGY)
+    body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
+    cell, energy = bag.series(topics.LOAD_CELL), bag.series(topics.TRUTH_ENERGY)
 
     def put(name: str, time: Floats, low: Floats, high: Floats) -> None:
         known = high[np.isfinite(high)]
@@ -372,18 +377,18 @@ def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
 
 
 def _first_jump(bag: Bag, jumps: Sequence[Jump]) -> Line | None:
-    track = bag.track(topics.TRUTH_BODY1)
-    if track is None or not jumps:
+    series = bag.series(topics.TRUTH_BODY1)
+    if series is None or not jumps:
         return None
     start = jumps[0].take_off_s
     begin, end = start - 0.1, start + jumps[0].flight_time_s + 0.2
-    at = int(np.argmin(np.abs(track.time - start)))
-    if track.stride > 1:
-        log = int(track.log_ns[at])
+    at = int(np.argmin(np.abs(series.time - start)))
+    if series.stride > 1:
+        log = int(series.log_ns[at])
         span = round((end - begin) * 10e9)
         parts = windows(bag, [(log - span, log + span)], [topics.TRUTH_BODY1])
-        track = next(parts).tracks[topics.TRUTH_BODY1]
-    body = motion(track)
+        series = next(parts).time_series[topics.TRUTH_BODY1]
+    body = motion(series)
     inside = (body.time >= begin) & (body.time <= end)
     if inside.sum() < 2:
         return None

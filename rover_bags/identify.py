@@ -337,15 +337,16 @@ def _signals(experiments: Sequence[Experiment], fitted: Fitted) -> tuple[SignalF
 def _notes(signals: Sequence[SignalFit], *, converged: bool) -> tuple[str, ...]:
     notes = [] if converged else ["the search did not come to its end"]
     for one in signals:
-        said = []
+        misfits = []
         if one.misfit > _LOUD and one.readings:
-            said.append(f"misses by {one.misfit:.2g} times its sensor's stated noise")
+            misfits.append(f"misses by {one.misfit:.2g} times its sensor's stated noise")
         if not one.white:
-            said.append("is missed in a way that is correlated in time")
-        if said:
+            misfits.append("is missed in a way that is correlated in time")
+        if misfits:
             notes.append(
-                f"{one.signal} of {one.run} {' and '.join(said)}: the model does not explain all "
-                "of it (a command's delay, another parameter, a sensor worse than stated?)"
+                f"{one.signal} of {one.run} {' and '.join(misfits)}: the model does not explain "
+                "this signal fully; check for a delayed command, another wrong parameter, or a "
+                "sensor noisier than specified"
             )
     return tuple(notes)
 

@@ -1,10 +1,10 @@
-"""Where the numbers of a message lie in its bytes, so that many are taken out at once.
+"""Byte layouts of messages, to extract the numbers of many messages at once.
 
-Messages of one topic mostly differ in nothing but their stamp and their numbers. The layout of the
-first is worked out from its type (CDR, https://www.omg.org/spec/DDSI-RTPS), held against what the
-contract's decoder makes of that message, and taken for those whose names, lengths and frames are
-the same, byte by byte. Every number is tested for finiteness and the contract's limits. What
-differs in anything, or fails a test, is left to the decoder, which accepts it or says why not.
+Messages of one topic mostly differ in their stamp and their numbers only. The layout of the first
+message is derived from its type (CDR, https://www.omg.org/spec/DDSI-RTPS), checked against the
+contract's decoder and applied to messages whose names, lengths and frames are the same, byte by
+byte. Every number is checked for finiteness and the contract's limits. A message that differs or
+fails a check goes to the decoder, which accepts it or states the reason for its rejection.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from msg_schemas.table import Topic
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_HEAD: Final = 4  # bytes before the message: how it is encoded
+_HEAD: Final = 4  # bytes of the CDR encapsulation header
 _LITTLE_ENDIAN: Final = b"\x00\x01"
 _FLOAT: Final = 8
 _NANO: Final = 1_000_000_000
@@ -32,22 +32,22 @@ _QUATERNION_TOLERANCE: Final = 1e-3
 _NODE: Final = len(TETHER_COLUMNS)
 
 
-class _Unlike(Exception):
-    """A message that is not laid out as its type says."""
+class _LayoutMismatch(Exception):
+    """A message whose bytes do not match the layout of its type."""
 
 
 @dataclass(frozen=True)
-class Taken:
+class ExtractedNumbers:
     """Numbers of several messages.
 
     Attributes:
-        good: Which messages were taken, shape (N,); the others are for the decoder.
-        stamp_ns: Their stamps.
-        values: Their numbers, shape (N, columns), in the order of `Layout.paths`.
+        accepted: Which messages match the layout and its limits, shape (N,).
+        stamp_ns: Stamps, shape (N,).
+        values: Numbers, shape (N, columns), in the order of `Layout.paths`.
         nodes: Nodes of the tether, shape (N, n + 1, 7); None for other topics.
     """
 
-    good: NDArray[np.bool_]
+    accepted: NDArray[np.bool_]
     stamp_ns: NDArray[np.int64]
     values: Floats
     nodes: Floats | None
@@ -55,16 +55,16 @@ class Taken:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the numbers lie.
+    """Offsets of a message's numbers.
 
     Attributes:
-        paths: Names of the numbers, as the sample's.
-        stamp: Offset of the stamp.
-        offsets: Of each number.
+        paths: Field paths of the numbers, as in the sample.
+        stamp: Offset of the stamp [byte].
+        offsets: Offset of each number [byte].
         nodes: Offset and count of the tether's nodes; None for other topics.
-        fixed: Offsets of the bytes that must be those of the first message.
-        like: Those bytes.
-        row: Of the contract's table.
+        fixed: Offsets of the bytes that must equal those of the first message.
+        expected: Those bytes.
+        spec: The topic in the contract.
     """
 
     paths: tuple[str, ...]
@@ -72,37 +72,37 @@ class Layout:
     offsets: tuple[int, ...]
     nodes: tuple[int, int] | None
     fixed: NDArray[np.intp]
-    like: Bytes
-    row: Topic
+    expected: Bytes
+    spec: Topic
 
-    def take(self, messages: Sequence[bytes]) -> Taken:
-        """Numbers of messages that all have the length of the first."""
+    def extract(self, messages: Sequence[bytes]) -> ExtractedNumbers:
+        """Extract the numbers of messages that have the length of the first."""
         table = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), -1)
-        good = (table[:, self.fixed] == self.like).all(axis=1)
+        accepted = (table[:, self.fixed] == self.expected).all(axis=1)
         seconds = _column(table, self.stamp, "<i4").astype(np.int64)
         nanos = _column(table, self.stamp + 4, "<u4").astype(np.int64)
-        good &= nanos < _NANO
+        accepted &= nanos < _NANO
         values = np.empty((len(messages), len(self.paths)))
         for column, offset in enumerate(self.offsets):
             values[:, column] = _column(table, offset, "<f8")
-        if self.row.sample is ClockSample:  # its stamp is all that it says
+        if self.spec.sample is ClockSample:  # it holds a stamp only
             values[:, 0] = (seconds * _NANO + nanos) * 1e-9
-        good &= self._allowed(self.paths, values)
-        if self.row.sample is OdometrySample:
+        accepted &= self._allowed(self.paths, values)
+        if self.spec.sample is OdometrySample:
             squares = [i for i, path in enumerate(self.paths) if path.startswith("orientation.")]
             norm = np.linalg.norm(values[:, squares], axis=1)
-            good &= np.abs(norm - 1.0) <= 0.9 * _QUATERNION_TOLERANCE
+            accepted &= np.abs(norm - 1.0) <= 0.9 * _QUATERNION_TOLERANCE
         nodes = None
         if self.nodes is not None:
             offset, count = self.nodes
             block = table[:, offset : offset + count * _NODE * _FLOAT]
             nodes = np.ascontiguousarray(block).view("<f8").reshape(-1, count, _NODE)
             for extreme in (nodes.min(axis=1), nodes.max(axis=1)):
-                good &= self._allowed(TETHER_COLUMNS, extreme)
-        return Taken(good, seconds * _NANO + nanos, values, nodes)
+                accepted &= self._allowed(TETHER_COLUMNS, extreme)
+        return ExtractedNumbers(accepted, seconds * _NANO + nanos, values, nodes)
 
     def _allowed(self, paths: Sequence[str], values: Floats) -> NDArray[np.bool_]:
-        limits = self.row.by_path
+        limits = self.spec.by_path
         low = np.array([limits[path].minimum if path in limits else -np.inf for path in paths])
         high = np.array([limits[path].maximum if path in limits else np.inf for path in paths])
         with np.errstate(invalid="ignore"):
@@ -116,40 +116,40 @@ def _column(table: Bytes, offset: int, kind: str) -> NDArray[Any]:
     return column
 
 
-def layout_of(row: Topic, data: bytes, sample: Any) -> Layout | None:
-    """The layout of a message, None where it cannot be relied on.
+def layout_of(spec: Topic, data: bytes, sample: Any) -> Layout | None:
+    """Derive the layout of a message, or None if it disagrees with the decoder.
 
     Args:
-        row: Of its topic.
-        data: Its bytes.
-        sample: What the contract's decoder makes of it.
+        spec: The topic in the contract.
+        data: The serialised message.
+        sample: The message as decoded by the contract's decoder.
     """
-    walk = _WALKS.get(row.message)
+    walk = _WALKS.get(spec.message)
     if walk is None or data[:2] != _LITTLE_ENDIAN:
         return None
     cursor = _Cursor(data)
     try:
         walk(cursor)
-    except (_Unlike, struct.error, UnicodeDecodeError):
+    except (_LayoutMismatch, struct.error, UnicodeDecodeError):
         return None
     fixed = np.flatnonzero(cursor.fixed)
-    names = tuple(cursor.numbers) or (("clock",) if row.sample is ClockSample else ())
+    names = tuple(cursor.numbers) or (("clock",) if spec.sample is ClockSample else ())
     layout = Layout(
         names, cursor.stamp, tuple(cursor.numbers.values()), cursor.nodes, fixed,
-        np.frombuffer(data, dtype=np.uint8)[fixed], row,
+        np.frombuffer(data, dtype=np.uint8)[fixed], spec,
     )  # fmt: skip
-    taken = layout.take([data])
-    if not taken.good[0] or int(taken.stamp_ns[0]) != sample.stamp_ns:
+    extracted = layout.extract([data])
+    if not extracted.accepted[0] or int(extracted.stamp_ns[0]) != sample.stamp_ns:
         return None
     if isinstance(sample, TetherSample):
-        same = taken.nodes is not None and np.array_equal(taken.nodes[0], sample.nodes)
+        same = extracted.nodes is not None and np.array_equal(extracted.nodes[0], sample.nodes)
         return layout if same else None
-    told = dict(zip(names, taken.values[0].tolist(), strict=True))
-    return layout if told == dict(sample.scalars()) else None
+    extracted_numbers = dict(zip(names, extracted.values[0].tolist(), strict=True))
+    return layout if extracted_numbers == dict(sample.scalars()) else None
 
 
 class _Cursor:
-    """Walks through a message, noting where its numbers are and what must not change."""
+    """Parses a message and notes the offsets of its numbers and its fixed bytes."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -171,7 +171,7 @@ class _Cursor:
     def skip(self, count: int) -> None:
         self.at += count
         if self.at > len(self.data):
-            raise _Unlike
+            raise _LayoutMismatch
 
     def whole(self, kind: str = "I") -> int:
         width = struct.calcsize(kind)
@@ -210,11 +210,11 @@ def _joints(cursor: _Cursor) -> None:
     cursor.header()
     names = [cursor.text() for _ in range(cursor.whole())]
     if len(set(names)) != len(names):
-        raise _Unlike
+        raise _LayoutMismatch
     places: dict[str, int] = {}
     for part in ("position", "velocity", "effort"):
         if cursor.whole() != len(names):
-            raise _Unlike
+            raise _LayoutMismatch
         cursor.align(_FLOAT)
         for name in names:
             places[f"{name}.{part}"] = cursor.at
@@ -267,7 +267,7 @@ def _tether(cursor: _Cursor) -> None:
     cursor.whole()
     size = cursor.whole()
     if size != height * width * _NODE * _FLOAT or not size:
-        raise _Unlike
+        raise _LayoutMismatch
     cursor.nodes = (cursor.at, height * width)
     cursor.skip(size)
 

@@ -1,14 +1,12 @@
-"""Reads a bag into typed tracks: numpy arrays by topic, as the contract's table names them.
+"""Read a bag into time series: numpy arrays by topic and field, as named by the contract.
 
-Reads whatever its recorder left: bags of this suite and of ``ros2 bag record``, MCAP or SQLite,
-split, compressed, closed or killed, with or without ``metadata.yaml``. Every chunk is checked
-against its checksum, every message against the contract; what fails is counted and named, and
-nothing wrong is returned. What no checksum protects is counted as such.
+Reads bags of this suite and of ``ros2 bag record``: MCAP or SQLite, split, compressed, closed or
+interrupted, with or without ``metadata.yaml``. Chunks are checked against their checksums, messages
+against the contract; what fails is counted and reported and never returned. Messages without a
+checksum are counted as unverified.
 
-However long the bag is, tracks can be asked to hold no more than so many messages; stretches of it
-are then read again in full.
-
-Nothing here needs ROS.
+The number of messages that a time series holds can be limited; windows of the bag can then be read
+again in full. Nothing here needs ROS.
 """
 
 import json
@@ -36,30 +34,30 @@ from rover_bags.time_series import (
     LARGEST,
     Clock,
     Floats,
-    GrowingTimeSeries,
-    Pace,
-    Rows,
+    MessageBlock,
+    MessageTiming,
     Stamps,
     TimeSeries,
+    TimeSeriesBuilder,
+    blocks_of_samples,
     largest_tensions,
-    samples_topics,
 )
 
 __all__ = [
-    "Arrival", "Bag", "Floats", "ReadError", "Rejected", "Stamps", "TimeSeries", "arrivals",
-    "read_bag", "windows",
+    "Bag", "Floats", "ReadError", "ReceivedMessage", "Rejected", "Stamps", "TimeSeries", "read_bag",
+    "received_messages", "windows",
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
-"""Told how many bytes of the bag have been read."""
+"""Called with the number of bytes of the bag that have been read."""
 
 _STORE: Final[Typestore] = get_typestore(Stores.ROS2_JAZZY)
 _EXAMPLES: Final = 5
 _BLOCK: Final = 512
-"""So many messages of a topic are taken apart at once."""
-_TOLD_EVERY: Final = 4096
+"""Number of messages of a topic that are decoded at once."""
+_PROGRESS_EVERY: Final = 4096
 _LEADING: Final = 4096
-"""A recorder that tells who it is does so before so many messages."""
+"""A recorder that writes an identity record does so before this many messages."""
 _FINER: Final = 8
 _FINE: Final = frozenset(
     {
@@ -71,16 +69,16 @@ _FINE: Final = frozenset(
         topics.MOTOR_CURRENTS,
     }
 )
-"""By these activities are told apart: their tracks may hold so many times more messages."""
+"""Topics that distinguish activities: their time series may hold `_FINER` times more messages."""
 
 
 class ReadError(BagError):
-    """A bag from which nothing can be told; the text says why."""
+    """A bag that holds nothing readable; the message states the reason."""
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A recorded message that the contract turns away."""
+    """A recorded message that violates the contract."""
 
     topic: str
     log_ns: int
@@ -92,60 +90,60 @@ class Bag:
     """A bag in memory.
 
     Attributes:
-        path: Where it is.
-        namespace: Of the rover that was read.
+        path: The bag's folder or file.
+        namespace: Namespace of the rover that was read.
         start_ns: Log time of the first message [ns since 1970].
-        duration: From the first to the last message, machine's time [s].
-        tracks: What was read, by the contract's topic name.
+        duration: Wall time from the first to the last message [s].
+        time_series: Time series by contract topic name.
         counts: Messages by full topic name, of every topic in the bag.
         types: Message type by full topic name.
-        full_names: Full topic name by the contract's, for topics that are in the bag.
-        identity: Versions and settings that the recorder wrote; empty for foreign bags.
-        configurations: Latched configurations of the nodes, in their order.
-        dropped, missed: Messages by full topic name that the recorder could not keep, and that
-            were lost before they reached it.
+        full_names: Full topic name by contract topic name, for topics in the bag.
+        identity: Versions and settings written by this suite's recorder; empty for others.
+        configurations: Latched configurations of the nodes, in recorded order.
+        dropped: Messages that the recorder could not keep, by full topic name.
+        lost_in_transport: Messages lost before they reached the recorder, by full topic name.
         closed: Whether the recorder closed the bag.
-        damage: Stretches of the files that were left out.
-        remarks: What its files lack, in words.
-        lost: Messages by full topic name that the bag should hold, as it counts them itself, and
-            that could not be read.
-        unverified: Messages that no checksum protects, by full topic name.
-        rejected: Messages that the contract turns away, by its topic name.
-        examples: The first few of those.
-        paces: How the messages of each topic read followed one another, by the contract's name.
-        clock: Turns stamps into the tracks' time.
+        damage: Damaged parts of the files, which were skipped.
+        file_defects: Descriptions of what is missing or damaged in the files.
+        unreadable: Messages that the bag's own index counts and that could not be read, by full
+            topic name.
+        unverified: Messages without a checksum, by full topic name.
+        rejected: Messages that violate the contract, by contract topic name.
+        rejected_examples: The first few rejected messages.
+        timings: Rate and gap statistics of each topic read, by contract topic name.
+        clock: Converts stamps into the time of the time series.
     """
 
     path: Path
     namespace: str
     start_ns: int
     duration: float
-    tracks: Mapping[str, TimeSeries]
+    time_series: Mapping[str, TimeSeries]
     counts: Mapping[str, int]
     types: Mapping[str, str]
     full_names: Mapping[str, str]
     identity: Mapping[str, str]
     configurations: tuple[Mapping[str, Any], ...]
     dropped: Mapping[str, int]
-    missed: Mapping[str, int]
+    lost_in_transport: Mapping[str, int]
     closed: bool
     damage: tuple[Damage, ...]
-    remarks: tuple[str, ...]
-    lost: Mapping[str, int]
+    file_defects: tuple[str, ...]
+    unreadable: Mapping[str, int]
     unverified: Mapping[str, int]
     rejected: Mapping[str, int]
-    examples: tuple[Rejected, ...]
-    paces: Mapping[str, Pace] = field(default_factory=dict)
+    rejected_examples: tuple[Rejected, ...]
+    timings: Mapping[str, MessageTiming] = field(default_factory=dict)
     clock: Clock | None = None
 
-    def track(self, topic: str) -> TimeSeries | None:
-        """The track of a topic, None where the bag holds no good message of it."""
-        found = self.tracks.get(topic)
+    def series(self, topic: str) -> TimeSeries | None:
+        """Return the time series of a topic, or None if the bag holds no valid message of it."""
+        found = self.time_series.get(topic)
         return found if found is not None and len(found) else None
 
     @property
     def scenario(self) -> Mapping[str, Any]:
-        """The simulated scenario as configured, empty where no configuration tells."""
+        """The configured scenario; empty if no configuration is recorded."""
         for configuration in self.configurations:
             scenario = configuration.get("scenario")
             if isinstance(scenario, Mapping):
@@ -154,8 +152,8 @@ class Bag:
 
     @property
     def thinned(self) -> bool:
-        """Whether tracks hold only a part of their messages."""
-        return any(track.stride > 1 for track in self.tracks.values())
+        """Whether any time series holds only a part of its messages."""
+        return any(series.stride > 1 for series in self.time_series.values())
 
     @property
     def seed(self) -> int | None:
@@ -164,15 +162,15 @@ class Bag:
 
 
 @dataclass(frozen=True)
-class Arrival:
-    """One accepted message of a contract topic.
+class ReceivedMessage:
+    """One valid message of a contract topic.
 
     Attributes:
         name: Contract topic.
-        log_ns, publish_ns: When it was received and sent [ns since 1970].
-        sequence: The publisher's count.
-        sample: What it says.
-        message: The message itself.
+        log_ns, publish_ns: Time of reception and of publication [ns since 1970].
+        sequence: The publisher's message count.
+        sample: The decoded sample.
+        message: The ROS message.
     """
 
     name: str
@@ -183,21 +181,21 @@ class Arrival:
     message: Any
 
 
-def arrivals(
-    scan: BagScan, wanted: Collection[str] | None = None, *, namespace: str | None = None
-) -> Iterator[Arrival]:
-    """Yields a bag's accepted messages one by one, in the order of the file.
+def received_messages(
+    scan: BagScan, requested: Collection[str] | None = None, *, namespace: str | None = None
+) -> Iterator[ReceivedMessage]:
+    """Yield a bag's valid messages one by one, in file order.
 
     Args:
-        scan: Of the bag; complete when the iteration is.
-        wanted: Contract topics to decode; all but the markers by default.
-        namespace: Which rover, where the bag holds several.
+        scan: Scan of the bag; its attributes are complete after the iteration.
+        requested: Contract topics to decode; all but the markers by default.
+        namespace: Namespace of the rover, if the bag holds several.
 
     Raises:
-        ScanError: It is no bag.
-        ReadError: It holds several rovers and no ``namespace``.
+        ScanError: It is not a bag.
+        ReadError: It holds several rovers and no ``namespace`` is given.
     """
-    decoded = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
+    decoded = set(TOPICS) - {topics.MARKERS} if requested is None else set(requested)
     full_names, _ = _names(scan.path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in decoded}
     for item in scan:
@@ -209,101 +207,102 @@ def arrivals(
             sample = decode(name, message)
         except (Refusal, SerdeError, KeyError):
             continue
-        yield Arrival(name, item.log_ns, item.publish_ns, item.sequence, sample, message)
+        yield ReceivedMessage(name, item.log_ns, item.publish_ns, item.sequence, sample, message)
 
 
 class _Decoder:
-    """Takes the messages of one topic apart, many at once where they are alike."""
+    """Decodes the messages of one topic, many at once if they have the same layout."""
 
-    def __init__(self, name: str, growing: GrowingTimeSeries) -> None:
-        self.growing = growing
+    def __init__(self, name: str, builder: TimeSeriesBuilder) -> None:
+        self.builder = builder
         self.rejected = 0
-        self.examples: list[Rejected] = []
+        self.rejected_examples: list[Rejected] = []
         self._name = name
-        self._waiting: list[Message] = []
+        self._pending: list[Message] = []
         self._layouts: dict[int, Layout | None] = {}
 
     def add(self, message: Message) -> None:
-        self._waiting.append(message)
-        if len(self._waiting) >= _BLOCK:
+        self._pending.append(message)
+        if len(self._pending) >= _BLOCK:
             self.flush()
 
     def flush(self) -> None:
-        """Take apart what has come."""
-        waiting, self._waiting = self._waiting, []
-        for length, group in groupby(waiting, key=lambda message: len(message.data)):
+        """Decode the pending messages."""
+        pending, self._pending = self._pending, []
+        for length, group in groupby(pending, key=lambda message: len(message.data)):
             for rows in self._rows(length, list(group)):
-                self.growing.add(rows)
+                self.builder.add(rows)
 
-    def _rows(self, length: int, group: list[Message]) -> Iterator[Rows]:
+    def _rows(self, length: int, group: list[Message]) -> Iterator[MessageBlock]:
         first = group[0]
         if length not in self._layouts and first.topic.type == TOPICS[self._name].message:
             sample = self._decoded(first, counted=False)
-            row = TOPICS[self._name]
-            self._layouts[length] = None if sample is None else layout_of(row, first.data, sample)
+            spec = TOPICS[self._name]
+            self._layouts[length] = None if sample is None else layout_of(spec, first.data, sample)
         layout = self._layouts.get(length)
         if layout is None or any(message.topic is not first.topic for message in group):
-            yield from self._one_by_one(group)
+            yield from self._decoded_singly(group)
             return
-        taken = layout.take([message.data for message in group])
+        extracted = layout.extract([message.data for message in group])
         log_ns = np.array([message.log_ns for message in group], dtype=np.int64)
         publish_ns = np.array([message.publish_ns for message in group], dtype=np.int64)
-        edges = np.flatnonzero(np.diff(taken.good)) + 1
+        edges = np.flatnonzero(np.diff(extracted.accepted)) + 1
         for part in np.split(np.arange(len(group)), edges):
-            if not taken.good[part[0]]:
-                yield from self._one_by_one([group[index] for index in part.tolist()])
+            if not extracted.accepted[part[0]]:
+                yield from self._decoded_singly([group[index] for index in part.tolist()])
                 continue
-            paths, values, shapes = layout.paths, taken.values[part], []
-            if taken.nodes is not None:
-                shapes = list(taken.nodes[part])
-                paths, values = (LARGEST,), largest_tensions(taken.nodes[part])
-            yield Rows(
-                log_ns[part], publish_ns[part], taken.stamp_ns[part], paths, values, shapes, []
+            paths, values, shapes = layout.paths, extracted.values[part], []
+            if extracted.nodes is not None:
+                shapes = list(extracted.nodes[part])
+                paths, values = (LARGEST,), largest_tensions(extracted.nodes[part])
+            yield MessageBlock(
+                log_ns[part], publish_ns[part], extracted.stamp_ns[part], paths, values, shapes, []
             )
 
-    def _one_by_one(self, group: Iterable[Message]) -> Iterator[Rows]:
+    def _decoded_singly(self, group: Iterable[Message]) -> Iterator[MessageBlock]:
         items = []
         for message in group:
             sample = self._decoded(message)
             if sample is not None:
                 items.append((message.log_ns, message.publish_ns, sample))
-        yield from samples_topics(items)
+        yield from blocks_of_samples(items)
 
     def _decoded(self, message: Message, *, counted: bool = True) -> Any:
-        """The sample, None where it is turned away."""
+        """The sample, or None if it violates the contract."""
         try:
             return decode(self._name, _message(self._name, message))
         except (Refusal, SerdeError, KeyError) as error:
             if counted:
                 self.rejected += 1
                 if self.rejected <= _EXAMPLES:
-                    self.examples.append(Rejected(self._name, message.log_ns, str(error)))
+                    self.rejected_examples.append(Rejected(self._name, message.log_ns, str(error)))
             return None
 
 
 def read_bag(
     path: Path,
-    wanted: Collection[str] | None = None,
+    requested: Collection[str] | None = None,
     *,
     namespace: str | None = None,
-    most: int | None = None,
+    max_messages: int | None = None,
     progress: Progress | None = None,
 ) -> Bag:
-    """Reads a bag.
+    """Read a bag.
 
     Args:
-        path: Its folder, or one of its files.
-        wanted: Contract topics to decode; all but the markers by default. Others are counted.
-        namespace: Which rover, where the bag holds several.
-        most: Tracks hold up to twice so many messages, thinned beyond; None = all. Those of
-            switches, encoders and currents that tell activities apart may hold 8 times as many.
-        progress: Told how far it has come.
+        path: The bag's folder, or one of its files.
+        requested: Contract topics to decode; all but the markers by default. Others are counted.
+        namespace: Namespace of the rover, if the bag holds several.
+        max_messages: Time series are thinned when they exceed twice this number; None = never.
+            Those of switches, encoders and currents, which distinguish activities, may hold 8 times
+            as many.
+        progress: Called with the number of bytes read.
 
     Raises:
-        ScanError: It is no bag, or of a kind that cannot be read.
-        ReadError: It holds no message, or several rovers and no ``namespace``.
+        ScanError: It is not a bag, or of a format that cannot be read.
+        ReadError: It holds no message, or several rovers and no ``namespace`` is given.
     """
-    names = set(TOPICS) - {topics.MARKERS} if wanted is None else set(wanted)
+    names = set(TOPICS) - {topics.MARKERS} if requested is None else set(requested)
     full_names, space = _names(path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in names}
     scan = BagScan(path)
@@ -318,46 +317,50 @@ def read_bag(
         first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
         last_ns = max(last_ns, message.log_ns)
         total += 1
-        if progress is not None and total % _TOLD_EVERY == 0:
+        if progress is not None and total % _PROGRESS_EVERY == 0:
             progress(scan.done)
         name = by_full_name.get(full)
         if name is None:
             continue
         if name not in decoders:
-            held = most if most is None or name not in _FINE else _FINER * most
-            decoders[name] = _Decoder(name, GrowingTimeSeries(TOPICS[name], full, held))
+            held = (
+                max_messages if max_messages is None or name not in _FINE else _FINER * max_messages
+            )
+            decoders[name] = _Decoder(name, TimeSeriesBuilder(TOPICS[name], full, held))
         decoders[name].add(message)
     if first_ns is None:
         why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
         raise ReadError(f"the bag {path} holds no message that can be read: {why}")
     for decoder in decoders.values():
         decoder.flush()
-    growing = {name: decoder.growing for name, decoder in decoders.items()}
-    clock = Clock(growing.get(topics.CLOCK), first_ns, _first_stamp(growing))
-    tracks = {name: item.finished(clock) for name, item in growing.items() if item.pace.count}
+    builders = {name: decoder.builder for name, decoder in decoders.items()}
+    clock = Clock(builders.get(topics.CLOCK), first_ns, _first_stamp(builders))
+    time_series = {name: item.build(clock) for name, item in builders.items() if item.timing.count}
     records = list(scan.metadata)
-    dropped, missed = _losses(records)
+    dropped, lost_in_transport = _losses(records)
     return Bag(
         path=path,
         namespace=space,
         start_ns=first_ns,
         duration=(last_ns - first_ns) * 1e-9,
-        tracks=tracks,
+        time_series=time_series,
         counts=dict(counts),
         types=types,
         full_names={name: full for name, full in full_names.items() if full in counts},
         identity=next((values for name, values in records if name == IDENTITY_RECORD), {}),
-        configurations=tuple(_configurations(tracks.get(topics.CONFIG))),
+        configurations=tuple(_configurations(time_series.get(topics.CONFIG))),
         dropped=dropped,
-        missed=missed,
+        lost_in_transport=lost_in_transport,
         closed=scan.closed,
         damage=tuple(scan.damage),
-        remarks=tuple(scan.remarks(first_ns)),
-        lost=scan.lost,
+        file_defects=tuple(scan.defects(first_ns)),
+        unreadable=scan.lost,
         unverified=dict(scan.unverified),
         rejected={name: item.rejected for name, item in decoders.items() if item.rejected},
-        examples=tuple(example for item in decoders.values() for example in item.examples),
-        paces={name: item.pace for name, item in growing.items() if item.pace.count},
+        rejected_examples=tuple(
+            example for item in decoders.values() for example in item.rejected_examples
+        ),
+        timings={name: item.timing for name, item in builders.items() if item.timing.count},
         clock=clock,
     )
 
@@ -365,43 +368,43 @@ def read_bag(
 def windows(
     bag: Bag,
     spans: Sequence[tuple[int, int]],
-    wanted: Collection[str],
+    requested: Collection[str],
     *,
     progress: Progress | None = None,
 ) -> Iterator[Bag]:
-    """Reads stretches of a bag again, in full, one after the other in one pass.
+    """Read time windows of a bag again, in full, in one pass.
 
     Args:
-        bag: As it was read, thinned.
-        spans: Log times [ns since 1970] of the stretches, in order; they may overlap.
-        wanted: Contract topics to read.
-        progress: Told how far it has come.
+        bag: The thinned bag.
+        spans: Log times [ns since 1970] of the windows, in order; they may overlap.
+        requested: Contract topics to read.
+        progress: Called with the number of bytes read.
 
     Yields:
-        For each stretch the bag with these topics' tracks of the stretch alone.
+        For each window, the bag with the requested time series restricted to the window.
     """
-    by_full_name = {full: name for name, full in bag.full_names.items() if name in wanted}
-    waiting = list(spans)
+    by_full_name = {full: name for name, full in bag.full_names.items() if name in requested}
+    remaining = list(spans)
     open_spans: list[tuple[int, dict[str, _Decoder]]] = []
     scan = BagScan(bag.path)
     total = 0
     for message in scan:
         total += 1
-        if progress is not None and total % _TOLD_EVERY == 0:
+        if progress is not None and total % _PROGRESS_EVERY == 0:
             progress(scan.done)
-        # Messages are in the order of the file, which is nearly that of their log times.
+        # The order of the file is nearly that of the log times.
         while open_spans and message.log_ns > open_spans[0][0] + _OUT_OF_ORDER_NS:
             yield _window(bag, open_spans.pop(0)[1])
-        while waiting and message.log_ns >= waiting[0][0]:
-            open_spans.append((waiting.pop(0)[1], {}))
+        while remaining and message.log_ns >= remaining[0][0]:
+            open_spans.append((remaining.pop(0)[1], {}))
         name = by_full_name.get(message.topic.name)
         if name is None:
             continue
         for end, decoders in open_spans:
             if message.log_ns <= end:
                 if name not in decoders:
-                    row = TOPICS[name]
-                    decoders[name] = _Decoder(name, GrowingTimeSeries(row, message.topic.name))
+                    spec = TOPICS[name]
+                    decoders[name] = _Decoder(name, TimeSeriesBuilder(spec, message.topic.name))
                 decoders[name].add(message)
     for _, decoders in open_spans:
         yield _window(bag, decoders)
@@ -415,33 +418,35 @@ def _window(bag: Bag, decoders: Mapping[str, _Decoder]) -> Bag:
         decoder.flush()
     if bag.clock is None:
         raise AssertionError("a bag that was read has a clock")
-    tracks = {
-        name: decoder.growing.finished(bag.clock)
+    time_series = {
+        name: decoder.builder.build(bag.clock)
         for name, decoder in decoders.items()
-        if decoder.growing.pace.count
+        if decoder.builder.timing.count
     }
-    return replace(bag, tracks={**bag.tracks, **tracks})
+    return replace(bag, time_series={**bag.time_series, **time_series})
 
 
-def _first_stamp(growing: Mapping[str, GrowingTimeSeries]) -> tuple[int, int] | None:
-    """Stamp and log time of the first stamped message of a topic that only the plant sends."""
+def _first_stamp(builders: Mapping[str, TimeSeriesBuilder]) -> tuple[int, int] | None:
+    """Stamp and log time of the first stamped message of a topic published by the plant only."""
     for name in (topics.TRUTH_BODY1, topics.IMU, topics.LOAD_CELL):
-        if name in growing:
-            log_ns, stamp_ns = growing[name].clock_rows
+        if name in builders:
+            log_ns, stamp_ns = builders[name].clock_stamps
             pairs = zip(stamp_ns.tolist(), log_ns.tolist(), strict=True)
             return next((pair for pair in pairs if pair[0] > 0), None)
     return None
 
 
 def _message(name: str, message: Message) -> Any:
-    row = TOPICS[name]
-    if message.topic.type != row.message:
-        raise SerdeError(f"{name} is recorded as {message.topic.type}, it must be {row.message}")
-    return _STORE.deserialize_cdr(message.data, row.message)
+    spec = TOPICS[name]
+    if message.topic.type != spec.message:
+        raise SerdeError(
+            f"{name} is recorded as {message.topic.type}, the contract requires {spec.message}"
+        )
+    return _STORE.deserialize_cdr(message.data, spec.message)
 
 
 def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
-    """Full name of each contract topic, and the namespace: as the recorder wrote, or guessed."""
+    """Full name of each contract topic and the namespace: from the identity record, or inferred."""
     scan = BagScan(path)
     present: set[tuple[str, str]] = set()
     for message in scan:
@@ -453,14 +458,14 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
             return names, identity.get("namespace", "/")
         if sum(scan.counts.values()) >= _LEADING and len(scan.files) == 1 and scan.closed:
             announced = {(topic.name, topic.type) for topic in scan.announced}
-            if announced:  # its index tells all topics, and nobody wrote more about them
+            if announced:  # the index lists all topics, and there is no identity record
                 present |= announced
                 break
     spaces = _namespaces(present)
     if namespace is None:
         if len(spaces) > 1:
             raise ReadError(
-                f"the bag {path} holds several rovers: choose one of the namespaces "
+                f"the bag {path} holds several rovers: select one of the namespaces "
                 f"{', '.join(sorted(spaces))}"
             )
         namespace = next(iter(spaces), "/")
@@ -470,7 +475,7 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
 
 
 def _namespaces(present: Iterable[tuple[str, str]]) -> set[str]:
-    """Namespaces under which the bag holds what only a rover of this suite publishes."""
+    """Namespaces of topics that only a rover of this suite publishes."""
     marks = (topics.TRUTH_BODY1, topics.JUMP_MOTOR_STATE, topics.WINCH_STATE, topics.LOAD_CELL)
     return {
         full[: -len(name)].rstrip("/") or "/"
@@ -480,8 +485,8 @@ def _namespaces(present: Iterable[tuple[str, str]]) -> set[str]:
     }
 
 
-def _configurations(track: TimeSeries | None) -> Iterable[Mapping[str, Any]]:
-    for text in dict.fromkeys(track.texts if track is not None else ()):
+def _configurations(series: TimeSeries | None) -> Iterable[Mapping[str, Any]]:
+    for text in dict.fromkeys(series.texts if series is not None else ()):
         content = json.loads(text)
         if isinstance(content, dict):
             yield content

@@ -60,7 +60,7 @@ from rover_bags.files.store import (
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
 _QUEUE_DEPTH = 1000
-_HEARING_PERIOD = 0.01
+_TAKE_PERIOD = 0.01
 _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
 """Exit code of a recording that the disk ended, beyond the exit codes of every node."""
@@ -103,7 +103,7 @@ class RecordParameters:
     )
 
 
-class _LeftToUs(CallbackGroup):
+class _PolledGroup(CallbackGroup):
     """What the executor does not wait for.
 
     It looks at every subscription for every message that comes on any of them, which costs ten
@@ -124,7 +124,7 @@ class _Recorded:
     subscription: Any = None
     publishers: int = 1
     continuity: Continuity = field(default_factory=Continuity)
-    heard: bool = False
+    received: bool = False
 
 
 class RecordNode(ContractNode):
@@ -142,7 +142,7 @@ class RecordNode(ContractNode):
         self._spool: Spool | None = None
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._left_to_us = _LeftToUs()
+        self._polled_group = _PolledGroup()
         self._recording_timers: list[Any] = []
         self._began = 0.0
 
@@ -154,7 +154,7 @@ class RecordNode(ContractNode):
             ValueError: a topic name is not one.
         """
         options = self.parameters_of(RecordParameters)
-        wanted = self._wanted(options.topics.split())
+        selected = self._selected(options.topics.split())
         stamp = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")
         self._path = Path(options.output or f"rover_bag_{stamp}")
         writer = BagWriter(
@@ -167,7 +167,7 @@ class RecordNode(ContractNode):
         writer.add_metadata(IDENTITY_RECORD, sealed(self._identity()))
         self._spool = Spool(writer, limit=options.queue_mib << 20, notes=self._note_configuration)
         self._began = time.monotonic()
-        for name, row_name in wanted.items():
+        for name, row_name in selected.items():
             if row_name is not None:
                 row = TOPICS[row_name]
                 self._subscribe(
@@ -176,13 +176,13 @@ class RecordNode(ContractNode):
                     qos.profile(row.intent, _QUEUE_DEPTH),
                     first=row_name == topics.CONFIG,
                 )
-        self._by_name = [name for name, row_name in wanted.items() if row_name is None]
+        self._by_name = [name for name, row_name in selected.items() if row_name is None]
         self._recording_timers = [
-            self.create_timer(_DISCOVERY_PERIOD, self._look_around, clock=self._wall),
+            self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
             self.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
-            self.create_timer(_HEARING_PERIOD, self._hear, clock=self._wall),
+            self.create_timer(_TAKE_PERIOD, self._take_messages, clock=self._wall),
         ]
-        self._look_around()
+        self._discover()
         self.get_logger().info(f"recording into {self._path}")
 
     def release(self) -> None:
@@ -190,7 +190,7 @@ class RecordNode(ContractNode):
         for timer in self._recording_timers:
             self.destroy_timer(timer)
         self._recording_timers.clear()
-        self._hear()
+        self._take_messages()
         for recorded in self._recorded.values():
             self.destroy_subscription(recorded.subscription)
         spool, self._spool = self._spool, None
@@ -227,7 +227,7 @@ class RecordNode(ContractNode):
         spool = self._spool
         if spool is None:
             return ()
-        dropped, missed = spool.losses
+        dropped, lost = spool.losses
         summary = spool.summary
         values = {
             "bag": str(self._path),
@@ -235,18 +235,18 @@ class RecordNode(ContractNode):
             "bytes_on_disk": str(summary.size),
             "bytes_waiting": str(spool.waiting),
             **{f"dropped {name}": str(count) for name, count in sorted(dropped.items())},
-            **{f"lost in transport {name}": str(count) for name, count in sorted(missed.items())},
+            **{f"lost in transport {name}": str(count) for name, count in sorted(lost.items())},
         }
         error = spool.error
         if error is not None:
             return (Status(f"{self.NAME}: bag", str(error), Level.ERROR, self.NAME, values),)
-        level = Level.WARN if dropped or missed else Level.OK
-        text = "messages were lost" if dropped or missed else "recording"
+        level = Level.WARN if dropped or lost else Level.OK
+        text = "messages were lost" if dropped or lost else "recording"
         return (Status(f"{self.NAME}: bag", text, level, self.NAME, values),)
 
     # --- what to record ---------------------------------------------------------------------------
 
-    def _wanted(self, names: Sequence[str]) -> dict[str, str | None]:
+    def _selected(self, names: Sequence[str]) -> dict[str, str | None]:
         """Full topic names and their rows in the contract (None: a topic outside it)."""
         rows = {self.resolve_topic_name(name): name for name in TOPICS}
         if not names:
@@ -260,7 +260,7 @@ class RecordNode(ContractNode):
                 raise ValueError(f"topics: {name!r} is no topic name: {reason}") from error
         return {name: rows.get(name) for name in chosen}
 
-    def _look_around(self) -> None:
+    def _discover(self) -> None:
         """Takes on topics that have appeared and weakens subscriptions that do not match."""
         discover = self.parameters_of(RecordParameters).discover
         present = dict(self.get_topic_names_and_types())
@@ -309,11 +309,11 @@ class RecordNode(ContractNode):
             recorded.source.name,
             _never_called,
             recorded.profile,
-            callback_group=self._left_to_us,
+            callback_group=self._polled_group,
             raw=True,
         )
 
-    def _hear(self) -> None:
+    def _take_messages(self) -> None:
         """Take what waits on all topics, in the order in which it has come."""
         items = [item for recorded in self._recorded.values() for item in self._waiting(recorded)]
         spool = self._spool
@@ -337,8 +337,8 @@ class RecordNode(ContractNode):
 
     def _item(self, recorded: _Recorded, data: bytes, info: Mapping[str, Any]) -> Item:
         name = recorded.source.name
-        if not recorded.heard:
-            recorded.heard = True
+        if not recorded.received:
+            recorded.received = True
             offers = self.get_publishers_info_by_topic(name)
             recorded.publishers = len(offers)
             profiles = tuple(_as_rosbags(offer.qos_profile) for offer in offers)
@@ -411,17 +411,17 @@ def _strong_profile() -> QoSProfile:
     )
 
 
-def _matching(offers: Sequence[Any], asked: QoSProfile) -> QoSProfile:
+def _matching(offers: Sequence[Any], requested: QoSProfile) -> QoSProfile:
     """The strongest profile, at most as strong as ``asked``, that every publisher satisfies."""
-    reliable = asked.reliability == ReliabilityPolicy.RELIABLE and all(
+    reliable = requested.reliability == ReliabilityPolicy.RELIABLE and all(
         offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE for offer in offers
     )
-    latched = asked.durability == DurabilityPolicy.TRANSIENT_LOCAL and all(
+    latched = requested.durability == DurabilityPolicy.TRANSIENT_LOCAL and all(
         offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers
     )
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=asked.depth,
+        depth=requested.depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

@@ -1,4 +1,4 @@
-"""A recorded run, sorted for being simulated again: by part of the run and by simulated time."""
+"""A recorded run, sorted by run segment and simulated time for re-simulation."""
 
 import bisect
 import itertools
@@ -12,121 +12,125 @@ from typing import Any, Final
 from msg_schemas import topics
 from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Arrival, arrivals
+from rover_bags.read import ReceivedMessage, received_messages
 from rover_sim import COMMANDS
 
 _RESET_PLANT: Final = "reset_plant"
 _GAP: Final = 5
-"""Ticks without any record from which on commands may be lost."""
+"""Number of ticks without any message from which commands may be missing."""
 
 
 @dataclass
-class Part:
-    """What was recorded between two resets of the clock.
+class RunSegment:
+    """Messages recorded between two resets of the clock.
 
     Attributes:
-        ticks: when the clock told which time: (sent [ns since 1970], simulated [ns]).
-        commands: with when they were sent.
-        recorded: samples by their stamp [ns] and topic.
-        put_back: the same of the plant's start, told when it was put back.
-        plant_resets: simulated times [ns] at which the plant was put back.
+        ticks: clock messages: (time of publication [ns since 1970], simulated time [ns]).
+        commands: command messages.
+        recorded: samples by stamp [ns] and topic.
+        after_reset: samples of the plant's initial state, published after a reset of the plant.
+        plant_resets: simulated times [ns] at which the plant was reset.
     """
 
     ticks: list[tuple[int, int]] = field(default_factory=list)
-    commands: list[Arrival] = field(default_factory=list)
+    commands: list[ReceivedMessage] = field(default_factory=list)
     recorded: dict[int, dict[str, Sample]] = field(default_factory=dict)
-    put_back: dict[int, dict[str, Sample]] = field(default_factory=dict)
+    after_reset: dict[int, dict[str, Sample]] = field(default_factory=dict)
     plant_resets: set[int] = field(default_factory=set)
 
     @property
     def last_ns(self) -> int:
-        """The last simulated time that is known."""
+        """The last recorded simulated time [ns]."""
         return max([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
 
     @property
     def first_ns(self) -> int:
-        """The first simulated time that is known."""
+        """The first recorded simulated time [ns]."""
         return min([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
 
     def gaps(self, tick_ns: int, begin: int, end: int) -> Iterator[tuple[int, int]]:
-        """Times [ns] from `begin` to `end` between which nothing is recorded: commands may be lost.
+        """Yield the gaps [ns] in the record, in which commands may be missing.
 
-        All times are simulated ones; `tick_ns` is the simulation's tick.
+        Args:
+            tick_ns: Tick of the simulation [ns].
+            begin: First simulated time [ns].
+            end: Last simulated time [ns].
         """
-        told = {stamp for _, stamp in self.ticks} | set(self.recorded)
-        stamps = [begin, *sorted(stamp for stamp in told if begin < stamp <= end)]
+        recorded_ns = {stamp for _, stamp in self.ticks} | set(self.recorded)
+        stamps = [begin, *sorted(stamp for stamp in recorded_ns if begin < stamp <= end)]
         for before, after in itertools.pairwise(stamps):
             if after - before > _GAP * tick_ns:
                 yield before, after
 
 
 @dataclass
-class Record:
-    """A bag, sorted for being simulated again.
+class RecordedRun:
+    """A bag, sorted for re-simulation.
 
     Attributes:
-        configuration: that the simulator latched, None where the bag holds none.
-        parts: in their order.
-        remarks: what the bag's files lack, in words.
+        configuration: the simulator's latched configuration; None if it is not recorded.
+        segments: run segments in their order.
+        file_defects: descriptions of what is missing or damaged in the files.
     """
 
     configuration: Mapping[str, Any] | None = None
-    parts: list[Part] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
+    segments: list[RunSegment] = field(default_factory=list)
+    file_defects: list[str] = field(default_factory=list)
 
-    def part(self, number: int) -> Part:
-        """A part by its number, made if it is new."""
-        while len(self.parts) <= number:
-            self.parts.append(Part())
-        return self.parts[number]
+    def segment(self, number: int) -> RunSegment:
+        """Return a segment by its number; create it if needed."""
+        while len(self.segments) <= number:
+            self.segments.append(RunSegment())
+        return self.segments[number]
 
 
-def read_record(path: Path, namespace: str | None) -> Record:
-    """Sort a bag's messages by the part of the run and by simulated time.
+def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
+    """Sort a bag's messages by run segment and simulated time.
 
-    Each topic's stamps run forward but where the clock was put back; so each topic tells for itself
-    to which part its messages belong. Commands belong to the part whose clock was told last.
+    A stamp that runs backward starts a new segment, for each topic by itself. A command belongs to
+    the segment whose clock was published last.
     """
-    record = Record()
-    commands: list[Arrival] = []
-    latest: dict[str, tuple[int, int]] = {}  # part and stamp, by topic
+    recorded_run = RecordedRun()
+    commands: list[ReceivedMessage] = []
+    latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
     scan = BagScan(path)
     first_ns: int | None = None
-    for arrival in arrivals(scan, namespace=namespace):
-        first_ns = arrival.log_ns if first_ns is None else min(first_ns, arrival.log_ns)
-        name, sample = arrival.name, arrival.sample
+    for message in received_messages(scan, namespace=namespace):
+        first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
+        name, sample = message.name, message.sample
         if isinstance(sample, TextSample):
-            if name == topics.CONFIG and record.configuration is None:
+            if name == topics.CONFIG and recorded_run.configuration is None:
                 content = _content(sample.text)
-                record.configuration = content if "scenario" in content else None
+                recorded_run.configuration = content if "scenario" in content else None
             continue
         if name in COMMANDS:
-            commands.append(arrival)
+            commands.append(message)
             continue
         if isinstance(sample, DrawingSample):
             continue
         stamp = getattr(sample, "stamp_ns", 0)
         number, before = latest.get(name, (0, -1))
-        if name in FROM_PLANT:
+        if name in PLANT_TOPICS:
             number += stamp < before
             latest[name] = (number, stamp)
         if isinstance(sample, ClockSample):
-            record.part(number).ticks.append((arrival.publish_ns, stamp))
+            recorded_run.segment(number).ticks.append((message.publish_ns, stamp))
         elif isinstance(sample, StatusSample):
             if name == topics.EVENTS and any(s.name == _RESET_PLANT for s in sample.statuses):
                 clock = latest.get(topics.CLOCK, (0, 0))[0]
-                record.part(clock).plant_resets.add(stamp)
-        elif name in FROM_PLANT:
-            part = record.part(number)
-            # Time stands still while the plant is put back: its start bears the same stamp.
-            told = part.put_back if stamp == before else part.recorded
-            told.setdefault(stamp, {})[name] = sample
-    _hand_out(record, commands)
-    record.remarks = scan.remarks(first_ns or 0)
-    return record
+                recorded_run.segment(clock).plant_resets.add(stamp)
+        elif name in PLANT_TOPICS:
+            segment = recorded_run.segment(number)
+            # Simulated time does not advance during a reset of the plant: its initial state has the
+            # same stamp.
+            samples = segment.after_reset if stamp == before else segment.recorded
+            samples.setdefault(stamp, {})[name] = sample
+    _assign_commands(recorded_run, commands)
+    recorded_run.file_defects = scan.defects(first_ns or 0)
+    return recorded_run
 
 
-FROM_PLANT: Final = frozenset(
+PLANT_TOPICS: Final = frozenset(
     {
         topics.CLOCK,
         topics.TRUTH_BODY1,
@@ -145,14 +149,16 @@ FROM_PLANT: Final = frozenset(
         topics.WINCH_STATE,
     }
 )
-"""What the plant itself stamps."""
+"""Topics that the plant stamps."""
 
 
-def _hand_out(record: Record, commands: Sequence[Arrival]) -> None:
-    starts = [part.ticks[0][0] if part.ticks else -math.inf for part in record.parts]
+def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ReceivedMessage]) -> None:
+    starts = [
+        segment.ticks[0][0] if segment.ticks else -math.inf for segment in recorded_run.segments
+    ]
     for command in sorted(commands, key=lambda one: (one.publish_ns, one.sequence)):
         number = max(bisect.bisect_right(starts, command.publish_ns) - 1, 0)
-        record.part(number).commands.append(command)
+        recorded_run.segment(number).commands.append(command)
 
 
 def _content(text: str) -> dict[str, Any]:

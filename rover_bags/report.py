@@ -14,10 +14,10 @@ from typing import Any
 
 from tqdm import tqdm
 
+from rover_bags.bag_analysis import BagAnalysis, analyse_bag
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
 from rover_bags.read import Progress
-from rover_bags.survey import Survey, survey
 from rover_bags.views.animation import write_gif
 from rover_bags.views.plots import Plot
 from rover_bags.views.report_page import as_page
@@ -35,7 +35,7 @@ class ExitCode(IntEnum):
 EXIT_CODES = "Exit codes: 0 reported, 2 no readable bag, 3 the report could not be written."
 
 
-def write_report(found: Survey, folder: Path) -> list[Path]:
+def write_report(found: BagAnalysis, folder: Path) -> list[Path]:
     """Writes ``metrics.json``, ``report.html``, the plots as SVG files and the animation.
 
     Args:
@@ -115,10 +115,10 @@ class ProgressBars:
         )  # fmt: skip
         bar = self._bar
 
-        def told(done: int) -> None:
+        def show(done: int) -> None:
             bar.update(max(0, min(done, total) - bar.n))
 
-        return told
+        return show
 
     def close(self) -> None:
         """Complete the bar that is shown."""
@@ -133,8 +133,12 @@ def run(options: argparse.Namespace) -> int:
     path: Path = options.bag
     bars = ProgressBars(quiet=options.quiet)
     try:
-        drawn = not options.json or options.out is not None
-        found = survey(path, namespace=options.namespace, drawn=drawn, reading=bars)
+        found = analyse_bag(
+            path,
+            namespace=options.namespace,
+            with_drawings=not options.json or options.out is not None,
+            progress_factory=bars,
+        )
     except BagError as error:
         bars.close()
         print(f"mother_rover bag report: {error}", file=sys.stderr)

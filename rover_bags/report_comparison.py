@@ -40,7 +40,9 @@ def run(options: argparse.Namespace) -> int:
     first: Path = options.first
     bars = ProgressBars(quiet=options.quiet)
     try:
-        comparison = compare([first, *options.others], namespace=options.namespace, reading=bars)
+        comparison = compare(
+            [first, *options.others], namespace=options.namespace, progress_factory=bars
+        )
     except BagError as error:
         bars.close()
         print(f"mother_rover bag compare: {error}", file=sys.stderr)

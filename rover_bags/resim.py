@@ -34,8 +34,8 @@ from msg_schemas.samples import (
     TetherSample,
 )
 from rover_bags.files.store import BagError
-from rover_bags.read import Arrival, ReadError
-from rover_bags.recorded_run import Part, Record, read_record
+from rover_bags.read import ReadError, ReceivedMessage
+from rover_bags.recorded_run import RecordedRun, RunSegment, read_recorded_run
 from rover_sim import (
     AnyScenario,
     ScenarioError,
@@ -135,7 +135,7 @@ class Resimulation:
     moved: int = 0
     resets: int = 0
     comparisons: dict[str, Comparison] = field(default_factory=dict)
-    schedule: list[tuple[int, Arrival]] = field(default_factory=list)
+    schedule: list[tuple[int, ReceivedMessage]] = field(default_factory=list)
     first: Difference | None = None
     first_outside: Difference | None = None
     notes: list[str] = field(default_factory=list)
@@ -256,13 +256,13 @@ def resimulate(
         ResimError: it holds no simulator's configuration, or one that makes no scenario here.
         BagError: it cannot be read.
     """
-    record = read_record(path, namespace)
-    if record.configuration is None:
+    recorded_run = read_recorded_run(path, namespace)
+    if recorded_run.configuration is None:
         raise ResimError(
             f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario), so "
             "it is not known what was simulated"
         )
-    configuration = record.configuration
+    configuration = recorded_run.configuration
     try:
         scenario = scenario_from_mapping(configuration["scenario"])
         tick = float(configuration["parameters"]["tick"])
@@ -278,14 +278,14 @@ def resimulate(
             f"the simulator's configuration in {path} cannot be simulated here: {error}"
         ) from error
     found = Resimulation(path, scenario.name, seed, tick, tolerance)
-    _note_limits(found, record)
-    total = sum(part.last_ns for part in record.parts) / _NANO
+    _note_limits(found, recorded_run)
+    total = sum(segment.last_ns for segment in recorded_run.segments) / _NANO
     with tqdm(total=total, unit=" s", desc="re-simulating", disable=not show_progress) as bar:
-        for number, part in enumerate(record.parts):
+        for number, segment in enumerate(recorded_run.segments):
             if number:
                 simulation.reset()
                 found.resets += 1
-            _run_part(simulation, part, found, bar)
+            _run_segment(simulation, segment, found, bar)
     return found
 
 
@@ -296,37 +296,43 @@ def _simulation(scenario: AnyScenario, tick: float, seed: int) -> Simulation[Any
     return Simulation(build_interface(plant, seed), tick)
 
 
-def _note_limits(found: Resimulation, record: Record) -> None:
-    found.notes += record.remarks
+def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:
+    found.notes += recorded_run.file_defects
     tick_ns = round(found.tick * _NANO)
-    for part in record.parts:
+    for segment in recorded_run.segments:
         found.notes += [
             f"nothing is recorded from {before / _NANO:.3f} s to {after / _NANO:.3f} s of "
             "simulated time: commands given then are not in the bag, and what comes after may "
             "differ for that"
-            for before, after in part.gaps(tick_ns, part.first_ns, part.last_ns)
+            for before, after in segment.gaps(tick_ns, segment.first_ns, segment.last_ns)
         ]
-    first = record.parts[0].ticks[0][1] / _NANO if record.parts and record.parts[0].ticks else 0.0
+    first = (
+        recorded_run.segments[0].ticks[0][1] / _NANO
+        if recorded_run.segments and recorded_run.segments[0].ticks
+        else 0.0
+    )
     if first > 2.0 * found.tick:
         found.notes.append(
             f"the recording begins at {first:.3f} s of simulated time: commands before that are "
             "not in it"
         )
-    if not any(part.ticks for part in record.parts):
+    if not any(segment.ticks for segment in recorded_run.segments):
         found.notes.append("the clock was not recorded: commands are given at their own stamps")
 
 
-def _run_part(simulation: Simulation[Any], part: Part, found: Resimulation, bar: Any) -> None:
-    waiting = deque((earliest_instant(part, command), command) for command in part.commands)
-    _compare(simulation, part.recorded.get(0, {}), found, over_a_tick=False)
+def _run_segment(
+    simulation: Simulation[Any], segment: RunSegment, found: Resimulation, bar: Any
+) -> None:
+    waiting = deque((earliest_instant(segment, command), command) for command in segment.commands)
+    _compare(simulation, segment.recorded.get(0, {}), found, over_a_tick=False)
     followed = True
-    while simulation.stamp_ns < part.last_ns:
+    while simulation.stamp_ns < segment.last_ns:
         now = simulation.stamp_ns
-        if now in part.plant_resets:
+        if now in segment.plant_resets:
             simulation.reset_plant()
             found.resets += 1
-            _compare(simulation, part.put_back.get(now, {}), found, over_a_tick=False)
-        come: list[Arrival] = []
+            _compare(simulation, segment.after_reset.get(now, {}), found, over_a_tick=False)
+        come: list[ReceivedMessage] = []
         forced = 0
         for earliest, command in waiting:
             if earliest > now:
@@ -335,30 +341,30 @@ def _run_part(simulation: Simulation[Any], part: Part, found: Resimulation, bar:
             forced += earliest + (_LATEST - 1) * simulation.tick_ns <= now
         taken = len(come)
         if come and followed:
-            simulation, taken = _as_recorded(simulation, part, come, forced, found)
+            simulation, taken = _as_recorded(simulation, segment, come, forced, found)
         else:
             _give(simulation, come, found)
             simulation.tick()
         for _ in range(taken):
             waiting.popleft()
-        _compare(simulation, part.recorded.get(simulation.stamp_ns, {}), found)
+        _compare(simulation, segment.recorded.get(simulation.stamp_ns, {}), found)
         followed = found.first_outside is None
         found.simulated_s += simulation.tick_ns / _NANO
         bar.update(simulation.tick_ns / _NANO)
 
 
-def earliest_instant(part: Part, command: Arrival) -> int:
+def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
     """Simulated time at which a command can have come at the earliest [ns]."""
-    place = bisect.bisect_right(part.ticks, (command.publish_ns, 1 << 62)) - 1
-    told = part.ticks[place][1] if place >= 0 else 0
+    place = bisect.bisect_right(segment.ticks, (command.publish_ns, 1 << 62)) - 1
+    clock_ns = segment.ticks[place][1] if place >= 0 else 0
     stamp: int = getattr(command.sample, "stamp_ns", 0)
-    return max(told, 0) if part.ticks else stamp
+    return max(clock_ns, 0) if segment.ticks else stamp
 
 
 def _as_recorded(
     simulation: Simulation[Any],
-    part: Part,
-    come: list[Arrival],
+    segment: RunSegment,
+    come: list[ReceivedMessage],
     forced: int,
     found: Resimulation,
 ) -> tuple[Simulation[Any], int]:
@@ -374,7 +380,7 @@ def _as_recorded(
         given = Resimulation(found.bag, found.scenario, found.seed, found.tick, found.tolerance)
         _give(trial, come[:taken], given)
         trial.tick()
-        error = _distance(trial, part)
+        error = _distance(trial, segment)
         if best is None or error < best[0]:
             best = (error, trial, taken, given)
         if error == 0.0:
@@ -389,7 +395,9 @@ def _as_recorded(
     return trial, taken
 
 
-def _give(simulation: Simulation[Any], commands: Sequence[Arrival], found: Resimulation) -> None:
+def _give(
+    simulation: Simulation[Any], commands: Sequence[ReceivedMessage], found: Resimulation
+) -> None:
     """Hand over commands, judged as the simulator's node judges them."""
     for command in commands:
         try:
@@ -405,13 +413,16 @@ def _give(simulation: Simulation[Any], commands: Sequence[Arrival], found: Resim
 # --- the comparison -------------------------------------------------------------------------------
 
 
-def _distance(simulation: Simulation[Any], part: Part) -> float:
-    """How far what came out is from what was recorded of this instant; 0 to the last bit."""
+def _distance(simulation: Simulation[Any], segment: RunSegment) -> float:
+    """Largest error against the recorded samples of this instant; 0 if they are bit-identical."""
+    recorded_samples = segment.recorded.get(simulation.stamp_ns, {})
     return max(
-        (float(np.max(_errors(_numbers(recorded), _numbers(mine)), initial=0.0))
-         for _, recorded, mine in _pairs(simulation, part.recorded.get(simulation.stamp_ns, {}))),
+        (
+            float(np.max(_errors(_numbers(recorded), _numbers(mine)), initial=0.0))
+            for _, recorded, mine in _pairs(simulation, recorded_samples)
+        ),
         default=0.0,
-    )  # fmt: skip
+    )
 
 
 def _errors(recorded: Any, mine: Any) -> Any:
@@ -439,13 +450,13 @@ def _pairs(
 
 def _compare(
     simulation: Simulation[Any],
-    told: Mapping[str, Sample],
+    recorded_samples: Mapping[str, Sample],
     found: Resimulation,
     *,
     over_a_tick: bool = True,
 ) -> None:
     time = simulation.stamp_ns / _NANO
-    for name, recorded, mine in _pairs(simulation, told, over_a_tick=over_a_tick):
+    for name, recorded, mine in _pairs(simulation, recorded_samples, over_a_tick=over_a_tick):
         row = found.comparisons.setdefault(name, Comparison())
         row.compared += 1
         a, b = _numbers(recorded), _numbers(mine)

@@ -1,4 +1,4 @@
-"""Tracks: all that one topic said, as arrays; long ones thinned, with their extremes kept."""
+"""Time series: the messages of one topic as arrays; long ones are thinned and keep extremes."""
 
 from __future__ import annotations
 
@@ -25,45 +25,44 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 GAP: Final = 1.75
-"""A pause longer than so many periods is a gap."""
+"""Number of periods from which a pause is a gap."""
 LARGEST: Final = "largest.tension"
-"""Column of the tether's track: the largest tension along it [N]."""
+"""Column of the tether's time series: the largest tension along the tether [N]."""
 _TENSION: Final = TETHER_COLUMNS.index("tension")
 _DAY_NS: Final = 86_400_000_000_000
 _SHAPES_PER_ROW: Final = 4
-"""A shape of the tether takes as much room as so many rows, at least."""
-_TELLING: Final = 64  # steps that tell how often a topic comes
-_FEWEST: Final = 8  # steps without which that is not known
+"""Memory of one tether shape, in rows of seven numbers, at least."""
+_RATE_STEPS: Final = 64  # steps from which a topic's typical period is estimated
+_MIN_RATE_STEPS: Final = 8  # below this the typical period is unknown
 _FEW_SHAPES: Final = 256
-_MOST_STATUSES: Final = 20_000
-_MOST_TEXTS: Final = 100_000
+_MAX_STATUSES: Final = 20_000
+_MAX_TEXTS: Final = 100_000
 
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """All that one topic said, in the order of its arrival.
+    """The messages of one topic, in order of reception.
 
-    A track that was asked to be no longer than so many messages holds every ``stride``-th one of
-    them, and of those left out the extremes.
+    A thinned series holds every ``stride``-th message and the extremes of the omitted ones.
 
     Attributes:
-        topic: Name in the contract's table.
-        full_name: Name in the bag.
-        time: Simulated time of each message [s], shape (N,): its own stamp, or the recorded
-            clock's time when it came. Without a recorded clock stamps are taken as they are.
-        log_ns: When it was received [ns since 1970], shape (N,).
-        publish_ns: When it was sent [ns since 1970], shape (N,).
-        columns: Numbers by the contract's field path, shape (N,) each, in the field's unit; NaN
-            where a message of a topic with several kinds of requests had no such field.
-        nodes: The tether's nodes, shape (N, n + 1, 7), columns as ``TETHER_COLUMNS``; None for
-            other topics and where the number of nodes changes.
-        texts: What a text topic said.
-        statuses: What a status topic said.
-        shapes: The tether's nodes of each message, shape (n + 1, 7) each, whatever their number.
-        stride: Of so many messages one is held.
-        low, high: Extremes of each column from one message held to the next, shape (N,) each;
-            empty where all are held.
-        stamp_ns: Stamps as sent; 0 where there is none.
+        topic: Contract topic name.
+        full_name: Topic name in the bag.
+        time: Simulated time of each message [s], shape (N,): its stamp, or the recorded clock at
+            reception. Without a recorded clock, stamps are used unchanged.
+        log_ns: Time of reception [ns since 1970], shape (N,).
+        publish_ns: Time of publication [ns since 1970], shape (N,).
+        columns: Values by the contract's field path, shape (N,) each, in the field's unit; NaN if
+            a message of a topic with several kinds of requests lacks the field.
+        nodes: Nodes of the tether, shape (N, n + 1, 7), columns as ``TETHER_COLUMNS``; None for
+            other topics and if the number of nodes changes.
+        texts: Contents of a text topic.
+        statuses: Contents of a status topic.
+        shapes: Nodes of the tether in each message, shape (n + 1, 7) each.
+        stride: One of this many messages is held.
+        low, high: Extremes of each column from one held message to the next, shape (N,) each;
+            empty if all messages are held.
+        stamp_ns: Stamps as published; 0 if there is none.
     """
 
     topic: str
@@ -85,21 +84,21 @@ class TimeSeries:
         return len(self.log_ns)
 
     def vector(self, prefix: str, axes: str = "xyz") -> Floats:
-        """Columns ``prefix.x``, ``prefix.y`` ... side by side, shape (N, len(axes))."""
+        """Return the columns ``prefix.x``, ``prefix.y`` ... as one array, shape (N, len(axes))."""
         return np.stack([self.columns[f"{prefix}.{axis}"] for axis in axes], axis=1)
 
     def lowest(self, path: str) -> Floats:
-        """Smallest value of a column from each message to the next one held."""
+        """Return the smallest value of a column from each held message to the next."""
         return self.low.get(path, self.columns[path])
 
     def highest(self, path: str) -> Floats:
-        """Largest value of a column from each message to the next one held."""
+        """Return the largest value of a column from each held message to the next."""
         return self.high.get(path, self.columns[path])
 
     def largest(self, prefix: str, axes: str = "xyz") -> Floats:
-        """Largest length of a vector from each message to the next one held, shape (N,).
+        """Return the largest norm of a vector from each held message to the next, shape (N,).
 
-        Of a thinned track of more than one axis an upper bound.
+        For a thinned series with more than one axis this is an upper bound.
         """
         parts = [
             np.maximum(np.abs(self.lowest(path)), np.abs(self.highest(path)))
@@ -109,21 +108,23 @@ class TimeSeries:
 
 
 @dataclass
-class Pace:
-    """How the messages of a topic followed one another, told of every one.
+class MessageTiming:
+    """Rate and gap statistics of a topic, from all of its messages.
+
+    The pacing clock is simulated time, or the wall clock for status topics and unstamped messages.
 
     Attributes:
-        count: Messages.
-        first_log, last_log: When the first and the last were received [ns since 1970].
-        first, last: The same by the clock that paces the topic [ns].
-        widest: Longest pause by that clock [ns].
+        count: Number of messages.
+        first_log, last_log: Reception of the first and the last message [ns since 1970].
+        first, last: Their times by the pacing clock [ns].
+        widest: Longest pause by the pacing clock [ns].
         widest_at: Stamp and log time of the message before it.
-        running: Time that all runs took by that clock [ns], from each first message to its last.
-        restarts: How often that clock was put back.
-        delay: Longest time from sending to reception [ns], of what was sent while the recorder
-            listened; None before the first.
+        running: Total time of all runs by the pacing clock [ns].
+        restarts: Number of resets of the pacing clock.
+        delay: Longest time from publication to reception [ns] of messages published while the
+            recorder was subscribed; None before the first.
         stamps: Smallest and largest stamp.
-        by_log: Whether the time of reception paces the topic, as it has no stamps.
+        by_log: Whether the pacing clock is the time of reception.
     """
 
     count: int = 0
@@ -139,23 +140,23 @@ class Pace:
     stamps: tuple[int, int] | None = None
     by_log: bool = False
     _promised: float = 0.0  # period [ns]
-    _early: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    _usual: float = 0.0  # period of the first messages, where they came more slowly than promised
-    _late: int = 0  # steps of more than GAP of the promised period
-    _later: int = 0  # of more than GAP of the usual one
+    _first_steps: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _typical: float = 0.0  # period of the first messages, if slower than the contract's
+    _late_by_contract: int = 0  # steps of more than GAP contract periods
+    _late_by_typical: int = 0  # steps of more than GAP typical periods
 
-    def add(self, row: Topic, stamp_ns: Stamps, log_ns: Stamps, publish_ns: Stamps) -> None:
-        """Take further messages."""
-        # Nodes tell how they are by the machine's clock, which runs while simulated time stands.
+    def add(self, spec: Topic, stamp_ns: Stamps, log_ns: Stamps, publish_ns: Stamps) -> None:
+        """Add messages."""
+        # Nodes publish their status by the wall clock, which runs while simulated time is paused.
         if not self.count:
-            self.by_log = row.sample is StatusSample or not bool((stamp_ns > 0).any())
+            self.by_log = spec.sample is StatusSample or not bool((stamp_ns > 0).any())
         by_log = self.by_log
-        paced = log_ns if by_log else stamp_ns
+        pacing = log_ns if by_log else stamp_ns
         if self.count:
-            steps = np.diff(paced, prepend=self.last)
+            steps = np.diff(pacing, prepend=self.last)
         else:
-            self.first_log, self.first = int(log_ns[0]), int(paced[0])
-            steps = np.diff(paced)
+            self.first_log, self.first = int(log_ns[0]), int(pacing[0])
+            steps = np.diff(pacing)
         if len(steps):
             widest = int(np.argmax(steps))
             if self.widest is None or steps[widest] > self.widest:
@@ -167,48 +168,48 @@ class Pace:
                     self.widest_at = (0 if by_log else self.last, self.last_log)
             self.running += int(np.maximum(steps, 0).sum())
             self.restarts += int((steps < 0).sum())
-            if row.rate is not None:
-                self._look_for_gaps(steps, 1e9 / row.rate)
-        heard = publish_ns >= self.first_log
-        if heard.any():
-            longest = int((log_ns - publish_ns)[heard].max())
+            if spec.rate is not None:
+                self._count_gaps(steps, 1e9 / spec.rate)
+        while_listening = publish_ns >= self.first_log
+        if while_listening.any():
+            longest = int((log_ns - publish_ns)[while_listening].max())
             self.delay = longest if self.delay is None else max(self.delay, longest)
         low, high = int(stamp_ns.min()), int(stamp_ns.max())
         if self.stamps is not None:
             low, high = min(low, self.stamps[0]), max(high, self.stamps[1])
         self.stamps = (low, high)
-        self.last, self.last_log = int(paced[-1]), int(log_ns[-1])
+        self.last, self.last_log = int(pacing[-1]), int(log_ns[-1])
         self.count += len(log_ns)
 
     @property
     def is_slow(self) -> bool:
-        """Whether most messages came more slowly than promised, from the first on."""
-        return self._usual > self._promised and 2 * self._late > self.count - 1
+        """Whether most messages came more slowly than the contract's rate, from the first on."""
+        return self._typical > self._promised and 2 * self._late_by_contract > self.count - 1
 
     @property
     def period(self) -> float:
-        """Promised, or the usual one of a topic that is slow [ns]."""
-        return self._usual if self.is_slow else self._promised
+        """The contract's period, or the typical period of a slow topic [ns]."""
+        return self._typical if self.is_slow else self._promised
 
     @property
     def gaps(self) -> int:
-        """Pauses of more than 1.75 of these periods."""
-        return self._later if self.is_slow else self._late
+        """Number of pauses of more than 1.75 periods."""
+        return self._late_by_typical if self.is_slow else self._late_by_contract
 
-    def _look_for_gaps(self, steps: Stamps, promised: float) -> None:
-        """Count pauses, once the first steps have told how often the topic comes at all."""
+    def _count_gaps(self, steps: Stamps, promised: float) -> None:
+        """Count pauses against the contract's period and the typical period of the first steps."""
         self._promised = promised
-        self._late += int((steps > GAP * promised).sum())
-        if len(self._early) >= _TELLING:
-            self._later += int((steps > GAP * self._usual).sum())
+        self._late_by_contract += int((steps > GAP * promised).sum())
+        if len(self._first_steps) >= _RATE_STEPS:
+            self._late_by_typical += int((steps > GAP * self._typical).sum())
             return
-        self._early = np.concatenate([self._early, steps])
-        self._usual = usual_period(self._early, promised)
-        self._later = int((self._early > GAP * self._usual).sum())
+        self._first_steps = np.concatenate([self._first_steps, steps])
+        self._typical = typical_period(self._first_steps, promised)
+        self._late_by_typical = int((self._first_steps > GAP * self._typical).sum())
 
 
-class Rows(NamedTuple):
-    """Some messages of one topic, taken apart."""
+class MessageBlock(NamedTuple):
+    """Decoded messages of one topic with the same fields."""
 
     log_ns: Stamps
     publish_ns: Stamps
@@ -219,27 +220,27 @@ class Rows(NamedTuple):
     samples: list[Any]  # of text and status topics
 
 
-class GrowingTimeSeries:
-    """A track while it is read.
+class TimeSeriesBuilder:
+    """Builds a time series while its bag is read.
 
     Args:
-        row: Of the contract's table.
-        full_name: Name in the bag.
-        most: Messages to hold; None = all.
+        spec: The topic in the contract.
+        full_name: Topic name in the bag.
+        max_messages: Messages to hold; None = all.
     """
 
-    def __init__(self, row: Topic, full_name: str, most: int | None = None) -> None:
-        self.row = row
+    def __init__(self, spec: Topic, full_name: str, max_messages: int | None = None) -> None:
+        self.spec = spec
         self.full_name = full_name
-        self.pace = Pace()
+        self.timing = MessageTiming()
         self.stride = 1
-        self._is_tether = row.sample is TetherSample
-        self._most = most
+        self._is_tether = spec.sample is TetherSample
+        self._max_messages = max_messages
         self._count = 0
         self._paths: list[str] = []
-        # A number that the contract holds at 0 needs no room.
-        self._zero = {f.path for f in row.fields if f.minimum == 0.0 == f.maximum}
-        self._told_zero: list[str] = []
+        # Columns that the contract fixes at 0 are not stored.
+        self._zero = {f.path for f in spec.fields if f.minimum == 0.0 == f.maximum}
+        self._published_zero: list[str] = []
         self._order: list[str] = []
         self._log: list[Stamps] = []
         self._publish: list[Stamps] = []
@@ -252,69 +253,69 @@ class GrowingTimeSeries:
         self._statuses: list[tuple[Status, ...]] = []
         self._held = 0
 
-    def add(self, rows: Rows) -> None:
-        """Take further messages, all of one kind."""
-        if not len(rows.log_ns):
+    def add(self, block: MessageBlock) -> None:
+        """Add a block of messages."""
+        if not len(block.log_ns):
             return
-        self.pace.add(self.row, rows.stamp_ns, rows.log_ns, rows.publish_ns)
-        if rows.samples:
-            rows = self._chosen(rows)
-            if not len(rows.log_ns):
+        self.timing.add(self.spec, block.stamp_ns, block.log_ns, block.publish_ns)
+        if block.samples:
+            block = self._chosen(block)
+            if not len(block.log_ns):
                 return
-        values = self._placed(rows)
-        kept = np.flatnonzero((self._count + np.arange(len(rows.log_ns))) % self.stride == 0)
-        if rows.samples:
-            kept = np.arange(len(rows.log_ns))  # chosen already
+        values = self._placed(block)
+        kept = np.flatnonzero((self._count + np.arange(len(block.log_ns))) % self.stride == 0)
+        if block.samples:
+            kept = np.arange(len(block.log_ns))  # already selected
         if self.stride > 1 and values.shape[1]:
             self._note_extremes(values, kept)
-        self._count += len(rows.log_ns)
+        self._count += len(block.log_ns)
         if not len(kept):
             return
-        self._log.append(rows.log_ns[kept])
-        self._publish.append(rows.publish_ns[kept])
-        self._stamp.append(rows.stamp_ns[kept])
+        self._log.append(block.log_ns[kept])
+        self._publish.append(block.publish_ns[kept])
+        self._stamp.append(block.stamp_ns[kept])
         self._values.append(values[kept])
-        if rows.shapes:
-            # A copy, so that no block of messages is kept for the sake of one of them.
-            self._shapes += [rows.shapes[index].copy() for index in kept.tolist()]
+        if block.shapes:
+            # Copy, so that a held shape does not keep its whole block in memory.
+            self._shapes += [block.shapes[index].copy() for index in kept.tolist()]
         self._held += len(kept)
         while self._too_long():
             self._halve()
 
-    def _chosen(self, rows: Rows) -> Rows:
-        """Text and status messages that are kept; what is well and tells nothing new is not."""
+    def _chosen(self, block: MessageBlock) -> MessageBlock:
+        """Select the text and status messages to keep; of many statuses, only those of note."""
         chosen = []
-        for index, sample in enumerate(rows.samples):
+        for index, sample in enumerate(block.samples):
             if isinstance(sample, TextSample):
-                if self._most is None or len(self._texts) < _MOST_TEXTS:
+                if self._max_messages is None or len(self._texts) < _MAX_TEXTS:
                     self._texts.append(sample.text)
                     chosen.append(index)
-            elif self._most is None or self._is_of_note(sample, self._count + index):
+            elif self._max_messages is None or self._is_notable(sample, self._count + index):
                 self._statuses.append(sample.statuses)
                 chosen.append(index)
         part = np.array(chosen, dtype=np.intp)
-        return rows._replace(
-            log_ns=rows.log_ns[part],
-            publish_ns=rows.publish_ns[part],
-            stamp_ns=rows.stamp_ns[part],
-            values=rows.values[part],
-            samples=[rows.samples[index] for index in chosen],
+        return block._replace(
+            log_ns=block.log_ns[part],
+            publish_ns=block.publish_ns[part],
+            stamp_ns=block.stamp_ns[part],
+            values=block.values[part],
+            samples=[block.samples[index] for index in chosen],
         )
 
-    def _is_of_note(self, sample: StatusSample, count: int) -> bool:
-        if len(self._statuses) >= _MOST_STATUSES:
+    def _is_notable(self, sample: StatusSample, count: int) -> bool:
+        if len(self._statuses) >= _MAX_STATUSES:
             return False
-        if self.row.intent is Intent.EVENT or count < _FEW_SHAPES:
+        if self.spec.intent is Intent.EVENT or count < _FEW_SHAPES:
             return True
         return any(s.level is not Level.OK or "code" in s.values for s in sample.statuses)
 
-    def _placed(self, rows: Rows) -> Floats:
-        """Values in this track's columns."""
-        for path in rows.paths:
+    def _placed(self, block: MessageBlock) -> Floats:
+        """Values arranged in this series' columns."""
+        for path in block.paths:
             if path not in self._order:
                 self._order.append(path)
                 if path in self._zero:
-                    self._told_zero.append(path)
+                    self._published_zero.append(path)
                 else:
                     self._paths.append(path)
                     for tables in (self._values, self._low, self._high):
@@ -322,29 +323,29 @@ class GrowingTimeSeries:
                             tables[index] = np.pad(
                                 table, ((0, 0), (0, 1)), constant_values=math.nan
                             )
-        wanted = list(self._paths)
-        if list(rows.paths) == wanted:
-            return rows.values
-        place = {path: column for column, path in enumerate(rows.paths)}
-        values = np.full((len(rows.log_ns), len(wanted)), math.nan)
-        for column, path in enumerate(wanted):
+        own_paths = list(self._paths)
+        if list(block.paths) == own_paths:
+            return block.values
+        place = {path: column for column, path in enumerate(block.paths)}
+        values = np.full((len(block.log_ns), len(own_paths)), math.nan)
+        for column, path in enumerate(own_paths):
             if path in place:
-                values[:, column] = rows.values[:, place[path]]
+                values[:, column] = block.values[:, place[path]]
         return values
 
     # --- thinning --------------------------------------------------------------------------------
 
     def _too_long(self) -> bool:
-        if self._most is None or self._texts or self._statuses:
+        if self._max_messages is None or self._texts or self._statuses:
             return False
         if self._is_tether:
             room = sum(shape.size for shape in self._shapes[:1]) * len(self._shapes)
-            if room > 2 * _SHAPES_PER_ROW * self._most * _NODE_NUMBERS:
+            if room > 2 * _SHAPES_PER_ROW * self._max_messages * _NODE_NUMBERS:
                 return len(self._shapes) > _FEW_SHAPES
-        return self._held > 2 * self._most
+        return self._held > 2 * self._max_messages
 
     def _note_extremes(self, values: Floats, kept: NDArray[np.intp]) -> None:
-        """Extremes from each message that is kept to the next."""
+        """Update the extremes from each kept message to the next."""
         lead = int(kept[0]) if len(kept) else len(values)
         if lead and self._low:
             before = values[:lead]
@@ -355,7 +356,7 @@ class GrowingTimeSeries:
             self._high.append(np.fmax.reduceat(values, kept, axis=0))
 
     def _halve(self) -> None:
-        """Hold every second message only."""
+        """Keep every second message only."""
         values = np.concatenate(self._values)
         low = np.concatenate(self._low) if self._low else values
         high = np.concatenate(self._high) if self._high else values
@@ -370,20 +371,20 @@ class GrowingTimeSeries:
         self._held = len(self._log[0])
         self.stride *= 2
 
-    # --- the end ---------------------------------------------------------------------------------
+    # --- result ------------------------------------------------------------------------------
 
     @property
-    def clock_rows(self) -> tuple[Stamps, Stamps]:
-        """Log times and stamps held so far."""
+    def clock_stamps(self) -> tuple[Stamps, Stamps]:
+        """Log times and stamps held so far [ns]."""
         return _joined(self._log), _joined(self._stamp)
 
-    def finished(self, clock: Clock) -> TimeSeries:
-        """The track."""
-        log_ns, stamp_ns = self.clock_rows
+    def build(self, clock: Clock) -> TimeSeries:
+        """Return the time series."""
+        log_ns, stamp_ns = self.clock_stamps
         columns, low, high = self._columns(len(log_ns))
         same = len({shape.shape for shape in self._shapes}) == 1
         return TimeSeries(
-            topic=self.row.name,
+            topic=self.spec.name,
             full_name=self.full_name,
             time=clock.times(stamp_ns, log_ns),
             log_ns=log_ns,
@@ -418,37 +419,38 @@ class GrowingTimeSeries:
 _NODE_NUMBERS: Final = len(TETHER_COLUMNS)
 
 
-def usual_period(steps: NDArray[Any], promised: float) -> float:
-    """Period by which gaps are judged: what was promised, or longer where all come more slowly.
+def typical_period(steps: NDArray[Any], promised: float) -> float:
+    """Return the period against which gaps are counted.
+
+    It is the contract's period, or the median period of a topic that is slower throughout.
 
     Args:
-        steps: From each message to the next, in any unit of time, shape (N,).
-        promised: Period, in the same unit.
+        steps: Time from each message to the next, in any unit, shape (N,).
+        promised: The contract's period, in the same unit.
     """
     ahead = steps[steps > 0]
-    usual = float(np.median(ahead)) if len(ahead) >= _FEWEST else 0.0
-    return usual if usual > GAP * promised else promised
+    typical = float(np.median(ahead)) if len(ahead) >= _MIN_RATE_STEPS else 0.0
+    return typical if typical > GAP * promised else promised
 
 
-def paced(track: TimeSeries) -> Floats:
-    """Times [s] by the clock that paces a topic.
+def pacing_times(series: TimeSeries) -> Floats:
+    """Return message times [s], shape (N,), by the pacing clock.
 
-    Nodes tell how they are by the machine's clock, so that they do also while simulated time
-    stands still; everything else goes by simulated time.
+    Status topics are paced by the wall clock, all others by simulated time.
     """
-    if TOPICS[track.topic].sample is StatusSample:
-        since: Floats = (track.log_ns - track.log_ns[0]) * 1e-9
+    if TOPICS[series.topic].sample is StatusSample:
+        since: Floats = (series.log_ns - series.log_ns[0]) * 1e-9
         return since
-    return track.time
+    return series.time
 
 
 def _joined(parts: list[Stamps]) -> Stamps:
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-def samples_topics(items: Iterable[tuple[int, int, Any]]) -> list[Rows]:
-    """Decoded messages (log time, publish time, sample) as rows; neighbours of a kind together."""
-    found: list[Rows] = []
+def blocks_of_samples(items: Iterable[tuple[int, int, Any]]) -> list[MessageBlock]:
+    """Convert decoded messages (log time, publication time, sample) into blocks of one each."""
+    found: list[MessageBlock] = []
     for log_ns, publish_ns, sample in items:
         stamp = getattr(sample, "stamp_ns", 0)
         shapes: list[Floats] = []
@@ -462,7 +464,7 @@ def samples_topics(items: Iterable[tuple[int, int, Any]]) -> list[Rows]:
         elif not isinstance(sample, DrawingSample):
             pairs = dict(sample.scalars())
         found.append(
-            Rows(
+            MessageBlock(
                 np.array([log_ns], dtype=np.int64),
                 np.array([publish_ns], dtype=np.int64),
                 np.array([stamp], dtype=np.int64),
@@ -476,18 +478,18 @@ def samples_topics(items: Iterable[tuple[int, int, Any]]) -> list[Rows]:
 
 
 def largest_tensions(nodes: Floats) -> Floats:
-    """Largest tension along the tether, shape (N, 1), of nodes, shape (N, n + 1, 7)."""
+    """Return the largest tension along the tether [N], shape (N, 1), of nodes (N, n + 1, 7)."""
     return np.asarray(nodes[:, :, _TENSION].max(axis=1)[:, None])
 
 
 class Clock:
-    """Turns stamps and log times into seconds of one time axis.
+    """Converts stamps and log times into seconds on one time axis.
 
-    With a recorded clock that axis is simulated time; a stamp far outside the clock's range
-    comes from a node that does not follow it, and the time of arrival is taken instead.
+    With a recorded clock the axis is simulated time. A stamp far outside the clock's range comes
+    from a node that does not use simulated time; its time of reception is used instead.
 
     Args:
-        growing: What the clock told; None where it is not recorded.
+        builder: The clock topic; None if it is not recorded.
         start_ns: Log time of the bag's first message.
         first: Stamp and log time of the first stamped message.
     """
@@ -495,15 +497,15 @@ class Clock:
     _SLACK_NS = 1_000_000_000
 
     def __init__(
-        self, growing: GrowingTimeSeries | None, start_ns: int, first: tuple[int, int] | None
+        self, builder: TimeSeriesBuilder | None, start_ns: int, first: tuple[int, int] | None
     ) -> None:
         self._start_ns = start_ns
         empty = np.zeros(0, dtype=np.int64)
-        self._log, self._stamp = growing.clock_rows if growing else (empty, empty)
-        self._range = (growing.pace.stamps if growing else None) or (0, 0)
+        self._log, self._stamp = builder.clock_stamps if builder else (empty, empty)
+        self._range = (builder.timing.stamps if builder else None) or (0, 0)
         stamp, log = first or (start_ns, start_ns)
         self._behind = log - stamp
-        # Stamps near the machine's time are that time; others count from their own zero.
+        # Stamps near the wall time are wall time; others count from their own zero.
         self._origin = start_ns if abs(self._behind) < _DAY_NS else 0
 
     @property
@@ -511,21 +513,21 @@ class Clock:
         """Whether the bag holds a clock."""
         return bool(len(self._stamp))
 
-    def arrivals(self, log_ns: Stamps) -> Floats:
-        """What the clock told when messages arrived [ns]."""
-        told: Floats = np.interp(
+    def at_reception(self, log_ns: Stamps) -> Floats:
+        """Return simulated time at the reception of messages [ns]."""
+        clock_ns: Floats = np.interp(
             (log_ns - self._start_ns).astype(np.float64),
             (self._log - self._start_ns).astype(np.float64),
             self._stamp.astype(np.float64),
         )
-        return told
+        return clock_ns
 
     def times(self, stamp_ns: Stamps, log_ns: Stamps) -> Floats:
-        """Seconds of messages by stamp and time of arrival, shape (N,)."""
+        """Return the times of messages [s], shape (N,), from stamps and log times [ns]."""
         if not self.is_recorded:
-            told = np.where(stamp_ns > 0, stamp_ns, log_ns - self._behind)
-            return np.asarray((told - self._origin) * 1e-9)
+            clock_ns = np.where(stamp_ns > 0, stamp_ns, log_ns - self._behind)
+            return np.asarray((clock_ns - self._origin) * 1e-9)
         low, high = self._range[0] - self._SLACK_NS, self._range[1] + self._SLACK_NS
         follows = (stamp_ns > 0) & (stamp_ns >= low) & (stamp_ns <= high)
-        arrived = self.arrivals(log_ns)
+        arrived = self.at_reception(log_ns)
         return np.asarray(np.where(follows, stamp_ns.astype(np.float64), arrived) * 1e-9)

@@ -171,7 +171,7 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
 
 
 def _track(bag: Bag, topic: str) -> TimeSeries:
-    track = bag.track(topic)
+    track = bag.series(topic)
     if track is None or not len(track):
         raise ReadError(f"the bag {bag.path} holds nothing of {topic}")
     return track

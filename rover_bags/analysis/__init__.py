@@ -1,6 +1,6 @@
-"""What a bag tells: from its tracks to activities, figures and audits. Numbers, not pictures.
+"""Compute activities, metrics and audits from a bag's time series.
 
-``signals`` are the tracks by which activities are told apart, ``timeline`` those activities,
-``activities``, ``jumps`` and ``wall_coverage`` their figures, ``audits`` whether energy and
-momentum add up, ``metrics`` all of it together.
+``signals`` resamples the sensors that distinguish activities, ``timeline`` finds the activities,
+``activities``, ``jumps`` and ``wall_coverage`` compute their metrics, ``audits`` checks the energy
+and momentum balances, and ``metrics`` collects the results.
 """

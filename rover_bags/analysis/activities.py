@@ -1,4 +1,4 @@
-"""Figures of descents, drives and exposures, each over its stretch of the timeline."""
+"""Metrics of descents, drives and imaging stops, each over its interval of the timeline."""
 
 from __future__ import annotations
 
@@ -20,36 +20,37 @@ from msg_schemas.table import (
     WINCH_DRUM,
 )
 from rover_bags.analysis.geometry import headings, inside, setting
-from rover_bags.analysis.timeline import Activity, Phase, Timeline
+from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.analysis.wall_coverage import NO_WALL
 from rover_bags.read import Bag, Floats, TimeSeries
 
-SMEAR_LIMIT: Final = 1.0
-"""A picture that smears by no more is sharp [px]."""
+SMEAR_LIMIT_PX: Final = 1.0
+"""Largest motion smear of an image that counts as sharp [px]."""
 _STEADY: Final = 0.05
-"""Of the usual rate: a drum within so much of it pays out steadily."""
+"""Tolerance of steady payout, as a fraction of the median rate."""
 _AT_ENDS: Final = 1.0
-"""Of a motion that are no steady payout [s]."""
-_LEAST_PICTURES: Final = 3
+"""Time at each end of a motion that does not count as steady payout [s]."""
+_MIN_IMAGES: Final = 3
 
 
 @dataclass(frozen=True)
 class Descent:
-    """One motion of the drum with the rover on the tether, down or up.
+    """One descent or ascent: a motion of the drum while the tether carries the rover.
 
     Attributes:
-        begin_s, end_s: When, in simulated time.
+        begin_s, end_s: Simulated time.
         downward: Whether tether was paid out.
-        from_m, to_m: Length at the drum.
-        depth_from_m, depth_to_m: Of Body 1 below the fairlead; None without its true motion.
-        rate_m_s: Mean rate of the drum, without sign.
-        fastest_m_s: Largest rate.
-        deviation_m: Largest distance of the drum's length from the winch's reference; None where
-            no reference is recorded.
-        tension_mean_N: Mean at the fairlead, in steady payout.
-        ripple: RMS of the tension about its slow rise, over its mean, in steady payout.
-        peak_tension_N: Largest at the fairlead.
-        swing_max_rad, swing_rms_rad: Of the line from the fairlead to Body 1 from the vertical.
+        from_m, to_m: Tether length at the drum.
+        depth_from_m, depth_to_m: Depth of Body 1 below the fairlead; None without ground truth.
+        rate_m_s: Mean magnitude of the drum's rate.
+        rate_max_m_s: Largest magnitude of the drum's rate.
+        tracking_error_m: Largest deviation of the drum's length from the winch's reference; None
+            if no reference is recorded.
+        tension_mean_N: Mean tension at the fairlead during steady payout.
+        ripple: RMS of the detrended tension over its mean, during steady payout.
+        peak_tension_N: Largest tension at the fairlead.
+        swing_max_rad, swing_rms_rad: Angle from the vertical of the line from the fairlead to
+            Body 1.
     """
 
     begin_s: float
@@ -60,8 +61,8 @@ class Descent:
     depth_from_m: float | None
     depth_to_m: float | None
     rate_m_s: float
-    fastest_m_s: float
-    deviation_m: float | None
+    rate_max_m_s: float
+    tracking_error_m: float | None
     tension_mean_N: float | None
     ripple: float | None
     peak_tension_N: float | None
@@ -71,17 +72,18 @@ class Descent:
 
 @dataclass(frozen=True)
 class Drive:
-    """One stretch of driven wheels.
+    """One interval of driven wheels.
 
     Attributes:
-        begin_s, end_s: When, in simulated time.
-        turning: Whether it turned on the spot rather than drove.
-        path_m: Way of Body 1 over ground; None without its true motion, as the next ones.
-        distance_m: From begin to end in a straight line.
+        begin_s, end_s: Simulated time.
+        turning: Whether the rover turned on the spot instead of driving straight.
+        path_m: Path length of Body 1 over ground. This and the next two are None without ground
+            truth.
+        distance_m: Straight-line distance from start to end.
         heading_rad: Change of heading, left positive.
-        rolled_m: What the wheels rolled, mean of both; None without their radius.
-        slip: 1 - path over rolled, of straight drives.
-        odometry_error_m: How far wheels and gyro alone put the rover from where it is at the end.
+        rolled_m: Mean distance rolled by the two wheels; None without their radius.
+        slip: 1 - path / rolled distance, for straight drives.
+        odometry_error_m: Position error at the end of dead reckoning from encoders and gyro.
     """
 
     begin_s: float
@@ -96,85 +98,85 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Travel:
-    """All drives between two absences from the floor.
+class Traverse:
+    """All consecutive drives between two times off the floor.
 
     Attributes:
-        begin_s, end_s: From the first drive's begin to the last one's end.
-        drives: How many.
-        path_m: Way over ground.
-        closing_m: From where it began to where it ended: the closing error of a round trip.
+        begin_s, end_s: From the start of the first drive to the end of the last.
+        drives: Number of drives.
+        path_m: Path length over ground.
+        closing_distance_m: Distance between start and end; the closing error of a round trip.
     """
 
     begin_s: float
     end_s: float
     drives: int
     path_m: float
-    closing_m: float
+    closing_distance_m: float
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """Pictures of the wall taken while the rover hangs at one place.
+class ImagingStop:
+    """Images of the wall taken while the rover hangs at one depth.
 
     Attributes:
-        begin_s, end_s: When, in simulated time.
-        depth_m: Of Body 1, or of the drum's length, in the mean.
-        wall_m: Distance of the wall, median.
-        pictures: How many.
-        sharp: Share that smears by no more than 1 px.
-        smear_median_px, smear_max_px: Of the pictures.
+        begin_s, end_s: Simulated time.
+        depth_m: Mean depth of Body 1, or mean tether length at the drum without ground truth.
+        wall_m: Median distance to the wall.
+        images: Number of images.
+        sharp: Fraction with a smear of at most 1 px.
+        smear_median_px, smear_max_px: Motion smear of the images.
     """
 
     begin_s: float
     end_s: float
     depth_m: float | None
     wall_m: float
-    pictures: int
+    images: int
     sharp: float
     smear_median_px: float
     smear_max_px: float
 
 
-def _part(track: TimeSeries, phase: Phase) -> NDArray[np.intp]:
-    return inside(track, phase.begin_s, phase.end_s, (phase.log_begin, phase.log_end))
+def _part(series: TimeSeries, interval: ActivityInterval) -> NDArray[np.intp]:
+    return inside(series, interval.begin_s, interval.end_s, (interval.log_begin, interval.log_end))
 
 
 # --- descents -----------------------------------------------------------------------------------
 
 
 def descents_of(bag: Bag, timeline: Timeline) -> tuple[Descent, ...]:
-    """Every descent and ascent."""
+    """Return the metrics of every descent and ascent."""
     found = []
-    for phase in timeline.of(Activity.DESCENDING, Activity.ASCENDING):
-        descent = _descent(bag, phase)
+    for interval in timeline.of(Activity.DESCENDING, Activity.ASCENDING):
+        descent = _descent(bag, interval)
         if descent is not None:
             found.append(descent)
     return tuple(found)
 
 
-def _descent(bag: Bag, phase: Phase) -> Descent | None:
-    drum = bag.track(topics.WINCH_STATE)
+def _descent(bag: Bag, interval: ActivityInterval) -> Descent | None:
+    drum = bag.series(topics.WINCH_STATE)
     if drum is None:
         return None
-    part = _part(drum, phase)
+    part = _part(drum, interval)
     if len(part) < 3:
         return None
     length = drum.columns[f"{WINCH_DRUM}.position"][part]
     rate = np.abs(drum.columns[f"{WINCH_DRUM}.velocity"][part])
-    tension, mean, ripple = _tension(bag, phase, drum.time[part], rate)
-    depth, swing = _depth_and_swing(bag, phase)
+    tension, mean, ripple = _tension(bag, interval, drum.time[part], rate)
+    depth, swing = _depth_and_swing(bag, interval)
     return Descent(
-        begin_s=phase.begin_s,
-        end_s=phase.end_s,
-        downward=phase.what is Activity.DESCENDING,
+        begin_s=interval.begin_s,
+        end_s=interval.end_s,
+        downward=interval.activity is Activity.DESCENDING,
         from_m=float(length[0]),
         to_m=float(length[-1]),
         depth_from_m=None if depth is None else float(depth[0]),
         depth_to_m=None if depth is None else float(depth[-1]),
-        rate_m_s=float(abs(length[-1] - length[0])) / max(phase.duration_s, 1e-9),
-        fastest_m_s=float(rate.max()),
-        deviation_m=_deviation(bag, drum.time[part], length, phase),
+        rate_m_s=float(abs(length[-1] - length[0])) / max(interval.duration_s, 1e-9),
+        rate_max_m_s=float(rate.max()),
+        tracking_error_m=_tracking_error(bag, drum.time[part], length, interval),
         tension_mean_N=mean,
         ripple=ripple,
         peak_tension_N=tension,
@@ -184,49 +186,53 @@ def _descent(bag: Bag, phase: Phase) -> Descent | None:
 
 
 def _tension(
-    bag: Bag, phase: Phase, time: Floats, rate: Floats
+    bag: Bag, interval: ActivityInterval, time: Floats, rate: Floats
 ) -> tuple[float | None, float | None, float | None]:
-    """Peak, and mean and relative ripple in steady payout."""
-    cell = bag.track(topics.LOAD_CELL)
+    """Peak tension, and mean and relative ripple during steady payout."""
+    cell = bag.series(topics.LOAD_CELL)
     if cell is None:
         return None, None, None
-    part = _part(cell, phase)
+    part = _part(cell, interval)
     if not len(part):
         return None, None, None
     force = np.linalg.norm(cell.vector("force")[part], axis=1)
     peak = float(cell.largest("force")[part].max())
-    usual = float(np.median(rate))
+    typical = float(np.median(rate))
     speed = np.interp(cell.time[part], time, rate)
-    inner = (cell.time[part] > phase.begin_s + _AT_ENDS) & (
-        cell.time[part] < phase.end_s - _AT_ENDS
+    inner = (cell.time[part] > interval.begin_s + _AT_ENDS) & (
+        cell.time[part] < interval.end_s - _AT_ENDS
     )
-    steady = inner & (np.abs(speed - usual) <= _STEADY * usual)
+    steady = inner & (np.abs(speed - typical) <= _STEADY * typical)
     if steady.sum() < 20:
         return peak, None, None
-    line = np.polynomial.Polynomial.fit(cell.time[part][steady], force[steady], 1)
-    rest = force[steady] - line(cell.time[part][steady])
+    trend = np.polynomial.Polynomial.fit(cell.time[part][steady], force[steady], 1)
+    residual = force[steady] - trend(cell.time[part][steady])
     mean = float(force[steady].mean())
-    ripple = float(np.sqrt(np.mean(rest**2)) / mean) if mean > 0.0 else None
+    ripple = float(np.sqrt(np.mean(residual**2)) / mean) if mean > 0.0 else None
     return peak, mean, ripple
 
 
-def _deviation(bag: Bag, time: Floats, length: Floats, phase: Phase) -> float | None:
-    estimate = bag.track(topics.WINCH_ESTIMATE)
+def _tracking_error(
+    bag: Bag, time: Floats, length: Floats, interval: ActivityInterval
+) -> float | None:
+    estimate = bag.series(topics.WINCH_ESTIMATE)
     if estimate is None:
         return None
-    part = _part(estimate, phase)
+    part = _part(estimate, interval)
     if len(part) < 2:
         return None
-    aimed = np.interp(time, estimate.time[part], estimate.columns[f"{REFERENCE}.position"][part])
+    reference = np.interp(
+        time, estimate.time[part], estimate.columns[f"{REFERENCE}.position"][part]
+    )
     known = (time >= estimate.time[part][0]) & (time <= estimate.time[part][-1])
-    return float(np.abs(length - aimed)[known].max()) if known.any() else None
+    return float(np.abs(length - reference)[known].max()) if known.any() else None
 
 
-def _depth_and_swing(bag: Bag, phase: Phase) -> tuple[Floats | None, Floats | None]:
-    body = bag.track(topics.TRUTH_BODY1)
+def _depth_and_swing(bag: Bag, interval: ActivityInterval) -> tuple[Floats | None, Floats | None]:
+    body = bag.series(topics.TRUTH_BODY1)
     if body is None:
         return None, None
-    place = body.vector("position")[_part(body, phase)]
+    place = body.vector("position")[_part(body, interval)]
     if len(place) < 2:
         return None, None
     depth = -place[:, 2]
@@ -234,23 +240,27 @@ def _depth_and_swing(bag: Bag, phase: Phase) -> tuple[Floats | None, Floats | No
 
 
 def swing_angles(place: Floats) -> Floats:
-    """Angle from the vertical [rad] of the line from the fairlead to places, shape (N, 3)."""
+    """Angle from the vertical [rad], shape (N,), of the lines from the fairlead to positions [m].
+
+    Args:
+        place: Positions in the world, origin at the fairlead, shape (N, 3).
+    """
     return np.asarray(np.arctan2(np.hypot(place[:, 0], place[:, 1]), -place[:, 2]))
 
 
 def hanging_swing(bag: Bag, timeline: Timeline) -> tuple[Floats, Floats] | None:
-    """Times [s] and swing angles [rad] of Body 1, NaN while it stands; None if it never hangs.
+    """Return times [s] and swing angles [rad] of Body 1, or None if it never hangs.
 
-    Of a rover that stands the line to the fairlead tells where it has driven, not how it swings.
+    Angles are NaN while the rover stands: then the line to the fairlead shows where it has driven.
     """
-    body = bag.track(topics.TRUTH_BODY1)
+    body = bag.series(topics.TRUTH_BODY1)
     hangs = timeline.of(Activity.HANGING, Activity.DESCENDING, Activity.ASCENDING)
     if body is None or not hangs:
         return None
     angles = swing_angles(body.vector("position"))
     found = np.full(len(body), np.nan)
-    for phase in hangs:
-        part = _part(body, phase)
+    for interval in hangs:
+        part = _part(body, interval)
         found[part] = angles[part]
     return body.time, found
 
@@ -259,137 +269,141 @@ def hanging_swing(bag: Bag, timeline: Timeline) -> tuple[Floats, Floats] | None:
 
 
 def drives_of(bag: Bag, timeline: Timeline) -> tuple[Drive, ...]:
-    """Every stretch of driven wheels."""
+    """Return the metrics of every interval of driven wheels."""
     return tuple(_drive(bag, p) for p in timeline.of(Activity.DRIVING, Activity.TURNING))
 
 
-def _drive(bag: Bag, phase: Phase) -> Drive:
-    turning = phase.what is Activity.TURNING
+def _drive(bag: Bag, interval: ActivityInterval) -> Drive:
+    turning = interval.activity is Activity.TURNING
     path = distance = heading = slip = error = None
-    way: Floats | None = None
-    body = bag.track(topics.TRUTH_BODY1)
-    if body is not None and len(part := _part(body, phase)) > 1:
-        way = body.vector("position")[part]
-        path = way_length(body.time[part], way)
-        distance = float(np.linalg.norm(way[-1, :2] - way[0, :2]))
+    positions: Floats | None = None
+    body = bag.series(topics.TRUTH_BODY1)
+    if body is not None and len(part := _part(body, interval)) > 1:
+        positions = body.vector("position")[part]
+        path = path_length(body.time[part], positions)
+        distance = float(np.linalg.norm(positions[-1, :2] - positions[0, :2]))
         turned = headings(body)[part]
         heading = float(turned[-1] - turned[0])
-        error = _odometry_error(bag, phase, way, float(turned[0]))
-    rolled = _rolled(bag, phase)
+        error = _odometry_error(bag, interval, positions, float(turned[0]))
+    rolled = _rolled(bag, interval)
     if path is not None and rolled is not None and rolled > 0.05 and not turning:
         slip = 1.0 - path / rolled
-    return Drive(phase.begin_s, phase.end_s, turning, path, distance, heading, rolled, slip, error)
+    return Drive(
+        interval.begin_s, interval.end_s, turning, path, distance, heading, rolled, slip, error
+    )
 
 
-def way_length(time: Floats, way: Floats) -> float:
-    """Length of a way over ground [m], up and down included.
+def path_length(time: Floats, positions: Floats) -> float:
+    """Return the length of a path in space [m].
 
-    It is that through points 0.1 s apart: shaking makes no way.
+    The path is resampled every 0.1 s so that vibration does not lengthen it.
 
     Args:
-        time: Of each place [s], shape (N,).
-        way: The places [m], shape (N, 3).
+        time: Time of each position [s], shape (N,).
+        positions: Positions [m], shape (N, 3).
     """
     count = max(2, round((time[-1] - time[0]) / 0.1) + 1)
     at = np.linspace(time[0], time[-1], count)
-    points = np.stack([np.interp(at, time, way[:, axis]) for axis in range(3)], axis=1)
+    points = np.stack([np.interp(at, time, positions[:, axis]) for axis in range(3)], axis=1)
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _wheels(bag: Bag, phase: Phase) -> tuple[Floats, Floats, Floats] | None:
-    """Time, and what both wheels have rolled since the begin [m]."""
-    track, radius = bag.track(topics.WHEEL_STATE), setting(bag, "rover", "wheels", "radius")
-    if track is None or not isinstance(radius, float | int):
+def _wheels(bag: Bag, interval: ActivityInterval) -> tuple[Floats, Floats, Floats] | None:
+    """Times [s] and distances that the left and the right wheel have rolled since the start [m]."""
+    series, radius = bag.series(topics.WHEEL_STATE), setting(bag, "rover", "wheels", "radius")
+    if series is None or not isinstance(radius, float | int):
         return None
-    part = _part(track, phase)
+    part = _part(series, interval)
     if len(part) < 2:
         return None
-    sides = [track.columns[f"{name}.position"][part] for name in (WHEEL_LEFT, WHEEL_RIGHT)]
+    sides = [series.columns[f"{name}.position"][part] for name in (WHEEL_LEFT, WHEEL_RIGHT)]
     left, right = (float(radius) * (side - side[0]) for side in sides)
-    return track.time[part], left, right
+    return series.time[part], left, right
 
 
-def _rolled(bag: Bag, phase: Phase) -> float | None:
-    wheels = _wheels(bag, phase)
+def _rolled(bag: Bag, interval: ActivityInterval) -> float | None:
+    wheels = _wheels(bag, interval)
     if wheels is None:
         return None
     _, left, right = wheels
     return 0.5 * (abs(float(left[-1])) + abs(float(right[-1])))
 
 
-def _odometry_error(bag: Bag, phase: Phase, way: Floats, heading: float) -> float | None:
-    """Distance at the end between the true place and that by encoders and gyro."""
-    wheels, imu = _wheels(bag, phase), bag.track(topics.IMU)
-    if wheels is None or imu is None or len(part := _part(imu, phase)) < 2:
+def _odometry_error(
+    bag: Bag, interval: ActivityInterval, positions: Floats, heading: float
+) -> float | None:
+    """Position error [m] at the end of dead reckoning from encoders and gyro."""
+    wheels, imu = _wheels(bag, interval), bag.series(topics.IMU)
+    if wheels is None or imu is None or len(part := _part(imu, interval)) < 2:
         return None
     time, left, right = wheels
     rate = np.interp(time, imu.time[part], imu.columns["angular_velocity.z"][part])
     course = heading + np.concatenate(
         [[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))]
     )
-    # The axle's middle is taken for the body's centre.
+    # Approximation: the centre of the axle coincides with the body's centre.
     step = np.diff(0.5 * (left + right))
     middle = 0.5 * (course[1:] + course[:-1])
-    told = np.array([np.sum(step * np.cos(middle)), np.sum(step * np.sin(middle))])
-    return float(np.linalg.norm(told - (way[-1, :2] - way[0, :2])))
+    odometry = np.array([np.sum(step * np.cos(middle)), np.sum(step * np.sin(middle))])
+    return float(np.linalg.norm(odometry - (positions[-1, :2] - positions[0, :2])))
 
 
-def travels_of(bag: Bag, timeline: Timeline) -> tuple[Travel, ...]:
-    """Drives that belong together: nothing but standing, slack and jumps lies between them."""
-    body = bag.track(topics.TRUTH_BODY1)
+def traverses_of(bag: Bag, timeline: Timeline) -> tuple[Traverse, ...]:
+    """Group drives that are separated only by standing, slack and jumps."""
+    body = bag.series(topics.TRUTH_BODY1)
     if body is None:
         return ()
-    groups: list[list[Phase]] = [[]]
+    groups: list[list[ActivityInterval]] = [[]]
     until = -math.inf
-    for phase in timeline.phases:
-        if phase.begin_s < until:  # the clock was put back: another run
+    for interval in timeline.intervals:
+        if interval.begin_s < until:  # the clock was reset: a new run
             groups.append([])
-        until = phase.end_s
-        if phase.what in {Activity.DRIVING, Activity.TURNING}:
-            groups[-1].append(phase)
-        elif phase.what in {Activity.HANGING, Activity.DESCENDING, Activity.ASCENDING}:
+        until = interval.end_s
+        if interval.activity in {Activity.DRIVING, Activity.TURNING}:
+            groups[-1].append(interval)
+        elif interval.activity in {Activity.HANGING, Activity.DESCENDING, Activity.ASCENDING}:
             groups.append([])
-    return tuple(_travels(body, [group for group in groups if group]))
+    return tuple(_traverses(body, [group for group in groups if group]))
 
 
-def _travels(body: TimeSeries, groups: list[list[Phase]]) -> Iterator[Travel]:
+def _traverses(body: TimeSeries, groups: list[list[ActivityInterval]]) -> Iterator[Traverse]:
     for group in groups:
-        parts = [part for phase in group if len(part := _part(body, phase)) > 1]
+        parts = [part for interval in group if len(part := _part(body, interval)) > 1]
         if not parts:
             continue
         place = body.vector("position")
-        ways = [way_length(body.time[part], place[part]) for part in parts]
+        lengths = [path_length(body.time[part], place[part]) for part in parts]
         closing = place[parts[-1][-1], :2] - place[parts[0][0], :2]
-        yield Travel(
-            group[0].begin_s, group[-1].end_s, len(group), sum(ways),
+        yield Traverse(
+            group[0].begin_s, group[-1].end_s, len(group), sum(lengths),
             float(np.linalg.norm(closing)),
         )  # fmt: skip
 
 
-# --- exposures ----------------------------------------------------------------------------------
+# --- imaging stops ------------------------------------------------------------------------------
 
 
-def exposures_of(bag: Bag, timeline: Timeline) -> tuple[Exposure, ...]:
-    """Pictures at each place where the rover hung and its camera saw the wall."""
-    camera = bag.track(topics.CAMERA)
+def imaging_stops_of(bag: Bag, timeline: Timeline) -> tuple[ImagingStop, ...]:
+    """Return the image metrics of each interval in which the hanging rover saw the wall."""
+    camera = bag.series(topics.CAMERA)
     if camera is None:
         return ()
     found = []
-    for phase in timeline.of(Activity.HANGING):
-        part = _part(camera, phase)
+    for interval in timeline.of(Activity.HANGING):
+        part = _part(camera, interval)
         wall = camera.columns[f"{WALL_DISTANCE}.position"][part]
         sees = wall < NO_WALL
-        if sees.sum() < _LEAST_PICTURES:
+        if sees.sum() < _MIN_IMAGES:
             continue
         smear = camera.columns[f"{SMEAR}.position"][part][sees]
         found.append(
-            Exposure(
+            ImagingStop(
                 begin_s=float(camera.time[part][sees][0]),
                 end_s=float(camera.time[part][sees][-1]),
-                depth_m=_depth(bag, phase),
+                depth_m=_depth(bag, interval),
                 wall_m=float(np.median(wall[sees])),
-                pictures=int(sees.sum()) * camera.stride,
-                sharp=float(np.mean(smear <= SMEAR_LIMIT)),
+                images=int(sees.sum()) * camera.stride,
+                sharp=float(np.mean(smear <= SMEAR_LIMIT_PX)),
                 smear_median_px=float(np.median(smear)),
                 smear_max_px=float(smear.max()),
             )
@@ -397,13 +411,13 @@ def exposures_of(bag: Bag, timeline: Timeline) -> tuple[Exposure, ...]:
     return tuple(found)
 
 
-def _depth(bag: Bag, phase: Phase) -> float | None:
-    body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
-    for track, path, sign in (
+def _depth(bag: Bag, interval: ActivityInterval) -> float | None:
+    body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
+    for series, path, sign in (
         (body, "position.z", -1.0),
         (drum, f"{WINCH_DRUM}.position", 1.0),
     ):
-        if track is not None and len(part := _part(track, phase)):
-            value = sign * float(np.mean(track.columns[path][part]))
+        if series is not None and len(part := _part(series, interval)):
+            value = sign * float(np.mean(series.columns[path][part]))
             return value if math.isfinite(value) else None
     return None

@@ -1,9 +1,9 @@
-"""Audits: does the recorded energy and momentum add up, and where does the bag not tell.
+"""Audit the recorded energy and momentum balances.
 
-The plant keeps an energy balance: initial energy, input and heat must add up to the stored energy.
-The audit adds the recorded entries up itself and compares the gravity entry with the recorded
-positions of bodies and tether. In flight what momentum is gained beyond gravity's must be
-the tether's doing.
+The plant publishes an energy balance: initial energy + input - dissipation = stored energy. The
+energy audit sums the recorded terms itself and compares the gravity term with the recorded
+positions of bodies and tether. The flight audit compares the change of momentum beyond gravity's
+impulse with the impulse of the tether.
 """
 
 from __future__ import annotations
@@ -24,199 +24,206 @@ from msg_schemas.table import (
     WHEEL_RIGHT,
 )
 from rover_bags.analysis.geometry import gravity_of, inside, rotations, setting
-from rover_bags.analysis.timeline import Activity, Phase, Timeline
+from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.read import Bag, Floats, TimeSeries
 
-_BOOKS: Final = ("input", "dissipated", "drift")
-STORED: Final = tuple(name for name in ENERGY_NAMES if name not in _BOOKS)
-"""Entries of the energy balance that are stored energy."""
+_BALANCE_TERMS: Final = ("input", "dissipated", "drift")
+STORED: Final = tuple(name for name in ENERGY_NAMES if name not in _BALANCE_TERMS)
+"""Terms of the energy balance that are stored energy."""
 _SOON: Final = 0.02
-"""Within so much of a flight's ends something may still touch [s]."""
+"""Time at each end of a flight in which the rover may still be in contact [s]."""
 
 
 @dataclass(frozen=True)
-class EnergyLine:
-    """The books over one phase [J]: stored = input - dissipated, but for what is missed."""
+class EnergyInterval:
+    """Energy balance over one activity [J]: residual = stored - input + dissipated."""
 
-    what: str
+    activity: str
     begin_s: float
     end_s: float
     input_J: float
     dissipated_J: float
     stored_J: float
-    missed_J: float
+    residual_J: float
 
 
 @dataclass(frozen=True)
 class EnergyAudit:
-    """Of the plant's energy balance.
+    """Audit of the plant's energy balance.
 
     Attributes:
-        turnover_J: All that was put in, taken out and turned into heat, without signs.
-        missed_J: Largest distance of the books from balance.
-        share: Of the turnover that was missed at most.
-        energy_error_J: Largest difference between the recorded drift and the sum of the entries.
-        gravity_error_J: Largest change of the difference between the gravity entry and that of the
-            recorded positions of bodies and tether; None where these are not recorded.
-        lines: Phase by phase.
+        turnover_J: Sum of the magnitudes of all changes of input and dissipated energy.
+        residual_J: Largest residual of the balance.
+        share: Largest residual over the turnover.
+        drift_error_J: Largest difference between the recorded drift and the computed residual.
+        gravity_error_J: Range of the difference between the recorded gravity term and the potential
+            energy of the recorded positions of bodies and tether; None if these are not recorded.
+        intervals: The balance of each activity interval.
     """
 
     turnover_J: float
-    missed_J: float
+    residual_J: float
     share: float | None
-    energy_error_J: float
+    drift_error_J: float
     gravity_error_J: float | None
-    lines: tuple[EnergyLine, ...]
+    intervals: tuple[EnergyInterval, ...]
 
 
 @dataclass(frozen=True)
 class RotorAudit:
-    """Momentum of what spins in the rover [N m s], and its share of the limit if it has one."""
+    """Angular momentum of one rotor [N m s] and, if it has a limit, the fraction of the limit."""
 
     name: str
-    largest_N_m_s: float
-    final_N_m_s: float
-    limit_N_m_s: float | None
+    momentum_max_N_m_s: float
+    momentum_final_N_m_s: float
+    momentum_limit_N_m_s: float | None
     share: float | None
 
 
 @dataclass(frozen=True)
 class FlightAudit:
-    """What momentum a flight gained beyond gravity's: the tether's doing, or nobody's.
+    """Audit of the momentum in one flight.
 
     Attributes:
-        begin_s, end_s: The flight.
-        gained_N_s: Linear momentum of both bodies gained beyond gravity's.
-        tether_N_s: The most that the recorded pull at the rover explains.
-        unexplained_N_s: What is left beyond that.
-        turned_N_m_s: Change of the angular momentum about the common centre of mass, rotors
-            included; None where inertias are not configured or a rotor's rate is not recorded.
-        spin_N_m_s: Largest angular momentum in the flight.
+        begin_s, end_s: The flight, in simulated time.
+        momentum_change_N_s: Largest change of both bodies' linear momentum beyond gravity's
+            impulse.
+        tether_impulse_N_s: Impulse of the recorded tether force at the rover: an upper bound of
+            what the tether explains.
+        unexplained_N_s: Change beyond that bound.
+        angular_momentum_change_N_m_s: Largest change of the angular momentum about the common
+            centre of mass, rotors included; None if inertias are not configured or the rate of a
+            rotor is not recorded.
+        angular_momentum_max_N_m_s: Largest angular momentum in the flight.
     """
 
     begin_s: float
     end_s: float
-    gained_N_s: float
-    tether_N_s: float | None
+    momentum_change_N_s: float
+    tether_impulse_N_s: float | None
     unexplained_N_s: float | None
-    turned_N_m_s: float | None
-    spin_N_m_s: float | None
+    angular_momentum_change_N_m_s: float | None
+    angular_momentum_max_N_m_s: float | None
 
 
 @dataclass(frozen=True)
 class Audits:
-    """All audits, and what could not be audited for want of recorded data."""
+    """All audits, and the reasons why others could not be made."""
 
     energy: EnergyAudit | None = None
     rotors: tuple[RotorAudit, ...] = ()
     flights: tuple[FlightAudit, ...] = ()
-    lacking: tuple[str, ...] = field(default=())
+    not_audited: tuple[str, ...] = field(default=())
 
 
 def audits_of(bag: Bag, timeline: Timeline) -> Audits:
-    """Every audit for which the bag holds what is needed."""
-    lacking = []
+    """Make every audit for which the bag holds the data."""
+    not_audited = []
     energy = _energy(bag, timeline)
     if energy is None:
-        lacking.append(f"energy: the bag holds no {topics.TRUTH_ENERGY}")
+        not_audited.append(f"energy: the bag holds no topic {topics.TRUTH_ENERGY}")
     elif energy.gravity_error_J is None:
-        lacking.append(
-            "gravity: the bag lacks the bodies' or the tether's true motion, or their masses"
+        not_audited.append(
+            "gravity: the bag lacks the true motion of the bodies or the tether, or their masses"
         )
     rotors = tuple(_rotors(bag))
     if not rotors:
-        lacking.append("rotors: the bag lacks encoders of flywheel and wheels, or their inertias")
+        not_audited.append(
+            "rotors: the bag lacks the encoders of flywheel and wheels, or their inertias"
+        )
     flights = tuple(flight_audits(bag, timeline))
     if not flights and timeline.of(Activity.FLIGHT):
-        lacking.append("flights: the bag lacks the bodies' true motion or their masses")
-    return Audits(energy, rotors, flights, tuple(lacking))
+        not_audited.append("flights: the bag lacks the true motion of the bodies or their masses")
+    return Audits(energy, rotors, flights, tuple(not_audited))
 
 
 # --- energy -------------------------------------------------------------------------------------
 
 
 def _energy(bag: Bag, timeline: Timeline) -> EnergyAudit | None:
-    track = bag.track(topics.TRUTH_ENERGY)
-    if track is None or len(track) < 2:
+    series = bag.series(topics.TRUTH_ENERGY)
+    if series is None or len(series) < 2:
         return None
-    # The energy balance begins anew at a reset: each run has its own.
-    edges = [0, *(np.flatnonzero(np.diff(track.time) < 0.0) + 1).tolist(), len(track)]
+    # The balance restarts at a reset: each run has its own.
+    edges = [0, *(np.flatnonzero(np.diff(series.time) < 0.0) + 1).tolist(), len(series)]
     energy_balances = [
-        _EnergyBalance.of(track, slice(begin, end))
+        _EnergyBalance.of(series, slice(begin, end))
         for begin, end in pairwise(edges)
         if end - begin > 1
     ]
     if not energy_balances:
         return None
     turnover = sum(energy_balance.turnover for energy_balance in energy_balances)
-    largest = max(float(np.abs(energy_balance.missed).max()) for energy_balance in energy_balances)
-    strayed = [_gravity_error(bag, energy_balance) for energy_balance in energy_balances]
-    known = [error for error in strayed if error is not None]
+    largest = max(
+        float(np.abs(energy_balance.residual).max()) for energy_balance in energy_balances
+    )
+    errors = [_gravity_error(bag, energy_balance) for energy_balance in energy_balances]
+    known = [error for error in errors if error is not None]
     return EnergyAudit(
         turnover_J=turnover,
-        missed_J=largest,
+        residual_J=largest,
         share=largest / turnover if turnover > 0.0 else None,
-        energy_error_J=max(
-            float(np.abs(item.missed - item.drift).max()) for item in energy_balances
+        drift_error_J=max(
+            float(np.abs(item.residual - item.drift).max()) for item in energy_balances
         ),
         gravity_error_J=max(known) if known else None,
-        lines=tuple(
+        intervals=tuple(
             line for energy_balance in energy_balances for line in _lines(timeline, energy_balance)
         ),
     )
 
 
 class _EnergyBalance(NamedTuple):
-    """The plant's books over one run, from one reset to the next."""
+    """The plant's energy balance over one run, from one reset to the next."""
 
     time: Floats
-    log: tuple[int, int]  # when its first and its last entry came
+    log: tuple[int, int]  # reception times of its first and last sample [ns since 1970]
     columns: Mapping[str, Floats]
     stored: Floats
-    missed: Floats  # by what the entries add up to
-    drift: Floats  # by what the plant says
+    residual: Floats  # of the recorded terms
+    drift: Floats  # as published by the plant
     turnover: float
 
     @classmethod
-    def of(cls, track: TimeSeries, part: slice) -> _EnergyBalance:
-        columns = {name: track.columns[f"{name}.position"][part] for name in ENERGY_NAMES}
+    def of(cls, series: TimeSeries, part: slice) -> _EnergyBalance:
+        columns = {name: series.columns[f"{name}.position"][part] for name in ENERGY_NAMES}
         stored = np.sum([columns[name] for name in STORED], axis=0)
         balance = stored - columns["input"] + columns["dissipated"]
         turnover = float(
             np.abs(np.diff(columns["input"])).sum() + np.abs(np.diff(columns["dissipated"])).sum()
         )
-        log_ns = track.log_ns[part]
+        log_ns = series.log_ns[part]
         return cls(
-            track.time[part], (int(log_ns[0]), int(log_ns[-1])), columns, stored,
+            series.time[part], (int(log_ns[0]), int(log_ns[-1])), columns, stored,
             balance - balance[0], columns["drift"] - columns["drift"][0], turnover,
         )  # fmt: skip
 
 
-def _lines(timeline: Timeline, energy_balance: _EnergyBalance) -> Iterator[EnergyLine]:
+def _lines(timeline: Timeline, energy_balance: _EnergyBalance) -> Iterator[EnergyInterval]:
     time, columns = energy_balance.time, energy_balance.columns
-    for phase in timeline.phases:
-        middle = (phase.log_begin + phase.log_end) // 2
-        if phase.end_s > time[-1] + 1.0 or phase.begin_s < time[0] - 1.0:
+    for interval in timeline.intervals:
+        middle = (interval.log_begin + interval.log_end) // 2
+        if interval.end_s > time[-1] + 1.0 or interval.begin_s < time[0] - 1.0:
             continue
         if not energy_balance.log[0] <= middle <= energy_balance.log[1]:
             continue
-        ends = [phase.begin_s, phase.end_s]
+        ends = [interval.begin_s, interval.end_s]
         changes = [
             float(np.diff(np.interp(ends, time, column))[0])
             for column in (
                 columns["input"],
                 columns["dissipated"],
                 energy_balance.stored,
-                energy_balance.missed,
+                energy_balance.residual,
             )
         ]
-        yield EnergyLine(phase.what.value, phase.begin_s, phase.end_s, *changes)
+        yield EnergyInterval(interval.activity.value, interval.begin_s, interval.end_s, *changes)
 
 
 def _gravity_error(bag: Bag, energy_balance: _EnergyBalance) -> float | None:
-    """How far the energy balance's gravity strays from that of the recorded places [J]."""
-    bodies = [bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
-    tether, gravity = bag.track(topics.TRUTH_TETHER), gravity_of(bag)
+    """Range of the recorded gravity term less the potential energy of the positions [J]."""
+    bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
+    tether, gravity = bag.series(topics.TRUTH_TETHER), gravity_of(bag)
     masses = [setting(bag, "rover", name) for name in ("m1", "m2")]
     density = setting(bag, "tether", "line_density")
     if any(not isinstance(v, float | int) for v in (*masses, density, gravity)):
@@ -228,20 +235,22 @@ def _gravity_error(bag: Bag, energy_balance: _EnergyBalance) -> float | None:
     if len(part) < 2:
         return None
     at = tether.time[part]
-    heights = density * np.array([_moment_of(tether.shapes[index]) for index in part.tolist()])
+    heights = density * np.array(
+        [_height_integral(tether.shapes[index]) for index in part.tolist()]
+    )
     for body, mass in zip(bodies, masses, strict=True):
         if body is None or not len(own := inside(body, *span, energy_balance.log)):
             return None
         heights += mass * np.interp(at, body.time[own], body.columns["position.z"][own])
-    told = np.interp(at, energy_balance.time, energy_balance.columns["gravity"])
-    return float(np.ptp((gravity or 0.0) * heights - told))
+    recorded = np.interp(at, energy_balance.time, energy_balance.columns["gravity"])
+    return float(np.ptp((gravity or 0.0) * heights - recorded))
 
 
-def _moment_of(nodes: Floats) -> float:
-    """Height times undeformed length of the tether [m^2], from the fairlead.
+def _height_integral(nodes: Floats) -> float:
+    """Integral of the tether's height over its undeformed length [m^2], height from the fairlead.
 
-    The slope dr/ds tells the stretch, so the length of an element is its chord's over that; the
-    cubic's mean height follows from the ends' heights and slopes.
+    The norm of the slope dr/ds is the stretch, so an element's undeformed length is its chord over
+    the mean stretch. The mean height of the cubic follows from heights and slopes at its ends.
     """
     chord = np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1)
     stretch = np.linalg.norm(nodes[:, 3:6], axis=1)
@@ -255,7 +264,7 @@ def _moment_of(nodes: Floats) -> float:
 
 
 def _rotors(bag: Bag) -> Iterator[RotorAudit]:
-    flywheel, wheels = bag.track(topics.FLYWHEEL_STATE), bag.track(topics.WHEEL_STATE)
+    flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
     inertia = setting(bag, "rover", "jump_drive", "inertia")
     if flywheel is not None and isinstance(inertia, float | int):
         limit = setting(bag, "rover", "jump_drive", "momentum_limit")
@@ -268,23 +277,23 @@ def _rotors(bag: Bag) -> Iterator[RotorAudit]:
 
 
 def _rotor(
-    name: str, track: TimeSeries, path: str, inertia: float, limit: float | None
+    name: str, series: TimeSeries, path: str, inertia: float, limit: float | None
 ) -> RotorAudit:
     largest = inertia * float(
-        max(np.abs(track.lowest(path)).max(), np.abs(track.highest(path)).max())
+        max(np.abs(series.lowest(path)).max(), np.abs(series.highest(path)).max())
     )
     return RotorAudit(
         name,
         largest,
-        inertia * float(track.columns[path][-1]),
+        inertia * float(series.columns[path][-1]),
         limit,
         largest / limit if limit else None,
     )
 
 
 def flight_audits(bag: Bag, timeline: Timeline) -> Iterator[FlightAudit]:
-    """What momentum each flight gained."""
-    bodies = [bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
+    """Audit the momentum of each flight."""
+    bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
     gravity = gravity_of(bag)
     masses = [setting(bag, "rover", name) for name in ("m1", "m2")]
     if gravity is None or any(not isinstance(mass, float | int) for mass in masses):
@@ -292,24 +301,24 @@ def flight_audits(bag: Bag, timeline: Timeline) -> Iterator[FlightAudit]:
     first, second = bodies
     if first is None or second is None:
         return
-    for phase in timeline.of(Activity.FLIGHT):
-        audit = _flight(bag, phase, (first, second), (masses[0], masses[1]), gravity)
+    for interval in timeline.of(Activity.FLIGHT):
+        audit = _flight(bag, interval, (first, second), (masses[0], masses[1]), gravity)
         if audit is not None:
             yield audit
 
 
 def _flight(
     bag: Bag,
-    phase: Phase,
+    interval: ActivityInterval,
     bodies: tuple[TimeSeries, TimeSeries],
     masses: tuple[float, float],
     gravity: float,
 ) -> FlightAudit | None:
-    begin, end = phase.begin_s + _SOON, phase.end_s - _SOON
-    log = (phase.log_begin, phase.log_end)
+    begin, end = interval.begin_s + _SOON, interval.end_s - _SOON
+    log = (interval.log_begin, interval.log_end)
     if any(body.stride > 1 for body in bodies):
         return None
-    # Samples of the same instants: one of either body may be missing.
+    # Use instants at which both bodies are recorded.
     both = [inside(body, begin, end, log) for body in bodies]
     one, other = (np.round(b.time[p] * 1e9) for b, p in zip(bodies, both, strict=True))
     _, first, second = np.intersect1d(one, other, return_indices=True)
@@ -330,8 +339,8 @@ def _flight(
     tether = _impulse(bag, begin, end, log)
     turned_by, spin = _angular(bag, bodies, parts, log, masses, places, speeds, turns)
     return FlightAudit(
-        phase.begin_s,
-        phase.end_s,
+        interval.begin_s,
+        interval.end_s,
         size,
         tether,
         None if tether is None else max(0.0, size - tether),
@@ -341,14 +350,14 @@ def _flight(
 
 
 def _impulse(bag: Bag, begin: float, end: float, log: tuple[int, int]) -> float | None:
-    """Of the pull at the rover [N s], from its load cell, or else from the tether's tension."""
-    tether = bag.track(topics.TRUTH_TETHER)
+    """Impulse of the tether at the rover [N s], from the tension or the rover's load cell."""
+    tether = bag.series(topics.TRUTH_TETHER)
     if tether is not None and tether.shapes:
         part = inside(tether, begin - 0.02, end + 0.02, log)
         if len(part) > 1:
             pull = np.array([max(tether.shapes[index][-1, -1], 0.0) for index in part.tolist()])
             return _integral(pull, tether.time[part])
-    cell = bag.track(topics.ROVER_LOAD_CELL)
+    cell = bag.series(topics.ROVER_LOAD_CELL)
     if cell is None:
         return None
     part = inside(cell, begin, end, log)
@@ -365,7 +374,7 @@ def _angular(
     parts: list[NDArray[np.intp]], log: tuple[int, int],
     masses: tuple[float, float], places: list[Floats], speeds: list[Floats], turns: list[Floats],
 ) -> tuple[float | None, float | None]:  # fmt: skip
-    """Change and size of the angular momentum about the common centre [N m s]."""
+    """Largest change and magnitude of the angular momentum about the common centre [N m s]."""
     inertias = [setting(bag, "rover", name) for name in ("inertia1", "inertia2")]
     if any(not isinstance(inertia, list | tuple) or len(inertia) != 3 for inertia in inertias):
         return None, None
@@ -380,11 +389,11 @@ def _angular(
         spin = body.vector("angular")[parts[index]] * np.asarray(inertias[index])
         whole += np.einsum("nij,nj->ni", turns[index], spin)
     for topic, path, axis, inertia in _spinning(bag):
-        track = bag.track(topic)
-        if track is None or not len(near := inside(track, time[0] - 0.1, time[-1] + 0.1, log)):
+        series = bag.series(topic)
+        if series is None or not len(near := inside(series, time[0] - 0.1, time[-1] + 0.1, log)):
             return None, None
         omega = bodies[0].vector("angular")[parts[0], axis]
-        rate = np.interp(time, track.time[near], track.columns[path][near]) + omega
+        rate = np.interp(time, series.time[near], series.columns[path][near]) + omega
         whole += inertia * rate[:, None] * turns[0][:, :, axis]
     change = whole - whole[0]
     return (
@@ -394,7 +403,7 @@ def _angular(
 
 
 def _spinning(bag: Bag) -> Iterator[tuple[str, str, int, float]]:
-    """Topic, column, axis in Body 1 and inertia of each rotor."""
+    """Topic, column, axis in Body 1 and inertia [kg m^2] of each rotor."""
     inertia = setting(bag, "rover", "jump_drive", "inertia")
     if isinstance(inertia, float | int):
         yield topics.FLYWHEEL_STATE, f"{FLYWHEEL}.velocity", 0, float(inertia)

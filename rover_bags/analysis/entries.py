@@ -1,4 +1,4 @@
-"""Events and refusals that a bag holds, line by line."""
+"""Events and refusals recorded in a bag."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from rover_bags.read import TimeSeries
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the events or refusals.
+    """One recorded event or refusal.
 
     Attributes:
-        time_s: Simulated time [s].
-        log_ns: When it was received [ns since 1970]: simulated time may be passed twice.
-        node, name, message, level, values: What was said.
+        time_s: Simulated time [s]; after a reset a bag may hold the same time twice.
+        log_ns: Time of reception [ns since 1970].
+        node, name, message, level, values: Fields of the recorded status.
     """
 
     time_s: float
@@ -26,16 +26,16 @@ class Entry:
     values: Mapping[str, str]
 
 
-def entries_of(track: TimeSeries | None) -> Iterable[Entry]:
-    """Every status of a track with its time."""
-    if track is None:
+def entries_of(series: TimeSeries | None) -> Iterable[Entry]:
+    """Yield every status of a series with its time."""
+    if series is None:
         return
-    for time, log_ns, statuses in zip(track.time, track.log_ns, track.statuses, strict=True):
+    for time, log_ns, statuses in zip(series.time, series.log_ns, series.statuses, strict=True):
         for status in statuses:
             yield _entry(float(time), int(log_ns), status)
 
 
 def _entry(time: float, log_ns: int, status: Status) -> Entry:
     level = Level(status.level).name.lower()
-    said = (status.hardware_id, status.name, status.message, level, dict(status.values))
-    return Entry(time, log_ns, *said)
+    fields = (status.hardware_id, status.name, status.message, level, dict(status.values))
+    return Entry(time, log_ns, *fields)

@@ -20,7 +20,7 @@ from msg_schemas import topics
 from msg_schemas.table import FLOOR_SWITCH
 from rover_bags.analysis.entries import Entry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
-from rover_bags.analysis.timeline import Phase, Timeline, TimelineEventKind
+from rover_bags.analysis.timeline import ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.read import Bag, Floats, Stamps, TimeSeries
 from rover_bags.time_series import LARGEST
 
@@ -28,7 +28,7 @@ FLIGHT = "flight"
 _STANDING: Final = ("held", "landed")
 _AT_REST: Final = 1e-3
 """Speed [m/s] and rate [rad/s] below which a body counts as standing."""
-_LEAST_RISE: Final = 5e-3
+_MIN_RISE: Final = 5e-3
 """Rise [m] from which a motion without phase or contact counts as a jump."""
 _REPORTED_NEAR: Final = 0.1
 """An event so near to a flight's begin or end is of it [s]."""
@@ -46,7 +46,7 @@ class Jump:
         attitude_variation_rad: theta at touchdown minus theta at take-off [rad]; of a rover that
             turns in space the part of its turn about minus its own y axis, nose up positive.
         range_m: Horizontal distance from take-off to touchdown, in any direction [m].
-        turned_rad: Angle by which Body 1 turned in flight, about whatever axis.
+        rotation_rad: Angle by which Body 1 turned in flight, about whatever axis.
         tilt_rad: Of Body 1 from the vertical at touchdown.
         landing_speed_m_s: Of Body 1 at the last sample in flight.
         travel_m: Way of Body 1 over ground from take-off to touchdown, forwards positive [m].
@@ -54,7 +54,7 @@ class Jump:
         slack: dh/df of the tether's end points before take-off [-].
         peak_tension_N: Largest tension anywhere in the tether [N].
         energy_drift_J: What the plant's energy balance missed from take-off to touchdown [J].
-        drop_samples: Samples of Body 1 missing during the flight.
+        missing_samples: Samples of Body 1 missing during the flight.
         reported: What the plant's own events say of this jump, by their names.
     """
 
@@ -65,7 +65,7 @@ class Jump:
     jump_height_m: float
     attitude_variation_rad: float
     range_m: float
-    turned_rad: float
+    rotation_rad: float
     tilt_rad: float
     landing_speed_m_s: float
     travel_m: float
@@ -73,7 +73,7 @@ class Jump:
     slack: float | None
     peak_tension_N: float | None
     energy_drift_J: float | None
-    drop_samples: int
+    missing_samples: int
     reported: Mapping[str, float]
 
 
@@ -98,19 +98,19 @@ class Motion:
     theta_rate: Floats
 
 
-def motion(track: TimeSeries) -> Motion:
+def motion(series: TimeSeries) -> Motion:
     """World motion from a body's odometry, whose twist is in the body's own frame."""
-    turned = rotations(track)
-    velocity = np.einsum("nij,nj->ni", turned, track.vector("linear"))
+    turned = rotations(series)
+    velocity = np.einsum("nij,nj->ni", turned, series.vector("linear"))
     # The body's x axis against the horizontal, in the plane of x and z.
     theta = np.unwrap(np.arctan2(turned[:, 2, 0], turned[:, 0, 0]))
     return Motion(
-        track.time,
-        track.log_ns,
-        track.vector("position"),
+        series.time,
+        series.log_ns,
+        series.vector("position"),
         velocity,
         theta,
-        -track.columns["angular.y"],
+        -series.columns["angular.y"],
     )
 
 
@@ -119,20 +119,22 @@ def is_spatial(bag: Bag) -> bool:
     model = bag.scenario.get("model")
     if model is not None:
         return bool(model == "spatial")
-    phase = bag.track(topics.TRUTH_PHASE)
+    phase = bag.series(topics.TRUTH_PHASE)
     words = set(phase.texts) if phase is not None else set()
-    return bool(words & {"hanging", "grounded"}) or bag.track(topics.ROVER_LOAD_CELL) is not None
+    return bool(words & {"hanging", "grounded"}) or bag.series(topics.ROVER_LOAD_CELL) is not None
 
 
 def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[Jump]:
     """Every jump."""
-    track = bag.track(topics.TRUTH_BODY1)
-    if track is None or len(track) < 3:
+    series = bag.series(topics.TRUTH_BODY1)
+    if series is None or len(series) < 3:
         return
-    body = motion(track)
+    body = motion(series)
     if is_spatial(bag):
-        for phase, ended in jumped(timeline):
-            part = inside(track, phase.begin_s, phase.end_s, (phase.log_begin, phase.log_end))
+        for interval, ended in jumped(timeline):
+            part = inside(
+                series, interval.begin_s, interval.end_s, (interval.log_begin, interval.log_end)
+            )
             if len(part) > 2:
                 yield _spatial_jump(bag, body, part, ended=ended, events=events)
         return
@@ -140,13 +142,13 @@ def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[
         yield _jump(bag, body, first, last, ended=ended, events=events)
 
 
-def jumped(timeline: Timeline) -> Iterable[tuple[Phase, bool]]:
+def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
     """Flights that begin on the ground, and whether they ended in the bag."""
-    starts = {m.log_ns for m in timeline.moments if m.what is TimelineEventKind.TAKE_OFF}
-    last = max((phase.log_end for phase in timeline.phases), default=0)
-    for phase in timeline.phases:
-        if phase.what == FLIGHT and phase.log_begin in starts:
-            yield phase, phase.log_end < last
+    starts = {m.log_ns for m in timeline.events if m.kind is TimelineEventKind.TAKE_OFF}
+    last = max((interval.log_end for interval in timeline.intervals), default=0)
+    for interval in timeline.intervals:
+        if interval.activity == FLIGHT and interval.log_begin in starts:
+            yield interval, interval.log_end < last
 
 
 def _spatial_jump(
@@ -154,7 +156,7 @@ def _spatial_jump(
 ) -> Jump:
     """Figures of a flight over rough ground: it ends where something touches."""
     first, last = int(part[0]), int(part[-1])
-    events = _told_near(events, body, first, last)
+    events = _events_near(events, body, first, last)
     near = _REPORTED_NEAR
     took_off = _reported(events, "take_off", body.time[first] - near, body.time[first] + near)
     landed = _reported(events, "touchdown", body.time[last] - near, body.time[last] + near)
@@ -165,9 +167,9 @@ def _spatial_jump(
     last = max(first + 1, latest(body, last, end))
     z0 = float(np.interp(take_off, body.time[first : last + 1], body.position[first : last + 1, 2]))
     apex, top = _apex(body, first, last)
-    way = body.position[last] - body.position[first]
+    displacement = body.position[last] - body.position[first]
     window = Window.of(body, first, last)
-    track = bag.tracks[topics.TRUTH_BODY1]
+    series = bag.time_series[topics.TRUTH_BODY1]
     peaks = [entry for entry in events if entry.name == "apex" and take_off < entry.time_s < end]
     values: dict[str, str] = {}
     for entry in (took_off, *peaks, landed):
@@ -178,17 +180,17 @@ def _spatial_jump(
         touchdown_s=end if ended else None,
         start_height_m=z0,
         jump_height_m=top - z0,
-        attitude_variation_rad=-turned_about(track, first, last)[1],
-        range_m=float(np.hypot(way[0], way[1])),
-        turned_rad=float(np.linalg.norm(turned_about(track, first, last))),
-        tilt_rad=float(tilts(track)[last]),
+        attitude_variation_rad=-turned_about(series, first, last)[1],
+        range_m=float(np.hypot(displacement[0], displacement[1])),
+        rotation_rad=float(np.linalg.norm(turned_about(series, first, last))),
+        tilt_rad=float(tilts(series)[last]),
         landing_speed_m_s=float(np.linalg.norm(body.velocity[last])),
-        travel_m=float(rotations(track)[first, :2, 0] @ way[:2]),
+        travel_m=float(rotations(series)[first, :2, 0] @ displacement[:2]),
         flight_time_s=end - take_off,
         slack=_slack(bag, window),
         peak_tension_N=_peak_tension(bag, window),
         energy_drift_J=_drift(bag, window),
-        drop_samples=_missing(body.time[first : last + 1]),
+        missing_samples=_missing(body.time[first : last + 1]),
         reported=_numbers(values),
     )
 
@@ -231,30 +233,30 @@ def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
 
 def _aloft_by_phase(bag: Bag, body: Motion) -> Any:
     """In the air by the recorded phase; samples at a change are settled by their motion."""
-    track = bag.track(topics.TRUTH_PHASE)
-    if track is None or not set(track.texts) & {FLIGHT, *_STANDING}:
+    series = bag.series(topics.TRUTH_PHASE)
+    if series is None or not set(series.texts) & {FLIGHT, *_STANDING}:
         return None
-    index = np.searchsorted(track.log_ns, body.log_ns, side="right") - 1
-    words = np.array([*track.texts, track.texts[0]])
+    index = np.searchsorted(series.log_ns, body.log_ns, side="right") - 1
+    words = np.array([*series.texts, series.texts[0]])
     aloft = words[index] == FLIGHT
     # Phase and motion travel on topics of their own: near a change their order is not theirs.
     near = np.zeros(len(aloft), dtype=bool)
-    for change in track.log_ns:
+    for change in series.log_ns:
         near |= np.abs(body.log_ns - change) < 200_000_000
     near &= np.isin(words[index], [FLIGHT, *_STANDING])
     moving = ~_resting(body)
-    flown = FLIGHT in track.texts
+    flown = FLIGHT in series.texts
     return np.where(near, moving & flown, aloft)
 
 
 def _aloft_by_contact(bag: Bag, body: Motion) -> Any:
-    track = bag.track(topics.CONTACT)
-    if track is None:
+    series = bag.series(topics.CONTACT)
+    if series is None:
         return None
-    closed = track.columns[f"{FLOOR_SWITCH}.position"]
+    closed = series.columns[f"{FLOOR_SWITCH}.position"]
     if not (closed > 0.5).any():
         return None
-    index = np.clip(np.searchsorted(track.time, body.time, side="right") - 1, 0, len(track) - 1)
+    index = np.clip(np.searchsorted(series.time, body.time, side="right") - 1, 0, len(series) - 1)
     return closed[index] < 0.5
 
 
@@ -278,7 +280,7 @@ def _aloft_by_motion(body: Motion) -> Any:
         while last < len(aloft) and aloft[last]:
             last += 1
         rise = body.position[first:last, 2].max() - body.position[first - 1, 2]
-        if rise < _LEAST_RISE:
+        if rise < _MIN_RISE:
             aloft[first:last] = False
     return aloft
 
@@ -297,7 +299,7 @@ def _jump(
     bag: Bag, body: Motion, first: int, last: int, *, ended: bool, events: Iterable[Entry]
 ) -> Jump:
     start = max(first - 1, 0)
-    events = _told_near(events, body, start, last)
+    events = _events_near(events, body, start, last)
     z0 = float(body.position[start, 2])
     reported_start = _reported(events, "take_off", body.time[start], body.time[first])
     take_off = (
@@ -316,8 +318,8 @@ def _jump(
     if reported_end is not None:
         touchdown = reported_end.time_s
     apex, top = _apex(body, first, last)
-    way = landing - body.position[start]
-    travel = math.copysign(math.hypot(way[0], way[1]), way[0])
+    displacement = landing - body.position[start]
+    travel = math.copysign(math.hypot(displacement[0], displacement[1]), displacement[0])
     end = touchdown if ended else float(body.time[last])
     values = reported_end.values if reported_end is not None else {}
     window = Window.of(body, start, min(last + 1, len(body.time) - 1))
@@ -328,8 +330,8 @@ def _jump(
         start_height_m=z0,
         jump_height_m=top - z0,
         attitude_variation_rad=float(theta - body.theta[start]),
-        range_m=math.hypot(way[0], way[1]),
-        turned_rad=abs(float(theta - body.theta[start])),
+        range_m=math.hypot(displacement[0], displacement[1]),
+        rotation_rad=abs(float(theta - body.theta[start])),
         tilt_rad=abs(math.remainder(float(theta), math.tau)),
         landing_speed_m_s=float(np.linalg.norm(body.velocity[last])),
         travel_m=travel,
@@ -337,7 +339,7 @@ def _jump(
         slack=_slack(bag, window),
         peak_tension_N=_peak_tension(bag, window),
         energy_drift_J=_drift(bag, window),
-        drop_samples=_missing(body.time[first : last + 1]),
+        missing_samples=_missing(body.time[first : last + 1]),
         reported=_numbers(values),
     )
 
@@ -418,37 +420,37 @@ class Window(NamedTuple):
             int(body.log_ns[last]) + margin,
         )
 
-    def indices(self, track: TimeSeries) -> NDArray[np.intp]:
-        """Messages of a track inside."""
-        in_time = (track.time >= self.begin) & (track.time <= self.end)
-        in_log = (track.log_ns >= self.log_begin) & (track.log_ns <= self.log_end)
+    def indices(self, series: TimeSeries) -> NDArray[np.intp]:
+        """Messages of a series inside."""
+        in_time = (series.time >= self.begin) & (series.time <= self.end)
+        in_log = (series.log_ns >= self.log_begin) & (series.log_ns <= self.log_end)
         return np.flatnonzero(in_time & in_log)
 
-    def before(self, track: TimeSeries) -> int:
-        """The last message of a track up to the beginning."""
-        near = (track.log_ns <= self.log_end) & (track.time <= self.begin + 2e-9)
+    def before(self, series: TimeSeries) -> int:
+        """The last message of a series up to the beginning."""
+        near = (series.log_ns <= self.log_end) & (series.time <= self.begin + 2e-9)
         found = np.flatnonzero(near)
         return int(found[-1]) if len(found) else 0
 
 
 def _slack(bag: Bag, window: Window) -> float | None:
     """dh/df of the tether's end points in the last shape before take-off."""
-    track = bag.track(topics.TRUTH_TETHER)
-    if track is None or not track.shapes:
+    series = bag.series(topics.TRUTH_TETHER)
+    if series is None or not series.shapes:
         return None
-    nodes = track.shapes[window.before(track)]
-    way = nodes[-1, :3] - nodes[0, :3]
-    level = math.hypot(way[0], way[1])
-    return float(abs(way[2]) / level) if level > 0.0 else None
+    nodes = series.shapes[window.before(series)]
+    span = nodes[-1, :3] - nodes[0, :3]
+    horizontal = math.hypot(span[0], span[1])
+    return float(abs(span[2]) / horizontal) if horizontal > 0.0 else None
 
 
 def _peak_tension(bag: Bag, window: Window) -> float | None:
     """Largest recorded tension during a flight, along the tether and at the load cell."""
     peaks = []
-    track = bag.track(topics.TRUTH_TETHER)
-    if track is not None and LARGEST in track.columns:
-        peaks += track.highest(LARGEST)[window.indices(track)].tolist()
-    load = bag.track(topics.LOAD_CELL)
+    series = bag.series(topics.TRUTH_TETHER)
+    if series is not None and LARGEST in series.columns:
+        peaks += series.highest(LARGEST)[window.indices(series)].tolist()
+    load = bag.series(topics.LOAD_CELL)
     if load is not None:
         peaks += load.largest("force")[window.indices(load)].tolist()
     return max(peaks) if peaks else None
@@ -456,13 +458,13 @@ def _peak_tension(bag: Bag, window: Window) -> float | None:
 
 def _drift(bag: Bag, window: Window) -> float | None:
     """Change of the plant's energy balance over a flight."""
-    track = bag.track(topics.TRUTH_ENERGY)
-    if track is None:
+    series = bag.series(topics.TRUTH_ENERGY)
+    if series is None:
         return None
-    inside = window.indices(track)
+    inside = window.indices(series)
     if len(inside) < 2:
         return None
-    drift = track.columns["drift.position"]
+    drift = series.columns["drift.position"]
     return float(drift[inside[-1]] - drift[inside[0]])
 
 
@@ -475,7 +477,7 @@ def _missing(time: Floats) -> int:
     return int(np.maximum(np.round(steps / usual) - 1, 0).sum()) if usual > 0.0 else 0
 
 
-def _told_near(events: Iterable[Entry], body: Motion, first: int, last: int) -> list[Entry]:
+def _events_near(events: Iterable[Entry], body: Motion, first: int, last: int) -> list[Entry]:
     """What was told while a body went from one sample to another: time may be passed twice."""
     window = Window.of(body, first, last)
     return [entry for entry in events if window.log_begin <= entry.log_ns <= window.log_end]

@@ -11,12 +11,12 @@ from msg_schemas.table import TOPICS, Intent
 from rover_bags.analysis.activities import (
     Descent,
     Drive,
-    Exposure,
-    Travel,
+    ImagingStop,
+    Traverse,
     descents_of,
     drives_of,
-    exposures_of,
-    travels_of,
+    imaging_stops_of,
+    traverses_of,
 )
 from rover_bags.analysis.audits import Audits, audits_of
 from rover_bags.analysis.entries import Entry, entries_of
@@ -27,7 +27,7 @@ from rover_bags.read import Bag, TimeSeries
 
 
 @dataclass(frozen=True)
-class TopicFigures:
+class TopicMetrics:
     """How one topic was recorded.
 
     Rates and gaps are by the clock that paces the topic: simulated time, or the machine's for
@@ -52,7 +52,7 @@ class TopicFigures:
         age_p50_ms, age_p99_ms: From the stamp to the reception, by the clock that the stamps
             follow (simulated time, or the machine's); to within what that clock resolves.
         dropped: Messages that the recorder could not keep.
-        missed: Messages lost before they reached the recorder.
+        lost_in_transport: Messages lost before they reached the recorder.
         rejected: Messages that break the contract.
         unverified: Messages that no checksum protects.
     """
@@ -73,7 +73,7 @@ class TopicFigures:
     age_p50_ms: float | None
     age_p99_ms: float | None
     dropped: int
-    missed: int
+    lost_in_transport: int
     rejected: int
     unverified: int
 
@@ -85,12 +85,12 @@ class Metrics:
     timeline: Timeline
     descents: tuple[Descent, ...]
     drives: tuple[Drive, ...]
-    travels: tuple[Travel, ...]
-    exposures: tuple[Exposure, ...]
+    traverses: tuple[Traverse, ...]
+    imaging_stops: tuple[ImagingStop, ...]
     coverage: Coverage | None
     audits: Audits
     jumps: tuple[Jump, ...]
-    topics: Mapping[str, TopicFigures]
+    topics: Mapping[str, TopicMetrics]
     events: tuple[Entry, ...]
     refusals: tuple[Entry, ...]
     duration_s: float
@@ -107,22 +107,22 @@ class Metrics:
             **{name: first.get(name) for name in names},
             "duration_s": self.duration_s,
             "simulated_s": self.simulated_s,
-            "phases": [
-                {"what": p.what.value, "begin_s": p.begin_s, "end_s": p.end_s}
-                for p in self.timeline.phases
+            "activities": [
+                {"activity": p.activity.value, "begin_s": p.begin_s, "end_s": p.end_s}
+                for p in self.timeline.intervals
             ],
-            "moments": [
-                {"what": m.what.value, "time_s": m.time_s, "reason": m.reason}
-                for m in self.timeline.moments
+            "timeline_events": [
+                {"event": m.kind.value, "time_s": m.time_s, "reason": m.reason}
+                for m in self.timeline.events
             ],
             "descents": [asdict(descent) for descent in self.descents],
             "drives": [asdict(drive) for drive in self.drives],
-            "travels": [asdict(travel) for travel in self.travels],
-            "exposures": [asdict(exposure) for exposure in self.exposures],
+            "traverses": [asdict(traverse) for traverse in self.traverses],
+            "imaging_stops": [asdict(stop) for stop in self.imaging_stops],
             "coverage": None if self.coverage is None else asdict(self.coverage),
             "audits": asdict(self.audits),
             "jumps": [asdict(jump) for jump in self.jumps],
-            "topics": {name: asdict(figures) for name, figures in self.topics.items()},
+            "topics": {name: asdict(topic) for name, topic in self.topics.items()},
             "events": [asdict(entry) for entry in self.events],
             "refusals": [asdict(entry) for entry in self.refusals],
         }
@@ -130,23 +130,23 @@ class Metrics:
 
 def measure(bag: Bag) -> Metrics:
     """All figures of a bag."""
-    clock = bag.paces.get(topics.CLOCK)
-    events = tuple(entries_of(bag.track(topics.EVENTS)))
+    clock = bag.timings.get(topics.CLOCK)
+    events = tuple(entries_of(bag.series(topics.EVENTS)))
     timeline = timeline_of(bag)
-    pictures = bag.track(topics.DESCENT_OBSERVATION)
+    images = bag.series(topics.DESCENT_OBSERVATION)
     return Metrics(
         timeline=timeline,
         descents=descents_of(bag, timeline),
         drives=drives_of(bag, timeline),
-        travels=travels_of(bag, timeline),
-        exposures=exposures_of(bag, timeline),
-        coverage=None if pictures is None else measure_coverage(observations_of(pictures)),
+        traverses=traverses_of(bag, timeline),
+        imaging_stops=imaging_stops_of(bag, timeline),
+        coverage=None if images is None else measure_coverage(observations_of(images)),
         audits=audits_of(bag, timeline),
         jumps=tuple(jumps_of(bag, events, timeline)),
-        topics=_topic_figures(bag),
+        topics=_topic_metrics(bag),
         events=events,
         refusals=tuple(
-            entry for entry in entries_of(bag.track(topics.DIAGNOSTICS)) if "code" in entry.values
+            entry for entry in entries_of(bag.series(topics.DIAGNOSTICS)) if "code" in entry.values
         ),
         duration_s=bag.duration,
         simulated_s=clock.running * 1e-9 if clock is not None else None,
@@ -156,42 +156,42 @@ def measure(bag: Bag) -> Metrics:
 # --- topics -------------------------------------------------------------------------------------
 
 
-def _topic_figures(bag: Bag) -> dict[str, TopicFigures]:
+def _topic_metrics(bag: Bag) -> dict[str, TopicMetrics]:
     contract = {full: name for name, full in bag.full_names.items()}
-    names = sorted(set(bag.counts) | set(bag.dropped) | set(bag.missed))
-    return {contract.get(full, full): _figures(bag, full, contract.get(full)) for full in names}
+    names = sorted(set(bag.counts) | set(bag.dropped) | set(bag.lost_in_transport))
+    return {contract.get(full, full): _metrics(bag, full, contract.get(full)) for full in names}
 
 
-def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
-    row = TOPICS.get(name) if name is not None else None
-    track = bag.track(name) if name is not None else None
-    pace = bag.paces.get(name) if name is not None else None
+def _metrics(bag: Bag, full: str, name: str | None) -> TopicMetrics:
+    spec = TOPICS.get(name) if name is not None else None
+    series = bag.series(name) if name is not None else None
+    timing = bag.timings.get(name) if name is not None else None
     rate = wall = gap = gap_at = longest = slow = None
     gaps = None
     latency: list[float | None] = [None, None]
     age: list[float | None] = [None, None]
-    if track is not None and pace is not None:
-        rate = _rate(pace.count - pace.restarts, pace.running)
-        wall = _rate(pace.count, pace.last_log - pace.first_log)
-        if pace.widest is not None and bag.clock is not None:
-            stamp, log = (np.array([value], dtype=np.int64) for value in pace.widest_at)
-            gap, gap_at = pace.widest * 1e-9, float(bag.clock.times(stamp, log)[0])
-            if row is not None and row.rate and row.intent is not Intent.COMMAND:
-                gaps = pace.gaps
-                slow = 1e9 / pace.period if pace.is_slow else None
-        if row is not None and row.intent not in {Intent.LATCHED, Intent.EVENT}:
-            heard = track.publish_ns >= track.log_ns[0]
-            heard[0] |= len(track) == 1
-            delay = (track.log_ns - track.publish_ns)[heard] * 1e-6
+    if series is not None and timing is not None:
+        rate = _rate(timing.count - timing.restarts, timing.running)
+        wall = _rate(timing.count, timing.last_log - timing.first_log)
+        if timing.widest is not None and bag.clock is not None:
+            stamp, log = (np.array([value], dtype=np.int64) for value in timing.widest_at)
+            gap, gap_at = timing.widest * 1e-9, float(bag.clock.times(stamp, log)[0])
+            if spec is not None and spec.rate and spec.intent is not Intent.COMMAND:
+                gaps = timing.gaps
+                slow = 1e9 / timing.period if timing.is_slow else None
+        if spec is not None and spec.intent not in {Intent.LATCHED, Intent.EVENT}:
+            while_listening = series.publish_ns >= series.log_ns[0]
+            while_listening[0] |= len(series) == 1
+            delay = (series.log_ns - series.publish_ns)[while_listening] * 1e-6
             if len(delay):
                 latency = [float(np.percentile(delay, q)) for q in (50, 99)]
-                longest = max(float(delay.max()), (pace.delay or 0) * 1e-6)
-            age = _ages(bag, track)
-    return TopicFigures(
+                longest = max(float(delay.max()), (timing.delay or 0) * 1e-6)
+            age = _ages(bag, series)
+    return TopicMetrics(
         topic=name or full,
         type=bag.types.get(full, ""),
         count=bag.counts.get(full, 0),
-        expected_hz=row.rate if row is not None else None,
+        expected_hz=spec.rate if spec is not None else None,
         rate_hz=rate,
         wall_rate_hz=wall,
         max_gap_s=gap,
@@ -204,20 +204,20 @@ def _figures(bag: Bag, full: str, name: str | None) -> TopicFigures:
         age_p50_ms=age[0],
         age_p99_ms=age[1],
         dropped=bag.dropped.get(full, 0),
-        missed=bag.missed.get(full, 0),
+        lost_in_transport=bag.lost_in_transport.get(full, 0),
         rejected=bag.rejected.get(name, 0) if name else 0,
         unverified=bag.unverified.get(full, 0),
     )
 
 
-def _ages(bag: Bag, track: TimeSeries) -> list[float | None]:
+def _ages(bag: Bag, series: TimeSeries) -> list[float | None]:
     """Median and 99th percentile of the time from stamp to reception [ms]."""
-    stamped = track.stamp_ns > 0
-    if track.topic == topics.CLOCK or not stamped.any() or bag.clock is None:
+    stamped = series.stamp_ns > 0
+    if series.topic == topics.CLOCK or not stamped.any() or bag.clock is None:
         return [None, None]
-    log_ns, stamp_ns = track.log_ns[stamped], track.stamp_ns[stamped]
+    log_ns, stamp_ns = series.log_ns[stamped], series.stamp_ns[stamped]
     if bag.clock.is_recorded:
-        came = bag.clock.arrivals(log_ns)
+        came = bag.clock.at_reception(log_ns)
         # Who does not follow the clock has stamps far from it.
         follows = np.abs(came - stamp_ns) < _FOLLOWS_NS
         ages = np.asarray((came - stamp_ns)[follows] * 1e-6, dtype=np.float64)

@@ -26,7 +26,7 @@ Flags = NDArray[np.bool_]
 
 _FINEST: Final = 0.02
 """Instants follow one another no closer than this [s]."""
-_SILENT: Final = 1.0
+_MAX_AGE: Final = 1.0
 """What a sensor said is not taken to hold for longer than so [s], or five of its periods."""
 _SWITCHES: Final = (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH)
 _BASES: Final = (
@@ -55,7 +55,7 @@ class Signals:
     Attributes:
         time: Simulated time [s], shape (N,); it jumps back where the clock was put back.
         log_ns: When the instants' messages were received [ns since 1970].
-        touches: Whether any contact switch is closed.
+        in_contact: Whether any contact switch is closed.
         pull: Of the tether on the rover [N].
         numbers: Length [m] and rate [m/s] of the drum, brake (1 released), wheels' rates [rad/s],
             the wheel motor's current [A], the nut's place [m] and force [N]; NaN where their
@@ -65,7 +65,7 @@ class Signals:
 
     time: Floats
     log_ns: Stamps
-    touches: Flags | None
+    in_contact: Flags | None
     pull: Floats | None
     numbers: Mapping[str, Floats]
     phase: NDArray[np.str_] | None
@@ -77,20 +77,20 @@ class Signals:
 
 def signals_of(bag: Bag) -> Signals | None:
     """The bag's signals, None where it holds nothing of a rover or winch."""
-    base = next((track for name in _BASES if (track := bag.track(name)) is not None), None)
+    base = next((series for name in _BASES if (series := bag.series(name)) is not None), None)
     if base is None:
         return None
     chosen = _spaced(base.time)
     matcher = _Matcher(base, chosen)
     numbers = {}
     for name, (topic, path) in _NUMBERS.items():
-        track = bag.track(topic)
-        if track is not None and path in track.columns:
-            numbers[name] = matcher.last(track, track.columns[path])
+        series = bag.series(topic)
+        if series is not None and path in series.columns:
+            numbers[name] = matcher.last(series, series.columns[path])
     return Signals(
         time=base.time[chosen],
         log_ns=base.log_ns[chosen],
-        touches=_touches(bag, matcher),
+        in_contact=_in_contact(bag, matcher),
         pull=_pull(bag, matcher),
         numbers=numbers,
         phase=_phase(bag, matcher),
@@ -98,35 +98,35 @@ def signals_of(bag: Bag) -> Signals | None:
 
 
 class _Matcher:
-    """Finds what a track said last at given instants: by stamps, or by arrival after a reset."""
+    """Finds what a series said last at given instants: by stamps, or by arrival after a reset."""
 
     def __init__(self, base: TimeSeries, chosen: NDArray[np.intp]) -> None:
         self._by_time = bool((np.diff(base.time) >= 0.0).all())
         self._time = base.time[chosen] + 1e-9
         self._log = base.log_ns[chosen]
 
-    def last(self, track: TimeSeries, values: Floats) -> Floats:
+    def last(self, series: TimeSeries, values: Floats) -> Floats:
         """The last value at each instant; before the first, the first; NaN while it is silent."""
-        index = self.indices(track)
+        index = self.indices(series)
         found = np.array(values[index], dtype=np.float64)
-        if self._follows(track):
-            usual = float(np.median(np.diff(track.time))) if len(track) > 1 else 0.0
-            apart = np.abs(self._time - track.time[index])
+        if self._follows(series):
+            usual = float(np.median(np.diff(series.time))) if len(series) > 1 else 0.0
+            apart = np.abs(self._time - series.time[index])
         else:
-            usual = float(np.median(np.diff(track.log_ns))) * 1e-9 if len(track) > 1 else 0.0
-            apart = np.abs(self._log - track.log_ns[index]) * 1e-9
-        found[apart > max(_SILENT, 5.0 * usual)] = np.nan
+            usual = float(np.median(np.diff(series.log_ns))) * 1e-9 if len(series) > 1 else 0.0
+            apart = np.abs(self._log - series.log_ns[index]) * 1e-9
+        found[apart > max(_MAX_AGE, 5.0 * usual)] = np.nan
         return found
 
-    def indices(self, track: TimeSeries) -> NDArray[np.intp]:
-        if self._follows(track):
-            found = np.searchsorted(track.time, self._time, side="right")
+    def indices(self, series: TimeSeries) -> NDArray[np.intp]:
+        if self._follows(series):
+            found = np.searchsorted(series.time, self._time, side="right")
         else:
-            found = np.searchsorted(track.log_ns, self._log, side="right")
+            found = np.searchsorted(series.log_ns, self._log, side="right")
         return np.maximum(found - 1, 0)
 
-    def _follows(self, track: TimeSeries) -> bool:
-        return self._by_time and bool((np.diff(track.time) >= 0.0).all())
+    def _follows(self, series: TimeSeries) -> bool:
+        return self._by_time and bool((np.diff(series.time) >= 0.0).all())
 
 
 def _spaced(time: Floats) -> NDArray[np.intp]:
@@ -136,30 +136,30 @@ def _spaced(time: Floats) -> NDArray[np.intp]:
     return np.arange(0, len(time), every)
 
 
-def _touches(bag: Bag, matcher: _Matcher) -> Flags | None:
-    track = bag.track(topics.CONTACT)
-    if track is None:
+def _in_contact(bag: Bag, matcher: _Matcher) -> Flags | None:
+    series = bag.series(topics.CONTACT)
+    if series is None:
         return None
-    closed = np.zeros(len(track), dtype=bool)
+    closed = np.zeros(len(series), dtype=bool)
     for name in _SWITCHES:
-        column = track.columns.get(f"{name}.position")
+        column = series.columns.get(f"{name}.position")
         if column is not None:
             closed |= column > 0.5
-    return matcher.last(track, closed.astype(np.float64)) > 0.5
+    return matcher.last(series, closed.astype(np.float64)) > 0.5
 
 
 def _pull(bag: Bag, matcher: _Matcher) -> Floats | None:
-    track = bag.track(topics.ROVER_LOAD_CELL)
-    if track is None:
+    series = bag.series(topics.ROVER_LOAD_CELL)
+    if series is None:
         return None
-    return matcher.last(track, np.linalg.norm(track.vector("force"), axis=1))
+    return matcher.last(series, np.linalg.norm(series.vector("force"), axis=1))
 
 
 def _phase(bag: Bag, matcher: _Matcher) -> NDArray[np.str_] | None:
-    track = bag.track(topics.TRUTH_PHASE)
-    if track is None:
+    series = bag.series(topics.TRUTH_PHASE)
+    if series is None:
         return None
-    return np.array(track.texts)[matcher.indices(track)]
+    return np.array(series.texts)[matcher.indices(series)]
 
 
 # --- runs of equal values -----------------------------------------------------------------------

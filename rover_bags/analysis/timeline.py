@@ -51,16 +51,16 @@ class TimelineEventKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Phase:
+class ActivityInterval:
     """A stretch of one activity, in simulated time [s].
 
     Attributes:
-        what: The activity.
+        activity: What the machine does.
         begin_s, end_s: When.
         log_begin, log_end: The same by the recorder's clock [ns since 1970].
     """
 
-    what: Activity
+    activity: Activity
     begin_s: float
     end_s: float
     log_begin: int
@@ -73,17 +73,17 @@ class Phase:
 
 
 @dataclass(frozen=True)
-class Moment:
+class TimelineEvent:
     """An instant, and why where that is recorded.
 
     Attributes:
-        what: What happened.
+        kind: What happened.
         time_s: When, in simulated time [s].
         log_ns: The same by the recorder's clock [ns since 1970].
         reason: Why.
     """
 
-    what: TimelineEventKind
+    kind: TimelineEventKind
     time_s: float
     log_ns: int
     reason: str = ""
@@ -93,17 +93,17 @@ class Moment:
 class Timeline:
     """All phases, one after the other, and the instants that matter."""
 
-    phases: tuple[Phase, ...] = ()
-    moments: tuple[Moment, ...] = ()
+    intervals: tuple[ActivityInterval, ...] = ()
+    events: tuple[TimelineEvent, ...] = ()
 
-    def of(self, *kinds: Activity) -> tuple[Phase, ...]:
+    def of(self, *kinds: Activity) -> tuple[ActivityInterval, ...]:
         """Phases of some kinds."""
-        return tuple(phase for phase in self.phases if phase.what in kinds)
+        return tuple(interval for interval in self.intervals if interval.activity in kinds)
 
 
 _CREEP: Final = 5e-3
 """A drum that is slower stands [m/s]."""
-_LEAST_WAY: Final = 0.03
+_MIN_TRAVEL: Final = 0.03
 """A drum that moves on by less has not gone anywhere [m]: it only damps a swing."""
 _STROKE: Final = 0.35
 """Of the length: a stroke that damps a swing is no longer."""
@@ -112,7 +112,7 @@ _QUARTER: Final = 1.5 * 0.5 * math.pi / math.sqrt(1.62)
 longer than this times the root of the length [s/m^0.5]."""
 _UNDONE: Final = 2.2
 """A stroke over the one that undoes it; the first and the last are half as long as others."""
-_TURNS: Final = (0.5, 0.3)
+_STROKE_REST: Final = (0.5, 0.3)
 """Rest between two strokes: no longer than so much [s], and that share of the shorter one."""
 _PAUSE: Final = 0.3
 """A shorter rest does not end a motion, a shorter motion is none [s]."""
@@ -120,13 +120,13 @@ _BOUNCE: Final = 0.12
 """A shorter loss of contact is none [s]."""
 _WHEELS_TURN: Final = 0.08
 """Wheels that are slower stand [rad/s]."""
-_LEAST_DRIVE: Final = 0.7
+_MIN_DRIVE: Final = 0.7
 """Wheels that turn for less are not driven [s]."""
 _NOISE: Final = 6.0
 """Four standard deviations of a normal error over the median of its size."""
-_NO_PULL: Final = 0.3
+_UNLOADED_SHARE: Final = 0.3
 """A tether that carries less of the rover's weight does not hold it."""
-_CHARGED: Final = 2.0
+_COMPRESSED_FORCE: Final = 2.0
 """Force of the spring on the nut [N] from which it is compressed."""
 _JUST_BEFORE: Final = 0.6
 """A flight so soon after the latch has tripped is a jump [s]."""
@@ -134,12 +134,12 @@ _HOP: Final = 0.5
 """A shorter flight without a latch before it is a bounce [s]."""
 _BRAKED: Final = 0.05
 """A brake that closes on a drum so fast is a fault [m/s]."""
-_BITES: Final = 0.1
+_BRAKE_DELAY: Final = 0.1
 """So long before it tells that it is closed a brake has not begun to bite [s]."""
-_SAME: Final = 0.6
+_SAME_FAULT: Final = 0.6
 """Reports of a fault so near to one another are of one [s]."""
 
-_WORDS: Final = {"held": Activity.STANDING, "landed": Activity.STANDING,
+_ACTIVITY_OF_PHASE: Final = {"held": Activity.STANDING, "landed": Activity.STANDING,
                  "grounded": Activity.STANDING, "flight": Activity.FLIGHT,
                  "hanging": Activity.HANGING}  # fmt: skip
 
@@ -150,33 +150,37 @@ def timeline_of(bag: Bag) -> Timeline:
     if signals is None or len(signals.time) < 2:
         return Timeline()
     trips = _trips(signals)
-    carried = _carried(bag, signals, trips)
-    if carried is None:
-        return Timeline(moments=tuple(_faults(bag, signals)))
-    phases = tuple(_phases(signals, _with_motions(signals, carried, trips)))
-    moments = [
+    support = _support(bag, signals, trips)
+    if support is None:
+        return Timeline(events=tuple(_faults(bag, signals)))
+    intervals = tuple(_intervals(signals, _with_motions(signals, support, trips)))
+    events = [
         *(
-            Moment(TimelineEventKind.LATCH_TRIP, float(signals.time[i]), int(signals.log_ns[i]))
+            TimelineEvent(
+                TimelineEventKind.LATCH_TRIP, float(signals.time[i]), int(signals.log_ns[i])
+            )
             for i in trips
         ),
-        *_changes(phases),
+        *_changes(intervals),
         *_faults(bag, signals),
     ]
-    return Timeline(phases, tuple(sorted(moments, key=lambda moment: moment.log_ns)))
+    return Timeline(intervals, tuple(sorted(events, key=lambda event: event.log_ns)))
 
 
 # --- ground, tether or neither ------------------------------------------------------------------
 
 
-def _carried(bag: Bag, signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.object_] | None:
+def _support(bag: Bag, signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.object_] | None:
     """STANDING, HANGING or FLIGHT at each instant; None where nothing tells."""
     time = signals.time
     words = signals.phase
-    if signals.touches is None:
+    if signals.in_contact is None:
         if words is None:
             return None
-        return np.array([_WORDS.get(str(word), Activity.HANGING) for word in words], dtype=object)
-    grounded = closed(signals.touches, time, _BOUNCE)
+        return np.array(
+            [_ACTIVITY_OF_PHASE.get(str(word), Activity.HANGING) for word in words], dtype=object
+        )
+    grounded = closed(signals.in_contact, time, _BOUNCE)
     found = np.full(len(time), Activity.HANGING, dtype=object)
     found[grounded] = Activity.STANDING
     for begin, end in runs(grounded):
@@ -184,19 +188,19 @@ def _carried(bag: Bag, signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.
             continue
         after = time[end + 1] if end + 1 < len(time) else time[end]
         jumped = _follows(time[begin], time[trips])
-        loose = _loose(bag, signals, begin, end)
-        if loose is None:  # nothing tells whether the tether holds: it falls, having stood
-            loose = np.full(end - begin + 1, begin > 0)
-        if begin > 0 and jumped and loose[: max(1, len(loose) // 4)].any():
+        unloaded = _tether_unloaded(bag, signals, begin, end)
+        if unloaded is None:  # nothing tells whether the tether holds: it falls, having stood
+            unloaded = np.full(end - begin + 1, begin > 0)
+        if begin > 0 and jumped and unloaded[: max(1, len(unloaded) // 4)].any():
             # A jump's flight is one, even where the tether snatches in it.
-            share = closed(loose, time[begin : end + 1], 1.0)
+            share = closed(unloaded, time[begin : end + 1], 1.0)
             found[begin : end + 1][share] = Activity.FLIGHT
-        elif begin > 0 and loose.all() and (after - time[begin] > _HOP or not len(trips)):
+        elif begin > 0 and unloaded.all() and (after - time[begin] > _HOP or not len(trips)):
             found[begin : end + 1] = Activity.FLIGHT
         elif begin > 0 and after - time[begin] <= _HOP and end + 1 < len(time):
             found[begin : end + 1] = Activity.STANDING  # a bounce
         else:
-            falls = opened(loose, time[begin : end + 1], _HOP)
+            falls = opened(unloaded, time[begin : end + 1], _HOP)
             found[begin : end + 1][falls] = Activity.FLIGHT
     return found
 
@@ -205,12 +209,12 @@ def _follows(begin: float, trips: Floats) -> bool:
     return bool(((trips <= begin + 0.05) & (trips >= begin - _JUST_BEFORE)).any())
 
 
-def _loose(bag: Bag, signals: Signals, begin: int, end: int) -> Flags | None:
+def _tether_unloaded(bag: Bag, signals: Signals, begin: int, end: int) -> Flags | None:
     """Where the tether does not hold the rover, of a stretch without contact; None: unknown."""
     part = slice(begin, end + 1)
     weight = _weight(bag)
     if signals.pull is not None and weight is not None:
-        return signals.pull[part] < _NO_PULL * weight
+        return signals.pull[part] < _UNLOADED_SHARE * weight
     if signals.phase is not None:
         return np.asarray(signals.phase[part] == "flight")
     return None
@@ -222,10 +226,10 @@ def _weight(bag: Bag) -> float | None:
     m1, m2 = (setting(bag, "rover", name) for name in ("m1", "m2"))
     if isinstance(m1, float | int) and isinstance(m2, float | int) and gravity is not None:
         return float((m1 + m2) * gravity)
-    track = bag.track(topics.ROVER_LOAD_CELL)
-    if track is None:
+    series = bag.series(topics.ROVER_LOAD_CELL)
+    if series is None:
         return None
-    pull = np.linalg.norm(track.vector("force"), axis=1)
+    pull = np.linalg.norm(series.vector("force"), axis=1)
     return float(np.percentile(pull, 90))
 
 
@@ -237,24 +241,24 @@ def _trips(signals: Signals) -> NDArray[np.intp]:
     force = signals.get("nut_force")
     if force is None:
         return np.array([], dtype=np.intp)
-    return np.flatnonzero((force[:-1] > _CHARGED) & (force[1:] < 0.3 * force[:-1])) + 1
+    return np.flatnonzero((force[:-1] > _COMPRESSED_FORCE) & (force[1:] < 0.3 * force[:-1])) + 1
 
 
 def _with_motions(
-    signals: Signals, carried: NDArray[np.object_], trips: NDArray[np.intp]
+    signals: Signals, support: NDArray[np.object_], trips: NDArray[np.intp]
 ) -> NDArray[np.object_]:
-    time, found = signals.time, carried.copy()
-    stands, flies = carried == Activity.STANDING, carried == Activity.FLIGHT
-    for begin, end, side in _travels(signals, carried == Activity.HANGING):
+    time, found = signals.time, support.copy()
+    stands, flies = support == Activity.STANDING, support == Activity.FLIGHT
+    for begin, end, side in _travels(signals, support == Activity.HANGING):
         part = slice(begin, end + 1)
-        hangs = np.flatnonzero(carried[part] == Activity.HANGING) + begin
+        hangs = np.flatnonzero(support[part] == Activity.HANGING) + begin
         found[hangs] = Activity.DESCENDING if side > 0 else Activity.ASCENDING
         found[np.flatnonzero(stands[part]) + begin] = Activity.SLACK
     for begin, end, what in _drives(signals, stands):
         found[np.flatnonzero(stands[begin : end + 1]) + begin] = what
     force = signals.get("nut_force")
     if force is not None:
-        charged = opened(closed(force > _CHARGED, time, _PAUSE), time, _PAUSE)
+        charged = opened(closed(force > _COMPRESSED_FORCE, time, _PAUSE), time, _PAUSE)
         found[charged & ~flies] = Activity.COMPRESSING
         for trip in trips.tolist():
             # From the trip until the feet leave the ground the spring expands.
@@ -286,14 +290,16 @@ def _strokes(
     for one, other in itertools.pairwise(motions):
         if one[2] == other[2] or not (hangs[one[0]] and hangs[other[1]]):
             continue
-        ways = [abs(float(length[end] - length[begin])) for begin, end, _ in (one, other)]
+        lengths = [abs(float(length[end] - length[begin])) for begin, end, _ in (one, other)]
         spans = [float(time[end] - time[begin]) for begin, end, _ in (one, other)]
-        rest, share = _TURNS
+        rest, share = _STROKE_REST
         if time[other[0]] - time[one[1]] > rest + share * min(spans):
             continue
-        for motion, way, span, opposite in zip((one, other), ways, spans, ways[::-1], strict=True):
+        for motion, stroke, span, opposite in zip(
+            (one, other), lengths, spans, lengths[::-1], strict=True
+        ):
             out = float(length[motion[0]])
-            short = way <= min(_UNDONE * opposite, _STROKE * out)
+            short = stroke <= min(_UNDONE * opposite, _STROKE * out)
             if short and span <= _QUARTER * math.sqrt(max(out, 0.0)):
                 found.add(motion)
     return found
@@ -308,7 +314,7 @@ def _drum_motions(signals: Signals) -> Iterator[tuple[int, int, int]]:
     for side in (1, -1):
         moves = opened(closed(sense == side, signals.time, _PAUSE), signals.time, _PAUSE)
         for begin, end in runs(moves):
-            if moves[begin] and abs(length[end] - length[begin]) > _LEAST_WAY:
+            if moves[begin] and abs(length[end] - length[begin]) > _MIN_TRAVEL:
                 yield begin, end, side
 
 
@@ -320,7 +326,7 @@ def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activit
     fastest = np.maximum(np.abs(left), np.abs(right))
     # A wheel that turns for a moment after a landing is not driven; bounces do not end a drive.
     turning = closed((fastest > _WHEELS_TURN) & stands, signals.time, _PAUSE)
-    turning = opened(turning, signals.time, _LEAST_DRIVE)
+    turning = opened(turning, signals.time, _MIN_DRIVE)
     for begin, end in runs(turning):
         if not turning[begin]:
             continue
@@ -330,11 +336,11 @@ def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activit
         # Backward the left wheel turns alone and the rover on the spot; a forward wheel that coasts
         # longer than the other is none of the motor's doing.
         time = signals.time[part]
-        odd = closed(left[part] < -_WHEELS_TURN, time, _LEAST_DRIVE)
-        odd = opened(odd, time, _LEAST_DRIVE)
+        odd = closed(left[part] < -_WHEELS_TURN, time, _MIN_DRIVE)
+        odd = opened(odd, time, _MIN_DRIVE)
         for first, last in runs(odd):
             what = Activity.TURNING if odd[first] else Activity.DRIVING
-            if time[last] - time[first] >= _LEAST_DRIVE:
+            if time[last] - time[first] >= _MIN_DRIVE:
                 yield begin + first, begin + last, what
 
 
@@ -353,16 +359,16 @@ def _idle(signals: Signals, stands: Flags) -> float:
 # --- phases and instants ------------------------------------------------------------------------
 
 
-_SILENCE: Final = 1.0
+_RECORD_PAUSE: Final = 1.0
 """A longer pause of the record ends what was going on [s]."""
 
 
-def _phases(signals: Signals, found: NDArray[np.object_]) -> Iterator[Phase]:
+def _intervals(signals: Signals, found: NDArray[np.object_]) -> Iterator[ActivityInterval]:
     time, log = signals.time, signals.log_ns
     steps = np.diff(time)
     # Nothing is known of what lies in a pause of the record, or on the other side of a reset.
-    silence = max(_SILENCE, 5.0 * float(np.median(steps)))
-    breaks = set((np.flatnonzero((steps < 0.0) | (steps > silence)) + 1).tolist())
+    pause = max(_RECORD_PAUSE, 5.0 * float(np.median(steps)))
+    breaks = set((np.flatnonzero((steps < 0.0) | (steps > pause)) + 1).tolist())
     begin = 0
     for index in range(1, len(found) + 1):
         ends = index == len(found) or found[index] != found[begin] or index in breaks
@@ -370,7 +376,7 @@ def _phases(signals: Signals, found: NDArray[np.object_]) -> Iterator[Phase]:
             continue
         follows = index < len(found) and index not in breaks
         last = index if follows else index - 1
-        yield Phase(
+        yield ActivityInterval(
             Activity(found[begin]),
             float(time[begin]),
             float(time[last]),
@@ -386,63 +392,65 @@ _ON_GROUND: Final = frozenset(
 _ON_TETHER: Final = frozenset({Activity.HANGING, Activity.DESCENDING, Activity.ASCENDING})
 
 
-def _changes(phases: Iterable[Phase]) -> Iterator[Moment]:
+def _changes(intervals: Iterable[ActivityInterval]) -> Iterator[TimelineEvent]:
     """Touchdowns, lift-offs, take-offs and landings between phases."""
-    ordered = list(phases)
+    ordered = list(intervals)
     for before, after in itertools.pairwise(ordered):
         if before.log_end != after.log_begin:
             continue
-        what = None
-        if before.what in _ON_TETHER and after.what in _ON_GROUND:
-            what = TimelineEventKind.TOUCHDOWN
-        elif before.what in _ON_GROUND and after.what in _ON_TETHER:
-            what = TimelineEventKind.LIFT_OFF
-        elif before.what in _ON_GROUND and after.what is Activity.FLIGHT:
-            what = TimelineEventKind.TAKE_OFF
-        elif before.what is Activity.FLIGHT and after.what in _ON_GROUND:
-            what = TimelineEventKind.LANDING
-        if what is not None:
-            yield Moment(what, after.begin_s, after.log_begin)
+        kind = None
+        if before.activity in _ON_TETHER and after.activity in _ON_GROUND:
+            kind = TimelineEventKind.TOUCHDOWN
+        elif before.activity in _ON_GROUND and after.activity in _ON_TETHER:
+            kind = TimelineEventKind.LIFT_OFF
+        elif before.activity in _ON_GROUND and after.activity is Activity.FLIGHT:
+            kind = TimelineEventKind.TAKE_OFF
+        elif before.activity is Activity.FLIGHT and after.activity in _ON_GROUND:
+            kind = TimelineEventKind.LANDING
+        if kind is not None:
+            yield TimelineEvent(kind, after.begin_s, after.log_begin)
 
 
-def _faults(bag: Bag, signals: Signals) -> list[Moment]:
+def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
     """What nodes and drives report as not well, and brakes that close on a turning drum."""
-    told = list(_reported(bag))
+    reported = list(_reported(bag))
     rate, brake = signals.get("rate"), signals.get("brake")
     if rate is not None and brake is not None:
         # The rate just before it: the brake may bite within a sample.
         running = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(signals.time), 0.0))])
-        before = np.abs(rate)[np.searchsorted(running, running - _BITES)]
+        before = np.abs(rate)[np.searchsorted(running, running - _BRAKE_DELAY)]
         bites = np.flatnonzero((brake[:-1] > 0.5) & (brake[1:] < 0.5)) + 1
         for index in bites.tolist():
             if before[index] > _BRAKED:
                 when = float(signals.time[index])
                 why = f"the brake closed at {before[index]:.3f} m/s"
-                told.append(Moment(TimelineEventKind.FAULT, when, int(signals.log_ns[index]), why))
-    told.sort(key=lambda moment: moment.log_ns)
-    found: list[Moment] = []
-    for moment in told:
-        if found and abs(moment.time_s - found[-1].time_s) < _SAME:
-            reasons = [*found[-1].reason.split("; "), moment.reason]
+                reported.append(
+                    TimelineEvent(TimelineEventKind.FAULT, when, int(signals.log_ns[index]), why)
+                )
+    reported.sort(key=lambda event: event.log_ns)
+    found: list[TimelineEvent] = []
+    for event in reported:
+        if found and abs(event.time_s - found[-1].time_s) < _SAME_FAULT:
+            reasons = [*found[-1].reason.split("; "), event.reason]
             text = "; ".join(dict.fromkeys(reasons))
             found[-1] = replace(found[-1], reason=text)
         else:
-            found.append(moment)
+            found.append(event)
     return found
 
 
-def _reported(bag: Bag) -> Iterator[Moment]:
-    events = bag.track(topics.EVENTS)
+def _reported(bag: Bag) -> Iterator[TimelineEvent]:
+    events = bag.series(topics.EVENTS)
     if events is not None:
         for time, log_ns, statuses in zip(events.time, events.log_ns, events.statuses, strict=True):
             for status in statuses:
                 if Level(status.level) is not Level.OK:
                     text = f"{status.name}: {status.message}"
-                    yield Moment(TimelineEventKind.FAULT, float(time), int(log_ns), text)
+                    yield TimelineEvent(TimelineEventKind.FAULT, float(time), int(log_ns), text)
     for name in (topics.WINCH_MODE, topics.JUMP_PHASE):
-        track = bag.track(name)
-        if track is not None:
-            for time, log_ns, word in zip(track.time, track.log_ns, track.texts, strict=True):
+        series = bag.series(name)
+        if series is not None:
+            for time, log_ns, word in zip(series.time, series.log_ns, series.texts, strict=True):
                 if word == "fault":
                     text = f"{name} is fault"
-                    yield Moment(TimelineEventKind.FAULT, float(time), int(log_ns), text)
+                    yield TimelineEvent(TimelineEventKind.FAULT, float(time), int(log_ns), text)

@@ -57,7 +57,7 @@ class Coverage:
     """Figures of the wall that was seen.
 
     Attributes:
-        pictures: How many.
+        images: How many.
         sharp, smeared, unknown: Of which these smear little, too much, or nobody knows how much.
         stops: Groups of pictures at one depth.
         depth_first, depth_last: Least and largest depth of a picture [m]; NaN without any.
@@ -69,7 +69,7 @@ class Coverage:
         rate_worst: Largest estimated rate of the camera [rad/s]; NaN without any.
     """
 
-    pictures: int
+    images: int
     sharp: int
     smeared: int
     unknown: int
@@ -86,27 +86,27 @@ class Coverage:
     @property
     def summary(self) -> str:
         """One sentence."""
-        if not self.pictures:
+        if not self.images:
             return "no pictures of the wall"
         parts = [f"{self.sharp} sharp"]
         parts += [f"{self.smeared} smeared"] if self.smeared else []
         parts += [f"{self.unknown} of unknown smear"] if self.unknown else []
         return (
-            f"{self.pictures} pictures at {self.stops} stops from {self.depth_first:.1f} to "
+            f"{self.images} pictures at {self.stops} stops from {self.depth_first:.1f} to "
             f"{self.depth_last:.1f} m, {', '.join(parts)}: {self.area:.2f} m² of the wall, "
             f"{100.0 * self.share:.1f} % of it between their edges"
         )
 
 
-def observations_of(track: TimeSeries) -> Observations:
-    """The pictures that a bag's track of observations tells of."""
-    nothing = np.full(len(track), np.nan)
+def observations_of(series: TimeSeries) -> Observations:
+    """The pictures that a bag's series of observations tells of."""
+    nothing = np.full(len(series), np.nan)
 
     def column(joint: str, part: str = "position") -> Floats:
-        return track.columns.get(f"{joint}.{part}", nothing)
+        return series.columns.get(f"{joint}.{part}", nothing)
 
     return Observations(
-        track.time,
+        series.time,
         column(DEPTH),
         column(HEADING),
         column(CAMERA_RATE, "velocity"),
@@ -126,7 +126,7 @@ def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
     area, whole, headings = _area(seen, sharp, view)
     smear = seen.smear[known]
     return Coverage(
-        pictures=count,
+        images=count,
         sharp=int(sharp.sum()),
         smeared=int((known & ~sharp).sum()),
         unknown=int((~known).sum()),
@@ -144,8 +144,8 @@ def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
 
 def wall_distances(seen: Observations, view: View) -> Floats:
     """Distances of the wall [m], shape (N,): as told, or the view's where none was."""
-    told = np.isfinite(seen.wall_distance) & (seen.wall_distance < NO_WALL)
-    return np.where(told, seen.wall_distance, view.wall_distance)
+    measured = np.isfinite(seen.wall_distance) & (seen.wall_distance < NO_WALL)
+    return np.where(measured, seen.wall_distance, view.wall_distance)
 
 
 def _area(seen: Observations, sharp: NDArray[np.bool_], view: View) -> tuple[float, float, float]:

@@ -214,7 +214,7 @@ class BagScan:
         """Everything that was left out."""
         return [*self._beside, *(item for file in self.files for item in file.damage)]
 
-    def remarks(self, start_ns: int) -> list[str]:
+    def defects(self, start_ns: int) -> list[str]:
         """What its files lack: their end, their description, stretches of them.
 
         Args:

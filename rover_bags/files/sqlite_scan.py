@@ -167,15 +167,15 @@ class SqliteScan:
                 return None
             return None if row is None else int(row[0])
 
-        low, leap = start, 1
-        while leap < _FARTHEST:
-            found = readable(low + leap)
+        low, stride = start, 1
+        while stride < _FARTHEST:
+            found = readable(low + stride)
             if found is not None:
                 break
-            leap *= 2
+            stride *= 2
         else:
             return None
-        high = low + leap
+        high = low + stride
         while high - low > 1:
             middle = (low + high) // 2
             if readable(middle) is None:

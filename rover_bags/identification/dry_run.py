@@ -142,7 +142,7 @@ def record(
         "scenario": configured.to_mapping(),
         "seed": 0,
     }
-    told = set(simulation.interface.available_after_tick) - {topics.CAMERA}
+    recorded_topics = set(simulation.interface.available_after_tick) - {topics.CAMERA}
     with BagWriter(path, sync=False) as writer:
         channels: dict[str, int] = {}
 
@@ -169,7 +169,7 @@ def record(
             simulation.tick()
             wall = (tick + 1) * TICK
             put(topics.CLOCK, wall, cdr(topics.CLOCK, ClockSample(simulation.stamp_ns)))
-            for name, sensed in simulation.interface.samples(sorted(told)):
+            for name, sensed in simulation.interface.samples(sorted(recorded_topics)):
                 put(name, wall, cdr(name, sensed))
     return path
 

@@ -237,14 +237,16 @@ class Fit:
     def _probe(self, x: Floats) -> Floats:
         """Find which readings are smooth and what moves them; derivatives at the first guess."""
         here = self._at(x)
-        for number, told in enumerate(here):
-            if np.isnan(told).all():
+        for number, predicted in enumerate(here):
+            if np.isnan(predicted).all():
                 raise IdentifyError(
                     f"{self._experiments[number].name} cannot be simulated as configured"
                 )
         ahead = self._shifted(x, self._pairs(), _PROBE)
         strong = [
-            pair for pair, told in ahead.items() if self._strength(pair[0], told - here[pair[0]])
+            pair
+            for pair, predicted in ahead.items()
+            if self._strength(pair[0], predicted - here[pair[0]])
         ]
         behind = self._shifted(x, strong, -_PROBE)
         rough = [np.isnan(each) for each in here]
@@ -302,8 +304,10 @@ class Fit:
 
     def _innovations_of(self, predictions: Sequence[Floats]) -> list[Floats]:
         return [
-            self._white(number, one.readings - told)
-            for number, (one, told) in enumerate(zip(self._experiments, predictions, strict=True))
+            self._white(number, one.readings - predicted)
+            for number, (one, predicted) in enumerate(
+                zip(self._experiments, predictions, strict=True)
+            )
         ]
 
     def _white(self, number: int, differences: Floats) -> Floats:
@@ -318,9 +322,9 @@ class Fit:
 
     def _residuals(self, x: Floats) -> Floats:
         """Innovations of all experiments and the starts' unknowns, one long vector."""
-        return self._told(self._at(x), x)
+        return self._stacked(self._at(x), x)
 
-    def _told(self, predictions: Sequence[Floats], x: Floats) -> Floats:
+    def _stacked(self, predictions: Sequence[Floats], x: Floats) -> Floats:
         """Residuals of unknowns whose predictions are known."""
         innovations = self._innovations_of(predictions)
         return np.concatenate([*(own.ravel() for own in innovations), x[self._count :]])
@@ -341,8 +345,8 @@ class Fit:
         ]
         new = [each for each in columns if each not in self._slopes]
         steps = self._steps
-        told = self._predictor([self._task(n, _moved(x, c, float(steps[c]))) for n, c in new])
-        for ahead, (number, column) in zip(told, new, strict=True):
+        predicted = self._predictor([self._task(n, _moved(x, c, float(steps[c]))) for n, c in new])
+        for ahead, (number, column) in zip(predicted, new, strict=True):
             slope = (ahead - here[number]) / steps[column]
             self._slopes[number, column] = np.nan_to_num(slope)
         blocks = [np.zeros((*one.readings.shape, self._size)) for one in self._experiments]
@@ -388,12 +392,12 @@ class Fit:
             moved = there is not x
             if simulated and not moved:
                 return x, False
-            told = residuals + jacobian @ step
-            promised = float(residuals @ residuals - told @ told)
+            predicted = residuals + jacobian @ step
+            promised = float(residuals @ residuals - predicted @ predicted)
             kept = moved and float(residuals @ residuals - after @ after) > _KEPT * promised
             x, residuals = there, after
             if kept:
-                jacobian, simulated = _updated(jacobian, step, after - told), False
+                jacobian, simulated = _updated(jacobian, step, after - predicted), False
             else:
                 jacobian, simulated = self._jacobian(x, free)[:, free], True
         return x, False
@@ -422,13 +426,15 @@ class Fit:
             moved = np.flatnonzero(self._moves[:, place]).tolist()
             others = _basis(jacobian[:, free & (np.arange(self._size) != place)])
             values = [_moved(x, place, offset) for offset in _PROFILE.tolist() if offset != 0.0]
-            told = iter(self._predictor([self._task(n, value) for value in values for n in moved]))
+            predicted = iter(
+                self._predictor([self._task(n, value) for value in values for n in moved])
+            )
             rises = []
             for value in values:
                 after = list(here)
                 for number in moved:
-                    after[number] = next(told)
-                there = self._told(after, value)
+                    after[number] = next(predicted)
+                there = self._stacked(after, value)
                 # The others follow as their derivatives say.
                 follow = others.T @ there
                 rises.append(float(there @ there - follow @ follow - residuals @ residuals))
@@ -509,8 +515,8 @@ def _step(jacobian: Floats, residuals: Floats, near: Floats, rest: float) -> Flo
     """Gauss and Newton's step, damped as long as more than noise remains."""
     damping = np.diag(1.0 / near) if rest > _NOISE_ONLY else np.zeros((0, near.size))
     columns = np.concatenate([jacobian / rest, damping])
-    wanted = np.concatenate([-residuals / rest, np.zeros(len(damping))])
-    return np.asarray(lstsq(columns, wanted)[0])
+    target = np.concatenate([-residuals / rest, np.zeros(len(damping))])
+    return np.asarray(lstsq(columns, target)[0])
 
 
 def _updated(jacobian: Floats, step: Floats, missed: Floats) -> Floats:

@@ -31,7 +31,7 @@ from rover_bags.identification.parameters import (
     with_values,
     without_errors,
 )
-from rover_bags.recorded_run import Part, read_record
+from rover_bags.recorded_run import RunSegment, read_recorded_run
 from rover_bags.resim import earliest_instant
 from rover_sim import (
     Displacement,
@@ -203,25 +203,27 @@ def read_experiments(
             long enough.
         BagError: it cannot be read.
     """
-    record = read_record(path, namespace)
-    scenario, tick = _configured(path, record.configuration)
+    recorded_run = read_recorded_run(path, namespace)
+    scenario, tick = _configured(path, recorded_run.configuration)
     found, longest, why = [], 0, ""
-    for part in record.parts:
-        starts = sorted({0, *part.plant_resets})
+    for segment in recorded_run.segments:
+        starts = sorted({0, *segment.plant_resets})
         for start, after in zip(starts, [*starts[1:], None], strict=True):
-            stop = part.last_ns if after is None else after
-            stop, remark = _without_gap(part, start, stop, round(tick * _NANO))
+            stop = segment.last_ns if after is None else after
+            stop, remark = _without_gap(segment, start, stop, round(tick * _NANO))
             first = start + round(begin * _NANO)
             last = stop if math.isinf(end) else min(stop, start + round(end * _NANO))
-            stamps = tuple(s for s in sorted(part.recorded) if start < s and first <= s <= last)
+            stamps = tuple(s for s in sorted(segment.recorded) if start < s and first <= s <= last)
             if len(stamps) >= longest:
                 longest, why = len(stamps), remark
             if len(stamps) < _LEAST_READINGS:
                 continue
-            one = _experiment(path, scenario, tick, part, start, stamps)
+            one = _experiment(path, scenario, tick, segment, start, stamps)
             if one.signals:
                 found.append(
-                    replace(one, remark="; ".join([*record.remarks, *filter(None, [remark])]))
+                    replace(
+                        one, remark="; ".join([*recorded_run.file_defects, *filter(None, [remark])])
+                    )
                 )
     if not found:
         raise IdentifyError(
@@ -232,9 +234,9 @@ def read_experiments(
     return found
 
 
-def _without_gap(part: Part, start: int, stop: int, tick_ns: int) -> tuple[int, str]:
+def _without_gap(segment: RunSegment, start: int, stop: int, tick_ns: int) -> tuple[int, str]:
     """Until when [ns] a run is recorded without a gap, in which commands may be lost; and words."""
-    for before, after in part.gaps(tick_ns, start, stop):
+    for before, after in segment.gaps(tick_ns, start, stop):
         return before, (
             f"from {before / _NANO:.3f} s to {after / _NANO:.3f} s nothing is recorded: what "
             "comes after that does not count, as commands may be lost"
@@ -265,16 +267,18 @@ def _experiment(
     path: Path,
     scenario: SpatialScenario,
     tick: float,
-    part: Part,
+    segment: RunSegment,
     start: int,
     stamps: tuple[int, ...],
 ) -> Experiment:
-    told = (*SIGNALS, DRUM)
-    wanted = {signal.topic for signal in told}
-    readings = np.full((len(stamps), len(told)), np.nan)
+    signals = (*SIGNALS, DRUM)
+    needed_topics = {signal.topic for signal in signals}
+    readings = np.full((len(stamps), len(signals)), np.nan)
     for row, stamp in enumerate(stamps):
-        samples = {name: each for name, each in part.recorded[stamp].items() if name in wanted}
-        _fill(readings[row], told, samples)
+        samples = {
+            name: each for name, each in segment.recorded[stamp].items() if name in needed_topics
+        }
+        _fill(readings[row], signals, samples)
     turning = _turning(np.array(stamps) / _NANO, readings[:, -1], scenario)
     errors = []
     for place, signal in enumerate(SIGNALS):
@@ -303,7 +307,7 @@ def _experiment(
         scenario,
         tick,
         start,
-        _orders(part, start, stamps[-1], round(tick * _NANO)),
+        _orders(segment, start, stamps[-1], round(tick * _NANO)),
         stamps,
         tuple(SIGNALS[place] for place in used),
         readings[:, used],
@@ -332,11 +336,11 @@ def _turning(times: Floats, length: Floats, scenario: SpatialScenario) -> NDArra
 
 
 def _orders(
-    part: Part, start: int, last: int, tick_ns: int
+    segment: RunSegment, start: int, last: int, tick_ns: int
 ) -> tuple[tuple[int, str, JointSample], ...]:
     orders = []
-    for command in part.commands:
-        came = earliest_instant(part, command)
+    for command in segment.commands:
+        came = earliest_instant(segment, command)
         came = -(-came // tick_ns) * tick_ns
         if not start <= came < last:
             continue
@@ -349,8 +353,8 @@ def _orders(
     return tuple(orders)
 
 
-def _fill(row: Floats, signals: Sequence[Signal], told: Mapping[str, Sample]) -> None:
-    numbers = {name: dict(sample.scalars()) for name, sample in told.items()}
+def _fill(row: Floats, signals: Sequence[Signal], samples: Mapping[str, Sample]) -> None:
+    numbers = {name: dict(sample.scalars()) for name, sample in samples.items()}
     for place, signal in enumerate(signals):
         if signal.topic in numbers:
             row[place] = numbers[signal.topic].get(signal.field, math.nan)

@@ -37,8 +37,8 @@ class Simulations:
         """Readings for each task, in their order."""
         self.runs += len(tasks)
         found = []
-        for told in self._results(tasks):
-            found.append(told)
+        for predicted in self._results(tasks):
+            found.append(predicted)
             self._bar.update()
         return found
 

@@ -52,14 +52,14 @@ class Scene:
         sizes: Width and height of the bodies [m].
         ground: Height of what stands lowest in the first frame [m].
         low, high: Corners (x, z) of what is in view [m].
-        near: Corners of the view of the rover from near [m].
-        strongest: Tension at the strong end of the colour scale [N]; what is more has its colour.
+        close_up: Corners of the view of the rover from near [m].
+        tension_max: Tension at the strong end of the colour scale [N]; what is more has its colour.
         ground_lines: x and z [m] of ground and walls, (k, 2) each; empty: level ground at `ground`.
         wheels: x and z of the wheels' centres and half their width and height as seen [m], shape
             (F, wheels, 4).
         follow: Half the width of the view from near, which then follows Body 1 [m]; 0: it stands.
         is_run: Whether times are simulated times of a whole run rather than since a take-off.
-        told: What is told beside the time: how far the centre of mass of Body 1 has risen since
+        readout: What is told beside the time: how far the centre of mass of Body 1 has risen since
             take-off, or in a whole run its depth below the fairlead [m], shape (F,).
     """
 
@@ -72,9 +72,9 @@ class Scene:
     ground: float
     low: tuple[float, float]
     high: tuple[float, float]
-    near: tuple[tuple[float, float], tuple[float, float]]
-    strongest: float
-    told: Floats
+    close_up: tuple[tuple[float, float], tuple[float, float]]
+    tension_max: float
+    readout: Floats
     ground_lines: tuple[Floats, ...] = ()
     wheels: Floats | None = None
     follow: float = 0.0
@@ -92,26 +92,26 @@ class Scene:
             "ground": self.ground,
             "low": list(self.low),
             "high": list(self.high),
-            "near": [list(corner) for corner in self.near],
-            "strongest": self.strongest,
-            "beyond": bool(self.tether[:, :, -1].max() > self.strongest),
+            "close_up": [list(corner) for corner in self.close_up],
+            "tension_max": self.tension_max,
+            "beyond": bool(self.tether[:, :, -1].max() > self.tension_max),
             "scale": [list(colour) for colour in _SCALE],
             "lines": [np.round(line, 3).tolist() for line in self.ground_lines],
             "wheels": None if self.wheels is None else np.round(self.wheels, 4).tolist(),
             "follow": self.follow,
             "run": self.is_run,
-            "told": np.round(self.told, 5).tolist(),
+            "readout": np.round(self.readout, 5).tolist(),
         }
 
 
 def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
     """The scene of a jump, or of the whole bag; None where bodies or tether are not recorded."""
-    tracks = [
-        bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
+    all_series = [
+        bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
     ]
-    if any(track is None for track in tracks):
+    if any(series is None for series in all_series):
         return None
-    first, second, tether = (track for track in tracks if track is not None)
+    first, second, tether = (series for series in all_series if series is not None)
     if tether.nodes is None:
         return None
     body1, body2 = motion(first), motion(second)
@@ -143,13 +143,13 @@ def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
         ground=ground,
         low=(float(low[0]), float(min(low[1], ground - 0.1))),
         high=(float(high[0]), float(high[1])),
-        near=_near(poses, ground, margin),
-        strongest=strong_end(nodes[:, :, -1]),
-        told=poses[0][:, 1] - (poses[0][0, 1] if jump is None else jump.start_height_m),
+        close_up=_close_up(poses, ground, margin),
+        tension_max=tension_scale_max(nodes[:, :, -1]),
+        readout=poses[0][:, 1] - (poses[0][0, 1] if jump is None else jump.start_height_m),
     )
 
 
-def strong_end(tension: Floats) -> float:
+def tension_scale_max(tension: Floats) -> float:
     """Where the colour scale of tensions [N], shape (F, points), ends.
 
     A little above what most moments reach, as a single snatch would leave all the rest dark.
@@ -159,7 +159,7 @@ def strong_end(tension: Floats) -> float:
     return max(min(usual, float(peaks.max())), 1e-3)
 
 
-def _near(
+def _close_up(
     poses: list[Floats], ground: float, margin: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     points = np.concatenate([pose[:, :2] for pose in poses])
@@ -277,7 +277,7 @@ def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
     middle, right = round(0.42 * width) * _FINE, (width - 8) * _FINE
     views = (
         _View(scene.low, scene.high, (8 * _FINE, top, middle, bottom)),
-        _View(*_near_box(scene, poses[0]), (middle + 10 * _FINE, top, right, bottom)),
+        _View(*_close_up_box(scene, poses[0]), (middle + 10 * _FINE, top, right, bottom)),
     )
     for view in views:
         panel = Image.new("RGB", view.size, "white")
@@ -288,18 +288,18 @@ def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
     large, small = (_font(size) for size in (15, 12))
     title = f"{time:.1f} s" if scene.is_run else f"{time:+.2f} s after take-off"
     draw.text((10 * _FINE, 7 * _FINE), title, fill=_TEXT, font=large)
-    told = float(np.interp(time, scene.time, scene.told))
-    place = f"depth {told:.2f} m" if scene.is_run else f"rise {told:.3f} m"
+    readout = float(np.interp(time, scene.time, scene.readout))
+    place = f"depth {readout:.2f} m" if scene.is_run else f"rise {readout:.3f} m"
     note = f"{place},  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  {pace}"
     draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
     return image.resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _near_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+def _close_up_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
     """Corners of the view from near."""
     half = scene.follow
     if not half:
-        return scene.near
+        return scene.close_up
     x, z = float(pose[0]), float(pose[1])
     return (x - half, z - half), (x + half, z + half)
 
@@ -377,7 +377,7 @@ def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Fl
         curve = element_curve(left, right, scene.element, 8)
         tension = np.linspace(left[4], right[4], len(curve))
         for piece in range(len(curve) - 1):
-            colour = tension_colour(float(tension[piece]), scene.strongest)
+            colour = tension_colour(float(tension[piece]), scene.tension_max)
             ends = [view.at(*curve[piece]), view.at(*curve[piece + 1])]
             draw.line(ends, fill=colour, width=3 * _FINE)
 
@@ -401,9 +401,9 @@ def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Fl
     return cubic
 
 
-def tension_colour(tension: float, strongest: float) -> tuple[int, int, int]:
+def tension_colour(tension: float, tension_max: float) -> tuple[int, int, int]:
     """Colour of a tension on the scale that the player uses, too."""
-    place = min(max(tension / strongest, 0.0), 1.0) * (len(_SCALE) - 1)
+    place = min(max(tension / tension_max, 0.0), 1.0) * (len(_SCALE) - 1)
     index = min(int(place), len(_SCALE) - 2)
     share = place - index
     first, second = _SCALE[index], _SCALE[index + 1]

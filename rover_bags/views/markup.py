@@ -43,7 +43,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], wordy: Collection[
     )
 
 
-def figures(plots: Sequence[Plot], prefix: str = "") -> str:
+def plot_grid(plots: Sequence[Plot], prefix: str = "") -> str:
     """Plots side by side; ``prefix`` keeps the inner names of several of a kind apart."""
     shown = []
     for plot in plots:

@@ -89,7 +89,7 @@ for (const box of document.querySelectorAll('.player')) {
     return a.map((v, k) => Array.isArray(v) ? v.map((w, m) => w + share * (b[k][m] - w))
                                             : v + share * (b[k] - v));
   }
-  function moment() {
+  function frame() {
     let low = 0, high = scene.time.length - 2;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
@@ -99,11 +99,11 @@ for (const box of document.querySelectorAll('.player')) {
     const part = Math.min(Math.max(share, 0), 1);
     return { body1: blend(scene.body1, low, part), body2: blend(scene.body2, low, part),
              tether: blend(scene.tether, low, part), index: low,
-             told: scene.told[low] + part * (scene.told[low + 1] - scene.told[low]),
+             readout: scene.readout[low] + part * (scene.readout[low + 1] - scene.readout[low]),
              wheels: scene.wheels ? blend(scene.wheels, low, part) : [] };
   }
   function colour(tension) {
-    const place = Math.min(Math.max(tension / scene.strongest, 0), 1) * (scene.scale.length - 1);
+    const place = Math.min(Math.max(tension / scene.tension_max, 0), 1) * (scene.scale.length - 1);
     const k = Math.min(Math.floor(place), scene.scale.length - 2), part = place - k;
     return 'rgb(' + scene.scale[k].map((v, m) =>
       Math.round(v + part * (scene.scale[k + 1][m] - v))).join(',') + ')';
@@ -119,15 +119,15 @@ for (const box of document.querySelectorAll('.player')) {
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     pen.font = '12px system-ui, sans-serif';
-    const at = moment(), middle = Math.round(0.46 * width);
+    const at = frame(), middle = Math.round(0.46 * width);
     panel(at, scene.low, scene.high, [52, 34, middle - 10, height - 40]);
     const [x, z] = at.body1, f = scene.follow;
-    const near = f ? [[x - f, z - f], [x + f, z + f]] : scene.near;
+    const near = f ? [[x - f, z - f], [x + f, z + f]] : scene.close_up;
     panel(at, near[0], near[1], [middle + 52, 34, width - 12, height - 40]);
     legend(width < 560);
-    output.textContent = scene.run ? now.toFixed(2) + ' s, depth ' + at.told.toFixed(2) + ' m' :
+    output.textContent = scene.run ? now.toFixed(2) + ' s, depth ' + at.readout.toFixed(2) + ' m' :
       (now < 0 ? '\u2212' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
-      at.told.toFixed(3) + ' m';
+      at.readout.toFixed(3) + ' m';
     slider.value = now;
     for (const plot of plots) {
       const d = plot.dataset, share = (now - d.begin) / (d.end - d.begin);
@@ -228,11 +228,11 @@ for (const box of document.querySelectorAll('.player')) {
     pen.fillText(words, x, 17);
     x += pen.measureText(words).width + 8;
     for (let k = 0; k < 90; k++) {
-      pen.fillStyle = colour(scene.strongest * k / 89); pen.fillRect(x + k, 12, 1.5, 10);
+      pen.fillStyle = colour(scene.tension_max * k / 89); pen.fillRect(x + k, 12, 1.5, 10);
     }
     pen.fillStyle = '#212529';
     const unit = scene.beyond ? ' N and more' : ' N';
-    pen.fillText(scene.strongest.toPrecision(3) + unit, x + 98, 17);
+    pen.fillText(scene.tension_max.toPrecision(3) + unit, x + 98, 17);
   }
   function seek(time) { now = Math.min(Math.max(time, first), last); draw(); }
   function tick(time) {

@@ -26,8 +26,8 @@ from rover_bags.analysis.geometry import headings, tilts
 from rover_bags.analysis.jumps import Jump, Motion, is_spatial, motion
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.read import Bag, Floats, TimeSeries
-from rover_bags.time_series import GAP, LARGEST, paced, usual_period
-from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, strong_end
+from rover_bags.time_series import GAP, LARGEST, pacing_times, typical_period
+from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, tension_scale_max
 from rover_bags.views.lines import envelope
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
@@ -153,12 +153,12 @@ def _time_plot(figure: Figure, axes: Axes, alt: str) -> Plot:
 
 def _of_body(bag: Bag, jump: Jump) -> tuple[TimeSeries, Motion, NDArray[np.intp], Floats] | None:
     """TimeSeries and motion of Body 1, what of it is shown, and the time of that since take-off."""
-    track = bag.track(topics.TRUTH_BODY1)
-    if track is None:
+    series = bag.series(topics.TRUTH_BODY1)
+    if series is None:
         return None
-    body = motion(track)
-    chosen = shown(body, jump).indices(track)
-    return track, body, chosen, body.time[chosen] - jump.take_off_s
+    body = motion(series)
+    chosen = shown(body, jump).indices(series)
+    return series, body, chosen, body.time[chosen] - jump.take_off_s
 
 
 def _height(bag: Bag, jump: Jump) -> Plot | None:
@@ -186,10 +186,10 @@ def _tilt(bag: Bag, jump: Jump) -> Plot | None:
     found = _of_body(bag, jump)
     if found is None:
         return None
-    track, _, chosen, time = found
+    series, _, chosen, time = found
     figure, axes = _time_axes(jump, "attitude", "Attitude of the rover", "angle [deg]")
-    heading = np.degrees(headings(track)[chosen])
-    axes.plot(time, np.degrees(tilts(track)[chosen]), color=BLUE, label="tilt from the vertical")
+    heading = np.degrees(headings(series)[chosen])
+    axes.plot(time, np.degrees(tilts(series)[chosen]), color=BLUE, label="tilt from the vertical")
     axes.plot(time, heading - heading[0], color=GREEN, label="turn about the vertical")
     legend(axes, 2)
     alt = f"Attitude over time; it lands tilted by {math.degrees(jump.tilt_rad):.1f} degrees"
@@ -220,17 +220,17 @@ def _attitude(bag: Bag, jump: Jump) -> Plot | None:
 
 
 def _tension(bag: Bag, jump: Jump) -> Plot | None:
-    body = bag.track(topics.TRUTH_BODY1)
-    tether, load = bag.track(topics.TRUTH_TETHER), bag.track(topics.LOAD_CELL)
+    body = bag.series(topics.TRUTH_BODY1)
+    tether, load = bag.series(topics.TRUTH_TETHER), bag.series(topics.LOAD_CELL)
     if body is None or (tether is None and load is None):
         return None
     window = shown(motion(body), jump)
     figure, axes = _time_axes(jump, "tension", "Tension of the tether", "tension [N]")
     if tether is not None and LARGEST in tether.columns:
         chosen = window.indices(tether)
-        strongest = tether.columns[LARGEST][chosen]
+        tension_max = tether.columns[LARGEST][chosen]
         axes.plot(
-            tether.time[chosen] - jump.take_off_s, strongest, color=ORANGE,
+            tether.time[chosen] - jump.take_off_s, tension_max, color=ORANGE,
             label="largest along the tether",
         )  # fmt: skip
     if load is not None:
@@ -245,15 +245,15 @@ def _tension(bag: Bag, jump: Jump) -> Plot | None:
 
 
 def _energy(bag: Bag, jump: Jump) -> Plot | None:
-    body, track = bag.track(topics.TRUTH_BODY1), bag.track(topics.TRUTH_ENERGY)
-    if body is None or track is None:
+    body, series = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_ENERGY)
+    if body is None or series is None:
         return None
-    chosen = shown(motion(body), jump).indices(track)
+    chosen = shown(motion(body), jump).indices(series)
     if not len(chosen):
         return None
     changes = {}
     for name in ENERGY_NAMES:
-        values = track.columns[f"{name}.position"][chosen]
+        values = series.columns[f"{name}.position"][chosen]
         changes[name] = values - values[0]
     largest = max(float(np.abs(change).max()) for change in changes.values())
     # What cannot be seen at this scale is not drawn.
@@ -269,7 +269,7 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
     for name, change in seen.items():
         style = "--" if name in {"input", "dissipated"} else "-"
         axes.plot(
-            track.time[chosen] - jump.take_off_s, change, style, color=_ENERGY_COLOURS[name],
+            series.time[chosen] - jump.take_off_s, change, style, color=_ENERGY_COLOURS[name],
             label=name, lw=1.6,
         )  # fmt: skip
     legend(axes, math.ceil(len(seen) / rows))
@@ -277,19 +277,19 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
 
 
 def _drift(bag: Bag, jump: Jump) -> Plot | None:
-    body, track = bag.track(topics.TRUTH_BODY1), bag.track(topics.TRUTH_ENERGY)
-    if body is None or track is None:
+    body, series = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_ENERGY)
+    if body is None or series is None:
         return None
-    chosen = shown(motion(body), jump).indices(track)
+    chosen = shown(motion(body), jump).indices(series)
     if not len(chosen):
         return None
-    drift = track.columns["drift.position"][chosen]
+    drift = series.columns["drift.position"][chosen]
     size = float(np.abs(drift).max())
     power = 0 if size == 0.0 or 1e-2 <= size < 1e3 else math.floor(math.log10(size))
     unit = "drift [J]" if power == 0 else f"drift [$10^{{{power}}}$ J]"
     figure, axes = _time_axes(jump, "drift", "What the energy balance misses", unit)
     axes.plot(
-        track.time[chosen] - jump.take_off_s, drift / 10.0**power, color=RED,
+        series.time[chosen] - jump.take_off_s, drift / 10.0**power, color=RED,
         label="stored - initial - input + dissipated",
     )  # fmt: skip
     legend(axes, 1)
@@ -298,7 +298,7 @@ def _drift(bag: Bag, jump: Jump) -> Plot | None:
 
 def _along(bag: Bag, jump: Jump) -> Plot | None:
     """Tension by place along the tether and time."""
-    body, tether = bag.track(topics.TRUTH_BODY1), bag.track(topics.TRUTH_TETHER)
+    body, tether = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_TETHER)
     if body is None or tether is None or not tether.shapes:
         return None
     chosen = shown(motion(body), jump).indices(tether)
@@ -307,18 +307,18 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
         return None
     time = tether.time[chosen] - jump.take_off_s
     tension = np.stack(shapes)[:, :, _TENSION].T
-    ways = np.linalg.norm(np.diff(shapes[0][:, :3], axis=0), axis=1)
-    place = np.concatenate([[0.0], np.cumsum(ways)])
+    lengths = np.linalg.norm(np.diff(shapes[0][:, :3], axis=0), axis=1)
+    place = np.concatenate([[0.0], np.cumsum(lengths)])
     figure = Figure(figsize=(5.6, 3.4), dpi=180)
     axes = figure.add_axes((0.15, 0.15, 0.72, 0.68))
     axes.set_title("Tension along the tether", pad=10, x=-0.172)
     axes.yaxis.set_label_coords(-0.11, 0.5)
     axes.set_xlabel("time since take-off [s]")
     axes.set_ylabel("from fairlead to rover [m]")
-    strongest = strong_end(tension.T)
+    tension_max = tension_scale_max(tension.T)
     image = axes.pcolormesh(
         time, place, np.maximum(tension, 0.0), cmap="viridis", shading="nearest", vmin=0.0,
-        vmax=strongest, rasterized=True,
+        vmax=tension_max, rasterized=True,
     )  # fmt: skip
     axes.axvline(0.0, color="white", lw=1.0, ls="--")
     axes.axvline(jump.flight_time_s, color="white", lw=1.0, ls="--")
@@ -326,7 +326,7 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
     axes.grid(visible=False)
     bar = figure.add_axes((0.885, 0.15, 0.022, 0.68))
     bar.grid(visible=False)
-    beyond = "max" if tension.max() > strongest else "neither"
+    beyond = "max" if tension.max() > tension_max else "neither"
     figure.colorbar(image, cax=bar, extend=beyond).set_label("tension [N]")
     figure.set_label("along")
     return _time_plot(figure, axes, "Tension along the tether over time")
@@ -343,7 +343,7 @@ def _path(scene: Scene, jump: Jump) -> Plot:
         ("apex", jump.apex_s - jump.take_off_s, BLUE),
         ("touchdown", jump.flight_time_s, ORANGE),
     )
-    for axes, (low, high) in ((whole, (scene.low, scene.high)), (near, scene.near)):
+    for axes, (low, high) in ((whole, (scene.low, scene.high)), (near, scene.close_up)):
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("x, forward from the fairlead [m]")
         axes.set_ylabel("z, up [m]")
@@ -402,10 +402,10 @@ def _box(pose: Floats, size: tuple[float, float]) -> Floats:
 
 
 def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
-    track = bag.track(topics.TRUTH_BODY1)
-    if track is None or len(track) < 2:
+    series = bag.series(topics.TRUTH_BODY1)
+    if series is None or len(series) < 2:
         return None
-    body = motion(track)
+    body = motion(series)
     figure = Figure(figsize=(11.4, 2.8))
     axes = figure.add_axes((0.07, 0.2, 0.915, 0.58))
     axes.set_title("The whole recording", pad=18, x=-0.06)
@@ -430,11 +430,11 @@ def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
 def _strips(bag: Bag) -> Plot | None:
     """When each steady topic came as promised, and when it paused."""
     rows = [
-        (name, float(rate), track)
-        for name, track in bag.tracks.items()
+        (name, float(rate), series)
+        for name, series in bag.time_series.items()
         if (rate := TOPICS[name].rate)
         and TOPICS[name].intent is not Intent.COMMAND
-        and len(track) > 1
+        and len(series) > 1
     ]
     if not rows:
         return None
@@ -443,11 +443,11 @@ def _strips(bag: Bag) -> Plot | None:
     axes = figure.add_axes((0.165, 0.62 / tall, 0.82, 1.0 - 1.45 / tall))
     axes.set_title("When the topics came", pad=26, x=-0.2)
     axes.set_xlabel("simulated time [s]")
-    for row, (_, rate, track) in enumerate(rows):
-        promised = track.stride / rate
-        period = usual_period(np.diff(paced(track)), promised)
+    for row, (_, rate, series) in enumerate(rows):
+        promised = series.stride / rate
+        period = typical_period(np.diff(pacing_times(series)), promised)
         for steady, colour in ((True, SKY if period == promised else YELLOW), (False, RED)):
-            spans = _spans(track, GAP * period, steady=steady)
+            spans = _spans(series, GAP * period, steady=steady)
             axes.broken_barh(
                 [(begin, end - begin) for begin, end in spans], (row + 0.15, 0.7),
                 facecolors=colour,
@@ -467,17 +467,17 @@ def _strips(bag: Bag) -> Plot | None:
     axes.set_ylim(len(rows), 0)
     axes.grid(visible=False, axis="y")
     axes.set_xlim(
-        min(float(track.time.min()) for _, _, track in rows),
-        max(float(track.time.max()) for _, _, track in rows),
+        min(float(series.time.min()) for _, _, series in rows),
+        max(float(series.time.max()) for _, _, series in rows),
     )
     figure.set_label("strips")
     alt = "For each topic when it came at its promised rate and when it paused"
     return Plot("strips", as_svg(figure), alt, wide=True)
 
 
-def _spans(track: TimeSeries, longest: float, *, steady: bool) -> list[tuple[float, float]]:
+def _spans(series: TimeSeries, longest: float, *, steady: bool) -> list[tuple[float, float]]:
     """Stretches in which messages follow within ``longest`` seconds, or those in between."""
-    time, steps = track.time, np.diff(paced(track))
+    time, steps = series.time, np.diff(pacing_times(series))
     kind = (steps <= longest) & (steps >= 0.0) if steady else steps > longest
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kind, [False]]).astype(np.int8)))
     return [(float(time[a]), float(time[b])) for a, b in edges.reshape(-1, 2)]

@@ -5,26 +5,26 @@ from collections.abc import Iterable, Sequence
 
 from rover_bags.analysis.entries import Entry
 from rover_bags.analysis.jumps import Jump
-from rover_bags.analysis.metrics import Metrics, TopicFigures
+from rover_bags.analysis.metrics import Metrics, TopicMetrics
+from rover_bags.bag_analysis import SHOWN_IN_FULL, Drawings
 from rover_bags.read import Bag
-from rover_bags.survey import SHOWN_IN_FULL, Drawings
 from rover_bags.views.animation import Scene
-from rover_bags.views.markup import escaped, figures, table, whole_page
+from rover_bags.views.markup import escaped, plot_grid, table, whole_page
 from rover_bags.views.page import PLAYER
 from rover_bags.views.sections import (
     activity_sections,
-    audit_words,
+    audit_sentences,
     energy_balance_section,
-    figure_sections,
+    metric_sections,
     momentum_sections,
     phase_section,
 )
 from rover_bags.views.summary import (
-    FIGURES,
+    JUMP_METRICS,
     TOPIC_COLUMNS,
-    complaints,
-    in_short,
-    measured,
+    data_warnings,
+    formatted,
+    recording_summary,
     topic_cells,
 )
 
@@ -37,8 +37,8 @@ def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
     title = f"Bag report: {bag.path.resolve().name}"
     parts = [
         f"<h1>{escaped(title)}</h1>",
-        f'<p class="soft">{escaped(_origin(bag))}{escaped(in_short(bag, metrics))}</p>',
-        _notes(complaints(bag, metrics)),
+        f'<p class="soft">{escaped(_origin(bag))}{escaped(recording_summary(bag, metrics))}</p>',
+        _notes(data_warnings(bag, metrics)),
         _run_section(metrics, drawings),
     ]
     if len(metrics.jumps) > 1:
@@ -47,7 +47,7 @@ def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
         parts.append(_jump_section(jump, number, len(metrics.jumps), drawings))
     parts.append(_audit_section(metrics))
     parts.append("<section><h2>Recording</h2>")
-    parts.append(figures(drawings.recording))
+    parts.append(plot_grid(drawings.recording))
     parts.append(_topic_table(metrics.topics.values()))
     parts.append("</section>")
     parts.append(_entries("Events", metrics.events))
@@ -62,14 +62,14 @@ def _run_section(metrics: Metrics, drawings: Drawings) -> str:
     if drawings.run is not None:
         poster = float(drawings.run.time[0])
         parts.append(_player(drawings.run, poster))
-    parts.append(figures(drawings.overall))
-    sections = [*activity_sections(metrics), *figure_sections(metrics)]
+    parts.append(plot_grid(drawings.overall))
+    sections = [*activity_sections(metrics), *metric_sections(metrics)]
     parts += [f"<h3>{escaped(item.name)}</h3>{item.as_html()}" for item in sections]
     if metrics.coverage is not None:
         parts.append(f"<h3>Wall</h3><p>{escaped(metrics.coverage.summary)}.</p>")
     phases = phase_section(metrics)
     if phases is not None:
-        count = len(metrics.timeline.phases)
+        count = len(metrics.timeline.intervals)
         parts.append(f"<details><summary>All {count} phases</summary>{phases.as_html()}</details>")
     if not metrics.jumps:
         parts.append("<p>No jump in this bag.</p>")
@@ -77,7 +77,7 @@ def _run_section(metrics: Metrics, drawings: Drawings) -> str:
 
 
 def _audit_section(metrics: Metrics) -> str:
-    words = "".join(f"<p>{escaped(text)}</p>" for text in audit_words(metrics))
+    words = "".join(f"<p>{escaped(text)}</p>" for text in audit_sentences(metrics))
     energy_balance = energy_balance_section(metrics)
     sections = momentum_sections(metrics)
     if energy_balance is not None and energy_balance.rows:
@@ -115,8 +115,8 @@ def _notes(texts: Sequence[str]) -> str:
 def _cards(jump: Jump) -> str:
     cards = "".join(
         f'<div class="card"><span>{label}</span>'
-        f"<b>{escaped(measured(getattr(jump, name), unit, form)).replace('e-0', 'e-')}</b></div>"
-        for name, label, unit, form in FIGURES
+        f"<b>{escaped(formatted(getattr(jump, name), unit, form)).replace('e-0', 'e-')}</b></div>"
+        for name, label, unit, form in JUMP_METRICS
     )
     return f'<div class="cards">{cards}</div>'
 
@@ -124,14 +124,14 @@ def _cards(jump: Jump) -> str:
 def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> str:
     scene = drawings.scenes[number - 1]
     heading = "Jump" if count == 1 else f"Jump {number}"
-    moment = f"take-off at {jump.take_off_s:.3f} s of simulated time"
+    when = f"take-off at {jump.take_off_s:.3f} s of simulated time"
     if jump.touchdown_s is None:
-        moment += "; the recording ends in flight, the figures with it"
+        when += "; the recording ends in flight, and so do the metrics"
     player = _player(scene, jump.apex_s - jump.take_off_s) if scene is not None else ""
     return (
-        f'<section id="jump-{number}"><h2>{heading}</h2><p class="soft">{escaped(moment)}</p>'
+        f'<section id="jump-{number}"><h2>{heading}</h2><p class="soft">{escaped(when)}</p>'
         f"{_cards(jump)}{_agreement(jump)}{player}"
-        f"{figures(drawings.plots[number - 1], prefix=f'jump{number}-')}</section>"
+        f"{plot_grid(drawings.plots[number - 1], prefix=f'jump{number}-')}</section>"
     )
 
 
@@ -176,32 +176,33 @@ def _player(scene: Scene, poster: float) -> str:
         f'<select aria-label="Speed">{speeds}</select>'
         '<input type="range" aria-label="Time"><output></output></div>'
         f'<script type="application/json">{data}</script></div>'
-        f'<p class="soft">{about}Click into a plot to go to that moment.</p>'
+        f'<p class="soft">{about}Click into a plot to go to that time.</p>'
     )
 
 
 def _jump_table(jumps: Sequence[Jump]) -> str:
     head = ["jump", "take-off [s]"] + [
-        f"{label} [{unit}]" if unit else label for _, label, unit, _ in FIGURES
+        f"{label} [{unit}]" if unit else label for _, label, unit, _ in JUMP_METRICS
     ]
     rows = []
     for number, jump in enumerate(jumps, 1):
         name = f'<a href="#jump-{number}">{number}</a>' if number <= SHOWN_IN_FULL else str(number)
         cells = [f"<td>{name}</td>", f"<td>{jump.take_off_s:.3f}</td>"]
         cells += [
-            f"<td>{measured(getattr(jump, key), '', form)}</td>" for key, _, _, form in FIGURES
+            f"<td>{formatted(getattr(jump, key), '', form)}</td>"
+            for key, _, _, form in JUMP_METRICS
         ]
         rows.append(cells)
     return f"<section><h2>Jumps</h2>{table(head, rows)}</section>"
 
 
-def _topic_table(items: Iterable[TopicFigures]) -> str:
+def _topic_table(items: Iterable[TopicMetrics]) -> str:
     head = ["topic", *(label for label, _, _ in TOPIC_COLUMNS)]
     rows = []
     for item in items:
         bad = {
             "gaps": bool(item.gaps),
-            "missed": item.missed > 0,
+            "lost_in_transport": item.lost_in_transport > 0,
             "dropped": item.dropped > 0,
             "rejected": item.rejected > 0,
         }

@@ -21,7 +21,7 @@ from msg_schemas.table import (
     WHEEL_RIGHT,
     WINCH_DRUM,
 )
-from rover_bags.analysis.activities import SMEAR_LIMIT, hanging_swing
+from rover_bags.analysis.activities import SMEAR_LIMIT_PX, hanging_swing
 from rover_bags.analysis.audits import STORED
 from rover_bags.analysis.geometry import inside, setting
 from rover_bags.analysis.metrics import Metrics
@@ -77,13 +77,13 @@ def run_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
     return [plot for plot in plots if plot is not None]
 
 
-def _line(axes: Axes, track: TimeSeries, path: str, scale: float = 1.0, **style: Any) -> None:
-    low, high = track.lowest(path), track.highest(path)
+def _line(axes: Axes, series: TimeSeries, path: str, scale: float = 1.0, **style: Any) -> None:
+    low, high = series.lowest(path), series.highest(path)
     if scale != 1.0:
         low, high = (scale * low, scale * high) if scale > 0.0 else (scale * high, scale * low)
-        if track.stride == 1:
+        if series.stride == 1:
             high = low
-    axes.plot(*envelope(track.time, low, high), **style)
+    axes.plot(*envelope(series.time, low, high), **style)
 
 
 # --- figures with one or more rows over the run's time --------------------------------------------
@@ -124,35 +124,40 @@ def _plot(figure: Figure, axes: list[Axes], alt: str, bag: Bag) -> Plot:
 def _span(bag: Bag) -> tuple[float, float]:
     """Begin and end of the run [s], the same on every plot."""
     for name in (topics.CLOCK, topics.TRUTH_BODY1, topics.WINCH_STATE, topics.CONTACT):
-        track = bag.track(name)
-        if track is not None and len(track) > 1:
-            return float(track.time.min()), float(track.time.max())
-    times = [track.time for track in bag.tracks.values() if len(track)]
+        series = bag.series(name)
+        if series is not None and len(series) > 1:
+            return float(series.time.min()), float(series.time.max())
+    times = [series.time for series in bag.time_series.values() if len(series)]
     return min(float(t.min()) for t in times), max(float(t.max()) for t in times)
 
 
 def _shade(axes: Axes, metrics: Metrics) -> None:
     """Faint colours of the activities behind a line."""
-    for phase in metrics.timeline.phases:
-        if phase.what not in {Activity.HANGING, Activity.STANDING}:
+    for interval in metrics.timeline.intervals:
+        if interval.activity not in {Activity.HANGING, Activity.STANDING}:
             axes.axvspan(
-                phase.begin_s, phase.end_s, color=COLOURS[phase.what], alpha=0.1, lw=0, zorder=0
+                interval.begin_s,
+                interval.end_s,
+                color=COLOURS[interval.activity],
+                alpha=0.1,
+                lw=0,
+                zorder=0,
             )
 
 
 def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
-    phases = metrics.timeline.phases
-    body, drum = bag.track(topics.TRUTH_BODY1), bag.track(topics.WINCH_STATE)
+    phases = metrics.timeline.intervals
+    body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
     if not phases or (body is None and drum is None):
         return None
     figure, (strip, depth) = _rows("timeline", "What it did", (0.42, 2.0), top=0.5)
-    for phase in phases:
-        strip.axvspan(phase.begin_s, phase.end_s, color=COLOURS[phase.what], lw=0)
+    for interval in phases:
+        strip.axvspan(interval.begin_s, interval.end_s, color=COLOURS[interval.activity], lw=0)
     strip.set_yticks([])
     strip.grid(visible=False)
     for spine in strip.spines.values():
         spine.set_visible(False)
-    seen = dict.fromkeys(phase.what for phase in phases)
+    seen = dict.fromkeys(interval.activity for interval in phases)
     strip.legend(
         handles=[Patch(color=COLOURS[what], label=what.value) for what in seen],
         loc="lower left", bbox_to_anchor=(-0.005, 1.0), ncol=9, handlelength=1.0,
@@ -181,7 +186,7 @@ _MARKS: Final = {
 
 def _mark(axes: Axes, metrics: Metrics) -> None:
     for kind, (sign, colour, label) in _MARKS.items():
-        times = [m.time_s for m in metrics.timeline.moments if m.what is kind]
+        times = [m.time_s for m in metrics.timeline.events if m.kind is kind]
         if times:
             axes.plot(
                 times, np.full(len(times), 0.96), sign, color=colour, ms=7, label=label,
@@ -192,10 +197,10 @@ def _mark(axes: Axes, metrics: Metrics) -> None:
 
 
 def _winch(bag: Bag, metrics: Metrics) -> Plot | None:
-    drum, cell = bag.track(topics.WINCH_STATE), bag.track(topics.LOAD_CELL)
+    drum, cell = bag.series(topics.WINCH_STATE), bag.series(topics.LOAD_CELL)
     if drum is None or not metrics.descents:
         return None
-    estimate, rover = bag.track(topics.WINCH_ESTIMATE), bag.track(topics.ROVER_LOAD_CELL)
+    estimate, rover = bag.series(topics.WINCH_ESTIMATE), bag.series(topics.ROVER_LOAD_CELL)
     heights = (1.6, 1.2, 1.5) if cell is not None else (1.6, 1.2)
     figure, rows = _rows("winch", "Winch and tether", heights, top=0.42)
     length, rate = rows[0], rows[1]
@@ -209,15 +214,19 @@ def _winch(bag: Bag, metrics: Metrics) -> Plot | None:
     length.invert_yaxis()
     rate.set_ylabel("rate [m/s]")
     if cell is not None:
-        for track, colour, label in (
+        for series, colour, label in (
             (cell, BLUE, "at the fairlead"),
             (rover, ORANGE, "at the rover"),
         ):
-            if track is not None:
-                size = np.linalg.norm(track.vector("force"), axis=1)
-                most = track.largest("force") if track.stride > 1 else size
+            if series is not None:
+                size = np.linalg.norm(series.vector("force"), axis=1)
+                most = series.largest("force") if series.stride > 1 else size
                 rows[2].plot(
-                    *envelope(track.time, size, most), color=colour, label=label, lw=1.0, alpha=0.85
+                    *envelope(series.time, size, most),
+                    color=colour,
+                    label=label,
+                    lw=1.0,
+                    alpha=0.85,
                 )
         rows[2].set_ylabel("tension [N]")
     for axes in rows:
@@ -244,7 +253,7 @@ def _swing(bag: Bag, metrics: Metrics) -> Plot | None:
 
 
 def _pictures(bag: Bag) -> Plot | None:
-    camera = bag.track(topics.CAMERA)
+    camera = bag.series(topics.CAMERA)
     if camera is None:
         return None
     wall = camera.columns[f"{WALL_DISTANCE}.position"]
@@ -257,7 +266,7 @@ def _pictures(bag: Bag) -> Plot | None:
         camera.time[sees], np.maximum(smear[sees], 1e-3), ".", ms=2.5, color=BLUE,
         label="pictures that see the wall", rasterized=bool(sees.sum() > 4000),
     )  # fmt: skip
-    axes.axhline(SMEAR_LIMIT, color=RED, lw=1.0, ls="--", label=f"limit {SMEAR_LIMIT:g} px")
+    axes.axhline(SMEAR_LIMIT_PX, color=RED, lw=1.0, ls="--", label=f"limit {SMEAR_LIMIT_PX:g} px")
     axes.set_yscale("log")
     axes.set_ylabel("smear [px]")
     legend(axes, 2)
@@ -266,8 +275,8 @@ def _pictures(bag: Bag) -> Plot | None:
 
 def _coverage(bag: Bag) -> Plot | None:
     """Where on the wall the pictures lie that the descent has logged."""
-    track = bag.track(topics.DESCENT_OBSERVATION)
-    figure = None if track is None else draw_coverage(observations_of(track))
+    series = bag.series(topics.DESCENT_OBSERVATION)
+    figure = None if series is None else draw_coverage(observations_of(series))
     if figure is None:
         return None
     alt = "Pictures on the unrolled wall, over heading and depth"
@@ -278,7 +287,7 @@ def _coverage(bag: Bag) -> Plot | None:
 
 
 def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
-    body = bag.track(topics.TRUTH_BODY1)
+    body = bag.series(topics.TRUTH_BODY1)
     moves = metrics.timeline.of(Activity.DRIVING, Activity.TURNING, Activity.FLIGHT)
     if body is None or not moves or not (metrics.drives or metrics.jumps):
         return None
@@ -290,17 +299,24 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
     axes.set_xlabel("x, forward from the fairlead [m]")
     axes.set_ylabel("y, left [m]")
     place = body.vector("position")
-    told = set()
-    for phase in moves:
-        part = inside(body, phase.begin_s, phase.end_s, (phase.log_begin, phase.log_end))
+    labelled = set()
+    for interval in moves:
+        part = inside(
+            body, interval.begin_s, interval.end_s, (interval.log_begin, interval.log_end)
+        )
         if len(part) < 2:
             continue
-        label = phase.what.value if phase.what not in told else None
-        told.add(phase.what)
-        style = "--" if phase.what is Activity.FLIGHT else "-"
+        label = interval.activity.value if interval.activity not in labelled else None
+        labelled.add(interval.activity)
+        style = "--" if interval.activity is Activity.FLIGHT else "-"
         some = part[:: max(1, len(part) // 400)]
         axes.plot(
-            place[some, 0], place[some, 1], style, color=COLOURS[phase.what], lw=2.4, label=label
+            place[some, 0],
+            place[some, 1],
+            style,
+            color=COLOURS[interval.activity],
+            lw=2.4,
+            label=label,
         )
     first = inside(body, moves[0].begin_s, moves[0].begin_s + 0.1, (moves[0].log_begin,) * 2)
     last = inside(body, moves[-1].end_s - 0.1, moves[-1].end_s, (moves[-1].log_end,) * 2)
@@ -321,10 +337,10 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
 
 
 def _energy_balance(bag: Bag) -> Plot | None:
-    track = bag.track(topics.TRUTH_ENERGY)
-    if track is None or len(track) < 2:
+    series = bag.series(topics.TRUTH_ENERGY)
+    if series is None or len(series) < 2:
         return None
-    parts = {name: track.columns[f"{name}.position"] for name in (*STORED, "input", "dissipated")}
+    parts = {name: series.columns[f"{name}.position"] for name in (*STORED, "input", "dissipated")}
     stored = np.sum([parts[name] for name in STORED], axis=0)
     lines = {
         "input": (parts["input"], BLACK),
@@ -336,12 +352,12 @@ def _energy_balance(bag: Bag) -> Plot | None:
     )
     for name, (values, colour) in lines.items():
         change = values - values[0]
-        axes.plot(*envelope(track.time, change, change), color=colour, label=name, lw=1.6)
+        axes.plot(*envelope(series.time, change, change), color=colour, label=name, lw=1.6)
     axes.set_ylabel("energy [J]")
     rest = lines["stored"][0] - lines["input"][0] + lines["dissipated"][0]
     rest = 1e3 * (rest - rest[0])
     missed.plot(
-        *envelope(track.time, rest, rest), color=RED, lw=1.2, label="stored - input + dissipated"
+        *envelope(series.time, rest, rest), color=RED, lw=1.2, label="stored - input + dissipated"
     )
     missed.set_ylabel("missed [mJ]")
     legend(axes, 3)
@@ -350,7 +366,7 @@ def _energy_balance(bag: Bag) -> Plot | None:
 
 
 def _rotors(bag: Bag) -> Plot | None:
-    flywheel, wheels = bag.track(topics.FLYWHEEL_STATE), bag.track(topics.WHEEL_STATE)
+    flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
     inertia = setting(bag, "rover", "jump_drive", "inertia")
     wheel = setting(bag, "rover", "wheel_drive", "wheel_inertia")
     lines = []
@@ -364,8 +380,8 @@ def _rotors(bag: Bag) -> Plot | None:
     if not moving:
         return None
     figure, (axes,) = _rows("rotors", "Angular momentum of what spins in the rover", (1.6,))
-    for track, path, scale, label, colour in moving:
-        _line(axes, track, path, scale, color=colour, label=label, lw=1.2)
+    for series, path, scale, label, colour in moving:
+        _line(axes, series, path, scale, color=colour, label=label, lw=1.2)
     axes.set_ylabel("momentum [N m s]")
     legend(axes, 4)
     return _plot(figure, [axes], "Momentum of flywheel and wheels over time", bag)

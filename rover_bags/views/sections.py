@@ -54,7 +54,7 @@ class Section:
         cells = [[column.text(row) for column in self.columns] for row in self.rows[:_ROWS]]
         heads = [column.heading for column in self.columns]
         widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
-        wordy = [column.heading in self._wordy for column in self.columns]
+        wordy = [column.heading in self._text_columns for column in self.columns]
         lines = ["", f"{self.name.lower()}:"]
         for row in [heads, *cells]:
             joined = "  ".join(
@@ -75,10 +75,10 @@ class Section:
         about = f'<p class="soft">{escaped(self.about)}</p>' if self.about else ""
         more = f"<p>and {len(self.rows) - _ROWS} more</p>" if len(self.rows) > _ROWS else ""
         heads = [column.heading for column in self.columns]
-        return f"{about}{table(heads, rows, wordy=self._wordy)}{more}"
+        return f"{about}{table(heads, rows, wordy=self._text_columns)}{more}"
 
     @property
-    def _wordy(self) -> set[str]:
+    def _text_columns(self) -> set[str]:
         """Headings of columns that hold words."""
         return {
             column.heading
@@ -110,8 +110,11 @@ _DESCENTS: Final = (
     Column("depth from m", lambda d: d.depth_from_m, ".3f"),
     Column("to m", lambda d: d.depth_to_m, ".3f"),
     Column("mean m/s", lambda d: d.rate_m_s, ".3f"),
-    Column("fastest m/s", lambda d: d.fastest_m_s, ".3f"),
-    Column("off reference mm", lambda d: None if d.deviation_m is None else 1e3 * d.deviation_m),
+    Column("fastest m/s", lambda d: d.rate_max_m_s, ".3f"),
+    Column(
+        "off reference mm",
+        lambda d: None if d.tracking_error_m is None else 1e3 * d.tracking_error_m,
+    ),
     Column("tension N", lambda d: d.tension_mean_N),
     Column("ripple %", lambda d: None if d.ripple is None else 100.0 * d.ripple),
     Column("peak N", lambda d: d.peak_tension_N),
@@ -130,18 +133,18 @@ _DRIVES: Final = (
     Column("odometry off m", lambda d: d.odometry_error_m, ".3f"),
 )
 
-_TRAVELS: Final = (
+_TRAVERSES: Final = (
     *_WHEN,
     Column("drives", lambda t: t.drives, "d"),
     Column("path m", lambda t: t.path_m, ".3f"),
-    Column("begin to end m", lambda t: t.closing_m, ".3f"),
+    Column("begin to end m", lambda t: t.closing_distance_m, ".3f"),
 )
 
-_EXPOSURES: Final = (
+_IMAGING_STOPS: Final = (
     *_WHEN,
     Column("depth m", lambda e: e.depth_m),
     Column("wall m", lambda e: e.wall_m),
-    Column("pictures", lambda e: e.pictures, "d"),
+    Column("pictures", lambda e: e.images, "d"),
     Column("sharp %", lambda e: 100.0 * e.sharp, ".1f"),
     Column("smear median px", lambda e: e.smear_median_px),
     Column("largest px", lambda e: e.smear_max_px),
@@ -155,41 +158,41 @@ _ACTIVITIES: Final = (
 )
 
 _PHASES: Final = (
-    Column("activity", lambda phase: phase.what.value),
+    Column("activity", lambda interval: interval.activity.value),
     *_WHEN,
-    Column("duration s", lambda phase: phase.duration_s),
+    Column("duration s", lambda interval: interval.duration_s),
 )
 
-_MOMENTS: Final = (
-    Column("moment", lambda moment: moment.what.value.replace("_off", "-off").replace("_", " ")),
-    Column("time s", lambda moment: moment.time_s, ".3f"),
-    Column("why", lambda moment: moment.reason),
+_EVENTS: Final = (
+    Column("moment", lambda event: event.kind.value.replace("_off", "-off").replace("_", " ")),
+    Column("time s", lambda event: event.time_s, ".3f"),
+    Column("why", lambda event: event.reason),
 )
 
 _ENERGY_BALANCE: Final = (
-    Column("activity", lambda line: line.what),
+    Column("activity", lambda line: line.activity),
     *_WHEN,
     Column("input J", lambda line: line.input_J, "+.3f"),
     Column("dissipated J", lambda line: line.dissipated_J, "+.3f"),
     Column("stored J", lambda line: line.stored_J, "+.3f"),
-    Column("missed J", lambda line: line.missed_J, "+.1e"),
+    Column("missed J", lambda line: line.residual_J, "+.1e"),
 )
 
 _ROTORS: Final = (
     Column("rotor", lambda rotor: rotor.name.replace("_", " ")),
-    Column("largest N m s", lambda rotor: rotor.largest_N_m_s, ".4f"),
-    Column("limit N m s", lambda rotor: rotor.limit_N_m_s, ".3f"),
+    Column("largest N m s", lambda rotor: rotor.momentum_max_N_m_s, ".4f"),
+    Column("limit N m s", lambda rotor: rotor.momentum_limit_N_m_s, ".3f"),
     Column("share %", lambda r: None if r.share is None else 100.0 * r.share, ".1f"),
-    Column("at the end N m s", lambda rotor: rotor.final_N_m_s, ".4f"),
+    Column("at the end N m s", lambda rotor: rotor.momentum_final_N_m_s, ".4f"),
 )
 
 _FLIGHTS: Final = (
     *_WHEN,
-    Column("gained N s", lambda f: f.gained_N_s, ".4f"),
-    Column("tether explains N s", lambda f: f.tether_N_s, ".4f"),
+    Column("gained N s", lambda f: f.momentum_change_N_s, ".4f"),
+    Column("tether explains N s", lambda f: f.tether_impulse_N_s, ".4f"),
     Column("unexplained N s", lambda f: f.unexplained_N_s, ".4f"),
-    Column("spin changed N m s", lambda f: f.turned_N_m_s, ".4f"),
-    Column("spin N m s", lambda f: f.spin_N_m_s, ".4f"),
+    Column("spin changed N m s", lambda f: f.angular_momentum_change_N_m_s, ".4f"),
+    Column("spin N m s", lambda f: f.angular_momentum_max_N_m_s, ".4f"),
 )
 
 
@@ -197,29 +200,29 @@ def activity_sections(metrics: Metrics) -> list[Section]:
     """What the machine did, in short, and the instants that matter."""
     found = []
     timeline = metrics.timeline
-    if timeline.phases:
+    if timeline.intervals:
         found.append(Section("Activities", _ACTIVITIES, tuple(_shares(metrics))))
-    if timeline.moments:
-        found.append(Section("Moments", _MOMENTS, timeline.moments))
+    if timeline.events:
+        found.append(Section("Moments", _EVENTS, timeline.events))
     return found
 
 
 def phase_section(metrics: Metrics) -> Section | None:
-    """Every phase."""
-    phases = metrics.timeline.phases
+    """Every interval."""
+    phases = metrics.timeline.intervals
     return Section("Phases", _PHASES, phases) if phases else None
 
 
 def _shares(metrics: Metrics) -> Iterable[tuple[str, int, float, float]]:
     times: dict[Activity, list[float]] = defaultdict(list)
-    for phase in metrics.timeline.phases:
-        times[phase.what].append(phase.duration_s)
+    for interval in metrics.timeline.intervals:
+        times[interval.activity].append(interval.duration_s)
     total = sum(sum(spans) for spans in times.values()) or 1.0
     for what, spans in times.items():
         yield what.value, len(spans), sum(spans), 100.0 * sum(spans) / total
 
 
-def figure_sections(metrics: Metrics) -> list[Section]:
+def metric_sections(metrics: Metrics) -> list[Section]:
     """Descents, pictures and drives, those that there are."""
     sections = [
         Section(
@@ -228,7 +231,7 @@ def figure_sections(metrics: Metrics) -> list[Section]:
             "its mean and ripple in steady payout; swing of Body 1 about the fairlead.",
         ),
         Section(
-            "Pictures", _EXPOSURES, metrics.exposures,
+            "Pictures", _IMAGING_STOPS, metrics.imaging_stops,
             "Of the wall, taken while the rover hung at one place; sharp: smeared by no more than "
             "1 px.",
         ),
@@ -238,15 +241,15 @@ def figure_sections(metrics: Metrics) -> list[Section]:
             "1 - path/rolled; odometry off: where encoders and gyro alone put it, against where "
             "it is.",
         ),
-        Section("Travels", _TRAVELS, metrics.travels),
+        Section("Travels", _TRAVERSES, metrics.traverses),
     ]  # fmt: skip
     return [section for section in sections if section.rows]
 
 
 def energy_balance_section(metrics: Metrics) -> Section | None:
-    """Energy phase by phase."""
+    """Energy phase by interval."""
     energy = metrics.audits.energy
-    return None if energy is None else Section("Energy by phase", _ENERGY_BALANCE, energy.lines)
+    return None if energy is None else Section("Energy by phase", _ENERGY_BALANCE, energy.intervals)
 
 
 def momentum_sections(metrics: Metrics) -> list[Section]:
@@ -268,22 +271,22 @@ def momentum_sections(metrics: Metrics) -> list[Section]:
     return found
 
 
-def audit_words(metrics: Metrics) -> list[str]:
+def audit_sentences(metrics: Metrics) -> list[str]:
     """What the audits come to, in sentences."""
     energy, lines = metrics.audits.energy, []
     if energy is not None:
         share = "" if energy.share is None else f", {100.0 * energy.share:.2g} % of it"
         lines.append(
             f"Energy: of {energy.turnover_J:.4g} J turned over the books miss at most "
-            f"{energy.missed_J:.2g} J{share}; the plant's own drift is "
-            f"{energy.energy_error_J:.1g} J from what its entries add up to."
+            f"{energy.residual_J:.2g} J{share}; the plant's own drift is "
+            f"{energy.drift_error_J:.1g} J from what its entries add up to."
         )
         if energy.gravity_error_J is not None:
             lines.append(
                 "Gravity: the recorded entry agrees with the recorded positions of bodies and "
                 f"tether within {energy.gravity_error_J:.2g} J."
             )
-    lines += [f"Not audited: {text}." for text in metrics.audits.lacking]
+    lines += [f"Not audited: {text}." for text in metrics.audits.not_audited]
     return lines
 
 

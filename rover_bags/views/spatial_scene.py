@@ -12,7 +12,7 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from rover_bags.analysis.geometry import rotations, setting
 from rover_bags.read import Bag, Floats, TimeSeries
-from rover_bags.views.animation import Scene, strong_end
+from rover_bags.views.animation import Scene, tension_scale_max
 from rover_sim import ScenarioError, scenario_from_mapping
 
 _MOST_FRAMES: Final = 700
@@ -43,7 +43,7 @@ def spatial_scene(
         level: Height of Body 1 at that take-off [m].
     """
     first, second, tether = (
-        bag.track(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
+        bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
     )
     if first is None or second is None or tether is None or not tether.shapes:
         return None
@@ -74,43 +74,43 @@ def spatial_scene(
         ground=float(low[1]),
         low=(float(low[0]), float(low[1])),
         high=(float(high[0]), float(high[1])),
-        near=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))),
-        strongest=strong_end(shapes[:, :, -1]),
+        close_up=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))),
+        tension_max=tension_scale_max(shapes[:, :, -1]),
         ground_lines=tuple(line for line in lines if len(line) > 1),
         wheels=_wheels(bag, first, time),
         follow=_NEAR,
         is_run=since is None,
-        told=-height if since is None else height - level,
+        readout=-height if since is None else height - level,
     )
 
 
 def _size(bag: Bag, name: str, usual: tuple[float, float, float]) -> tuple[float, float, float]:
-    told = setting(bag, "rover", name)
-    if isinstance(told, list | tuple) and len(told) == 3:
-        x, y, z = (float(value) for value in told)
+    configured = setting(bag, "rover", name)
+    if isinstance(configured, list | tuple) and len(configured) == 3:
+        x, y, z = (float(value) for value in configured)
         return x, y, z
     return usual
 
 
 def _centre(bag: Bag) -> tuple[float, float, float]:
-    told = setting(bag, "rover", "body1_centre")
-    if isinstance(told, list | tuple) and len(told) == 3:
-        x, y, z = (float(value) for value in told)
+    configured = setting(bag, "rover", "body1_centre")
+    if isinstance(configured, list | tuple) and len(configured) == 3:
+        x, y, z = (float(value) for value in configured)
         return x, y, z
     return (0.0, 0.0, 0.0)
 
 
-def _samples(track: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
+def _samples(series: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
     """Places, shape (F, 3), and rotations, shape (F, 3, 3), of the samples nearest to times."""
-    index = np.clip(np.searchsorted(track.time, time), 0, len(track) - 1)
-    return track.vector("position")[index], rotations(track)[index]
+    index = np.clip(np.searchsorted(series.time, time), 0, len(series) - 1)
+    return series.vector("position")[index], rotations(series)[index]
 
 
 def _seen(
-    track: TimeSeries, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
+    series: TimeSeries, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
 ) -> Floats:
     """x, z, tilt in the plane and width of a box as seen from the side, shape (F, 4)."""
-    place, turned = _samples(track, time)
+    place, turned = _samples(series, time)
     place = place + turned @ np.asarray(centre)
     up = turned[:, :, 2]
     tilt = np.arctan2(-up[:, 0], up[:, 2])
@@ -118,14 +118,14 @@ def _seen(
     return np.stack([place[:, 0], place[:, 2], tilt, width], axis=1)
 
 
-def _wheels(bag: Bag, track: TimeSeries, time: Floats) -> Floats | None:
+def _wheels(bag: Bag, series: TimeSeries, time: Floats) -> Floats | None:
     """Centres and half axes of both wheels as seen, shape (F, 2, 4)."""
     names = ("radius", "width", "track", "axle_x", "axle_z")
-    told = [setting(bag, "rover", "wheels", name) for name in names]
-    if any(not isinstance(value, float | int) for value in told):
+    configured = [setting(bag, "rover", "wheels", name) for name in names]
+    if any(not isinstance(value, float | int) for value in configured):
         return None
-    radius, width, gauge, ahead, above = (float(value) for value in told)
-    place, turned = _samples(track, time)
+    radius, width, gauge, ahead, above = (float(value) for value in configured)
+    place, turned = _samples(series, time)
     found = []
     for side in (0.5, -0.5):
         middle = place + turned @ np.array([ahead, side * gauge, above])

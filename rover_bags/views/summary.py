@@ -4,24 +4,24 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from rover_bags.analysis.metrics import Metrics, TopicFigures
+from rover_bags.analysis.metrics import Metrics, TopicMetrics
 from rover_bags.read import Bag
 from rover_bags.views.sections import (
     activity_sections,
-    audit_words,
-    figure_sections,
+    audit_sentences,
+    metric_sections,
     momentum_sections,
     texts,
 )
 
-FIGURES = (
+JUMP_METRICS = (
     ("jump_height_m", "jump height", "m", ".4f"),
     ("attitude_variation_rad", "attitude variation", "rad", "+.4f"),
     ("slack", "slack dh/df", "", ".3f"),
     ("flight_time_s", "flight time", "s", ".4f"),
     ("travel_m", "travel", "m", "+.4f"),
     ("range_m", "range", "m", ".4f"),
-    ("turned_rad", "turned in all", "rad", ".4f"),
+    ("rotation_rad", "turned in all", "rad", ".4f"),
     ("peak_tension_N", "peak tension", "N", ".2f"),
     ("energy_drift_J", "energy drift", "J", ".1e"),
 )
@@ -29,21 +29,21 @@ FIGURES = (
 
 def as_text(bag: Bag, metrics: Metrics) -> str:
     """The report for a terminal."""
-    lines = [f"{bag.path}: {in_short(bag, metrics)}"]
-    lines += [f"! {text}" for text in complaints(bag, metrics)]
-    lines += texts([*activity_sections(metrics), *figure_sections(metrics)])
+    lines = [f"{bag.path}: {recording_summary(bag, metrics)}"]
+    lines += [f"! {text}" for text in data_warnings(bag, metrics)]
+    lines += texts([*activity_sections(metrics), *metric_sections(metrics)])
     if metrics.coverage is not None:
         lines += ["", f"wall: {metrics.coverage.summary}"]
     for number, jump in enumerate(metrics.jumps, 1):
         lines += ["", f"jump {number}, take-off at {jump.take_off_s:.3f} s"]
         lines += [
-            f"  {label:<20} {measured(getattr(jump, name), unit, form)}"
-            for name, label, unit, form in FIGURES
+            f"  {label:<20} {formatted(getattr(jump, name), unit, form)}"
+            for name, label, unit, form in JUMP_METRICS
         ]
     if not metrics.jumps:
         lines += ["", "no jump in this bag"]
     lines += texts(momentum_sections(metrics))
-    lines += ["", *audit_words(metrics)]
+    lines += ["", *audit_sentences(metrics)]
     lines += ["", _columns(metrics.topics.values())]
     if metrics.events:
         lines += ["", "events:"]
@@ -54,7 +54,7 @@ def as_text(bag: Bag, metrics: Metrics) -> str:
     return "\n".join(lines)
 
 
-def in_short(bag: Bag, metrics: Metrics) -> str:
+def recording_summary(bag: Bag, metrics: Metrics) -> str:
     """How much was recorded, in a line."""
     simulated = (
         f", {metrics.simulated_s:.2f} s of simulated time"
@@ -67,43 +67,43 @@ def in_short(bag: Bag, metrics: Metrics) -> str:
     )
 
 
-def complaints(bag: Bag, metrics: Metrics) -> list[str]:
+def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
     """What a reader must know before trusting the rest."""
-    found = list(bag.remarks)
+    found = list(bag.file_defects)
     found += [
         f"{name}: {count} messages that the bag should hold cannot be read"
-        for name, count in sorted(bag.lost.items())
+        for name, count in sorted(bag.unreadable.items())
     ]
     if bag.unverified:
         count = sum(bag.unverified.values())
         found.append(f"{count} messages carry no checksum: they cannot be vouched for")
     for losses, what in (
         (bag.dropped, "the recorder could not keep"),
-        (bag.missed, "were lost on the way to the recorder"),
+        (bag.lost_in_transport, "were lost on the way to the recorder"),
     ):
         for name, count in sorted(losses.items()):
             found.append(f"{name}: {count} messages {what}")
     for name, count in sorted(bag.rejected.items()):
-        example = next((item.reason for item in bag.examples if item.topic == name), "")
+        example = next((item.reason for item in bag.rejected_examples if item.topic == name), "")
         found.append(f"{name}: {count} messages break the contract, such as: {example}")
     slow = [
-        f"{figures.topic} {figures.slow_hz:.3g} of {figures.expected_hz:.3g} Hz"
-        for figures in metrics.topics.values()
-        if figures.slow_hz is not None
+        f"{topic.topic} {topic.slow_hz:.3g} of {topic.expected_hz:.3g} Hz"
+        for topic in metrics.topics.values()
+        if topic.slow_hz is not None
     ]
     if slow:
         found.append(f"more slowly than promised, all the time: {', '.join(slow)}")
-    for figures in metrics.topics.values():
-        if figures.gaps:
-            pauses = "1 gap" if figures.gaps == 1 else f"{figures.gaps} gaps"
+    for topic in metrics.topics.values():
+        if topic.gaps:
+            pauses = "1 gap" if topic.gaps == 1 else f"{topic.gaps} gaps"
             found.append(
-                f"{figures.topic}: {pauses}, the longest {figures.max_gap_s:.3f} s at "
-                f"{figures.max_gap_at_s:.3f} s"
+                f"{topic.topic}: {pauses}, the longest {topic.max_gap_s:.3f} s at "
+                f"{topic.max_gap_at_s:.3f} s"
             )
     return found
 
 
-def measured(value: float | None, unit: str, form: str) -> str:
+def formatted(value: float | None, unit: str, form: str) -> str:
     """A figure with its unit."""
     if value is None or not math.isfinite(value):
         return "-"
@@ -121,15 +121,15 @@ TOPIC_COLUMNS = (
     ("max", "latency_max_ms", ".2f"),
     ("age ms p50", "age_p50_ms", ".1f"),
     ("p99", "age_p99_ms", ".1f"),
-    ("lost", "missed", "d"),
+    ("lost", "lost_in_transport", "d"),
     ("dropped", "dropped", "d"),
     ("refused", "rejected", "d"),
 )
 
 
-def _columns(figures: Iterable[TopicFigures]) -> str:
+def _columns(items: Iterable[TopicMetrics]) -> str:
     rows = [["topic", *(label for label, _, _ in TOPIC_COLUMNS)]]
-    rows += [[item.topic, *topic_cells(item)] for item in figures]
+    rows += [[item.topic, *topic_cells(item)] for item in items]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
         "  ".join(
@@ -140,7 +140,7 @@ def _columns(figures: Iterable[TopicFigures]) -> str:
     )
 
 
-def topic_cells(item: TopicFigures) -> list[str]:
+def topic_cells(item: TopicMetrics) -> list[str]:
     """A topic's figures as they stand in a table."""
     values = [(getattr(item, name), form) for _, name, form in TOPIC_COLUMNS]
     return ["" if value is None else f"{value:{form}}" for value, form in values]
@@ -154,7 +154,7 @@ def as_mapping(bag: Bag, metrics: Metrics) -> dict[str, Any]:
         "contract_version": bag.identity.get("contract_version"),
         "package_version": bag.identity.get("package_version"),
         "closed": bag.closed,
-        "complaints": complaints(bag, metrics),
+        "warnings": data_warnings(bag, metrics),
         **metrics.to_mapping(),
     }
     cleaned: dict[str, Any] = finite(content)

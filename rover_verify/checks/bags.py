@@ -67,8 +67,8 @@ def killed(batch: Batch) -> Measured:
             recorder.kill_group()
             recovery = recover(bag, batch.folder / f"recovered_{index}")
             rescued = read_bag(batch.folder / f"recovered_{index}")
-            track = rescued.track(topics.CLOCK)
-            last = 0.0 if track is None else float(track.time[-1])
+            series = rescued.series(topics.CLOCK)
+            last = 0.0 if series is None else float(series.time[-1])
             details[f"kill {index}: recovered messages"] = float(recovery.summary.messages)
             details[f"kill {index}: lost [s]"] = at * 1e-9 - last
             worst = max(worst, at * 1e-9 - last)
@@ -235,9 +235,9 @@ def report_agrees(batch: Batch) -> Measured:
 
 def recorded_completely(batch: Batch) -> Measured:
     """Share of Body 1's 100 Hz motion that a recording of a jump lacks."""
-    track = read_bag(_whole_bag(batch)).track(topics.TRUTH_BODY1)
-    if track is None:
+    series = read_bag(_whole_bag(batch)).series(topics.TRUTH_BODY1)
+    if series is None:
         return Measured(float("nan"), "nothing was recorded")
-    gaps = np.diff(track.time)
+    gaps = np.diff(series.time)
     missing = sum(round(gap / 0.01) - 1 for gap in gaps)
-    return Measured(missing / len(track), f"{len(track)} samples recorded, {missing} missing")
+    return Measured(missing / len(series), f"{len(series)} samples recorded, {missing} missing")

@@ -64,7 +64,7 @@ def _scripted(deeds: Sequence[Deed]) -> Told:
 
 
 def _found(timeline: Timeline) -> Told:
-    return [(phase.what.value, phase.begin_s) for phase in timeline.phases]
+    return [(interval.activity.value, interval.begin_s) for interval in timeline.intervals]
 
 
 def phases(batch: Batch) -> Measured:
@@ -75,7 +75,7 @@ def phases(batch: Batch) -> Measured:
         matcher = SequenceMatcher(None, [w for w, _ in wanted], [w for w, _ in got], autojunk=False)
         same = sum(block.size for block in matcher.get_matching_blocks())
         faults = sum(deed.what == _FAULT for deed in deeds)
-        told = sum(moment.what is TimelineEventKind.FAULT for moment in timeline.moments)
+        told = sum(event.kind is TimelineEventKind.FAULT for event in timeline.events)
         missed = len(wanted) - same + len(got) - same + abs(faults - told)
         if missed:
             text = ", ".join(f"{word} {at:.1f}" for word, at in got)
@@ -95,7 +95,7 @@ def phase_times(batch: Batch) -> Measured:
         apart = {
             f"{w} at {a:.2f} s": abs(a - b) for (w, a), (_, b) in zip(wanted, got, strict=True)
         }
-        moments = [m.time_s for m in timeline.moments if m.what is TimelineEventKind.FAULT]
+        moments = [m.time_s for m in timeline.events if m.kind is TimelineEventKind.FAULT]
         for deed in deeds:
             if deed.what == _FAULT:
                 near = min((abs(at - deed.begin) for at in moments), default=float("nan"))
@@ -161,7 +161,7 @@ def memory(batch: Batch) -> Measured:
     (generator,) = batch.generators(1)
     record_mission(source, generator)
     alone = read_bag(source)
-    jumps = sum(m.what is TimelineEventKind.TAKE_OFF for m in timeline_of(alone).moments)
+    jumps = sum(m.kind is TimelineEventKind.TAKE_OFF for m in timeline_of(alone).events)
     times = repeat(source, large, LARGE)
     size = sum(file.stat().st_size for file in large.iterdir())
     try:

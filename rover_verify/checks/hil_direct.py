@@ -255,8 +255,8 @@ def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
 def descent_figures(bag: Bag) -> Figures:
     """Figures of a descent to one stop."""
     metrics = measure(bag)
-    told = {entry.name: entry for entry in entries_of(bag.track(topics.EVENTS))}
-    pictures = bag.track(topics.DESCENT_OBSERVATION)
+    told = {entry.name: entry for entry in entries_of(bag.series(topics.EVENTS))}
+    pictures = bag.series(topics.DESCENT_OBSERVATION)
     if pictures is None:
         raise RuntimeError(f"no pictures: {told['stop_ended'].message}")
     swing = hanging_swing(bag, metrics.timeline)
@@ -274,7 +274,7 @@ def descent_figures(bag: Bag) -> Figures:
 def jump_figures(bag: Bag) -> Figures:
     """Figures of a jump."""
     (flown,) = measure(bag).jumps
-    own = bag.track(topics.JUMP_FLOWN)
+    own = bag.series(topics.JUMP_FLOWN)
     if own is None:
         raise RuntimeError("the jump's controller tells of no jump")
     return {
@@ -294,7 +294,7 @@ def through_the_emulator(batch: Batch) -> Measured:
             folder = batch.folder / f"{fly.__name__}{kind.__name__}"
             bag = fly(kind, folder, batch.seed)
             figures.update(read(bag))
-            lost += sum(bag.dropped.values()) + sum(bag.missed.values())
+            lost += sum(bag.dropped.values()) + sum(bag.lost_in_transport.values())
     direct, linked = found[_Direct], found[_Linked]
     outside = [
         name for name, bound in BOUNDS.items() if not bound.holds(direct[name], linked[name])

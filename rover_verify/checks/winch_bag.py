@@ -50,7 +50,7 @@ class Recorded(NamedTuple):
 
     def __str__(self) -> str:
         """What it was, in words."""
-        lost = sum(self.bag.dropped.values()) + sum(self.bag.missed.values())
+        lost = sum(self.bag.dropped.values()) + sum(self.bag.lost_in_transport.values())
         how = "in real time" if self.in_real_time else "in lockstep"
         return (
             f"three processes over DDS, {TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s in "

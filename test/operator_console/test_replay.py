@@ -74,7 +74,7 @@ def test_a_bag_that_was_cut_off_says_so(folder: Path, tmp_path: Path):
 
 def test_samples_come_back_as_they_were(folder: Path):
     bag = read_bag(folder / "jump")
-    for name, track in bag.tracks.items():
+    for name, track in bag.time_series.items():
         if name != topics.PLACE:
             assert isinstance(sample_at(track, len(track) - 1), TOPICS[name].sample)
 

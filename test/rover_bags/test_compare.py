@@ -37,7 +37,7 @@ def test_what_differs_is_marked_and_what_does_not_is_not(bags: list[Path]):
     assert rate.differs
     assert [float(value or 0.0) for value in rate.values] == pytest.approx([0.25, 0.2], rel=0.01)
     assert rate.spread == pytest.approx(0.05, rel=0.05)
-    assert rows["descents", "descent 1: way"].values == ("down", "down")
+    assert rows["descents", "descent 1: direction"].values == ("down", "down")
     assert not rows["activities", "hanging, times"].differs
     assert not rows["jumps", "jump 1: jump height [m]"].differs
 

@@ -59,7 +59,7 @@ def test_a_damaged_description_is_no_hindrance(tmp_path: Path, text: str):
     (tmp_path / "bag" / METADATA).write_text(text, encoding="utf-8")
     scan = BagScan(tmp_path / "bag")
     assert sorted(contents(scan)) == sorted(recorded)
-    (remark,) = scan.remarks(START)
+    (remark,) = scan.defects(START)
     assert remark.startswith("metadata.yaml is damaged")
 
 
@@ -83,13 +83,13 @@ def test_a_missing_part_is_named_with_its_time_and_number(tmp_path: Path, kind: 
     assert gone.span_ns is not None
     assert gone.span_ns[0] == START + 30 * STEP
     assert sum(scan.lost.values()) == 30
-    (remark,) = scan.remarks(START)
+    (remark,) = scan.defects(START)
     assert "missing, with 30 messages, about 0.300 s to 0.590 s after the first" in remark
     (bag / METADATA).unlink()
     undescribed = BagScan(bag)
     assert contents(undescribed) == parts[0] + parts[2]
     assert [item.file for item in undescribed.damage] == [gone.file]
-    assert "whether files are missing after the last" in undescribed.remarks(START)[0]
+    assert "whether files are missing after the last" in undescribed.defects(START)[0]
 
 
 def test_a_part_that_is_nothing_does_not_take_the_others_with_it(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Long bags: many messages taken apart at once, tracks thinned, stretches read again."""
+"""Long bags: many messages taken apart at once, time series thinned, stretches read again."""
 
 import dataclasses
 import json
@@ -14,9 +14,9 @@ from msg_schemas import topics
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags.analysis.metrics import measure
+from rover_bags.bag_analysis import analyse_bag
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Bag, arrivals, read_bag, windows
-from rover_bags.survey import survey
+from rover_bags.read import Bag, read_bag, received_messages, windows
 from rover_bags.time_series import LARGEST
 from rover_cli.command_line import main
 
@@ -38,21 +38,21 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_is_taken_at_once_is_what_the_decoder_gives(bag: str, request: pytest.FixtureRequest):
     path = request.getfixturevalue(bag)
     read = read_bag(path)
-    place = dict.fromkeys(read.tracks, 0)
-    for arrival in arrivals(BagScan(path)):
-        track, index = read.tracks[arrival.name], place[arrival.name]
+    place = dict.fromkeys(read.time_series, 0)
+    for arrival in received_messages(BagScan(path)):
+        series, index = read.time_series[arrival.name], place[arrival.name]
         place[arrival.name] += 1
-        assert track.log_ns[index] == arrival.log_ns
-        assert track.publish_ns[index] == arrival.publish_ns
+        assert series.log_ns[index] == arrival.log_ns
+        assert series.publish_ns[index] == arrival.publish_ns
         if isinstance(arrival.sample, TetherSample):
-            np.testing.assert_array_equal(track.shapes[index], arrival.sample.nodes)
-            assert track.columns[LARGEST][index] == arrival.sample.nodes[:, 6].max()
+            np.testing.assert_array_equal(series.shapes[index], arrival.sample.nodes)
+            assert series.columns[LARGEST][index] == arrival.sample.nodes[:, 6].max()
         elif isinstance(arrival.sample, TextSample):
-            assert track.texts[index] == arrival.sample.text
+            assert series.texts[index] == arrival.sample.text
         else:
             for column, value in arrival.sample.scalars():
-                assert track.columns[column][index] == value
-    assert all(place[name] == len(track) for name, track in read.tracks.items())
+                assert series.columns[column][index] == value
+    assert all(place[name] == len(series) for name, series in read.time_series.items())
 
 
 def test_a_bad_message_among_good_ones_is_turned_away_alone(tmp_path: Path):
@@ -68,9 +68,9 @@ def test_a_bad_message_among_good_ones_is_turned_away_alone(tmp_path: Path):
     for index in range(20):
         made.add_raw(0.1 * index, topics.JUMP_MOTOR_COMMAND, spoilt.get(index, data))
     bag = read_bag(made.write(tmp_path / "bag"))
-    assert len(bag.tracks[topics.JUMP_MOTOR_COMMAND]) == 17
+    assert len(bag.time_series[topics.JUMP_MOTOR_COMMAND]) == 17
     assert bag.rejected == {topics.JUMP_MOTOR_COMMAND: 3}
-    reasons = " ".join(item.reason for item in bag.examples)
+    reasons = " ".join(item.reason for item in bag.rejected_examples)
     assert "finite" in reasons
     assert "JUMP_SCREW" in reasons
     assert "-5.0" in reasons
@@ -84,13 +84,13 @@ def assert_same_figures(full: Bag, thin: Bag) -> None:
             assert getattr(after[name], field) == pytest.approx(getattr(row, field)), (name, field)
 
 
-def test_thinned_tracks_keep_extremes_and_topics_their_figures(mission: Path):
-    full, thin = read_bag(mission), read_bag(mission, most=100)
+def test_thinned_time_series_keep_extremes_and_topics_their_figures(mission: Path):
+    full, thin = read_bag(mission), read_bag(mission, max_messages=100)
     assert thin.thinned
     assert not full.thinned
     assert_same_figures(full, thin)
     for name in (topics.TRUTH_BODY1, topics.LOAD_CELL, topics.TRUTH_ENERGY):
-        a, b = full.tracks[name], thin.tracks[name]
+        a, b = full.time_series[name], thin.time_series[name]
         assert len(b) <= 200
         assert len(b) == math.ceil(len(a) / b.stride)
         np.testing.assert_array_equal(b.time, a.time[:: b.stride])
@@ -103,32 +103,34 @@ def test_thinned_tracks_keep_extremes_and_topics_their_figures(mission: Path):
 
 
 def test_a_stretch_read_again_is_the_whole_truth(mission: Path):
-    full, thin = read_bag(mission), read_bag(mission, most=100)
-    body = full.tracks[topics.TRUTH_BODY1]
+    full, thin = read_bag(mission), read_bag(mission, max_messages=100)
+    body = full.time_series[topics.TRUTH_BODY1]
     spans = [(int(body.log_ns[a]), int(body.log_ns[b])) for a, b in ((100, 300), (250, 500))]
     parts = list(windows(thin, spans, [topics.TRUTH_BODY1]))
     assert len(parts) == 2
     for part, (begin, end) in zip(parts, spans, strict=True):
         inside = (body.log_ns >= begin) & (body.log_ns <= end)
-        track = part.tracks[topics.TRUTH_BODY1]
-        np.testing.assert_array_equal(track.time, body.time[inside])
+        series = part.time_series[topics.TRUTH_BODY1]
+        np.testing.assert_array_equal(series.time, body.time[inside])
         np.testing.assert_array_equal(
-            track.columns["position.z"], body.columns["position.z"][inside]
+            series.columns["position.z"], body.columns["position.z"][inside]
         )
 
 
 @pytest.mark.parametrize("bag", ["jumps", "mission"])
 def test_jumps_of_a_thinned_bag_are_measured_in_full(bag: str, request: pytest.FixtureRequest):
     path = request.getfixturevalue(bag)
-    full = survey(path, drawn=False).metrics
-    found = survey(path, drawn=False, most=40)
+    full = analyse_bag(path, with_drawings=False).metrics
+    found = analyse_bag(path, with_drawings=False, max_messages=40)
     assert found.bag.thinned
     assert len(found.metrics.jumps) == len(full.jumps)
     for thin, whole in zip(found.metrics.jumps, full.jumps, strict=True):
         for name, value in dataclasses.asdict(whole).items():
             if isinstance(value, float):
                 assert getattr(thin, name) == pytest.approx(value, abs=1e-9), name
-    assert [p.what for p in found.metrics.timeline.phases] == [p.what for p in full.timeline.phases]
+    assert [p.activity for p in found.metrics.timeline.intervals] == [
+        p.activity for p in full.timeline.intervals
+    ]
 
 
 def test_a_pass_shows_how_far_it_has_come(jumps: Path, capsys: pytest.CaptureFixture[str]):
@@ -143,4 +145,4 @@ def test_a_pass_shows_how_far_it_has_come(jumps: Path, capsys: pytest.CaptureFix
 
 def test_every_kind_of_number_has_a_layout(mission: Path):
     names = {name for name, row in TOPICS.items() if row.rate == 100.0}
-    assert len(names & set(read_bag(mission).tracks)) >= 8
+    assert len(names & set(read_bag(mission).time_series)) >= 8

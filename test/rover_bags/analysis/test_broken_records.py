@@ -9,7 +9,7 @@ from contract_bag import MadeUp, Parabola
 from made_up_mission import SHORT, SLIP, Leg, mission
 
 from msg_schemas import topics
-from rover_bags.analysis.activities import way_length
+from rover_bags.analysis.activities import path_length
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import TimelineEventKind
 from rover_bags.read import read_bag
@@ -22,7 +22,7 @@ def measured(made: MadeUp, folder: Path) -> Metrics:
 
 
 def shown(metrics: Metrics) -> list[str]:
-    return [phase.what.value for phase in metrics.timeline.phases]
+    return [interval.activity.value for interval in metrics.timeline.intervals]
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +39,14 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
 def test_each_of_two_runs_has_its_own_phases_and_instants(twice: Metrics):
     words = [leg.what for leg in SHORT]
     assert shown(twice) == [*words, *words]
-    kinds = [moment.what for moment in twice.timeline.moments]
+    kinds = [event.kind for event in twice.timeline.events]
     half = len(kinds) // 2
     assert kinds[:half] == kinds[half:]
     assert kinds.count(TimelineEventKind.TOUCHDOWN) == kinds.count(TimelineEventKind.LANDING) == 2
     assert [d.rate_m_s for d in twice.descents] == pytest.approx([0.25, 0.2], rel=0.01)
     assert len(twice.jumps) == 2
-    assert len(twice.travels) == 2
-    for travel in twice.travels:
+    assert len(twice.traverses) == 2
+    for travel in twice.traverses:
         assert travel.path_m == pytest.approx((1.0 - SLIP) * 0.6, rel=0.02)
 
 
@@ -54,9 +54,9 @@ def test_each_of_two_runs_has_its_own_energy_balance(twice: Metrics):
     energy = twice.audits.energy
     assert energy is not None
     assert energy.turnover_J == pytest.approx(2 * 3.5 * LENGTH, rel=0.01)
-    assert energy.missed_J == pytest.approx(1e-6 * LENGTH, rel=0.01)
-    assert len(energy.lines) == 2 * len(SHORT)
-    first, second = energy.lines[: len(SHORT)], energy.lines[len(SHORT) :]
+    assert energy.residual_J == pytest.approx(1e-6 * LENGTH, rel=0.01)
+    assert len(energy.intervals) == 2 * len(SHORT)
+    first, second = energy.intervals[: len(SHORT)], energy.intervals[len(SHORT) :]
     for one, other in zip(first, second, strict=True):
         assert one.input_J == pytest.approx(2.0 * (one.end_s - one.begin_s), rel=1e-6)
         assert other.input_J == pytest.approx(one.input_J, rel=1e-6)
@@ -87,9 +87,9 @@ def test_a_pause_of_the_record_ends_what_went_on_and_invents_nothing(tmp_path: P
     made.rows = [row for row in made.rows if not 5.0 < row[0] < 10.0]
     found = measured(made, tmp_path)
     assert shown(found) == ["hanging", "descending", "standing"]
-    assert found.timeline.phases[1].end_s == pytest.approx(5.0, abs=0.05)
-    assert found.timeline.phases[2].begin_s == pytest.approx(10.0, abs=0.05)
-    assert found.timeline.moments == ()  # the touchdown was not seen
+    assert found.timeline.intervals[1].end_s == pytest.approx(5.0, abs=0.05)
+    assert found.timeline.intervals[2].begin_s == pytest.approx(10.0, abs=0.05)
+    assert found.timeline.events == ()  # the touchdown was not seen
 
 
 def test_a_sensor_that_falls_silent_goes_on_with_nothing(tmp_path: Path):
@@ -107,7 +107,7 @@ def test_a_missing_sample_of_one_body_gives_no_momentum(tmp_path: Path):
         row for row in made.rows if row[1] != topics.TRUTH_BODY2 or not 4.5 < row[0] < 4.53
     ]
     (flight,) = measured(made, tmp_path).audits.flights
-    assert flight.gained_N_s < 1e-9
+    assert flight.momentum_change_N_s < 1e-9
 
 
 def test_a_brake_is_judged_by_simulated_time(tmp_path: Path):
@@ -117,10 +117,10 @@ def test_a_brake_is_judged_by_simulated_time(tmp_path: Path):
     made.rows = [(row[0] / 50.0, *row[1:]) for row in made.rows]
     found = measured(made, tmp_path)
     assert "descending" in shown(found)
-    assert [m for m in found.timeline.moments if m.what is TimelineEventKind.FAULT] == []
+    assert [m for m in found.timeline.events if m.kind is TimelineEventKind.FAULT] == []
 
 
 def test_the_way_up_a_slope_is_longer_than_its_plan():
     time = np.linspace(0.0, 5.0, 251)
     way = np.stack([0.3 * time, np.zeros_like(time), 0.4 * time], axis=1)
-    assert way_length(time, way) == pytest.approx(2.5)
+    assert path_length(time, way) == pytest.approx(2.5)

@@ -260,7 +260,7 @@ def test_columns_follow_the_contract(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=1.2)
     bag = read_bag(made.write(tmp_path / "bag"))
-    body = bag.tracks[topics.TRUTH_BODY1]
+    body = bag.time_series[topics.TRUTH_BODY1]
     paths = {field.path for field in TOPICS[topics.TRUTH_BODY1].fields}
     assert set(body.columns) == paths
     assert len(body) == 121
@@ -269,14 +269,14 @@ def test_columns_follow_the_contract(tmp_path: Path):
     poses = np.array([Parabola().at(time)[0] for time in body.time])
     np.testing.assert_allclose(moved.position[:, [0, 2]], poses[:, :2], atol=1e-12)
     np.testing.assert_allclose(moved.theta, poses[:, 2], atol=1e-12)
-    tether = bag.tracks[topics.TRUTH_TETHER]
+    tether = bag.time_series[topics.TRUTH_TETHER]
     assert tether.nodes is not None
     assert tether.nodes.shape == (61, 6, 7)
     assert bag.scenario["name"] == "made up"
     assert bag.seed == 7
 
 
-def test_requests_of_several_kinds_stand_in_one_track(tmp_path: Path):
+def test_requests_of_several_kinds_stand_in_one_series(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
     for time, joint, value in (
@@ -285,7 +285,7 @@ def test_requests_of_several_kinds_stand_in_one_track(tmp_path: Path):
         (0.3, WINCH_TO_LENGTH, JointValue(10.0, 0.0, 0.0)),
     ):
         made.add(time, topics.WINCH_REQUEST, JointSample(ns(time), {joint: value}))
-    requests = read_bag(made.write(tmp_path / "bag")).tracks[topics.WINCH_REQUEST]
+    requests = read_bag(made.write(tmp_path / "bag")).time_series[topics.WINCH_REQUEST]
     lengths = requests.columns[f"{WINCH_TO_LENGTH}.position"]
     rates = requests.columns[f"{WINCH_AT_RATE}.velocity"]
     np.testing.assert_array_equal(lengths, [12.0, math.nan, 10.0])
@@ -297,7 +297,7 @@ def test_world_velocity_is_the_twist_turned_by_the_attitude(tmp_path: Path):
     pose, rates = np.array([0.0, 0.0, 0.9]), np.array([0.3, -1.2, 2.0])
     for time in (0.0, 0.1):
         made.add(time, topics.TRUTH_BODY1, odometry(time, pose, rates))
-    moved = jumps.motion(read_bag(made.write(tmp_path / "bag")).tracks[topics.TRUTH_BODY1])
+    moved = jumps.motion(read_bag(made.write(tmp_path / "bag")).time_series[topics.TRUTH_BODY1])
     np.testing.assert_allclose(moved.velocity[0], [0.3, 0.0, -1.2], atol=1e-12)
     np.testing.assert_allclose(moved.theta_rate, 2.0)
 
@@ -313,9 +313,9 @@ def test_a_message_that_breaks_the_contract_is_counted_and_named(tmp_path: Path)
     made.add_raw(0.3, topics.JUMP_MOTOR_COMMAND, bytes(data))
     made.add_raw(0.4, topics.JUMP_MOTOR_COMMAND, bytes(data[:40]))
     bag = read_bag(made.write(tmp_path / "bag"))
-    assert len(bag.tracks[topics.JUMP_MOTOR_COMMAND]) == 1
+    assert len(bag.time_series[topics.JUMP_MOTOR_COMMAND]) == 1
     assert bag.rejected == {topics.JUMP_MOTOR_COMMAND: 2}
-    assert "nan" in bag.examples[0].reason
+    assert "nan" in bag.rejected_examples[0].reason
     assert measure(bag).topics[topics.JUMP_MOTOR_COMMAND].rejected == 2
 
 
@@ -337,7 +337,9 @@ def test_several_rovers_in_one_bag_want_a_choice(tmp_path: Path):
                 writer.write(channel, EPOCH_NS + step, EPOCH_NS + step, data)
     with pytest.raises(ReadError, match="/rover1, /rover2"):
         read_bag(tmp_path / "bag")
-    assert len(read_bag(tmp_path / "bag", namespace="/rover2").tracks[topics.TRUTH_BODY1]) == 20
+    assert (
+        len(read_bag(tmp_path / "bag", namespace="/rover2").time_series[topics.TRUTH_BODY1]) == 20
+    )
 
 
 def test_a_bag_without_a_clock_counts_from_its_start(tmp_path: Path):

@@ -27,13 +27,13 @@ def metrics(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
 
 
 def test_every_activity_is_found_where_it_is(metrics: Metrics):
-    found = [(phase.what.value, phase.begin_s) for phase in metrics.timeline.phases]
+    found = [(interval.activity.value, interval.begin_s) for interval in metrics.timeline.intervals]
     assert [what for what, _ in found] == [leg.what for leg in MISSION]
     np.testing.assert_allclose([at for _, at in found], BEGINS[:-1], atol=0.05)
 
 
 def test_the_instants_between_them_are_told(metrics: Metrics):
-    found = {moment.what: moment.time_s for moment in metrics.timeline.moments}
+    found = {event.kind: event.time_s for event in metrics.timeline.events}
     assert found[TimelineEventKind.TOUCHDOWN] == pytest.approx(BEGINS[6], abs=0.05)
     assert found[TimelineEventKind.LATCH_TRIP] == pytest.approx(BEGINS[13], abs=0.05)
     assert found[TimelineEventKind.TAKE_OFF] == pytest.approx(BEGINS[13], abs=0.05)
@@ -50,7 +50,7 @@ def test_a_descent_has_the_figures_of_its_drum_and_tension(metrics: Metrics):
     assert first.depth_to_m is not None
     assert first.depth_from_m is not None
     assert first.depth_to_m - first.depth_from_m == pytest.approx(2.0, abs=0.01)
-    assert first.deviation_m == pytest.approx(0.002, abs=1e-9)
+    assert first.tracking_error_m == pytest.approx(0.002, abs=1e-9)
     assert first.ripple == pytest.approx(RIPPLE / math.sqrt(2.0), rel=0.05)
     assert first.swing_max_rad == pytest.approx(0.0, abs=1e-9)
 
@@ -63,9 +63,9 @@ def test_a_drive_has_its_way_and_its_slip(metrics: Metrics):
     assert drive.slip == pytest.approx(SLIP, abs=0.01)
     assert turn.turning
     assert turn.heading_rad == pytest.approx(3.0 * 0.5, rel=0.02)
-    (travel,) = metrics.travels
+    (travel,) = metrics.traverses
     assert travel.drives == 2
-    assert travel.closing_m == pytest.approx((1.0 - SLIP) * way, rel=0.02)
+    assert travel.closing_distance_m == pytest.approx((1.0 - SLIP) * way, rel=0.02)
 
 
 def test_a_jump_over_the_ground_has_range_and_attitude(metrics: Metrics):
@@ -74,15 +74,15 @@ def test_a_jump_over_the_ground_has_range_and_attitude(metrics: Metrics):
     assert jump.flight_time_s == pytest.approx(1.2, abs=0.03)
     assert jump.jump_height_m == pytest.approx(UP**2 / (2.0 * GRAVITY), rel=0.03)
     assert jump.range_m == pytest.approx(FORWARD * 1.2, rel=0.03)
-    assert jump.turned_rad == pytest.approx(0.0, abs=1e-6)
+    assert jump.rotation_rad == pytest.approx(0.0, abs=1e-6)
     assert jump.tilt_rad == pytest.approx(0.0, abs=1e-6)
 
 
 def test_pictures_count_where_the_rover_hangs_and_sees_the_wall(metrics: Metrics):
-    assert len(metrics.exposures) == 3
-    assert [stop.sharp for stop in metrics.exposures] == [1.0, 0.0, 0.0]
-    assert metrics.exposures[0].pictures == pytest.approx(30, abs=1)
-    assert metrics.exposures[0].wall_m == 3.0
+    assert len(metrics.imaging_stops) == 3
+    assert [stop.sharp for stop in metrics.imaging_stops] == [1.0, 0.0, 0.0]
+    assert metrics.imaging_stops[0].images == pytest.approx(30, abs=1)
+    assert metrics.imaging_stops[0].wall_m == 3.0
 
 
 def test_pictures_that_a_descent_has_logged_are_mapped(tmp_path: Path):
@@ -101,7 +101,7 @@ def test_pictures_that_a_descent_has_logged_are_mapped(tmp_path: Path):
     bag = read_bag(made.write(tmp_path / "bag"))
     found = measure(bag)
     assert found.coverage is not None
-    assert (found.coverage.pictures, found.coverage.sharp, found.coverage.stops) == (3, 2, 3)
+    assert (found.coverage.images, found.coverage.sharp, found.coverage.stops) == (3, 2, 3)
     assert found.to_mapping()["coverage"]["smeared"] == 1
     assert "coverage" in [plot.name for plot in run_plots(bag, found)]
 
@@ -111,27 +111,27 @@ def test_the_audits_add_up_what_is_recorded(metrics: Metrics):
     assert energy is not None
     span = BEGINS[-1]
     assert energy.turnover_J == pytest.approx(3.5 * span, rel=0.01)
-    assert energy.missed_J == pytest.approx(1e-6 * span, rel=0.01)
-    assert energy.energy_error_J < 1e-9
+    assert energy.residual_J == pytest.approx(1e-6 * span, rel=0.01)
+    assert energy.drift_error_J < 1e-9
     assert energy.gravity_error_J is None
-    descent = energy.lines[1]
+    descent = energy.intervals[1]
     assert descent.input_J == pytest.approx(2.0 * 8.0, rel=0.01)
     assert descent.stored_J == pytest.approx(0.5 * 8.0, rel=0.01)
     flywheel = metrics.audits.rotors[0]
-    assert flywheel.largest_N_m_s == pytest.approx(0.15)
+    assert flywheel.momentum_max_N_m_s == pytest.approx(0.15)
     assert flywheel.share == pytest.approx(0.5)
     (flight,) = metrics.audits.flights
     # Falling freely nothing but gravity changes the momentum.
-    assert flight.gained_N_s < 1e-9
+    assert flight.momentum_change_N_s < 1e-9
     assert flight.unexplained_N_s is not None
     assert flight.unexplained_N_s < 1e-9
-    assert any("gravity" in text for text in metrics.audits.lacking)
+    assert any("gravity" in text for text in metrics.audits.not_audited)
 
 
 def test_a_brake_that_closes_on_a_turning_drum_is_a_fault(tmp_path: Path):
     legs = (Leg("hanging", 1.0), Leg("descending", 4.0, 0.3), Leg("hanging", 2.0))
     bag = read_bag(write_mission(tmp_path / "bag", legs=legs, brake_at=3.0))
-    faults = [m for m in measure(bag).timeline.moments if m.what is TimelineEventKind.FAULT]
+    faults = [m for m in measure(bag).timeline.events if m.kind is TimelineEventKind.FAULT]
     assert len(faults) == 1
     assert faults[0].time_s == pytest.approx(3.0, abs=0.03)
     assert "0.300 m/s" in faults[0].reason
@@ -144,7 +144,7 @@ def test_a_short_trim_of_the_drum_is_no_descent(tmp_path: Path):
         Leg("hanging", 2.0),
     )
     bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
-    assert [phase.what.value for phase in measure(bag).timeline.phases] == ["hanging"]
+    assert [interval.activity.value for interval in measure(bag).timeline.intervals] == ["hanging"]
 
 
 def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(tmp_path: Path):
@@ -167,7 +167,7 @@ def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(
         Leg("descending", 5.0, 0.1),
     )
     bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
-    found = [phase.what.value for phase in measure(bag).timeline.phases]
+    found = [interval.activity.value for interval in measure(bag).timeline.intervals]
     assert found == [
         "hanging", "descending", "hanging", "ascending", "hanging", "descending",
     ]  # fmt: skip
@@ -190,7 +190,7 @@ def test_an_ascent_that_descents_undo_is_a_travel_where_no_swing_asks_for_it(
         Leg("hanging", 2.0),
     )
     bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
-    assert [phase.what.value for phase in measure(bag).timeline.phases] == [
+    assert [interval.activity.value for interval in measure(bag).timeline.intervals] == [
         leg.what for leg in legs
     ]
 
@@ -200,7 +200,7 @@ def test_a_bag_without_switches_or_phase_has_no_activities(tmp_path: Path):
     absent = (topics.TRUTH_PHASE, topics.CONTACT)
     made.jumps([Parabola()], until=1.8, without=absent)
     found = measure(read_bag(made.write(tmp_path / "bag")))
-    assert found.timeline.phases == ()
+    assert found.timeline.intervals == ()
     assert len(found.jumps) == 1
 
 

@@ -1,4 +1,4 @@
-"""Wall coverage: figures against closed forms, the drawing, and the way from a bag's track."""
+"""Wall coverage: figures against closed forms, the drawing, and the way from a bag's series."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_picture_covers_its_view_on_the_wall_at_its_distance():
     assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
     assert found.headings == pytest.approx(VIEW.width, abs=math.radians(0.6))
     assert found.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
-    assert (found.pictures, found.sharp, found.stops) == (1, 1, 1)
+    assert (found.images, found.sharp, found.stops) == (1, 1, 1)
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi, -math.pi + 0.1, 40.0])
@@ -62,7 +62,7 @@ def test_what_is_seen_twice_counts_once_and_halves_overlap_by_half():
 def test_only_sharp_pictures_cover_and_stops_are_told_apart():
     seen = pictures((10.0, 0.0, 0.2), (10.01, 0.0, 0.9), (20.0, 0.0, math.nan), (20.0, 1.0, 0.4))
     found = measure_coverage(seen, VIEW)
-    assert (found.pictures, found.sharp, found.smeared, found.unknown) == (4, 2, 1, 1)
+    assert (found.images, found.sharp, found.smeared, found.unknown) == (4, 2, 1, 1)
     assert found.stops == 2
     assert (found.depth_first, found.depth_last) == (10.0, 20.0)
     assert found.area == pytest.approx(2.0 * WIDE * HIGH, rel=0.03)
@@ -80,7 +80,7 @@ def test_where_no_wall_was_measured_the_view_s_own_distance_holds(told: float):
 
 def test_without_pictures_there_is_nothing_to_tell_or_draw():
     found = measure_coverage(pictures(), VIEW)
-    assert found.pictures == found.stops == 0
+    assert found.images == found.stops == 0
     assert math.isnan(found.share)
     assert found.summary == "no pictures of the wall"
     assert draw_coverage(pictures(), VIEW) is None
@@ -112,12 +112,12 @@ def test_a_track_without_the_camera_s_words_is_read_too():
     )  # fmt: skip
     columns = {path: np.array([value]) for path, value in sample.scalars()}
     stamps = np.array([0], dtype=np.int64)
-    track = TimeSeries(topics.DESCENT_OBSERVATION, "", np.array([5.0]), stamps, stamps, columns)
-    seen = observations_of(track)
+    series = TimeSeries(topics.DESCENT_OBSERVATION, "", np.array([5.0]), stamps, stamps, columns)
+    seen = observations_of(series)
     assert (seen.time[0], seen.depth[0], seen.heading[0]) == (5.0, 10.0, 0.2)
     assert seen.camera_rate[0] == 1e-3
     assert math.isnan(seen.smear[0])
     columns.update({f"{SMEAR}.position": np.array([0.3])})
     columns.update({f"{WALL_DISTANCE}.position": np.array([2.5])})
-    seen = observations_of(track)
+    seen = observations_of(series)
     assert (seen.smear[0], seen.wall_distance[0]) == (0.3, 2.5)

@@ -1,7 +1,7 @@
-"""A bag of any length read, measured and drawn within bounded memory.
+"""Read, measure and draw a bag of any length in bounded memory.
 
-A bag whose tracks had to be thinned is gone through a second time for its jumps: each is read in
-full, measured, drawn where it is among the first, and let go.
+If time series had to be thinned, a second pass reads each jump in full, measures it, draws the
+first few and releases the data.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from msg_schemas import topics
 from rover_bags.analysis.audits import FlightAudit, flight_audits
 from rover_bags.analysis.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
 from rover_bags.analysis.metrics import Metrics, measure
-from rover_bags.analysis.timeline import Phase, Timeline
+from rover_bags.analysis.timeline import ActivityInterval, Timeline
 from rover_bags.read import Bag, Progress, read_bag, windows
 from rover_bags.views.animation import LEAD, TRAIL, Scene, scene_of
 from rover_bags.views.plots import Plot, bag_plots, jump_plots
 from rover_bags.views.run_plots import run_plots
 from rover_bags.views.spatial_scene import spatial_scene
 
-MOST: Final = 1 << 15
-"""Messages that a track holds before it is thinned, at least."""
+MAX_MESSAGES: Final = 1 << 15
+"""Smallest number of messages that a series holds before it is thinned."""
 SHOWN_IN_FULL: Final = 6
-"""So many jumps get plots and an animation of their own; the table has all."""
+"""Number of jumps with plots and an animation of their own; the table lists all."""
 _AROUND_NS: Final = 3_000_000_000
 _OF_JUMPS: Final = (
     topics.TRUTH_BODY1,
@@ -41,20 +41,20 @@ _OF_JUMPS: Final = (
     topics.CONTACT,
 )
 
-Reading = Callable[[Path, str], Progress]
-"""Gives the progress bar of one pass over a bag: its path and what the pass is for."""
+ProgressFactory = Callable[[Path, str], Progress]
+"""Creates the progress callback of one pass, from the bag's path and the name of the pass."""
 
 
 @dataclass(frozen=True)
 class Drawings:
-    """Everything drawn for a report: made once, used by the page and the files.
+    """All drawings of a report, shared by the page and the files.
 
     Attributes:
-        scenes: What moves, by jump.
-        plots: Plots by jump.
-        run: What moves in the whole bag, where it has no jump or is of a run in space.
-        overall: Plots of the whole bag.
-        recording: Plots of how the topics came.
+        scenes: Animated scene of each jump.
+        plots: Plots of each jump.
+        run: Animated scene of the whole bag, of a spatial run or of a bag without a jump.
+        overall: Plots of the whole run.
+        recording: Plots of the topics' rates and gaps.
     """
 
     scenes: tuple[Scene | None, ...]
@@ -65,41 +65,41 @@ class Drawings:
 
 
 @dataclass(frozen=True)
-class Survey:
-    """A bag with all that is told of it."""
+class BagAnalysis:
+    """A bag with its metrics and, if requested, its drawings."""
 
     bag: Bag
     metrics: Metrics
     drawings: Drawings | None
 
 
-def survey(
+def analyse_bag(
     path: Path,
     *,
     namespace: str | None = None,
-    drawn: bool = True,
-    reading: Reading | None = None,
-    most: int = MOST,
-) -> Survey:
+    with_drawings: bool = True,
+    progress_factory: ProgressFactory | None = None,
+    max_messages: int = MAX_MESSAGES,
+) -> BagAnalysis:
     """Read, measure and draw a bag.
 
     Args:
-        path: Its folder, or one of its files.
-        namespace: Which rover, where the bag holds several.
-        drawn: Whether drawings are wanted.
-        reading: Makes the progress bar of a pass.
-        most: Messages that a track holds before it is thinned, at least.
+        path: The bag's folder, or one of its files.
+        namespace: Namespace of the rover, if the bag holds several.
+        with_drawings: Whether to make drawings.
+        progress_factory: Creates the progress callback of a pass.
+        max_messages: Smallest number of messages that a series holds before it is thinned.
 
     Raises:
-        BagError: It cannot be read.
+        BagError: The bag cannot be read.
     """
-    progress = reading(path, "reading") if reading is not None else None
-    bag = read_bag(path, namespace=namespace, most=most, progress=progress)
+    progress = progress_factory(path, "reading") if progress_factory is not None else None
+    bag = read_bag(path, namespace=namespace, max_messages=max_messages, progress=progress)
     metrics = measure(bag)
     spans = _spans(bag, metrics.timeline)
     if not bag.thinned or not spans:
-        return Survey(bag, metrics, draw(bag, metrics) if drawn else None)
-    progress = reading(path, "jumps") if reading is not None else None
+        return BagAnalysis(bag, metrics, draw(bag, metrics) if with_drawings else None)
+    progress = progress_factory(path, "jumps") if progress_factory is not None else None
     jumps: list[Jump] = []
     audits: list[FlightAudit] = []
     scenes: list[Scene | None] = []
@@ -110,26 +110,26 @@ def survey(
         found = list(jumps_of(part, metrics.events, timeline))
         if not found:
             continue
-        # The stretch may hold others, too.
+        # The time window may hold other jumps.
         jump = min(found, key=partial(_apart, flight.begin_s))
         jumps.append(jump)
         audits += flight_audits(part, timeline)
-        if drawn and len(jumps) <= SHOWN_IN_FULL:
+        if with_drawings and len(jumps) <= SHOWN_IN_FULL:
             scene = _jump_scene(part, jump)
             scenes.append(scene)
             plots.append(tuple(jump_plots(part, jump, scene)))
-            gc.collect()  # figures are rings of references, and each is large
+            gc.collect()  # matplotlib figures are large and form reference cycles
     metrics = replace(
         metrics, jumps=tuple(jumps), audits=replace(metrics.audits, flights=tuple(audits))
     )
-    if not drawn:
-        return Survey(bag, metrics, None)
+    if not with_drawings:
+        return BagAnalysis(bag, metrics, None)
     drawings = _overall(bag, metrics)
-    return Survey(bag, metrics, replace(drawings, scenes=tuple(scenes), plots=tuple(plots)))
+    return BagAnalysis(bag, metrics, replace(drawings, scenes=tuple(scenes), plots=tuple(plots)))
 
 
 class _Flight(NamedTuple):
-    """Where a flight is: log times around it, when it began, and a timeline of it alone."""
+    """Log times [ns] around a flight, its start [s], and a timeline of this flight only."""
 
     span: tuple[int, int]
     begin_s: float
@@ -141,36 +141,42 @@ def _apart(begin_s: float, jump: Jump) -> float:
 
 
 def _spans(bag: Bag, timeline: Timeline) -> list[_Flight]:
-    track = bag.track(topics.TRUTH_BODY1)
-    if track is None or len(track) < 3:
+    series = bag.series(topics.TRUTH_BODY1)
+    if series is None or len(series) < 3:
         return []
     found = []
     if is_spatial(bag):
-        for phase, _ in jumped(timeline):
-            alone = replace(timeline, phases=tuple(_around(timeline, phase.log_begin)))
-            span = (phase.log_begin - _AROUND_NS, phase.log_end + _AROUND_NS)
-            found.append(_Flight(span, phase.begin_s, alone))
+        for interval, _ in jumped(timeline):
+            alone = replace(timeline, intervals=tuple(_around(timeline, interval.log_begin)))
+            span = (interval.log_begin - _AROUND_NS, interval.log_end + _AROUND_NS)
+            found.append(_Flight(span, interval.begin_s, alone))
     else:
-        for first, last, _ in flights(bag, motion(track)):
-            after = min(last + 1, len(track) - 1)
-            begin, end = int(track.log_ns[first]), int(track.log_ns[after])
+        for first, last, _ in flights(bag, motion(series)):
+            after = min(last + 1, len(series) - 1)
+            begin, end = int(series.log_ns[first]), int(series.log_ns[after])
             span = (begin - _AROUND_NS, end + _AROUND_NS)
-            found.append(_Flight(span, float(track.time[first]), timeline))
+            found.append(_Flight(span, float(series.time[first]), timeline))
     return found
 
 
-def _around(timeline: Timeline, log_begin: int) -> list[Phase]:
-    """The flight that begins at a log time, and the phases beside it."""
-    index = next(i for i, phase in enumerate(timeline.phases) if phase.log_begin == log_begin)
-    kept = timeline.phases[max(0, index - 1) : index + 2]
-    return [p for p in kept if p.log_begin == log_begin or p.what != timeline.phases[index].what]
+def _around(timeline: Timeline, log_begin: int) -> list[ActivityInterval]:
+    """The flight that begins at a log time, and its neighbouring intervals."""
+    index = next(
+        i for i, interval in enumerate(timeline.intervals) if interval.log_begin == log_begin
+    )
+    kept = timeline.intervals[max(0, index - 1) : index + 2]
+    return [
+        p
+        for p in kept
+        if p.log_begin == log_begin or p.activity != timeline.intervals[index].activity
+    ]
 
 
 # --- drawings -------------------------------------------------------------------------------------
 
 
 def draw(bag: Bag, metrics: Metrics) -> Drawings:
-    """Draws the first jumps and the whole of a bag that is held in full."""
+    """Draw the first jumps and the whole run of a bag that is held in full."""
     jumps = metrics.jumps[:SHOWN_IN_FULL]
     scenes = tuple(_jump_scene(bag, jump) for jump in jumps)
     plots = tuple(
