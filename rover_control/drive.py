@@ -1,8 +1,8 @@
-"""Driving as a service to operators: what the follower of goals needs around it. Pure.
+"""Drive controller: requests, interlocks and supervision around the goal follower. Pure.
 
-Requests are refused at the boundary, with the reason: what the mechanism cannot do, a goal that the
-tether does not reach, a rover that hangs, jumps or is held by its descent, a winch that is not
-armed, sensors that are silent. While something is driven, the same end it.
+A request is refused with the reason if the mechanism cannot do it, the tether does not reach the
+goal, the rover hangs, jumps or is under descent control, the winch is not armed, or a sensor is
+stale. While the rover drives, the same conditions stop it.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from rover_control.drive_attitude import ROLLOVER_TILT
 from rover_control.drive_follower import (
     DriveFollower,
     DrivePhase,
+    FollowerInput,
     FollowerParameters,
-    Sensed,
 )
 from rover_control.drive_odometry import DriveOdometry, OdometryParameters, Tether
 from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters
-from rover_control.drive_tether import TetherCare, TetherParameters, TetherRequest
+from rover_control.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive_watch import DriveWatch, WatchParameters
 from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 _NANO = 1e9
-_LONGEST_STEP = 0.2  # of the controller [s]
-_ROLLS = 1.5e-3  # turn of a wheel that is no noise of its encoder [rad]
+_MAX_STEP = 0.2  # upper bound of the controller's time step [s]
+_ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
 _JUMPING = frozenset(
     {"compressing", "settling", "releasing", "flight", "landed", "hooking", "letting_down"}
 )
-_STEERING_LASTS = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
+_STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class DriveParameters:
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """All parameters of driving."""
+    """All parameters of the drive controller."""
 
     drive: DriveParameters = field(default_factory=DriveParameters)
     chassis: ChassisParameters = field(default_factory=ChassisParameters)
@@ -84,15 +84,15 @@ class DriveSettings:
     tether: TetherParameters = field(default_factory=TetherParameters)
 
 
-class Drives(NamedTuple):
-    """What to send now; None = nothing."""
+class DriveCommands(NamedTuple):
+    """Commands of one step; None = no command."""
 
-    wheel_rate: float | None = None  # of the left wheel [rad/s]
+    wheel_rate: float | None = None  # rate of the left wheel [rad/s]
     winch: TetherRequest | None = None
 
 
 class Drive:
-    """The controller with its supervision.
+    """Drive controller with supervision.
 
     Args:
         settings: all parameters.
@@ -108,58 +108,60 @@ class Drive:
             DrivePlanner(self.kinematics, settings.planner),
             DriveWatch(settings.watch),
         )
-        self.tether = TetherCare(settings.tether)
-        self.torque = 0.0  # at the wheels [N m]
+        self.tether = TetherControl(settings.tether)
+        self.torque = 0.0  # wheel torque, low-pass filtered [N m]
         self._rates = (0.0, 0.0)
         self._angles: tuple[float, float, float] | None = None  # left, right [rad], time [s]
-        self._still = (0.0, 0.0, 0.0)  # angles at the last motion [rad], and its time [s]
-        self._forward = 0.0  # acceleration along base_link x, gravity taken off [m/s^2]
-        self._heard: dict[str, float] = {}
-        self._silent_steps = 0
+        self._still = (0.0, 0.0, 0.0)  # wheel angles at the last motion [rad], its time [s]
+        self._forward = 0.0  # acceleration along base_link x without gravity [m/s^2]
+        self._received_at: dict[str, float] = {}
+        self._stale_steps = 0
         self._off_floor: float | None = None
         self._steered_at = -math.inf
         self._stepped: float | None = None
         self._jump = self._descent = ""
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def phase(self) -> DrivePhase:
-        """What is done."""
+        """Present phase."""
         return self.follower.phase
 
     @property
     def is_busy(self) -> bool:
-        """Whether the rover is driven."""
+        """Whether the rover is driving."""
         return not self.phase.is_over
 
     @property
     def is_on_floor(self) -> bool:
-        """Whether the rover touches the floor, as far as was heard."""
-        return topics.CONTACT in self._heard and self._off_floor is None
+        """Whether the contact switch reports the floor."""
+        return topics.CONTACT in self._received_at and self._off_floor is None
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics that are silent."""
+        """Topics of stale inputs at a time [ns]."""
         now, p = now_ns / _NANO, self.settings.drive
         needed = [topics.IMU, topics.WHEEL_STATE, topics.CONTACT, topics.MOTOR_CURRENTS]
         if self.settings.tether.uses_winch:
             needed.append(topics.WINCH_ESTIMATE)
-        silent = tuple(
-            name for name in needed if now - self._heard.get(name, -math.inf) > p.sensor_timeout
+        stale = tuple(
+            name
+            for name in needed
+            if now - self._received_at.get(name, -math.inf) > p.sensor_timeout
         )
         if self.settings.tether.uses_winch and not self.tether.mode:
-            silent = (*silent, topics.WINCH_MODE)
-        return silent
+            stale = (*stale, topics.WINCH_MODE)
+        return stale
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call and clear them."""
         return self.follower.take_changes()
 
-    # --- sensors ---------------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Take a reading of the IMU."""
-        self._heard[topics.IMU] = now_ns / _NANO
+        """Process an IMU sample."""
+        self._received_at[topics.IMU] = now_ns / _NANO
         odometry, gravity = self.odometry, self.settings.drive.drive_gravity
         odometry.on_gyro(
             sample.angular_velocity,
@@ -170,14 +172,14 @@ class Drive:
         self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
-        """Take angles and rates of the wheels."""
-        self._heard[topics.WHEEL_STATE] = now_ns / _NANO
+        """Process angles and rates of the wheels."""
+        self._received_at[topics.WHEEL_STATE] = now_ns / _NANO
         left, right = sample.joints[WHEEL_LEFT], sample.joints[WHEEL_RIGHT]
         self._rates = (left.velocity, right.velocity)
         now = (sample.stamp_ns or now_ns) / _NANO
         before, self._angles = self._angles, (left.position, right.position, now)
         moved = max(abs(left.position - self._still[0]), abs(right.position - self._still[1]))
-        if moved > _ROLLS:
+        if moved > _ENCODER_NOISE:
             self._still = (left.position, right.position, now)
         if before is not None and now > before[2] and self.is_on_floor:
             self.odometry.on_wheels(
@@ -188,26 +190,26 @@ class Drive:
             )
 
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
-        """Take the motors' currents; the wheel motor's counts."""
-        self._heard[topics.MOTOR_CURRENTS] = now_ns / _NANO
+        """Process the motor currents; the wheel motor's gives the wheel torque."""
+        self._received_at[topics.MOTOR_CURRENTS] = now_ns / _NANO
         current = sample.joints[WHEEL_MOTOR].effort
         self.torque += 0.1 * (current * self.settings.drive.torque_per_ampere - self.torque)
 
     def on_contact(self, sample: JointSample, now_ns: int) -> None:
-        """Take the contact switches; the floor's counts."""
-        now = self._heard[topics.CONTACT] = now_ns / _NANO
+        """Process the contact switches; only the floor's is used."""
+        now = self._received_at[topics.CONTACT] = now_ns / _NANO
         if sample.joints[FLOOR_SWITCH].position >= 0.5:
             self._off_floor = None
         elif self._off_floor is None:
             self._off_floor = now
 
     def on_winch_mode(self, mode: str) -> None:
-        """Take what the winch is doing."""
+        """Process the winch mode."""
         self.tether.on_mode(mode)
 
     def on_winch_estimate(self, sample: JointSample, now_ns: int) -> None:
-        """Take what the winch makes of its sensors."""
-        self._heard[topics.WINCH_ESTIMATE] = now_ns / _NANO
+        """Process the winch estimate."""
+        self._received_at[topics.WINCH_ESTIMATE] = now_ns / _NANO
         payout, tension = sample.joints[PAYOUT], sample.joints[TENSION]
         weight = sample.joints[TETHER_OUT].effort
         known = tension.position >= 0.5
@@ -219,40 +221,40 @@ class Drive:
 
     @property
     def is_in_turn(self) -> bool:
-        """Whether the rover turns: then the attachment moves and the way does not count it."""
+        """Whether the rover turns: the tether attachment then moves without odometric travel."""
         return self.follower.rate < 0.0
 
     def on_jump(self, phase: str) -> None:
-        """Take what the jump is doing."""
+        """Process the jump phase."""
         self._jump = phase
 
     def on_descent(self, phase: str) -> None:
-        """Take what the descent is doing: it uses the same wheels and winch."""
+        """Process the descent phase: the descent uses the same wheels and winch."""
         self._descent = phase
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
-    def place(self, sample: PoseSample) -> None:
-        """Take where the rover stands.
+    def set_pose(self, sample: PoseSample) -> None:
+        """Set the pose of the rover in map.
 
         Raises:
-            Refusal: it drives.
+            Refusal: the rover is driving.
         """
         if self.is_busy:
             raise Refusal(
                 topics.DRIVE_START,
                 RefusalCode.WRONG_PHASE,
-                f"the rover drives ({self.phase}); {topics.DRIVE_STOP} ends that",
+                f"the rover is driving ({self.phase}); call {topics.DRIVE_STOP} first",
             )
         goal = goal_of(sample)
-        heading = goal.heading if goal.wants_heading else 0.0
-        self.odometry.place(GroundPose(goal.x, goal.y, heading), knows_heading=goal.wants_heading)
+        heading = goal.heading if goal.has_heading else 0.0
+        self.odometry.set_pose(GroundPose(goal.x, goal.y, heading), knows_heading=goal.has_heading)
 
     def request(self, sample: PoseSample, now_ns: int) -> None:
         """Drive to a pose.
 
         Raises:
-            Refusal: it cannot be reached, or not now.
+            Refusal: the pose is out of reach, or the rover is not ready.
         """
         self._drive_to(topics.DRIVE_GOAL, (goal_of(sample),), now_ns)
 
@@ -260,13 +262,13 @@ class Drive:
         """Drive through poses.
 
         Raises:
-            Refusal: there is none, one cannot be reached, or not now.
+            Refusal: the path is empty, a pose is out of reach, or the rover is not ready.
         """
         if not sample.poses:
             raise Refusal(
                 topics.DRIVE_PATH,
                 RefusalCode.WRONG_LENGTH,
-                "poses are none, one at least is needed",
+                "the path has no poses; send at least one",
             )
         self._drive_to(topics.DRIVE_PATH, tuple(map(goal_of, sample.poses)), now_ns)
 
@@ -277,10 +279,10 @@ class Drive:
         self.follower.drive_to(goals, now_ns / _NANO)
 
     def steer(self, sample: TwistSample, now_ns: int) -> None:
-        """Drive as a twist says, until it is not renewed.
+        """Drive at a twist of base_link until the twist times out.
 
         Raises:
-            Refusal: the mechanism cannot, it is too fast, or not now.
+            Refusal: the mechanism cannot, a limit is exceeded, or the rover is not ready.
         """
         forward, turn = sample.linear[0], sample.angular[2]
         rate = self.kinematics.wheel_rate(forward, turn)
@@ -293,14 +295,14 @@ class Drive:
                 raise Refusal(
                     topics.CMD_VEL,
                     RefusalCode.OUT_OF_LIMITS,
-                    f"{name} is {value:g} {unit}, it must be at most {most:g} {unit}",
+                    f"{name} is {value:g} {unit}, limit {most:g} {unit}",
                 )
         if rate == 0.0:
             if self.phase is DrivePhase.STEERED:
                 self._steered_at = now_ns / _NANO
                 self.follower.steer(0.0, self._steered_at)
             elif self.is_busy:
-                self.follower.stop("steered to a stop", now_ns / _NANO)
+                self.follower.stop("zero twist received", now_ns / _NANO)
             return
         if self.phase is not DrivePhase.STEERED:
             self._check_ready(topics.CMD_VEL, now_ns)
@@ -308,12 +310,12 @@ class Drive:
         self.follower.steer(rate, self._steered_at)
 
     def stop(self, now_ns: int) -> str:
-        """Come to rest and forget all goals; always done."""
+        """Stop and discard all goals; always accepted."""
         if self.is_busy:
             self.follower.stop("asked for", now_ns / _NANO)
         else:
             self.follower.phase = DrivePhase.RELEASED
-        return "wheels and winch are free"
+        return "drive_node has released wheels and winch"
 
     def _check_reach(self, subject: str, goal: Goal) -> None:
         far, longest = math.hypot(goal.x, goal.y), self.settings.tether.max_tether_length
@@ -323,52 +325,52 @@ class Drive:
             raise Refusal(
                 subject,
                 RefusalCode.OUT_OF_LIMITS,
-                f"({goal.x:g}, {goal.y:g}) m lies {far:.4g} m from the plumb line, the tether of "
-                f"{longest:g} m reaches {reach:.4g} m",
+                f"({goal.x:g}, {goal.y:g}) m is {far:.4g} m from the plumb line; the tether "
+                f"of {longest:g} m reaches {reach:.4g} m",
             )
 
     def _check_ready(self, subject: str, now_ns: int) -> None:
-        silent = self.waiting_for(now_ns)
-        if silent:
-            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        stale = self.waiting_for(now_ns)
+        if stale:
+            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(stale)} missing or stale")
         if self._off_floor is not None:
             raise Refusal(
                 subject,
                 RefusalCode.WRONG_PHASE,
-                "the rover does not stand on the floor, it must before it drives",
+                "the contact switch reports no floor; the rover must stand on the floor to drive",
             )
         tilt, lying = self.odometry.attitude.inclination, self.settings.drive.rollover_tilt
         if tilt > lying:
             raise Refusal(
                 subject,
                 RefusalCode.WRONG_PHASE,
-                f"the rover lies on its side, tilted by {math.degrees(tilt):.3g} deg; it must be "
-                f"set upright to less than {math.degrees(lying):.3g} deg",
+                f"the rover has rolled over: tilt {math.degrees(tilt):.3g} deg, limit "
+                f"{math.degrees(lying):.3g} deg; set it upright first",
             )
-        other = self._other_user()
+        other = self._conflict()
         if other:
             raise Refusal(subject, RefusalCode.WRONG_PHASE, other)
-        unready = self.tether.unready()
-        if unready:
-            raise Refusal(subject, RefusalCode.NOT_ARMED, unready)
+        not_ready_reason = self.tether.not_ready_reason()
+        if not_ready_reason:
+            raise Refusal(subject, RefusalCode.NOT_ARMED, not_ready_reason)
 
-    def _other_user(self) -> str:
-        """Who else uses the drives; empty = nobody."""
+    def _conflict(self) -> str:
+        """Which other controller uses the actuators; empty = none."""
         if self._jump in _JUMPING:
-            return f"the rover jumps ({self._jump})"
+            return f"the rover is jumping ({self._jump})"
         if self._descent not in ("", "released"):
             return (
-                f"the descent is in {self._descent} and has wheels and winch; "
-                f"{topics.DESCENT_RELEASE} gives them back"
+                f"the descent controller holds wheels and winch (phase {self._descent}); call "
+                f"{topics.DESCENT_RELEASE} first"
             )
         return ""
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> Drives:
-        """Advance to now; returns what is to be sent."""
+    def step(self, now_ns: int) -> DriveCommands:
+        """Advance to a time [ns] and return the commands."""
         now = now_ns / _NANO
-        h = 0.0 if self._stepped is None else min(max(now - self._stepped, 0.0), _LONGEST_STEP)
+        h = 0.0 if self._stepped is None else min(max(now - self._stepped, 0.0), _MAX_STEP)
         self._stepped = now
         if self.is_busy:
             self._supervise(now_ns)
@@ -376,40 +378,40 @@ class Drive:
         follower = self.follower
         before = follower.rate
         still = 0.0 if self._angles is None else self._angles[2] - self._still[2]
-        sensed = Sensed(self._rates, self.torque, self._forward, still)
-        rate = follower.step(sensed, now, h, may_move=self.tether.holds)
+        inputs = FollowerInput(self._rates, self.torque, self._forward, still)
+        rate = follower.step(inputs, now, h, may_move=self.tether.holds)
         drives = self.is_busy or before != 0.0 or rate != 0.0
-        return Drives(rate if drives else None, request)
+        return DriveCommands(rate if drives else None, request)
 
     def _supervise(self, now_ns: int) -> None:
         now = now_ns / _NANO
-        silent = self.waiting_for(now_ns)
-        # By steps and not by time: one that comes late finds what was said meanwhile still unread.
-        self._silent_steps = self._silent_steps + 1 if silent else 0
-        reason = self.tether.trouble(now) or self._other_user()
-        if self._silent_steps >= self.settings.drive.sensor_steps:
-            reason = f"{', '.join(silent)} not heard"
+        stale = self.waiting_for(now_ns)
+        # Count steps, not time: after a late step the samples of the meantime are still queued.
+        self._stale_steps = self._stale_steps + 1 if stale else 0
+        reason = self.tether.fault_reason(now) or self._conflict()
+        if self._stale_steps >= self.settings.drive.sensor_steps:
+            reason = f"{', '.join(stale)} missing or stale"
         elif (
             self._off_floor is not None
             and now - self._off_floor > self.settings.drive.floor_contact_timeout
         ):
-            reason = "the rover does not touch the floor any more"
+            reason = "the contact switch reports no floor"
         if reason:
             self.follower.fail(reason, now)
-        elif self.phase is DrivePhase.STEERED and now - self._steered_at > _STEERING_LASTS:
-            self.follower.stop(f"no {topics.CMD_VEL} for {_STEERING_LASTS:g} s", now)
+        elif self.phase is DrivePhase.STEERED and now - self._steered_at > _STEERING_TIMEOUT:
+            self.follower.stop(f"no {topics.CMD_VEL} for {_STEERING_TIMEOUT:g} s", now)
 
-    def halt(self) -> Drives:
-        """What to send last, when nobody steps any more."""
+    def halt(self) -> DriveCommands:
+        """Last commands before the control steps end."""
         if not self.is_busy:
-            return Drives()
-        self.follower.stop("the node stops", self._stepped or 0.0)
+            return DriveCommands()
+        self.follower.stop("the node is shutting down", self._stepped or 0.0)
         self.follower.rate = 0.0
-        return Drives(0.0, self.tether.step(math.inf, 0.0, leads=False))
+        return DriveCommands(0.0, self.tether.step(math.inf, 0.0, leads=False))
 
 
 def goal_of(sample: PoseSample) -> Goal:
-    """A pose on the ground; without an orientation the heading is left open."""
+    """Goal on the ground; an all-zero orientation leaves the heading open."""
     x, y, z, w = sample.orientation
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     is_open = not any(sample.orientation)

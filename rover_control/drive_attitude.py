@@ -1,9 +1,9 @@
-"""Which way is up, and how the heading turns, at any tilt: carried by the gyro. Pure.
+"""Attitude of the driving rover at any tilt, integrated from the gyro. Pure.
 
-Two directions that stand still in the world are kept in base_link: up, and one that is level. The
-gyro turns both; gravity in the accelerometer corrects up, and the other one stays level. The
-heading is that of base_link x seen from above. A rover that falls onto its back over its nose
-passes where x has no heading, and comes out with the right one.
+The filter keeps two world-fixed directions in base_link coordinates: up and one horizontal. The
+gyro rotates both; the accelerometer corrects up, and the other one is kept orthogonal to it. The
+heading is that of base_link x projected onto the horizontal plane. In a pitch-over onto the back
+the projection vanishes for an instant; the heading is correct again afterwards.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import math
 from msg_schemas.samples import Vector
 
 ROLLOVER_TILT = 1.05
-"""Tilt [rad] from which on a rover lies on its side."""
+"""Tilt [rad] above which the rover counts as rolled over."""
 
 
 class DriveAttitude:
-    """Up and a level direction, in base_link."""
+    """World-fixed up and horizontal directions in base_link."""
 
     def __init__(self) -> None:
         self.up: Vector = (0.0, 0.0, 1.0)
@@ -25,47 +25,47 @@ class DriveAttitude:
 
     @property
     def pitch(self) -> float:
-        """Nose down positive [rad]."""
+        """Pitch, nose down positive [rad]."""
         return math.atan2(-self.up[0], math.hypot(self.up[1], self.up[2]))
 
     @property
     def roll(self) -> float:
-        """Right side down positive [rad]."""
+        """Roll, right side down positive [rad]."""
         return math.atan2(self.up[1], self.up[2])
 
     @property
     def inclination(self) -> float:
-        """Of base_link z against the vertical [rad]."""
+        """Angle of base_link z to the vertical [rad]."""
         return math.acos(min(max(self.up[2], -1.0), 1.0))
 
-    def turn(self, rate: Vector, force: Vector, h: float, share: float) -> float:
-        """Take a reading of the IMU; returns by how much the heading has turned [rad].
+    def turn(self, rate: Vector, force: Vector, h: float, fraction: float) -> float:
+        """Process an IMU sample; returns the change of the heading [rad].
 
         Args:
-            rate: of the gyro, its bias taken off [rad/s].
-            force: of the accelerometer [m/s^2].
-            h: since the last reading [s].
-            share: that the accelerometer has in where up is.
+            rate: angular rate without bias, in base_link [rad/s].
+            force: specific force, in base_link [m/s^2].
+            h: time since the last sample [s].
+            fraction: weight of the accelerometer in the correction of up, 0 to 1.
         """
         before = self._heading()
-        up, level = _carried(self.up, rate, h), _carried(self._level, rate, h)
+        up, level = _rotate(self.up, rate, h), _rotate(self._level, rate, h)
         size = math.hypot(*force)
         if size > 0.0:
-            x, y, z = (u + share * (f / size - u) for u, f in zip(up, force, strict=True))
-            up = _unit((x, y, z))
+            x, y, z = (u + fraction * (f / size - u) for u, f in zip(up, force, strict=True))
+            up = _normalized((x, y, z))
         tilted = sum(a * b for a, b in zip(level, up, strict=True))
         x, y, z = (a - tilted * u for a, u in zip(level, up, strict=True))
-        self.up, self._level = up, _unit((x, y, z))
+        self.up, self._level = up, _normalized((x, y, z))
         return math.remainder(self._heading() - before, math.tau)
 
     def _heading(self) -> float:
-        """Of base_link x against the level direction, seen from above [rad]."""
+        """Heading of base_link x against the horizontal direction [rad]."""
         (_, uy, uz), (x, y, z) = self.up, self._level
         return math.atan2(uy * z - uz * y, x)
 
 
-def _carried(vector: Vector, rate: Vector, h: float) -> Vector:
-    """A direction that stands still, seen from a body that turns (Rodrigues' formula)."""
+def _rotate(vector: Vector, rate: Vector, h: float) -> Vector:
+    """A world-fixed direction in body axes after a rotation of the body (Rodrigues' formula)."""
     speed = math.hypot(*rate)
     if speed == 0.0:
         return vector
@@ -80,7 +80,7 @@ def _carried(vector: Vector, rate: Vector, h: float) -> Vector:
     )
 
 
-def _unit(vector: Vector) -> Vector:
+def _normalized(vector: Vector) -> Vector:
     x, y, z = vector
     size = math.hypot(x, y, z)
     return (x / size, y / size, z / size)

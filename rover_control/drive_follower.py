@@ -1,8 +1,9 @@
-"""Drives from goal to goal: turns, straight ways and stops in turn, each until it is done. Pure.
+"""Goal follower: executes turns, straight segments and stops until each goal is reached. Pure.
 
-Between two motions the rover stands: it comes to rest, the gyro tells its bias, and the next piece
-is planned from where the rover is now. A motion ends at its amount by the odometry, in time, or by
-what the watch finds; then the rover stops, says so, and does nothing more until it is asked.
+Between two motions the rover stops, the gyro's bias is estimated at rest, and the next segment is
+planned from the estimated pose. A motion ends when the odometry reports its angle or length, when
+its time limit expires, or when the motion watch finds a problem; after the latter two the rover
+stops and waits for the next request.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from msg_schemas.parameters import parameter
 from msg_schemas.samples import Level
 from msg_schemas.transition import Transition
 from rover_control.drive_odometry import DriveOdometry
-from rover_control.drive_planner import DrivePlanner, Goal, Piece
+from rover_control.drive_planner import DrivePlanner, Goal, Segment
 from rover_control.drive_watch import DriveWatch
 
-_CREEP = 0.15  # part of the full speed at which a motion ends
-_AT_REST = 0.02  # rate below which a wheel rests [rad/s]
+_CREEP = 0.15  # fraction of the full speed at which a motion ends
+_AT_REST = 0.02  # wheel rate below which a wheel is at rest [rad/s]
 
 
 class DrivePhase(StrEnum):
-    """What is being done; words of the contract."""
+    """Phase of the drive controller, as published."""
 
     RELEASED = "released"
     STANDING = "standing"
@@ -38,7 +39,7 @@ class DrivePhase(StrEnum):
 
     @property
     def is_over(self) -> bool:
-        """Nothing is done any more."""
+        """Whether no motion is active."""
         return self in (DrivePhase.RELEASED, DrivePhase.STUCK, DrivePhase.FAILED)
 
 
@@ -73,23 +74,23 @@ class FollowerParameters:
     )
 
 
-class Sensed(NamedTuple):
-    """What the follower hears in a step."""
+class FollowerInput(NamedTuple):
+    """Measurements of one control step."""
 
-    rates: tuple[float, float]  # of the wheels, left and right [rad/s]
-    torque: float  # at the wheels, by the motor's current [N m]
-    forward: float  # acceleration along base_link x, gravity taken off [m/s^2]
-    still: float  # for so long no encoder has moved [s]
+    rates: tuple[float, float]  # left and right wheel [rad/s]
+    torque: float  # wheel torque from the motor current [N m]
+    forward: float  # acceleration along base_link x without gravity [m/s^2]
+    still: float  # time since an encoder last moved [s]
 
 
 class DriveFollower:
-    """Carries out goals.
+    """Follows goals one after the other.
 
     Args:
-        parameters: speeds and patience.
-        odometry: heard by somebody else, read here.
-        planner: of the pieces.
-        watch: of the motions.
+        parameters: speeds and time limits.
+        odometry: pose estimate, updated by the caller.
+        planner: of the segments.
+        watch: motion watch.
     """
 
     def __init__(
@@ -105,15 +106,15 @@ class DriveFollower:
         self.watch = watch
         self.phase = DrivePhase.RELEASED
         self.goals: deque[Goal] = deque()
-        self.rate = 0.0  # commanded of the left wheel [rad/s]
+        self.rate = 0.0  # commanded rate of the left wheel [rad/s]
         self._changes: list[Transition] = []
-        self._piece: Piece | None = None
+        self._segment: Segment | None = None
         self._steered = 0.0
-        self._pieces = 0
-        self._rested = 0.0  # all the wheels, nothing commanded [s]
+        self._segments = 0
+        self._rested = 0.0  # time since all wheels are at rest without command [s]
         self._begin(DrivePhase.RELEASED, 0.0)
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def goal(self) -> Goal | None:
@@ -122,36 +123,36 @@ class DriveFollower:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether nothing drives the rover, and it has come to rest."""
+        """Whether the rover has come to rest without command."""
         return self._rested >= self.parameters.settle_time
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call and clear them."""
         taken, self._changes = self._changes, []
         return taken
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def drive_to(self, goals: Sequence[Goal], now: float) -> None:
-        """Drive to goals, one after the other; what was driven to before is forgotten."""
+        """Drive to goals in order; discards earlier goals."""
         self.goals = deque(goals)
         self._new_goal()
         self._begin(DrivePhase.STANDING, now)
-        self._tell("drive_begun", f"{len(goals)} goals" if len(goals) > 1 else "a goal")
+        self._emit("drive_begun", f"{len(goals)} goals" if len(goals) > 1 else "1 goal")
 
     def steer(self, rate: float, now: float) -> None:
-        """Turn the motor's wheel at a rate [rad/s] until another is asked for."""
+        """Set the rate of the driven wheel [rad/s]."""
         self.goals.clear()
         if self.phase is not DrivePhase.STEERED or (rate < 0.0) != (self._steered < 0.0):
             self._begin(DrivePhase.STEERED, now)
         self._steered = rate
 
     def stop(self, reason: str, now: float) -> None:
-        """Come to rest and forget all goals."""
+        """Stop and discard all goals."""
         self._end(DrivePhase.RELEASED, "drive_stopped", reason, now)
 
     def fail(self, reason: str, now: float) -> None:
-        """The same, because something does not go."""
+        """Stop and discard all goals because of a failure."""
         self._end(DrivePhase.FAILED, "drive_failed", reason, now, Level.WARN)
 
     def _end(
@@ -168,163 +169,169 @@ class DriveFollower:
         self._begin(phase, now)
         pose = self.odometry.pose
         place = {"x": pose.x, "y": pose.y, "heading": pose.heading}
-        self._tell(name, reason, level, goals_left=left, **place, **values)
+        self._emit(name, reason, level, goals_left=left, **place, **values)
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
-    def step(self, sensed: Sensed, now: float, h: float, *, may_move: bool = True) -> float:
-        """Advance by h; returns the rate to command [rad/s].
+    def step(self, inputs: FollowerInput, now: float, h: float, *, may_move: bool = True) -> float:
+        """Advance by h; returns the commanded rate of the left wheel [rad/s].
 
         Args:
-            sensed: what is heard.
-            now: [s].
-            h: since the last step [s].
-            may_move: false: no motion is begun yet.
+            inputs: measurements.
+            now: time [s].
+            h: time since the last step [s].
+            may_move: False delays the start of a motion.
         """
-        moves = max(map(abs, sensed.rates)) > _AT_REST or self.rate != 0.0
-        self._rested = 0.0 if moves else min(self._rested + h, sensed.still)
-        wanted = 0.0
+        moves = max(map(abs, inputs.rates)) > _AT_REST or self.rate != 0.0
+        self._rested = 0.0 if moves else min(self._rested + h, inputs.still)
+        setpoint = 0.0
         if self.phase is DrivePhase.STANDING:
             if may_move:
-                self._stand(now)
+                self._step_standing(now)
         elif self.phase in (DrivePhase.TURNING, DrivePhase.DRIVING):
-            wanted = self._move(sensed, now, h)
+            setpoint = self._step_motion(inputs, now, h)
         elif self.phase is DrivePhase.STEERED and may_move:
-            wanted = self._follow_steering(sensed, now, h)
+            setpoint = self._follow_steering(inputs, now, h)
         change = self.parameters.wheel_acceleration * h
-        self.rate += min(max(wanted - self.rate, -change), change)
+        self.rate += min(max(setpoint - self.rate, -change), change)
         return self.rate
 
-    def _stand(self, now: float) -> None:
+    def _step_standing(self, now: float) -> None:
         p = self.parameters
         known = self.is_at_rest and self.odometry.bias_error <= p.gyro_bias_tolerance
         waited = now - self._since > p.settle_time + p.max_stop_time
         if not known and not (waited and self.rate == 0.0):
             return
-        self._end_piece()
+        self._end_segment()
         goal = self.goal
         if goal is None:
-            self._end(DrivePhase.RELEASED, "drive_done", "all goals are reached", now)
+            self._end(DrivePhase.RELEASED, "drive_done", "all goals reached", now)
             return
         pose = self.odometry.pose
-        if len(self.goals) > 1:  # of a path's poses the last one's heading counts alone
+        if len(self.goals) > 1:  # on a path only the last heading counts
             goal = goal._replace(heading=math.nan)
-        if self.planner.is_there(pose, goal):
+        if self.planner.is_at_goal(pose, goal):
             turn = self.planner.last_turn(pose, goal)
             if turn > 0.0:
-                self._start(Piece(turn, 0.0, pose.heading + turn, True), now)
+                self._start(Segment(turn, 0.0, pose.heading + turn, True), now)
                 return
             self.goals.popleft()
-            self._tell(
+            self._emit(
                 "goal_reached",
                 f"{pose.distance(goal.x, goal.y):.3f} m from ({goal.x:.3f}, {goal.y:.3f}) m",
                 x=pose.x, y=pose.y, heading=pose.heading, goals_left=len(self.goals),
             )  # fmt: skip
             self._new_goal()
             return
-        if self._pieces >= p.max_segments:
-            self.fail(f"the goal is not reached in {self._pieces} pieces", now)
+        if self._segments >= p.max_segments:
+            self.fail(f"goal not reached within {self._segments} segments, the limit", now)
             return
-        piece = self.planner.next_piece(pose, goal)
-        self._pieces += 1
-        self._start(piece, now)
+        segment = self.planner.next_segment(pose, goal)
+        self._segments += 1
+        self._start(segment, now)
 
     def _new_goal(self) -> None:
-        self._pieces = 0
+        self._segments = 0
         self.planner.begin()
 
-    def _start(self, piece: Piece, now: float) -> None:
-        self._piece = piece
-        self._begin(DrivePhase.TURNING if piece.turn > 0.0 else DrivePhase.DRIVING, now)
+    def _start(self, segment: Segment, now: float) -> None:
+        self._segment = segment
+        self._begin(DrivePhase.TURNING if segment.turn > 0.0 else DrivePhase.DRIVING, now)
 
     def _begin(self, phase: DrivePhase, now: float) -> None:
         self.phase = phase
         self._since = now
         self._rested = 0.0
-        self._from = (self.odometry.turned, self.odometry.way)
-        self._last = (self.odometry.turned, self.odometry.way)
+        self._from = (self.odometry.turned, self.odometry.travelled)
+        self._last = (self.odometry.turned, self.odometry.travelled)
         self.watch.begin()
 
-    def _end_piece(self) -> None:
-        """A straight way is over: what it bent by itself is learnt."""
-        if self._driven is not None:
-            turned, way = self._driven
-            self.planner.learn(self.odometry.turned - turned, self.odometry.way - way)
-        self._driven = None
+    def _end_segment(self) -> None:
+        """Update the planner's curvature estimate with the straight segment just driven."""
+        if self._segment_start is not None:
+            turned, travel = self._segment_start
+            self.planner.update_curvature(
+                self.odometry.turned - turned, self.odometry.travelled - travel
+            )
+        self._segment_start = None
 
-    _driven: tuple[float, float] | None = None  # heading and way at the start of a straight way
+    _segment_start: tuple[float, float] | None = (
+        None  # heading [rad] and travel [m] at the start of a straight segment
+    )
 
-    def _move(self, sensed: Sensed, now: float, h: float) -> float:
-        piece = self._piece
-        assert piece is not None
+    def _step_motion(self, inputs: FollowerInput, now: float, h: float) -> float:
+        segment = self._segment
+        assert segment is not None
         p, odometry = self.parameters, self.odometry
-        share = self.watch.speed_share(sensed.torque)
+        fraction = self.watch.speed_fraction(inputs.torque)
         turning = self.phase is DrivePhase.TURNING
         if turning:
-            full, amount = p.turn_rate, piece.turn
+            full, amount = p.turn_rate, segment.turn
             done = odometry.turned - self._from[0]
             moving = abs(odometry.yaw_rate)
             per_rate = odometry.kinematics.yaw_rate(-1.0)
         else:
-            full, amount = p.drive_speed, piece.way
-            done = odometry.way - self._from[1]
+            full, amount = p.drive_speed, segment.length
+            done = odometry.travelled - self._from[1]
             moving = odometry.speed
             per_rate = odometry.kinematics.speed(1.0)
         left = amount - done - moving * p.command_delay
-        if self._watched(sensed, now, h) or self._took_too_long(amount / full, now):
+        if self._check_motion(inputs, now, h) or self._took_too_long(amount / full, now):
             return 0.0
         bent = not turning and abs(odometry.turned - self._from[0]) > p.max_heading_drift
         if left <= 0.0 or bent:
             self._finish(turning, now)
             return 0.0
-        # The ramp down ends at a creep, not at rest, so that it ends at all.
+        # The ramp ends at creep speed, not at zero, so that the motion ends in finite time.
         braking = math.sqrt(2.0 * p.wheel_acceleration * per_rate * left)
-        speed = min(full * share, max(braking - 0.5 * _CREEP * full, _CREEP * full))
+        speed = min(full * fraction, max(braking - 0.5 * _CREEP * full, _CREEP * full))
         rate = speed / per_rate
         return -rate if turning else rate
 
     def _finish(self, turning: bool, now: float) -> None:
-        piece = self._piece
-        assert piece is not None
-        if turning and piece.way > 0.0:
-            # From one motion to the other through rest: the ratchets take over there.
-            self._piece = piece._replace(turn=0.0)
+        segment = self._segment
+        assert segment is not None
+        if turning and segment.length > 0.0:
+            # The wheels stop between two motions: the ratchets change over at rest.
+            self._segment = segment._replace(turn=0.0)
             self._begin(DrivePhase.DRIVING, now)
         else:
             if not turning:
-                self._driven = self._from
+                self._segment_start = self._from
             self._begin(DrivePhase.STANDING, now)
 
     def _took_too_long(self, usual: float, now: float) -> bool:
         limit = self.parameters.motion_timeout_factor * usual + 10.0
         if now - self._since <= limit:
             return False
-        self.fail(f"{self.phase} takes longer than {limit:.3g} s", now)
+        self.fail(f"{self.phase} takes longer than its limit of {limit:.3g} s", now)
         return True
 
-    def _follow_steering(self, sensed: Sensed, now: float, h: float) -> float:
-        return 0.0 if self._watched(sensed, now, h) else self._steered
+    def _follow_steering(self, inputs: FollowerInput, now: float, h: float) -> float:
+        return 0.0 if self._check_motion(inputs, now, h) else self._steered
 
-    def _watched(self, sensed: Sensed, now: float, h: float) -> bool:
-        """Whether the watch has ended the motion."""
+    def _check_motion(self, inputs: FollowerInput, now: float, h: float) -> bool:
+        """Run the motion watch; whether it has ended the motion."""
         odometry, watch = self.odometry, self.watch
-        rate = sensed.rates[0]
-        reason = watch.common(self.rate, rate, sensed.torque, odometry.attitude.inclination, h)
-        turned, way = odometry.turned - self._last[0], odometry.way - self._last[1]
-        self._last = (odometry.turned, odometry.way)
+        rate = inputs.rates[0]
+        reason = watch.common(self.rate, rate, inputs.torque, odometry.attitude.inclination, h)
+        turned, travel = odometry.turned - self._last[0], odometry.travelled - self._last[1]
+        self._last = (odometry.turned, odometry.travelled)
         if not reason and self.rate < 0.0:
             reason = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
         elif not reason and self.rate > 0.0:
-            reason = watch.straight(odometry.speed, sensed.forward, h)
+            reason = watch.straight(odometry.speed, inputs.forward, h)
             pose = odometry.pose
             distance = math.hypot(pose.x, pose.y, odometry.drop)
             outward = pose.x * math.cos(pose.heading) + pose.y * math.sin(pose.heading)
-            expected = way * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
-            reason = reason or watch.tether(way, expected, odometry.tether_range)
+            expected = (
+                travel * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
+            )
+            reason = reason or watch.tether(travel, expected, odometry.tether_range)
         if reason:
             turning = int(self.rate < 0.0)
             self._end(DrivePhase.STUCK, "drive_stuck", reason, now, Level.WARN, turning=turning)
         return bool(reason)
 
-    def _tell(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:
+    def _emit(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:
         self._changes.append(Transition(name, reason, level, values))

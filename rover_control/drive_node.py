@@ -1,4 +1,4 @@
-"""The ``drive_node`` executable: drives the rover on the floor, on request."""
+"""``drive_node``: drives the rover on the floor, on request."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from msg_schemas.samples import (
     TextSample,
     TwistSample,
 )
-from rover_control.drive import Drive, Drives, DriveSettings
+from rover_control.drive import Drive, DriveCommands, DriveSettings
 from rover_control.drive_report import odometry_sample, state_sample
 
-# The controller's parameters are parts of its own, by their name there.
+# Each group of the controller's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(DriveSettings(), part.name)) for part in fields(DriveSettings)
 }
@@ -52,13 +52,13 @@ class DriveNodeParameters:
 
 
 class DriveNode(ContractNode):
-    """Drives from goal to goal on the floor, or as it is steered."""
+    """ROS node of the drive controller."""
 
     NAME = "drive_node"
     PARAMETERS = (DriveNodeParameters, *_PARTS.values())
 
     def setup(self) -> None:
-        """Open topics and services."""
+        """Create publishers, subscriptions and services."""
         self._wheel_publisher = self.publisher(topics.WHEEL_COMMAND)
         self._winch_publisher = self.publisher(topics.WINCH_REQUEST)
         self._phase_publisher = self.publisher(topics.DRIVE_PHASE)
@@ -80,52 +80,52 @@ class DriveNode(ContractNode):
         self.subscribe(topics.CMD_VEL, self._on_twist)
 
     def start(self) -> None:
-        """Drive nothing until it is asked for."""
+        """Start the control loop; nothing moves until a request arrives."""
         rates = self.parameters_of(DriveNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
         self.every(1.0 / rates.odometry_rate, self._publish_odometry)
         self.every(1.0 / rates.state_rate, self._publish_state)
 
     def stop(self) -> None:
-        """The wheels stand; the winch keeps what it holds until it misses its renewal."""
+        """Stop the wheels; the winch holds its tension until the request times out."""
         self._send(self._drive.halt())
         self._publish_changes()
 
     def parameters_changed(self) -> None:
-        """Take new parameters while nothing is driven; the pose stays."""
+        """Apply new parameters if the rover is at rest; keeps the pose."""
         if not self.active:
             return
         if self._drive.is_busy:
-            text = "new parameters hold from the next start of the node on, the rover drives"
+            text = "the rover is driving: new parameters apply after the next start of the node"
             self.report(Status(f"{self.NAME}: parameters", text, Level.WARN, self.NAME))
             return
         pose = self._drive.odometry.pose
         self._begin()
-        self._drive.odometry.place(pose)
+        self._drive.odometry.set_pose(pose)
 
     def clock_jumped(self) -> None:
-        """Start over where the rover stands: what was timed means nothing any more."""
+        """Restart the controller at the present pose: all its times are invalid."""
         if self.active:
             self._send(self._drive.halt())
             self._publish_changes()
             pose = self._drive.odometry.pose
             self._begin()
-            self._drive.odometry.place(pose)
+            self._drive.odometry.set_pose(pose)
 
     def waiting_for(self) -> tuple[str, ...]:
-        """The sensors that are silent: goals are refused until they are heard."""
+        """Stale sensors; requests are refused until their samples arrive."""
         return self._drive.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
-        """The phase, and why the rover is stuck."""
+        """Phase, and why the last drive ended early."""
         if not self.active:
             return ()
-        ended = self._ended
+        ended = self._end_reason
         level = Level.WARN if ended else Level.OK
         text = self._drive.phase.value + (f": {ended}" if ended else "")
         return (Status(f"{self.NAME}: drive", text, level, self.NAME),)
 
-    # --- what is heard ---------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def _on_imu(self, sample: ImuSample) -> None:
         self._drive.on_imu(sample, self.now_ns())
@@ -143,19 +143,19 @@ class DriveNode(ContractNode):
         self._drive.on_winch_estimate(sample, self.now_ns())
 
     def _on_winch_mode(self, sample: TextSample) -> None:
-        self._heard_mode = sample.text
+        self._last_winch_mode = sample.text
         self._drive.on_winch_mode(sample.text)
 
     def _on_jump(self, sample: TextSample) -> None:
-        self._heard_jump = sample.text
+        self._last_jump_phase = sample.text
         self._drive.on_jump(sample.text)
 
     def _on_descent(self, sample: TextSample) -> None:
-        self._heard_descent = sample.text
+        self._last_descent_phase = sample.text
         self._drive.on_descent(sample.text)
 
     def _on_start_pose(self, sample: PoseSample) -> None:
-        self._drive.place(sample)
+        self._drive.set_pose(sample)
         pose = self._drive.odometry.pose
         values = {"x": pose.x, "y": pose.y, "heading": pose.heading}
         text = f"at ({pose.x:.3f}, {pose.y:.3f}) m, heading {pose.heading:.3f} rad"
@@ -178,42 +178,42 @@ class DriveNode(ContractNode):
         self._publish_changes()
         return True, answer
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- outputs ---------------------------------------------------------------------------------
 
-    _heard_mode = _heard_jump = _heard_descent = ""
+    _last_winch_mode = _last_jump_phase = _last_descent_phase = ""
 
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._drive = Drive(DriveSettings(**values))
-        # What is latched is not said again.
-        self._drive.on_winch_mode(self._heard_mode)
-        self._drive.on_jump(self._heard_jump)
-        self._drive.on_descent(self._heard_descent)
-        self._told_phase = self._ended = ""
+        # Latched topics are not sent again.
+        self._drive.on_winch_mode(self._last_winch_mode)
+        self._drive.on_jump(self._last_jump_phase)
+        self._drive.on_descent(self._last_descent_phase)
+        self._published_phase = self._end_reason = ""
         self._publish_changes()
 
     def _step(self) -> None:
         self._send(self._drive.step(self.now_ns()))
         self._publish_changes()
 
-    def _send(self, drives: Drives) -> None:
+    def _send(self, drives: DriveCommands) -> None:
         now_ns = self.now_ns()
         if drives.wheel_rate is not None:
             torque = self.parameters_of(DriveNodeParameters).wheel_torque
             value = JointValue(0.0, drives.wheel_rate, torque)
             self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
         if drives.winch is not None:
-            ask = drives.winch
-            value = JointValue(ask.position, ask.velocity, ask.effort)
-            self._winch_publisher.send(JointSample(now_ns, {ask.joint: value}))
+            request = drives.winch
+            value = JointValue(request.position, request.velocity, request.effort)
+            self._winch_publisher.send(JointSample(now_ns, {request.joint: value}))
 
     def _publish_changes(self) -> None:
         for change in self._drive.take_changes():
             self.event(change.name, change.reason, change.level, change.values)
-            self._ended = change.reason if change.level is not Level.OK else ""
+            self._end_reason = change.reason if change.level is not Level.OK else ""
         phase = self._drive.phase.value
-        if phase != self._told_phase:
-            self._told_phase = phase
+        if phase != self._published_phase:
+            self._published_phase = phase
             self._phase_publisher.send(TextSample(phase))
 
     def _publish_odometry(self) -> None:

@@ -1,21 +1,22 @@
-"""Where the rover is: wheel encoders and gyro, with the tether's length as a help. Pure.
+"""Odometry from wheel encoders and gyro, corrected by the tether's length. Pure.
 
-An extended Kalman filter for the pivot's place (module `ratchet_kinematics`), the heading, the
-gyro's bias, the slip and the fairlead's height above the tether's attachment:
+An extended Kalman filter estimates the position of the pivot (module `ratchet_kinematics`), the
+heading, the gyro's bias, the deviation of the slip from its nominal value, and the height of the
+fairlead above the tether attachment:
 
-    x = (px, py, heading, bias, slip over the expected, drop).
+    x = (px, py, heading, bias, slip deviation, drop).
 
-A turn leaves the pivot where it is, so only the gyro counts there. Straight ahead the pivot goes
-along the heading by the wheels' mean way, less the slip, and by half of what the gyro sees of a
-difference between the sides. A wheel that overruns its axle rolls freely, without slip. The slip
-follows the torque at the wheels, nearly on a line: tail, slope and tether that hold the rover back
-ask for both. About that it wanders over some metres (a Gauss-Markov process over the way).
+A turn leaves the pivot in place; only the gyro enters. Straight ahead the pivot moves along the
+heading by the mean travel of the wheels less the slip, plus half of the difference between the
+sides that the gyro measures. A wheel that overruns its axle rolls without slip. The nominal slip is
+a linear function of the wheel torque: tail, slope and tether load both. The deviation from it is a
+first-order Gauss-Markov process in the distance driven.
 
-At rest the gyro tells its bias (a zero-rate update) and the pose stands still. A tether that is
-taut tells the distance from the fairlead, with its sag taken off; one that is slack tells at least
-that the rover is not farther away than it reaches. The tether says nothing of the heading.
+At rest a zero-rate update estimates the gyro's bias, and the pose is constant. A taut tether
+measures the distance from the fairlead, corrected for its sag; a slack one bounds it from above.
+The tether does not measure the heading.
 
-How the heading turns and where up is, `drive_attitude` tells; the bias is the gyro's about z.
+`drive_attitude` integrates heading and up direction; the bias is that about base_link z.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ Floats = NDArray[np.float64]
 _PX, _PY, _HEADING, _BIAS, _SLIP, _DROP = range(6)
 _STATES = 6
 _IDENTITY = np.eye(_STATES)
-_LONGEST_STEP = 0.2  # between two readings of the gyro that is still bridged [s]
-_LARGEST_SLIP = 0.95  # that is counted on
-_TORQUE_TIME = 1.0  # of the torque's mean [s]
-_PULL_SHARE = 0.02  # that a reading of the tension has in its mean
-_REST_TIME = 1.0  # of the mean rate at rest [s]
-_CREEP = 2.5e-4  # mean rate at which a rover does not rest [rad/s]
-_LEVEL_MEMORY = 10.0  # of the biases about the level axes [s]
-_ROCKS = 0.05  # rate about a level axis at which a rover does not rest [rad/s]
-_JOLT = 7.0  # standard deviations of the noise between two readings at rest, at most
-_QUIET = 0.5  # without rocking and jolts, after which the rover rests [s]
+_MAX_STEP = 0.2  # longest gap between two gyro samples that is integrated [s]
+_MAX_SLIP = 0.95  # upper bound of the slip [-]
+_TORQUE_TIME = 1.0  # time constant of the mean torque [s]
+_FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
+_REST_TIME = 1.0  # time constant of the mean rate at rest [s]
+_CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
+_LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
+_ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
+_DISTURBANCE_SIGMAS = 7.0  # largest change between samples at rest, in noise std deviations
+_QUIET_TIME = 0.5  # undisturbed time after which the rover is at rest [s]
 
 
 @dataclass(frozen=True)
@@ -96,17 +97,17 @@ class OdometryParameters:
 
 
 class Tether(NamedTuple):
-    """What the winch tells of the tether."""
+    """Measurement of the tether by the winch."""
 
-    length: float  # from fairlead to rover along the tether, stretched [m]
+    length: float  # stretched length from fairlead to rover [m]
     tension: float  # at the fairlead [N]
-    weight: float  # of what is out [N]
+    weight: float  # of the paid-out tether [N]
 
 
 def chord_of(tether: Tether, horizontal: float) -> float:
-    """Straight distance [m] that a taut tether spans: its length less its sag.
+    """Chord [m] of a taut tether: its length less the sag.
 
-    L = c + w^2 c^3 cos^2(slope) / (24 T^2) with the weight w by length and the tension T at
+    L = c + w^2 c^3 cos^2(slope) / (24 T^2) with the weight per length w and the tension T at
     mid-length (Irvine 1981, Cable Structures, section 2.3, for an inclined chord).
     """
     length, tension = tether.length, tether.tension - 0.5 * tether.weight
@@ -118,75 +119,75 @@ def chord_of(tether: Tether, horizontal: float) -> float:
 
 
 class DriveOdometry:
-    """Dead reckoning with its covariance.
+    """Dead reckoning with covariance.
 
     Args:
         kinematics: of the chassis.
-        parameters: trust.
+        parameters: noise of sensors and ground.
     """
 
     def __init__(self, kinematics: RatchetKinematics, parameters: OdometryParameters) -> None:
         self.kinematics = kinematics
         self.parameters = parameters
-        self.way = 0.0  # driven, without sign of turns [m]
+        self.travelled = 0.0  # distance driven straight ahead [m]
         self.speed = 0.0  # along base_link x [m/s]
-        self.yaw_rate = 0.0  # of the heading [rad/s]
+        self.yaw_rate = 0.0  # rate of the heading [rad/s]
         self.attitude = DriveAttitude()
-        self._level_bias = (0.0, 0.0)  # of the gyro about base_link x and y [rad/s]
-        self._rested = 0.0  # by which that is known [s]
-        self.tether_range = 0.0  # distance by the taut tether as last taken; 0 = none yet [m]
-        self._seen_at = -math.inf  # way at the last look at the tether [m]
-        self._rest_rate = 0.0  # over the bias, as a mean [rad/s]
-        self._last_rate = 0.0  # about z, of the last reading [rad/s]
-        self._moved_at = -math.inf  # [s]
-        self._pull = 0.0  # of the tether on the rover, as a mean [N]
-        self._is_driven = False  # both wheels, straight ahead
+        self._level_bias = (0.0, 0.0)  # gyro bias about base_link x and y [rad/s]
+        self._rested = 0.0  # averaging time of the level bias so far [s]
+        self.tether_range = 0.0  # last distance measured by the taut tether; 0 = none yet [m]
+        self._tether_updated_at = -math.inf  # travel at the last tether update [m]
+        self._rest_rate = 0.0  # mean yaw rate beyond the bias [rad/s]
+        self._last_rate = 0.0  # last yaw rate sample [rad/s]
+        self._moved_at = -math.inf  # time of the last motion or disturbance [s]
+        self._mean_pull = 0.0  # mean force of the tether on the rover [N]
+        self._is_driven = False  # both wheels drive straight ahead
         self._x = np.zeros(_STATES)
         self._p = np.zeros((_STATES, _STATES))
         self._gyro_at: float | None = None
-        self._torque = kinematics.parameters.driving_torque  # mean of the way [N m]
+        self._torque = kinematics.parameters.driving_torque  # low-pass filtered wheel torque [N m]
         self._p[_BIAS, _BIAS] = parameters.gyro_turn_on_bias**2
         self._p[_SLIP, _SLIP] = parameters.slip_std**2
         self._knows_drop = False
-        self.place(GroundPose(0.0, 0.0, 0.0))
+        self.set_pose(GroundPose(0.0, 0.0, 0.0))
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def pose(self) -> GroundPose:
-        """Of base_link."""
+        """Pose of base_link in map."""
         x = self._x
         return self.kinematics.pose_at((float(x[_PX]), float(x[_PY])), wrapped(float(x[_HEADING])))
 
     @property
     def turned(self) -> float:
-        """Heading without wrapping [rad]."""
+        """Unwrapped heading [rad]."""
         return float(self._x[_HEADING])
 
     @property
     def bias(self) -> float:
-        """Of the gyro about base_link z [rad/s]."""
+        """Gyro bias about base_link z [rad/s]."""
         return float(self._x[_BIAS])
 
     @property
     def bias_error(self) -> float:
-        """Its standard deviation [rad/s]."""
+        """Standard deviation of the gyro bias [rad/s]."""
         return math.sqrt(self._p[_BIAS, _BIAS])
 
     @property
     def slip(self) -> float:
-        """Of the driven wheels, as counted on [-]."""
+        """Estimated slip of the driven wheels [-]."""
         p = self.kinematics.parameters
         by_torque = p.driving_slip + p.slip_per_torque * (self._torque - p.driving_torque)
-        return min(max(by_torque + float(self._x[_SLIP]), 0.0), _LARGEST_SLIP)
+        return min(max(by_torque + float(self._x[_SLIP]), 0.0), _MAX_SLIP)
 
     @property
     def drop(self) -> float:
-        """Height of the fairlead above the tether's attachment [m]; 0 = not known yet."""
+        """Height of the fairlead above the tether attachment [m]; 0 = not known yet."""
         return float(self._x[_DROP]) if self._knows_drop else 0.0
 
     def covariance(self) -> Floats:
-        """Of x, y and heading of base_link, (3, 3)."""
+        """Covariance of x [m], y [m] and heading [rad] of base_link, (3, 3)."""
         heading = self.turned
         ahead, left = self.kinematics.pivot
         c, s = math.cos(heading), math.sin(heading)
@@ -194,10 +195,10 @@ class DriveOdometry:
         to_base[0, 2], to_base[1, 2] = s * ahead + c * left, -c * ahead + s * left
         return np.asarray(to_base @ self._p[:3, :3] @ to_base.T)
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
-    def place(self, pose: GroundPose, *, knows_heading: bool = True) -> None:
-        """Take where the rover stands; without a heading it keeps its own."""
+    def set_pose(self, pose: GroundPose, *, knows_heading: bool = True) -> None:
+        """Set the pose of base_link; without a known heading the estimate is kept."""
         p = self.parameters
         heading = pose.heading if knows_heading else self.turned
         own = float(self._p[_HEADING, _HEADING])
@@ -210,138 +211,143 @@ class DriveOdometry:
         self._p[_HEADING, _HEADING] = p.initial_heading_std**2 if knows_heading else own
         self._p[_DROP, :] = self._p[:, _DROP] = 0.0
         self._knows_drop = False
-        self._seen_at = -math.inf
+        self._tether_updated_at = -math.inf
 
     def on_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
-        """Take a reading of the IMU.
+        """Process an IMU sample.
 
         Args:
-            rate: of the gyro [rad/s].
-            force: of the accelerometer [m/s^2].
-            now: its time [s].
-            at_rest: nothing drives the rover, and it has come to rest.
+            rate: angular rate in base_link [rad/s].
+            force: specific force in base_link [m/s^2].
+            now: time of the sample [s].
+            at_rest: the wheels are at rest without command.
         """
         before, self._gyro_at = self._gyro_at, now
-        if before is None or not 0.0 < now - before <= _LONGEST_STEP:
+        if before is None or not 0.0 < now - before <= _MAX_STEP:
             self._moved_at = now
             return
         h = now - before
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         left = rate[2] - self.bias
-        # A rover that creeps under the tether's pull does not rest, whatever its encoders say.
+        # The tether may drag a rover whose wheels are at rest; such creep must not enter the bias.
         self._rest_rate += min(h / _REST_TIME, 1.0) * (left - self._rest_rate)
         creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
-        jolt = abs(rate[2] - self._last_rate) > _JOLT * p.gyro_noise_density / math.sqrt(h) + _CREEP
+        disturbed = (
+            abs(rate[2] - self._last_rate)
+            > _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
+        )
         self._last_rate = rate[2]
-        if jolt or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKS:
+        if disturbed or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKING_RATE:
             self._moved_at = now
-        rests = now - self._moved_at > _QUIET
+        rests = now - self._moved_at > _QUIET_TIME
         if rests:
-            self._learn_level(rate, h)
+            self._update_level_bias(rate, h)
         bx, by = self._level_bias
-        share = min(h / (p.tilt_time_constant if rests else p.tilt_time_constant_moving), 1.0)
-        turned = self.attitude.turn((rate[0] - bx, rate[1] - by, left), force, h, share)
+        fraction = min(h / (p.tilt_time_constant if rests else p.tilt_time_constant_moving), 1.0)
+        turned = self.attitude.turn((rate[0] - bx, rate[1] - by, left), force, h, fraction)
         if rests and not creeps:
             self.yaw_rate = 0.0
-            row = np.zeros(_STATES)
-            row[_BIAS] = 1.0
-            self._update(row, left, p.gyro_noise_density**2 / h)
+            jacobian = np.zeros(_STATES)
+            jacobian[_BIAS] = 1.0
+            self._update(jacobian, left, p.gyro_noise_density**2 / h)
             return
         self.yaw_rate = turned / h
         self._x[_HEADING] += turned
-        self._follow(_HEADING, _BIAS, -h * self.attitude.up[2])
+        self._propagate(_HEADING, _BIAS, -h * self.attitude.up[2])
         self._p[_HEADING, _HEADING] += p.gyro_noise_density**2 * h
         if self._is_driven:
-            # Half of what the sides differ by belongs to the right one.
+            # The pivot lies half a track beside the middle of the axle.
             self._advance_pivot(0.5 * self.kinematics.parameters.track * turned)
 
-    def _learn_level(self, rate: Vector, h: float) -> None:
+    def _update_level_bias(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)
-        share = h / self._rested
+        fraction = h / self._rested
         x, y = self._level_bias
-        self._level_bias = (x + share * (rate[0] - x), y + share * (rate[1] - y))
+        self._level_bias = (x + fraction * (rate[0] - x), y + fraction * (rate[1] - y))
 
     def on_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
-        """Take how far the wheels have turned.
+        """Process an increment of the wheel angles.
 
         Args:
-            left: the left one [rad].
-            right: the right one [rad].
-            h: in a time [s].
-            torque: at the wheels [N m]; None = as usual.
+            left: left wheel [rad].
+            right: right wheel [rad].
+            h: duration of the increment [s].
+            torque: wheel torque [N m]; None = nominal.
         """
         radius, slip = self.kinematics.parameters.wheel_radius, self.slip
         slips = self._is_driven = left > 0.0 and left > 0.5 * right
         turned = 0.5 * (left + right) if slips else max(right, 0.0)
-        way = radius * turned * ((1.0 - slip) if slips else 1.0)
+        travel = radius * turned * ((1.0 - slip) if slips else 1.0)
         if slips and torque is not None:
             self._torque += min(h / _TORQUE_TIME, 1.0) * (torque - self._torque)
         if left < 0.0 and right <= 0.0:
-            # The pivot stands; base_link goes round it.
+            # The rover turns: the pivot is at rest and base_link moves about it.
             self.speed = self.kinematics.pivot[1] * self.yaw_rate
             return
-        self.speed = way / h if h > 0.0 and way > 0.0 else 0.0
-        if way == 0.0:
+        self.speed = travel / h if h > 0.0 and travel > 0.0 else 0.0
+        if travel == 0.0:
             return
-        self.way += way
-        self._advance_pivot(way)
+        self.travelled += travel
+        self._advance_pivot(travel)
         if slips:
-            self._slip_on(way, radius * turned)
+            self._propagate_slip(travel, radius * turned)
 
-    def _advance_pivot(self, way: float) -> None:
+    def _advance_pivot(self, travel: float) -> None:
         c, s = math.cos(self.turned), math.sin(self.turned)
-        aside = self.kinematics.parameters.sideslip_per_force * self._side_pull() * way
-        self._x[_PX] += c * way - s * aside
-        self._x[_PY] += s * way + c * aside
-        self._follow(_PX, _HEADING, -s * way)
-        self._follow(_PY, _HEADING, c * way)
-        # Of a direction that wanders over the slip's distance, what a way leaves aside.
+        aside = self.kinematics.parameters.sideslip_per_force * self._lateral_force() * travel
+        self._x[_PX] += c * travel - s * aside
+        self._x[_PY] += s * travel + c * aside
+        self._propagate(_PX, _HEADING, -s * travel)
+        self._propagate(_PY, _HEADING, c * travel)
+        # Lateral error of a direction that is correlated over the slip's distance.
         spread = (
-            self.parameters.sideslip_std**2 * abs(way) * self.parameters.slip_correlation_distance
+            self.parameters.sideslip_std**2
+            * abs(travel)
+            * self.parameters.slip_correlation_distance
         )
         self._p[_PX, _PX] += s * s * spread
         self._p[_PY, _PY] += c * c * spread
         self._p[_PX, _PY] -= s * c * spread
         self._p[_PY, _PX] -= s * c * spread
 
-    def _side_pull(self) -> float:
-        """Of the tether on the rover, to its left [N]; it leads to the fairlead."""
+    def _lateral_force(self) -> float:
+        """Lateral force of the tether on the rover, left positive [N]."""
         pose = self.pose
         reach = math.hypot(pose.x, pose.y, self.drop)
         if reach <= 0.0 or not self._knows_drop:
             return 0.0
         left = pose.x * math.sin(pose.heading) - pose.y * math.cos(pose.heading)
-        return self._pull * left / reach
+        return self._mean_pull * left / reach
 
-    def _slip_on(self, way: float, rolled: float) -> None:
-        """The way's error by the slip, and the slip's own wandering."""
+    def _propagate_slip(self, travel: float, rolled: float) -> None:
+        """Propagate the slip's covariance and its effect on the position."""
         p = self.parameters
-        self._follow(_PX, _SLIP, -math.cos(self.turned) * rolled)
-        self._follow(_PY, _SLIP, -math.sin(self.turned) * rolled)
-        keep = math.exp(-way / p.slip_correlation_distance)
+        self._propagate(_PX, _SLIP, -math.cos(self.turned) * rolled)
+        self._propagate(_PY, _SLIP, -math.sin(self.turned) * rolled)
+        keep = math.exp(-travel / p.slip_correlation_distance)
         self._x[_SLIP] *= keep
         self._p[_SLIP, :] *= keep
         self._p[:, _SLIP] *= keep
         self._p[_SLIP, _SLIP] += p.slip_std**2 * (1.0 - keep * keep)
 
-    def _follow(self, state: int, other: int, share: float) -> None:
-        """A state has changed by a share of another's error: P = F P F^T with F one entry off I."""
-        self._p[state, :] += share * self._p[other, :]
-        self._p[:, state] += share * self._p[:, other]
+    def _propagate(self, state: int, other: int, fraction: float) -> None:
+        """Covariance after a state changed by a fraction of another's error: P = F P F^T."""
+        self._p[state, :] += fraction * self._p[other, :]
+        self._p[:, state] += fraction * self._p[:, other]
 
     def on_tether(self, tether: Tether, *, is_taut: bool) -> None:
-        """Take the tether's length.
+        """Process the tether measurement.
 
         Args:
-            tether: what the winch tells.
-            is_taut: the winch holds it at a tension; otherwise it only bounds the distance.
+            tether: as measured by the winch.
+            is_taut: the winch controls the tension; otherwise the length only bounds the distance.
         """
         p = self.parameters
         self.tether_range = 0.0
-        # A mean: the winch holds its tension roughly.
+        # Averaged: the winch controls the tension only roughly.
         pull = max(tether.tension - tether.weight, 0.0)
-        self._pull += _PULL_SHARE * (pull - self._pull)
+        self._mean_pull += _FORCE_FRACTION * (pull - self._mean_pull)
         if not p.uses_tether:
             return
         px, py = self.pose.x, self.pose.y
@@ -351,35 +357,37 @@ class DriveOdometry:
             self.tether_range = chord
         if not self._knows_drop:
             if is_taut and chord > horizontal:
-                self._begin_drop(chord, horizontal)
+                self._initialize_drop(chord, horizontal)
             return
         distance = math.hypot(horizontal, self.drop)
-        if is_taut and self.way - self._seen_at < p.tether_update_distance:
+        if is_taut and self.travelled - self._tether_updated_at < p.tether_update_distance:
             return
         beyond = distance - tether.length
         if not is_taut and beyond <= 3.0 * p.tether_range_std:
             return
-        self._seen_at = self.way
-        row = np.zeros(_STATES)
+        self._tether_updated_at = self.travelled
+        jacobian = np.zeros(_STATES)
         ahead, left = self.kinematics.pivot
         c, s = math.cos(self.turned), math.sin(self.turned)
-        row[_PX], row[_PY] = px / distance, py / distance
-        row[_HEADING] = row[_PX] * (s * ahead + c * left) + row[_PY] * (s * left - c * ahead)
-        row[_DROP] = self.drop / distance
-        miss = (chord if is_taut else tether.length) - distance
-        expected = float(row @ self._p @ row) + p.tether_range_std**2
-        if miss * miss < 16.0 * expected:
-            self._update(row, miss, p.tether_range_std**2)
+        jacobian[_PX], jacobian[_PY] = px / distance, py / distance
+        jacobian[_HEADING] = jacobian[_PX] * (s * ahead + c * left) + jacobian[_PY] * (
+            s * left - c * ahead
+        )
+        jacobian[_DROP] = self.drop / distance
+        innovation = (chord if is_taut else tether.length) - distance
+        expected = float(jacobian @ self._p @ jacobian) + p.tether_range_std**2
+        if innovation * innovation < 16.0 * expected:
+            self._update(jacobian, innovation, p.tether_range_std**2)
 
-    def _begin_drop(self, chord: float, horizontal: float) -> None:
-        """The height is what the first taut length leaves beside the known place."""
+    def _initialize_drop(self, chord: float, horizontal: float) -> None:
+        """Initialize the fairlead height from the first taut length at the known position."""
         self._x[_DROP] = math.sqrt(chord**2 - horizontal**2)
         self._p[_DROP, _DROP] = self.parameters.initial_drop_std**2
         self._knows_drop = True
-        self._seen_at = self.way
+        self._tether_updated_at = self.travelled
 
-    def _update(self, row: Floats, miss: float, variance: float) -> None:
-        gain = self._p @ row / (float(row @ self._p @ row) + variance)
-        self._x = self._x + gain * miss
-        keep = _IDENTITY - np.outer(gain, row)
+    def _update(self, jacobian: Floats, innovation: float, variance: float) -> None:
+        gain = self._p @ jacobian / (float(jacobian @ self._p @ jacobian) + variance)
+        self._x = self._x + gain * innovation
+        keep = _IDENTITY - np.outer(gain, jacobian)
         self._p = keep @ self._p @ keep.T + variance * np.outer(gain, gain)

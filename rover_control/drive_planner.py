@@ -1,14 +1,14 @@
-"""From a goal on the ground to what ratchets can do: turn left, drive straight, turn left. Pure.
+"""Path planning for the ratchet drive: left turn, straight segment, left turn. Pure.
 
-In the pivot's coordinates (module `ratchet_kinematics`) the two turns stand still, so a goal pose
-takes exactly one straight way, from pivot to pivot; a goal that leaves the heading open takes the
-straight way on which base_link comes there, which is beside the pivot's. Where that goal is under
-the pivot no turn points at it: the rover drives on, and comes back from farther away.
+A turn leaves the pivot in place (module `ratchet_kinematics`), so exactly one straight segment,
+from pivot to pivot, leads to a goal pose. For a goal without heading the segment is the one that
+takes base_link there, parallel to the pivot's path. If such a goal lies too close to the pivot, no
+turn points at it: the rover drives on and approaches from farther away.
 
-No turn goes right, so a heading that has come out a little too far left costs a full turn. Three
-things keep that rare: a straight way is aimed a little to the right of its goal, so that the next
-correction is a left one; it is made in pieces, each aimed anew; and what the rover bends off by
-itself, as learnt on the ways before, is allowed for.
+There are no right turns, so a heading slightly too far left costs a full turn. Three measures make
+that rare: each segment aims slightly right of the goal, so that the next correction is a left turn;
+a path is divided into segments that are aimed one by one; and the curvature of the rover's straight
+driving, estimated on earlier segments, is compensated.
 """
 
 from __future__ import annotations
@@ -46,112 +46,114 @@ class PlannerParameters:
 
 
 class Goal(NamedTuple):
-    """Where base_link is to be."""
+    """Goal position of base_link, with an optional heading."""
 
     x: float
     y: float
-    heading: float = math.nan  # NaN = left open [rad]
+    heading: float = math.nan  # NaN = any [rad]
 
     @property
-    def wants_heading(self) -> bool:
-        """Whether a heading is asked for."""
+    def has_heading(self) -> bool:
+        """Whether the goal has a heading."""
         return not math.isnan(self.heading)
 
 
-_AWAY = 0.6  # way from a goal that is too near to be turned to [m]
+_ESCAPE_DISTANCE = 0.6  # length of the segment away from an unreachable goal [m]
 
 
-def _is_too_near(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> bool:
-    """Whether no turn about the right wheel points at a goal that leaves its heading open."""
+def _is_unreachable(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> bool:
+    """Whether no turn about the pivot points at a goal without heading."""
     px, py = kinematics.pivot_of(start)
     distance = math.hypot(goal.x - px, goal.y - py)
-    return not goal.wants_heading and distance <= abs(kinematics.pivot[1])
+    return not goal.has_heading and distance <= abs(kinematics.pivot[1])
 
 
 def course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
-    """Heading [rad] and length [m] of the straight way to a goal that is not too near."""
+    """Heading [rad] and length [m] of the straight segment to a reachable goal."""
     px, py = kinematics.pivot_of(start)
-    if goal.wants_heading:
+    if goal.has_heading:
         gx, gy = kinematics.pivot_of(GroundPose(goal.x, goal.y, goal.heading))
-        way = math.hypot(gx - px, gy - py)
-        return (math.atan2(gy - py, gx - px) if way > 1e-9 else start.heading), way
+        length = math.hypot(gx - px, gy - py)
+        return (math.atan2(gy - py, gx - px) if length > 1e-9 else start.heading), length
     distance = math.hypot(goal.x - px, goal.y - py)
     ahead, left = kinematics.pivot
     heading = math.atan2(goal.y - py, goal.x - px) - math.asin(-left / distance)
     return wrapped(heading), math.sqrt(distance**2 - left**2) + ahead
 
 
-class Piece(NamedTuple):
-    """What to do next on the way to a goal."""
+class Segment(NamedTuple):
+    """A left turn followed by a straight segment."""
 
-    turn: float  # left, at first [rad]
-    way: float  # then straight [m]
+    turn: float  # left turn before the segment [rad]
+    length: float  # of the segment [m]
     heading: float  # after the turn [rad]
-    is_last: bool  # the way ends at the goal
+    is_last: bool  # whether the segment ends at the goal
 
 
 class DrivePlanner:
-    """Cuts the way to a goal into pieces, from the estimated pose each time.
+    """Plans the segments of a path, each from the estimated pose.
 
     Args:
         kinematics: of the chassis.
-        parameters: how.
+        parameters: tolerances and segmentation.
     """
 
     def __init__(self, kinematics: RatchetKinematics, parameters: PlannerParameters) -> None:
         self.kinematics = kinematics
         self.parameters = parameters
-        self.bend = 0.0  # turn by itself over the way, left positive [rad/m]
-        self._pieces = 0
+        self.curvature = 0.0  # of straight driving, left positive [rad/m]
+        self._segments = 0
 
     def begin(self) -> None:
-        """A new goal."""
-        self._pieces = 0
+        """Start on a new goal."""
+        self._segments = 0
 
-    def learn(self, turned: float, way: float) -> None:
-        """Take how far the rover has turned [rad] by itself on a straight way [m]."""
-        if way > 0.0:
-            share = way / (way + self.parameters.curvature_memory)
-            self.bend += share * (turned / way - self.bend)
+    def update_curvature(self, turned: float, length: float) -> None:
+        """Update the curvature estimate with the turn [rad] on a straight segment [m]."""
+        if length > 0.0:
+            fraction = length / (length + self.parameters.curvature_memory)
+            self.curvature += fraction * (turned / length - self.curvature)
 
-    def is_there(self, pose: GroundPose, goal: Goal) -> bool:
-        """Whether the place is reached, whatever the heading."""
-        if goal.wants_heading:
-            # What a last turn makes of it.
+    def is_at_goal(self, pose: GroundPose, goal: Goal) -> bool:
+        """Whether the goal position is reached, whatever the heading."""
+        if goal.has_heading:
+            # A last turn moves base_link: compare the position after it.
             pivot = self.kinematics.pivot_of(pose)
             pose = self.kinematics.pose_at(pivot, goal.heading)
         return pose.distance(goal.x, goal.y) <= self.parameters.xy_goal_tolerance
 
     def last_turn(self, pose: GroundPose, goal: Goal) -> float:
-        """Left turn [rad] that the goal's heading still needs, 0 where it is near enough."""
-        if not goal.wants_heading:
+        """Left turn [rad] that remains to the goal's heading; 0 within the tolerance."""
+        if not goal.has_heading:
             return 0.0
         if abs(wrapped(goal.heading - pose.heading)) <= self.parameters.yaw_goal_tolerance:
             return 0.0
         return left_turn(pose.heading, goal.heading)
 
-    def next_piece(self, pose: GroundPose, goal: Goal) -> Piece:
-        """The next turn and straight way."""
+    def next_segment(self, pose: GroundPose, goal: Goal) -> Segment:
+        """Plan the next turn and straight segment."""
         p = self.parameters
-        if _is_too_near(self.kinematics, pose, goal):
-            return Piece(0.0, _AWAY, pose.heading, False)
+        if _is_unreachable(self.kinematics, pose, goal):
+            return Segment(0.0, _ESCAPE_DISTANCE, pose.heading, False)
         heading, left = course(self.kinematics, pose, goal)
         is_last = left <= p.last_segment
-        way = left
+        length = left
         if not is_last:
-            way = min(p.first_segment, left) if self._pieces == 0 else p.segment_fraction * left
-        self._pieces += 1
-        # The chord of an arc lies half its bend off its first tangent.
-        aim = heading - 0.5 * self.bend * way - (0.0 if is_last else p.aim_offset)
+            length = (
+                min(p.first_segment, left) if self._segments == 0 else p.segment_fraction * left
+            )
+        self._segments += 1
+        # The chord of an arc deviates from its first tangent by half the arc's angle.
+        aim = heading - 0.5 * self.curvature * length - (0.0 if is_last else p.aim_offset)
         turn = left_turn(pose.heading, aim)
-        if self._may_stay(wrapped(pose.heading - aim), left, is_last=is_last):
+        if self._keeps_heading(wrapped(pose.heading - aim), left, is_last=is_last):
             turn = 0.0
-        return Piece(turn, way, pose.heading + turn, is_last)
+        return Segment(turn, length, pose.heading + turn, is_last)
 
-    def _may_stay(self, beyond: float, left: float, *, is_last: bool) -> bool:
-        """Whether a heading may be left as it is that lies `beyond` [rad] left of the aim."""
+    def _keeps_heading(self, beyond: float, left: float, *, is_last: bool) -> bool:
+        """Whether a heading `beyond` [rad] left of the aim is accepted without a turn."""
         p = self.parameters
-        if beyond < 0.0:  # a left turn is cheap, but not for nothing
+        if beyond < 0.0:  # skip a left turn that gains less than a tenth of the tolerance
             return -beyond * left < 0.1 * p.xy_goal_tolerance
         if is_last:
             return beyond * left < 0.8 * p.xy_goal_tolerance

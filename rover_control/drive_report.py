@@ -1,4 +1,4 @@
-"""What the drive controller tells, as samples of the contract. Pure."""
+"""Published samples of the drive controller. Pure."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from msg_schemas.machine import (
 from msg_schemas.samples import JointSample, JointValue, OdometrySample
 from rover_control.drive import Drive
 
-_UNKNOWN = 1e6  # variance of what is not estimated
+_UNKNOWN = 1e6  # variance of quantities that are not estimated
 
 
 def odometry_sample(drive: Drive, stamp_ns: int) -> OdometrySample:
-    """Pose, twist and covariance; the height is that of the attachment below the fairlead."""
+    """Pose, twist and covariance; z is the height of the tether attachment below the fairlead."""
     odometry = drive.odometry
     pose = odometry.pose
     half = 0.5 * pose.heading
     cov = odometry.covariance()
     full = [0.0] * 36
-    # x, y and the rotation about z are rows 0, 1 and 5 of the message's six.
-    for i, row in enumerate((0, 1, 5)):
+    # x, y and the rotation about z are rows 0, 1 and 5 of the message's 6 x 6 covariance.
+    for i, jacobian in enumerate((0, 1, 5)):
         for j, column in enumerate((0, 1, 5)):
-            full[6 * row + column] = float(cov[i, j])
-    for row in (2, 3, 4):
-        full[7 * row] = _UNKNOWN
+            full[6 * jacobian + column] = float(cov[i, j])
+    for jacobian in (2, 3, 4):
+        full[7 * jacobian] = _UNKNOWN
     return OdometrySample(
         stamp_ns,
         (pose.x, pose.y, -odometry.drop),
@@ -48,7 +48,7 @@ def odometry_sample(drive: Drive, stamp_ns: int) -> OdometrySample:
 
 
 def state_sample(drive: Drive, stamp_ns: int) -> JointSample:
-    """What the controller makes of its sensors."""
+    """Estimates of the drive controller."""
     odometry, follower = drive.odometry, drive.follower
     pose, cov, goal = odometry.pose, odometry.covariance(), follower.goal
     distance = 0.0 if goal is None else pose.distance(goal.x, goal.y)
@@ -56,7 +56,7 @@ def state_sample(drive: Drive, stamp_ns: int) -> JointSample:
     return JointSample(
         stamp_ns,
         {
-            FORWARD: JointValue(odometry.way, odometry.speed),
+            FORWARD: JointValue(odometry.travelled, odometry.speed),
             YAW: JointValue(pose.heading, odometry.yaw_rate),
             PITCH: JointValue(odometry.attitude.pitch),
             ROLL: JointValue(odometry.attitude.roll),

@@ -1,8 +1,8 @@
-"""How the tether is led while the rover drives: held at a low tension by the winch. Pure.
+"""Tether control while the rover drives: the winch holds a low tension. Pure.
 
-The winch pays out and takes in by itself, at a tension that carries what hangs of the tether and a
-margin more; it refuses less. It asks for renewal, so a rover whose controller has died is not
-pulled for long. When the driving is over, it is asked for the length that is out, and so holds.
+The winch pays out and reels in by itself to hold a tension of the paid-out tether's weight plus a
+margin. The request must be renewed, so that the winch stops if the drive controller dies. When the
+drive ends, the controller requests the present length, which the winch then holds.
 """
 
 from __future__ import annotations
@@ -11,14 +11,15 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas import topics
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.parameters import parameter
 
 _HOLD, _TENSION = "hold", "tension"  # modes of the winch
 _FREE = frozenset({_HOLD, "length", "slack", _TENSION})
-_STANDING = 1.0e-3  # a drum that is slower stands [m/s]
-_TAUT = 0.4  # part of the margin with which the tether is taut, as a mean
-_MEAN = 1.0  # over so long [s]
+_STANDING = 1.0e-3  # drum speed below which the drum is at rest [m/s]
+_TAUT = 0.4  # fraction of the margin above which the tether is taut, on average
+_MEAN = 1.0  # averaging time of the tension [s]
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class TetherParameters:
 
 
 class TetherRequest(NamedTuple):
-    """A request to the winch: the joint that it is about, and its values."""
+    """A request to the winch: joint and values."""
 
     joint: str
     position: float
@@ -67,90 +68,90 @@ class TetherRequest(NamedTuple):
     effort: float
 
 
-class TetherCare:
-    """Leads the tether.
+class TetherControl:
+    """Requests tension while the rover drives, and a length afterwards.
 
     Args:
-        parameters: how.
+        parameters: tensions and time limits.
     """
 
     def __init__(self, parameters: TetherParameters) -> None:
         self.parameters = parameters
         self.mode = ""
-        self.length = math.nan  # paid out at the drum [m]
-        self.rate = 0.0  # of payout [m/s]
-        self.tension = math.nan  # at the fairlead; NaN = not known [N]
-        self.weight = 0.0  # of the tether that is out [N]
+        self.length = math.nan  # paid-out length at the drum [m]
+        self.rate = 0.0  # payout rate [m/s]
+        self.tension = math.nan  # at the fairlead; NaN = unknown [N]
+        self.weight = 0.0  # of the paid-out tether [N]
         self._leads = False
         self._since = 0.0
-        self._sent = -math.inf
-        self._had_it = False
-        self._is_taken_up = False  # the tether was taut since the driving began
-        self._pull = 0.0  # beyond the tether's weight, mean [N]
-        self._pulls = self._slack = 0.0
+        self._sent_at = -math.inf
+        self._held_tension = False
+        self._is_taken_up = False  # whether the tether has been taut since the drive began
+        self._mean_pull = 0.0  # mean tension beyond the tether's weight [N]
+        self._over_tension_time = self._slack_time = 0.0
 
     @property
     def is_taut(self) -> bool:
-        """Whether the winch holds it at a tension, and it has it."""
-        return self.mode == _TENSION and self._pull > _TAUT * self.parameters.tension_margin
+        """Whether the winch controls the tension and the tether is taut."""
+        return self.mode == _TENSION and self._mean_pull > _TAUT * self.parameters.tension_margin
 
     @property
     def holds(self) -> bool:
-        """Whether the tether is led as it shall be, so that the rover may move."""
+        """Whether the tether is under control, so that the rover may move."""
         if not self.parameters.uses_winch:
             return True
         return self._leads and self.mode == _TENSION and self._is_taken_up
 
     def on_mode(self, mode: str) -> None:
-        """Take what the winch is doing."""
+        """Process the winch mode."""
         self.mode = mode
 
     def on_estimate(self, length: float, rate: float, tension: float, weight: float) -> None:
-        """Take what the winch makes of its sensors."""
+        """Process the winch estimate."""
         self.length, self.rate, self.tension, self.weight = length, rate, tension, weight
 
-    def unready(self) -> str:
-        """Why the winch cannot lead the tether; empty = it can."""
+    def not_ready_reason(self) -> str:
+        """Why the winch cannot control the tension; empty = ready."""
         if not self.parameters.uses_winch or self.mode in _FREE:
             return ""
-        return f"the winch is in {self.mode or 'no known mode'}, it must be armed and hold"
+        return f"the winch is in {self.mode or 'an unknown mode'}; arm it ({topics.WINCH_REARM})"
 
     def step(self, now: float, h: float, *, leads: bool) -> TetherRequest | None:
-        """What to ask of the winch now.
+        """Advance by h; returns the winch request to send, or None.
 
         Args:
-            now: [s].
-            h: since the last step [s].
-            leads: whether the rover is to be driven.
+            now: time [s].
+            h: time since the last step [s].
+            leads: whether the rover is driving.
         """
         p = self.parameters
         if not p.uses_winch:
             return None
         if leads and not self._leads:
-            self._since, self._had_it, self._sent = now, False, -math.inf
+            self._since, self._held_tension, self._sent_at = now, False, -math.inf
             self._is_taken_up = False
-            self._pulls = self._slack = 0.0
+            self._over_tension_time = self._slack_time = 0.0
         self._leads = leads
         pull = self.tension - self.weight
         if math.isfinite(pull):
-            self._pull += min(h / _MEAN, 1.0) * (pull - self._pull)
-        self._pulls = self._pulls + h if pull > p.tension_limit else 0.0
-        self._slack = self._slack + h if self._pull < 0.1 * p.tension_margin else 0.0
-        self._had_it = leads and (self._had_it or self.mode == _TENSION)
+            self._mean_pull += min(h / _MEAN, 1.0) * (pull - self._mean_pull)
+        self._over_tension_time = self._over_tension_time + h if pull > p.tension_limit else 0.0
+        self._slack_time = self._slack_time + h if self._mean_pull < 0.1 * p.tension_margin else 0.0
+        self._held_tension = leads and (self._held_tension or self.mode == _TENSION)
         waited = now - self._since > p.take_up_timeout
         self._is_taken_up = leads and (self._is_taken_up or self.is_taut or waited)
-        if now - self._sent < p.request_period:
+        if now - self._sent_at < p.request_period:
             return None
-        if leads and not self.trouble(now):
-            self._sent = now
+        if leads and not self.fault_reason(now):
+            self._sent_at = now
             return self._hold()
         stands = abs(self.rate) < _STANDING
         if not leads and self.mode == _TENSION and stands and math.isfinite(self.length):
-            self._sent = now
+            self._sent_at = now
             return TetherRequest(WINCH_TO_LENGTH, self.length, 0.0, 0.0)
         if not leads and self.mode == _TENSION:
-            # The drum still moves; it is asked to hold its tension until it stands.
-            self._sent = now
+            # The drum still moves: keep the tension mode until it is at rest.
+            self._sent_at = now
             return self._hold()
         return None
 
@@ -159,17 +160,26 @@ class TetherCare:
         rate = p.follow_rate if self._is_taken_up else p.take_up_rate
         return TetherRequest(WINCH_AT_TENSION, 0.0, rate, self.weight + p.tension_margin)
 
-    def trouble(self, now: float) -> str:
-        """Why the rover must not go on; empty = it may."""
+    def fault_reason(self, now: float) -> str:
+        """Why the rover must stop; empty = no fault."""
         p = self.parameters
         if not p.uses_winch or not self._leads:
             return ""
-        if self._had_it and self.mode != _TENSION:
-            return f"the winch has left its tension for {self.mode}, its events say why"
-        if not self._had_it and now - self._since > p.request_timeout:
-            return "the winch has not taken the request for a tension, its diagnostics say why"
-        if self._pulls > p.tension_limit_time:
-            return f"the tether pulls with {self.tension:.3g} N, it is held somewhere"
-        if self._slack > p.slack_timeout:
-            return f"the tether is slack ({self.tension:.3g} N) and the winch does not take it up"
+        if self._held_tension and self.mode != _TENSION:
+            return f"the winch left mode tension for {self.mode}; see its events"
+        if not self._held_tension and now - self._since > p.request_timeout:
+            return (
+                f"the winch did not enter mode tension within {p.request_timeout:g} s; see its "
+                "diagnostics"
+            )
+        if self._over_tension_time > p.tension_limit_time:
+            return (
+                f"the tether tension is {self.tension:.3g} N, limit "
+                f"{self.weight + p.tension_limit:.3g} N: the tether may be snagged"
+            )
+        if self._slack_time > p.slack_timeout:
+            return (
+                f"the tether is slack ({self.tension:.3g} N) for {p.slack_timeout:g} s and the "
+                "winch does not take it up"
+            )
         return ""

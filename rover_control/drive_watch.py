@@ -1,17 +1,18 @@
-"""Whether the rover goes where its wheels say: stuck, blocked, bogged, too steep. Pure.
+"""Motion watch: detects blocked wheels, immobilization, digging in and steep slopes. Pure.
 
-No sensor tells the speed over ground, so several witnesses are heard, each where it can see:
+No sensor measures the speed over ground. The watch compares several measurements, each where it is
+observable:
 
-* the encoder against the command: a wheel that does not turn is blocked;
-* the gyro in a turn: the left wheel turns, the heading does not;
-* the accelerometer at the start of a way: integrated over a few seconds it must show the speed;
-* the tether, held taut: the winch must pay out or take in as the way says, where the way leads
-  away from the fairlead or towards it; twice in a row, as its tension and with it the distance that
-  it tells change where the winch takes slack up;
-* the motor's current: on soft ground the torque rises with the slip, to the soil's strength.
+* encoder against command: a wheel that does not turn is blocked;
+* gyro in a turn: the left wheel turns, the heading must change;
+* accelerometer after a start: its integral over a few seconds must show the speed;
+* tether held taut, while driving away from or towards the fairlead: its length must change with the
+  travel. Two failed checks in a row are needed, as taking up slack changes the tension and with it
+  the measured distance;
+* motor current: on soft ground the torque rises with the slip, up to the soil's strength.
 
-Slip and sinkage cannot be measured apart; both show in the torque. It bounds the speed: the rover
-slows down as the torque comes near its limit, and gives up where it stays there.
+Slip and sinkage cannot be separated; both raise the torque. Near the torque limit the rover slows
+down; if the torque stays above it, the motion ends.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 
 from msg_schemas.parameters import parameter
 
-_DOUBTS = 2  # ways in a row over which the tether does not follow
+_MAX_FAILED_CHECKS = 2  # failed tether checks in a row that end the motion
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class DriveWatch:
     """Watches one motion at a time.
 
     Args:
-        parameters: when.
+        parameters: thresholds.
     """
 
     def __init__(self, parameters: WatchParameters) -> None:
@@ -78,58 +79,56 @@ class DriveWatch:
         self.begin()
 
     def begin(self) -> None:
-        """A motion begins from rest."""
-        self._blocked = self._steep = self._strained = 0.0
+        """Reset at the start of a motion from rest."""
+        self._blocked = self._steep = self._over_torque = 0.0
         self._turn = self._turned = 0.0
         self._age = 0.0
-        self._inertial = 0.0  # speed by the accelerometer [m/s]
-        self._bogged = 0.0
+        self._inertial_speed = 0.0  # integral of the acceleration [m/s]
+        self._not_moving = 0.0
         self._range_from: float | None = None
         self._range_expected = 0.0
-        self._way = 0.0
-        self._doubts = 0  # of the tether, one after the other
+        self._travel = 0.0
+        self._failed_checks = 0  # failed tether checks in a row
 
-    def speed_share(self, torque: float) -> float:
-        """What part of its speed the rover may use at a torque [N m]."""
+    def speed_fraction(self, torque: float) -> float:
+        """Fraction of the speed that the rover may use at a wheel torque [N m]."""
         p = self.parameters
         span = max(p.torque_limit - p.slowdown_torque, 1e-9)
         over = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
         return 1.0 - over * (1.0 - p.min_speed_fraction)
 
     def common(self, commanded: float, rate: float, torque: float, slope: float, h: float) -> str:
-        """Watch what every motion shows; returns the reason to end it, empty = none.
+        """Check torque, slope and blocked wheels; returns the reason to stop, empty = none.
 
         Args:
-            commanded: rate of the left wheel [rad/s].
-            rate: that its encoder shows.
-            torque: at the wheels, by the current [N m].
+            commanded: commanded rate of the left wheel [rad/s].
+            rate: measured rate of the left wheel [rad/s].
+            torque: wheel torque from the motor current [N m].
             slope: inclination of base_link [rad].
             h: time since the last call [s].
         """
         p = self.parameters
-        asked = abs(commanded) > 0.05
-        slow = asked and abs(rate) < p.blocked_fraction * abs(commanded)
+        is_commanded = abs(commanded) > 0.05
+        slow = is_commanded and abs(rate) < p.blocked_fraction * abs(commanded)
         self._blocked = self._blocked + h if slow else 0.0
         if self._blocked > p.blocked_time:
+            return f"wheel motor blocked: {rate:.3g} rad/s at a command of {commanded:.3g} rad/s"
+        self._over_torque = self._over_torque + h if abs(torque) > p.torque_limit else 0.0
+        if self._over_torque > p.torque_limit_time:
             return (
-                f"the wheel motor is blocked: {rate:.3g} rad/s for {commanded:.3g} rad/s commanded"
-            )
-        self._strained = self._strained + h if abs(torque) > p.torque_limit else 0.0
-        if self._strained > p.torque_limit_time:
-            return (
-                f"the wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, "
-                f"{p.torque_limit:g} N m are allowed"
+                f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
+                f"{p.torque_limit:g} N m"
             )
         self._steep = self._steep + h if slope > p.max_slope else 0.0
         if self._steep > p.slope_time:
             return (
-                f"the ground is too steep: {math.degrees(slope):.3g} deg, "
-                f"{math.degrees(p.max_slope):.3g} deg are allowed"
+                f"ground too steep: {math.degrees(slope):.3g} deg, limit "
+                f"{math.degrees(p.max_slope):.3g} deg"
             )
         return ""
 
     def turn(self, expected: float, turned: float) -> str:
-        """Watch a turn; angles [rad] since the last call, by the wheel and by the gyro."""
+        """Check a turn; angle increments [rad] by the wheel and by the gyro."""
         p = self.parameters
         self._turn += expected
         self._turned += turned
@@ -139,60 +138,65 @@ class DriveWatch:
         self._turn = self._turned = 0.0
         if turned < p.stuck_fraction * expected:
             return (
-                f"the wheel turns and the rover does not: {math.degrees(turned):.3g} deg of "
+                f"the wheel turns but not the rover: {math.degrees(turned):.3g} deg of "
                 f"{math.degrees(expected):.3g} deg by the gyro"
             )
         return ""
 
     def straight(self, speed: float, forward: float, h: float) -> str:
-        """Watch the start of a straight way.
+        """Check the start of a straight segment.
 
         Args:
-            speed: over ground, as the wheels and their usual slip have it [m/s].
-            forward: acceleration along base_link x, gravity taken off [m/s^2].
+            speed: odometric speed over ground [m/s].
+            forward: acceleration along base_link x without gravity [m/s^2].
             h: time since the last call [s].
         """
         p = self.parameters
         if self._age > p.start_check_time:
             return ""
         self._age += h
-        self._inertial += forward * h
+        self._inertial_speed += forward * h
         seen = speed >= p.start_check_speed
-        self._bogged = (
-            self._bogged + h if seen and self._inertial < p.stuck_fraction * speed else 0.0
+        self._not_moving = (
+            self._not_moving + h
+            if seen and self._inertial_speed < p.stuck_fraction * speed
+            else 0.0
         )
-        if self._bogged > 0.4 * p.start_check_time:
+        if self._not_moving > 0.4 * p.start_check_time:
             return (
-                f"the wheels turn and the rover does not move: {self._inertial:.3g} m/s of "
-                f"{speed:.3g} m/s by the accelerometer"
+                f"the wheels turn but the rover does not move: {self._inertial_speed:.3g} m/s "
+                f"of {speed:.3g} m/s by the accelerometer"
             )
         return ""
 
-    def tether(self, way: float, expected: float, distance: float) -> str:
-        """Watch a straight way by the tether's length.
+    def tether(self, travel: float, expected: float, distance: float) -> str:
+        """Check a straight segment by the length of the tether.
 
         Args:
-            way: driven since the last call [m].
-            expected: change of the distance from the fairlead by it [m].
-            distance: by the tether, held taut [m]; 0 = not known.
+            travel: odometric travel since the last call [m].
+            expected: change of the distance from the fairlead by that travel [m].
+            distance: measured by the taut tether [m]; 0 = unknown.
         """
         p = self.parameters
         if distance <= 0.0:
             self._range_from = None
             return ""
         if self._range_from is None:
-            self._range_from, self._range_expected, self._way = distance, 0.0, 0.0
+            self._range_from, self._range_expected, self._travel = distance, 0.0, 0.0
             return ""
-        self._way += way
+        self._travel += travel
         self._range_expected += expected
-        if self._way < p.tether_check_distance or abs(self._range_expected) < p.min_range_change:
+        if self._travel < p.tether_check_distance or abs(self._range_expected) < p.min_range_change:
             return ""
-        moved, wanted = distance - self._range_from, self._range_expected
-        self._range_from, self._range_expected, self._way = distance, 0.0, 0.0
-        doubted = moved * math.copysign(1.0, wanted) < p.stuck_fraction * abs(wanted)
-        self._doubts = self._doubts + 1 if doubted else 0
-        if self._doubts >= _DOUBTS:
+        moved, expected_change = distance - self._range_from, self._range_expected
+        self._range_from, self._range_expected, self._travel = distance, 0.0, 0.0
+        doubted = moved * math.copysign(1.0, expected_change) < p.stuck_fraction * abs(
+            expected_change
+        )
+        self._failed_checks = self._failed_checks + 1 if doubted else 0
+        if self._failed_checks >= _MAX_FAILED_CHECKS:
             return (
-                f"the wheels turn and the tether does not follow: {moved:.3g} m of {wanted:.3g} m"
+                f"the wheels turn but the tether does not follow: {moved:.3g} m of "
+                f"{expected_change:.3g} m"
             )
         return ""

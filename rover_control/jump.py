@@ -1,8 +1,9 @@
-"""The rover's jumps: sequence, prediction, report of each jump, learnt spring. Pure.
+"""Jump controller: requests, prediction, sequence and spring estimate. Pure.
 
-A jump by stroke or height begins at once. One by clearance is predicted first: `take_question` says
-what is to be predicted, and what answers it tells `on_prediction`; then the winch is asked for
-slack, where there is too little, and the jump begins. An outlook ends with the prediction.
+A jump by stroke or height begins at once. A jump by clearance is predicted first:
+`take_prediction_request` returns the request, `on_prediction` processes the result. If the tether
+is too short, the winch is asked for slack; then the jump begins. A prediction-only request ends
+with the prediction.
 """
 
 from __future__ import annotations
@@ -17,14 +18,19 @@ from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_PREDICTION, JU
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, Level, OdometrySample, WrenchSample
-from rover_control.jump_flight import FlightRecorder, Flown
+from rover_control.jump_flight import FlightRecorder, MeasuredJump
 from rover_control.jump_parameters import JumpParameters, JumpPhase
-from rover_control.jump_prediction import Prediction, PredictionParameters, Question, Situation
+from rover_control.jump_prediction import (
+    Prediction,
+    PredictionParameters,
+    PredictionRequest,
+    RoverStance,
+)
 from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
 
-_HOLD = "hold"  # mode of a winch that holds a length
+_HOLD = "hold"  # winch mode that holds a length
 
 
 @dataclass(frozen=True)
@@ -38,23 +44,23 @@ class FlightParameters:
 
 
 class JumpRecord(NamedTuple):
-    """A jump, predicted and flown."""
+    """A jump as predicted and as measured."""
 
-    stamp_ns: int  # of the landing
-    stroke: float  # of the nut at the release [m]
-    wanted: float  # height [m]; nan = a stroke was asked for
-    expected: Height | None  # before the release; None: the stroke was to lift nothing
-    prediction: Prediction | None  # that the jump was picked by
-    peak_tension: float  # at the rover, from the release to the rest [N]; nan = not known
-    flown: Flown
-    gain: float  # of the spring's estimate after it
-    zero: float  # [m]
-    learnt: bool  # whether the spring's estimate took it
+    stamp_ns: int  # time of the landing
+    stroke: float  # nut position at the release [m]
+    requested_height: float  # [m]; nan = the request gave a stroke
+    expected: Height | None  # expected before the release; None: stroke too short to lift off
+    prediction: Prediction | None  # prediction that selected the stroke, if any
+    peak_tension: float  # at the rover, from release to rest [N]; nan = unknown
+    flown: MeasuredJump
+    gain: float  # of the spring estimate after the jump
+    zero: float  # of the spring estimate after the jump [m]
+    accepted: bool  # whether the spring estimate used the jump
 
 
 @dataclass
 class JumpSettings:
-    """All parameters of the jump."""
+    """All parameters of the jump controller."""
 
     sequence: JumpParameters = field(default_factory=JumpParameters)
     spring: SpringParameters = field(default_factory=SpringParameters)
@@ -64,25 +70,25 @@ class JumpSettings:
 
 @dataclass
 class _Pending:
-    """A jump by clearance that has not begun yet."""
+    """A jump by clearance before its start."""
 
-    question: Question
-    speed: float  # of the nut [m/s]
+    prediction_request: PredictionRequest
+    speed: float  # nut speed [m/s]
     since_ns: int
-    is_outlook: bool = False  # it is only predicted
-    is_asked: bool = False  # whether the question was taken
+    predict_only: bool = False  # no jump follows
+    is_taken: bool = False  # whether the caller has taken the prediction request
     prediction: Prediction | None = None
-    is_moving: bool = False  # whether the winch has begun to give slack
+    is_moving: bool = False  # whether the winch has started to give slack
 
 
 class Jump:
-    """Jumps by stroke, by height or by clearance.
+    """Jumps by stroke, height or clearance.
 
     Args:
         settings: parameters.
 
     Attributes:
-        spring: what is known of the spring; kept from jump to jump.
+        spring: estimate of the spring; kept from jump to jump.
     """
 
     def __init__(self, settings: JumpSettings) -> None:
@@ -96,20 +102,20 @@ class Jump:
         self._records: list[JumpRecord] = []
         self._settings = settings
         self._odometry: OdometrySample | None = None
-        self._length = math.nan  # of the tether paid out [m]
-        self._mode = ""  # of the winch
+        self._tether_length = math.nan  # paid-out length [m]
+        self._winch_mode = ""  # of the winch
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
-        self._asked = 0  # predictions so far
-        self._prediction: Prediction | None = None  # of the jump under way
-        self._pull = math.nan  # largest since the release [N]
-        self._wanted = math.nan
+        self._prediction_count = 0  # number of prediction requests so far
+        self._prediction: Prediction | None = None  # of the present jump
+        self._peak_tension = math.nan  # largest since the release [N]
+        self._requested_height = math.nan
         self._tilt = 0.0  # before the release [rad]
-        self._landed: tuple[int, float] | None = None  # when, and after what flight time [s]
+        self._landed: tuple[int, float] | None = None  # time of the landing, flight time [s]
 
     @property
     def phase(self) -> JumpPhase:
-        """What the sequence is doing."""
+        """Present phase."""
         if self._pending is None:
             return self.sequence.phase
         if self._pending.prediction is None:
@@ -117,209 +123,217 @@ class Jump:
         return JumpPhase.GIVING_SLACK
 
     def start_over(self, now_ns: int) -> None:
-        """The clock has jumped, or the node starts again: nothing that was timed holds."""
+        """Restart after a clock jump or a start of the node: all times are invalid."""
         self.sensors = Sensors()
         self.sequence.clock_jumped(now_ns)
         self._recorder.begin()
         self._landed = None
         if self._pending is not None:
-            self._drop("the clock has jumped back", {})
-        self._follow(now_ns)
+            self._cancel("the clock jumped back", {})
+        self._process_transitions(now_ns)
 
-    def forget(self) -> None:
-        """Forget what was learnt of the spring, as after another one was built in."""
+    def reset_spring(self) -> None:
+        """Reset the spring estimate, for example after the spring was replaced."""
         self.spring = SpringEstimate(self.spring.parameters)
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Return the topics of the sensors that are silent."""
+        """Topics of the stale sensors."""
         return self.sequence.waiting_for(self.sensors, now_ns)
 
-    # --- what is heard ---------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def on_contact(self, sample: JointSample, now_ns: int) -> None:
-        """Take a sample of the contact switches."""
+        """Process a contact switch sample."""
         self.sensors = self.sensors.with_contact(sample, now_ns)
 
     def on_jump_motor(self, sample: JointSample, now_ns: int) -> None:
-        """Take a sample of the jump motor's state."""
+        """Process a jump motor sample."""
         self.sensors = self.sensors.with_jump_motor(sample, now_ns)
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Take a sample of the IMU."""
+        """Process an IMU sample."""
         self.sensors = self.sensors.with_imu(sample, now_ns)
         self._recorder.on_imu(sample, now_ns)
 
     def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
-        """Take a sample of the load cell at the tether's rover end."""
+        """Process a sample of the load cell at the tether's rover end."""
         self.sensors = self.sensors.with_load_cell(sample, now_ns)
-        if self.sensors.pull is not None:
-            self._pull = max(self._pull, self.sensors.pull.value)
+        if self.sensors.tether_tension is not None:
+            self._peak_tension = max(self._peak_tension, self.sensors.tether_tension.value)
 
     def on_odometry(self, sample: OdometrySample) -> None:
-        """Take where the rover is."""
+        """Process the odometry."""
         self._odometry = sample
 
     def on_winch_estimate(self, sample: JointSample) -> None:
-        """Take what the winch knows of its tether."""
-        self._length = sample.joints[PAYOUT].position
+        """Process the winch estimate."""
+        self._tether_length = sample.joints[PAYOUT].position
 
     def on_winch_mode(self, mode: str) -> None:
-        """Take what the winch is doing."""
-        self._mode = mode
+        """Process the winch mode."""
+        self._winch_mode = mode
 
-    # --- what is asked for -----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def request(self, sample: JointSample, now_ns: int) -> None:
-        """Begin the jump that a request asks for.
+        """Begin the requested jump or prediction.
 
         Raises:
-            Refusal: it cannot be begun now, or is too high.
+            Refusal: the controller is not ready, or the height is out of limits.
         """
         ((joint, (value, speed, _)),) = sample.joints.items()
         if self._pending is not None:
             raise Refusal(
                 topics.JUMP_REQUEST,
                 RefusalCode.WRONG_PHASE,
-                f"the jump is in {self.phase}, a jump starts from standby; {topics.JUMP_ABORT} "
-                "ends it",
+                f"the jump controller is in phase {self.phase}; wait for standby or call "
+                f"{topics.JUMP_ABORT}",
             )
         if joint in (JUMP_CLEARANCE, JUMP_PREDICTION):
-            self._ask(value, speed, now_ns, is_outlook=joint == JUMP_PREDICTION)
+            self._request_prediction(value, speed, now_ns, predict_only=joint == JUMP_PREDICTION)
             return
         if joint == JUMP_STROKE:
             self.sequence.request(value, speed, self.sensors, now_ns)
-            self._wanted = math.nan
+            self._requested_height = math.nan
         elif joint == JUMP_HEIGHT:
             self.sequence.check_request(self.sensors, now_ns)
             stroke = self.spring.stroke_for(value, self.sensors.tilt)
             most = self.sequence.parameters.max_stroke
             if stroke > most:
-                highest = self.spring.expected(most, self.sensors.tilt).mean
+                max_height = self.spring.expected(most, self.sensors.tilt).mean
                 raise Refusal(
                     topics.JUMP_REQUEST,
                     RefusalCode.OUT_OF_LIMITS,
-                    f"{joint}.position is {value!r} m, which takes a stroke of {stroke:.4g} m; "
-                    f"with at most {most:g} m the rover rises by {highest:.3g} m",
+                    f"{joint}.position is {value!r} m and needs a stroke of {stroke:.4g} m; "
+                    f"the limit of {most:g} m reaches {max_height:.3g} m",
                 )
             self.sequence.request(stroke, speed, self.sensors, now_ns)
-            self._wanted = value
+            self._requested_height = value
         else:
-            raise AssertionError(f"no jump is asked for by {joint}")
+            raise AssertionError(f"unknown jump request {joint}")
         self._tilt = self.sensors.tilt
         self._prediction = None
-        self._follow(now_ns)
+        self._process_transitions(now_ns)
 
     def abort(self, now_ns: int) -> str:
-        """Let the spring down, as `JumpSequence.abort`.
+        """Let the spring down; see `JumpSequence.abort`.
 
         Raises:
-            Refusal: it cannot be done now.
+            Refusal: the latch has tripped already.
         """
         if self._pending is not None:
-            self._drop(f"aborted in {self.phase}", {})
-            return "nothing was compressed yet"
+            self._cancel(f"aborted in {self.phase}", {})
+            return "aborted before the spring was compressed"
         done = self.sequence.abort(self.sensors, now_ns)
-        self._follow(now_ns)
+        self._process_transitions(now_ns)
         return done
 
     def step(self, now_ns: int) -> NutCommand | None:
-        """Advance to now; returns what the jump motor is to do, None = nothing."""
+        """Advance to a time [ns]; returns the nut command, or None."""
         if self._pending is not None:
-            self._wait(self._pending, now_ns)
+            self._step_pending(self._pending, now_ns)
         command = self.sequence.step(self.sensors, now_ns)
-        self._follow(now_ns)
+        self._process_transitions(now_ns)
         return command
 
     def take_transitions(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call and clear them."""
         taken, self._transitions = self._transitions, []
         return taken
 
     def take_records(self) -> list[JumpRecord]:
-        """Return the jumps that were flown since the last call, and forget them."""
+        """Return the jumps measured since the last call and clear them."""
         taken, self._records = self._records, []
         return taken
 
-    # --- before a jump by clearance --------------------------------------------------------------
+    # --- prediction ------------------------------------------------------------------------------
 
-    def take_question(self) -> Question | None:
-        """Return what is to be predicted now; None = nothing, or it was taken already."""
-        if self._pending is None or self._pending.is_asked:
+    def take_prediction_request(self) -> PredictionRequest | None:
+        """Return a new prediction request once; None = none."""
+        if self._pending is None or self._pending.is_taken:
             return None
-        self._pending.is_asked = True
-        return self._pending.question
+        self._pending.is_taken = True
+        return self._pending.prediction_request
 
     def take_slack_request(self) -> float | None:
-        """Return the slack that the winch is to give now [m]; None = it is to do nothing."""
+        """Return a new slack request [m] once; None = none."""
         taken, self._slack_request = self._slack_request, None
         return taken
 
-    def on_prediction(self, question: Question, prediction: Prediction, now_ns: int) -> None:
-        """Take the answer to a question; one to a question that was dropped is not heard."""
+    def on_prediction(
+        self, prediction_request: PredictionRequest, prediction: Prediction, now_ns: int
+    ) -> None:
+        """Process the result of a prediction; ignored if its request was cancelled."""
         pending = self._pending
-        if pending is None or pending.question is not question or pending.prediction is not None:
+        if (
+            pending is None
+            or pending.prediction_request is not prediction_request
+            or pending.prediction is not None
+        ):
             return
         values = {
-            "height": prediction.height.middle,
+            "height": prediction.height.median,
             "upright": prediction.upright,
             "stroke": prediction.stroke,
-            "took": prediction.took,
+            "wall_time": prediction.wall_time,
         }
-        if prediction.refused:
-            self._drop(f"better not: {prediction.refused}", values)
+        if prediction.rejection:
+            self._cancel(f"jump rejected: {prediction.rejection}", values)
             return
-        if pending.is_outlook:
-            text = f"predicted: it lands upright with {prediction.upright:.2f}"
-            self._drop(text, values, Level.OK)
+        if pending.predict_only:
+            text = f"predicted: probability of landing upright {prediction.upright:.2f}"
+            self._cancel(text, values, Level.OK)
             return
         pending.prediction, pending.since_ns = prediction, now_ns
-        if prediction.gives_slack > 0.0:
+        if prediction.extra_slack > 0.0:
             self._slack_request = prediction.slack
-            text = f"the tether needs {prediction.gives_slack:.3g} m more slack"
+            text = f"{prediction.extra_slack:.3g} m more slack needed"
             self._transitions.append(Transition(JumpPhase.GIVING_SLACK, text, values=values))
         else:
             self._begin(pending, prediction, now_ns)
 
-    def _ask(self, clearance: float, speed: float, now_ns: int, *, is_outlook: bool) -> None:
+    def _request_prediction(
+        self, clearance: float, speed: float, now_ns: int, *, predict_only: bool
+    ) -> None:
         self.sequence.check_request(self.sensors, now_ns)
-        up = self._recorder.standing()
+        up = self._recorder.mean_specific_force()
         place = self._odometry
         if place is None or up is None:
             raise Refusal(
                 topics.JUMP_REQUEST,
                 RefusalCode.STALE,
-                f"{topics.ODOMETRY if place is None else topics.IMU} was not heard, so it is not "
-                "known how the rover stands",
+                f"{topics.ODOMETRY if place is None else topics.IMU} missing: the pose of the "
+                "rover is unknown",
             )
         x, y, z = place.position
         qx, qy, qz, qw = place.orientation
         heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        situation = Situation(x, y, heading, up, self._length, -z)
-        self._asked += 1
-        question = Question(situation, clearance, True, self._asked)
-        self._pending = _Pending(question, speed, now_ns, is_outlook)
+        stance = RoverStance(x, y, heading, up, self._tether_length, -z)
+        self._prediction_count += 1
+        prediction_request = PredictionRequest(stance, clearance, True, self._prediction_count)
+        self._pending = _Pending(prediction_request, speed, now_ns, predict_only)
         self._transitions.append(
             Transition(
                 JumpPhase.PREDICTING,
-                f"a clearance of {clearance:g} m is wanted",
-                values={"clearance": clearance, "tilt": situation.tilt},
+                f"requested clearance {clearance:g} m",
+                values={"clearance": clearance, "tilt": stance.tilt},
             )
         )
 
-    def _wait(self, pending: _Pending, now_ns: int) -> None:
-        """Go on with a jump that has not begun, or give it up."""
+    def _step_pending(self, pending: _Pending, now_ns: int) -> None:
+        """Advance a jump that has not begun, or cancel it on a timeout."""
         limit = self._settings.prediction.prediction_timeout
         late = seconds(now_ns, pending.since_ns) > limit
         if pending.prediction is None:
             if late:
-                self._drop(f"not predicted within {limit:g} s", {})
+                self._cancel(f"no prediction within {limit:g} s", {})
             return
-        pending.is_moving = pending.is_moving or self._mode != _HOLD
-        if pending.is_moving and self._mode == _HOLD:
+        pending.is_moving = pending.is_moving or self._winch_mode != _HOLD
+        if pending.is_moving and self._winch_mode == _HOLD:
             self._begin(pending, pending.prediction, now_ns)
         elif late:
-            text = f"the winch has not given slack within {limit:g} s, it is in '{self._mode}'"
-            self._drop(text, {})
+            text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"
+            self._cancel(text, {})
 
     def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:
         self._pending = None
@@ -327,27 +341,27 @@ class Jump:
             self.sequence.request(prediction.stroke, pending.speed, self.sensors, now_ns)
         except Refusal as refusal:
             self._transitions.append(
-                Transition(JumpPhase.STANDBY, f"not begun: {refusal.reason}", Level.WARN)
+                Transition(JumpPhase.STANDBY, f"jump not started: {refusal.reason}", Level.WARN)
             )
             return
-        self._prediction, self._wanted = prediction, pending.question.height
-        self._tilt = pending.question.situation.tilt
-        self._follow(now_ns)
+        self._prediction, self._requested_height = prediction, pending.prediction_request.height
+        self._tilt = pending.prediction_request.stance.tilt
+        self._process_transitions(now_ns)
 
-    def _drop(self, reason: str, values: Mapping[str, object], level: Level = Level.WARN) -> None:
+    def _cancel(self, reason: str, values: Mapping[str, object], level: Level = Level.WARN) -> None:
         self._pending = self._slack_request = None
         self._transitions.append(Transition(JumpPhase.STANDBY, reason, level, values))
 
-    # --- following the sequence ------------------------------------------------------------------
+    # --- transitions of the sequence -------------------------------------------------------------
 
-    def _follow(self, now_ns: int) -> None:
+    def _process_transitions(self, now_ns: int) -> None:
         for change in self.sequence.take_transitions():
             self._transitions.append(change)
             if change.phase is JumpPhase.SETTLING:
                 self._recorder.begin()
             elif change.phase is JumpPhase.RELEASING:
                 self._recorder.release(now_ns)
-                self._pull = math.nan if self.sensors.pull is None else 0.0
+                self._peak_tension = math.nan if self.sensors.tether_tension is None else 0.0
                 if self._prediction is None:
                     self._tilt = self.sensors.tilt
             elif change.phase is JumpPhase.LANDED:
@@ -363,24 +377,24 @@ class Jump:
         flown = self._recorder.finish(landed_ns, flight_time, now_ns)
         if flown is None:
             return
-        stroke = self.sequence.highest
+        stroke = self.sequence.peak_compression
         prediction = self._prediction
         ratio, spread = (1.0, 0.0) if prediction is None else (prediction.ratio, prediction.spread)
         expected = None
         if stroke > self.spring.shortest_stroke:
             expected = self.spring.expected(stroke, self._tilt, ratio).spread_by(spread)
-        learnt = self.spring.learn(stroke, flown.height, self._tilt, ratio)
+        accepted = self.spring.update(stroke, flown.height, self._tilt, ratio)
         self._records.append(
             JumpRecord(
                 landed_ns,
                 stroke,
-                self._wanted,
+                self._requested_height,
                 expected,
                 prediction,
-                self._pull,
+                self._peak_tension,
                 flown,
                 self.spring.gain,
                 self.spring.zero,
-                learnt,
+                accepted,
             )
         )

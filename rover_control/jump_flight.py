@@ -1,10 +1,10 @@
-"""What a jump came to, by the rover's own IMU. Pure.
+"""Height, range and rotation of a jump from the rover's IMU. Pure.
 
-While the rover holds its spring compressed it stands still: that tells which way is up, the gyro's
-bias and, with gravity, most of the accelerometer's. From there on rates and specific forces are
-integrated up to where it lies still again. The velocity that is then left over came from samples
-beyond the accelerometer's range, as when Body 2 takes Body 1 along; where there are none, it grew
-linearly. It is taken out, which leaves a few millimetres over the second or two of a jump.
+At rest with the spring compressed, the IMU gives the up direction, the gyro's bias and, with
+gravity, most of the accelerometer's. From there to the next rest, rates and specific forces are
+integrated. The velocity that remains at rest is the error of samples beyond the accelerometer's
+range, as when Body 2 hits Body 1; if there are none, the error is assumed to grow linearly. It is
+removed, which leaves an error of a few millimetres over a jump of one to two seconds.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from numpy.typing import NDArray
 from msg_schemas.samples import ImuSample
 
 _NANO = 1e9
-_STILL = 0.25  # at least so long before the release, and after the landing [s]
-_FEW = 3  # fewer samples are no mean
-_GAP = 0.06  # a flight with a longer gap between two samples is not measured [s]
-_SATURATED = 0.98  # part of the accelerometer's range from which on a sample counts as beyond it
-_LONGEST = 60.0  # what is older is forgotten [s]
+_REST_TIME = 0.25  # rest time needed before the release and after the landing [s]
+_MIN_SAMPLES = 3  # least number of samples for a mean
+_MAX_GAP = 0.06  # largest gap between two samples of a flight [s]
+_SATURATION = 0.98  # fraction of the accelerometer's range above which a sample is saturated
+_MAX_AGE = 60.0  # age at which samples are discarded [s]
 
 
-class Flown(NamedTuple):
-    """A jump as it was flown."""
+class MeasuredJump(NamedTuple):
+    """A jump as measured by the IMU."""
 
     height: float  # largest rise of base_link [m]
-    range: float  # horizontal way of base_link from the release to the rest [m]
-    turn: float  # about the vertical, from the release to the rest [rad]
+    range: float  # horizontal distance of base_link from release to rest [m]
+    turn: float  # about the vertical, from release to rest [rad]
     tilt: float  # of base_link z at rest, against before the release [rad]
-    flight_time: float  # from the contact's opening to its closing [s]
+    flight_time: float  # from opening to closing of the contact [s]
 
 
 @dataclass
 class FlightRecorder:
-    """Listens to the IMU while a jump is under way.
+    """Records the IMU during a jump.
 
     Args:
-        imu_offset: place of the IMU along base_link x [m].
-        accelerometer_range: of the accelerometer [m/s^2].
+        imu_offset: position of the IMU along base_link x [m].
+        accelerometer_range: measuring range [m/s^2].
     """
 
     imu_offset: float = 0.05
@@ -51,59 +51,63 @@ class FlightRecorder:
     _released_ns: int | None = None
 
     def begin(self) -> None:
-        """The rover stands still, the spring compressed."""
+        """Start recording: the rover is at rest with the spring compressed."""
         self._samples.clear()
         self._released_ns = None
 
     def release(self, now_ns: int) -> None:
-        """The latch is told to trip."""
+        """Mark the trip command of the latch."""
         self._released_ns = now_ns
 
-    def standing(self) -> tuple[float, float, float] | None:
-        """Mean specific force of the last while [m/s^2]; None = not heard for long enough."""
+    def mean_specific_force(self) -> tuple[float, float, float] | None:
+        """Mean specific force of the last samples [m/s^2]; None = too few samples."""
         last = self._samples[-1][0] if self._samples else 0
-        forces = [row[3:] for stamp, row in self._samples if stamp > last - int(_STILL * _NANO)]
-        if len(forces) < _FEW:
+        forces = [row[3:] for stamp, row in self._samples if stamp > last - int(_REST_TIME * _NANO)]
+        if len(forces) < _MIN_SAMPLES:
             return None
         x, y, z = np.mean(forces, axis=0).tolist()
         return (x, y, z)
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Take a sample."""
+        """Process an IMU sample."""
         stamp = sample.stamp_ns or now_ns
         if self._samples and stamp <= self._samples[-1][0]:
             return
         self._samples.append((stamp, (*sample.angular_velocity, *sample.linear_acceleration)))
-        if self._samples[-1][0] - self._samples[0][0] > _LONGEST * _NANO:
+        if self._samples[-1][0] - self._samples[0][0] > _MAX_AGE * _NANO:
             del self._samples[: len(self._samples) // 2]
 
-    def finish(self, landed_ns: int, flight_time: float, now_ns: int) -> Flown | None:
-        """What the jump came to.
+    def finish(self, landed_ns: int, flight_time: float, now_ns: int) -> MeasuredJump | None:
+        """Evaluate the jump.
 
         Args:
-            landed_ns: when the contact closed.
-            flight_time: from the contact's opening to its closing [s].
-            now_ns: the rover has been at rest for a while.
+            landed_ns: time at which the contact closed.
+            flight_time: from opening to closing of the contact [s].
+            now_ns: present time; the rover has come to rest.
 
         Returns:
             None if samples are missing.
         """
-        if self._released_ns is None or len(self._samples) < _FEW:
+        if self._released_ns is None or len(self._samples) < _MIN_SAMPLES:
             return None
         times = np.array([stamp for stamp, _ in self._samples], dtype=np.int64)
         values = np.array([row for _, row in self._samples])
         released = int(np.searchsorted(times, self._released_ns))
-        first = int(np.searchsorted(times, self._released_ns - int(_STILL * _NANO)))
+        first = int(np.searchsorted(times, self._released_ns - int(_REST_TIME * _NANO)))
         last = int(np.searchsorted(times, now_ns, side="right"))
-        resting = int(np.searchsorted(times, max(now_ns - int(_STILL * _NANO), landed_ns)))
+        resting = int(np.searchsorted(times, max(now_ns - int(_REST_TIME * _NANO), landed_ns)))
         t = (times[released:last] - times[released]) / _NANO
-        if released - first < _FEW or last - resting < _FEW or t.size < _FEW:
+        if (
+            released - first < _MIN_SAMPLES
+            or last - resting < _MIN_SAMPLES
+            or t.size < _MIN_SAMPLES
+        ):
             return None
-        if float(np.max(np.diff(t))) > _GAP:
+        if float(np.max(np.diff(t))) > _MAX_GAP:
             return None
         still = values[first:released].mean(axis=0)
         flown = values[released:last] - np.concatenate([still[:3], np.zeros(3)])
-        turns, places = self._integrated(t, flown, still[3:], resting - released)
+        turns, places = self._integrate(t, flown, still[3:], resting - released)
         rise = places[:, 2]
         up = _level(still[3:])[:, 2]
         end = turns[-1]
@@ -115,18 +119,18 @@ class FlightRecorder:
         )
         tilt = math.acos(max(-1.0, min(1.0, float(end[:, 2] @ up))))
         way = places[-1, :2] - places[0, :2]
-        return Flown(float(rise.max()), math.hypot(*way), turn, tilt, flight_time)
+        return MeasuredJump(float(rise.max()), math.hypot(*way), turn, tilt, flight_time)
 
-    def _integrated(
+    def _integrate(
         self,
         t: NDArray[np.float64],
         values: NDArray[np.float64],
-        standing: NDArray[np.float64],
+        mean_specific_force: NDArray[np.float64],
         resting: int,
     ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
-        """Attitudes, body to level axes, and places of base_link [m] at the samples."""
-        gravity = np.array([0.0, 0.0, float(np.linalg.norm(standing))])
-        turned = _level(standing)
+        """Attitudes, body to level axes, and positions of base_link [m] at the samples."""
+        gravity = np.array([0.0, 0.0, float(np.linalg.norm(mean_specific_force))])
+        turned = _level(mean_specific_force)
         turns, rates = [turned], np.zeros((t.size, 3))
         for k in range(1, t.size):
             dt = t[k] - t[k - 1]
@@ -135,18 +139,18 @@ class FlightRecorder:
             turns.append(turned)
             rates[k] = rates[k - 1] + dt * (half @ values[k, 3:] - gravity)
         left_over = rates[resting:].mean(axis=0)
-        rates -= self._grown(t, values[:, 3:], resting)[:, None] * left_over
+        rates -= self._residual_fraction(t, values[:, 3:], resting)[:, None] * left_over
         steps = 0.5 * np.diff(t)[:, None] * (rates[1:] + rates[:-1])
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
         lever = np.array([self.imu_offset, 0.0, 0.0])
         places -= np.array([(turn - turns[0]) @ lever for turn in turns])
         return turns, places
 
-    def _grown(
+    def _residual_fraction(
         self, t: NDArray[np.float64], forces: NDArray[np.float64], resting: int
     ) -> NDArray[np.float64]:
-        """Share of the velocity left over at rest that there is at each sample already."""
-        beyond = np.abs(forces[:resting]).max(axis=1) >= _SATURATED * self.accelerometer_range
+        """Fraction of the final velocity error that is present at each sample."""
+        beyond = np.abs(forces[:resting]).max(axis=1) >= _SATURATION * self.accelerometer_range
         if not beyond.any():
             return t / float(t[resting:].mean())
         share = np.ones(t.size)
@@ -154,9 +158,9 @@ class FlightRecorder:
         return share
 
 
-def _level(standing: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Attitude, body to axes with z up, of a rover that stands with this specific force."""
-    up = standing / np.linalg.norm(standing)
+def _level(mean_specific_force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Attitude, body axes to axes with z up, at rest with this specific force."""
+    up = mean_specific_force / np.linalg.norm(mean_specific_force)
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
     ahead /= np.linalg.norm(ahead)
     return np.stack([ahead, np.cross(up, ahead), up])

@@ -1,4 +1,4 @@
-"""The ``jump_node`` executable: jumps on request, through the jump motor."""
+"""``jump_node``: makes the rover jump, on request."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from rover_control.jump_parameters import JumpParameters, JumpPhase
 from rover_control.jump_prediction import (
     Prediction,
     PredictionParameters,
-    Question,
-    Situation,
-    refused_prediction,
+    PredictionRequest,
+    RoverStance,
+    rejected_prediction,
 )
 from rover_control.jump_report import flown_sample, prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 
-# The controller's parameters are parts of its own, by their name there.
+# Each group of the controller's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(JumpSettings(), part.name)) for part in fields(JumpSettings)
 }
@@ -58,13 +58,13 @@ class JumpNodeParameters:
 
 
 class JumpNode(ContractNode):
-    """Jumps on request: compresses the spring, follows take-off, flight and landing."""
+    """ROS node of the jump controller."""
 
     NAME = "jump_node"
     PARAMETERS = (JumpNodeParameters, *_PARTS.values())
 
     def setup(self) -> None:
-        """Open topics and services."""
+        """Create publishers, subscriptions and services."""
         self._begin()
         self._command_publisher = self.publisher(topics.JUMP_MOTOR_COMMAND)
         self._phase_publisher = self.publisher(topics.JUMP_PHASE)
@@ -82,35 +82,35 @@ class JumpNode(ContractNode):
         self.serve(topics.JUMP_ABORT, self._on_abort)
 
     def start(self) -> None:
-        """Stand by."""
+        """Start in standby."""
         self._begin()
         self._phase_publisher.send(TextSample(self._jump.phase))
         own = self.parameters_of(JumpNodeParameters)
         self.every(1.0 / own.command_rate, self._step)
         if own.preload_model:
-            self._predicter.submit(self._model.prepare)
+            self._executor.submit(self._lazy_predictor.prepare)
 
     def stop(self) -> None:
-        """Nothing is predicted any more; what is under way ends unheard."""
-        self._predicter.shutdown(wait=False, cancel_futures=True)
+        """Cancel waiting predictions; the result of a running one is discarded."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
     def parameters_changed(self) -> None:
-        """Take new limits; a jump that runs keeps to them at once, what was learnt stays."""
+        """Apply new limits at once, also to a running jump; keeps the spring estimate."""
         if self.active:
             self._jump.sequence.parameters = self.parameters_of(JumpParameters)
 
     def clock_jumped(self) -> None:
-        """Start over: what was timed means nothing any more."""
+        """Restart the controller: all its times are invalid."""
         if self.active:
             self._jump.start_over(self.now_ns())
-            self._tell()
+            self._publish_changes()
 
     def waiting_for(self) -> tuple[str, ...]:
-        """The sensors that are silent: a jump is refused until they are heard."""
+        """Stale sensors; jumps are refused until their samples arrive."""
         return self._jump.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
-        """The phase; a fault is an error."""
+        """Phase; ERROR in a fault."""
         if not self.active:
             return ()
         phase = self._jump.phase
@@ -120,14 +120,14 @@ class JumpNode(ContractNode):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._jump = Jump(JumpSettings(**values))
-        self._jump.on_winch_mode(self._heard_mode)  # what is latched is not said again
-        self._model = _Model(self.parameters_of(PredictionParameters))
-        self._predicter = ThreadPoolExecutor(
+        self._jump.on_winch_mode(self._last_winch_mode)  # latched topics are not sent again
+        self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
+        self._executor = ThreadPoolExecutor(
             1, thread_name_prefix="predict", initializer=give_priority_up
         )
-        self._answer: tuple[Question, Future[Prediction]] | None = None
+        self._running: tuple[PredictionRequest, Future[Prediction]] | None = None
 
-    # --- what is heard ---------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def _on_contact(self, sample: JointSample) -> None:
         self._jump.on_contact(sample, self.now_ns())
@@ -148,7 +148,7 @@ class JumpNode(ContractNode):
         self._jump.on_winch_estimate(sample)
 
     def _on_winch_mode(self, sample: TextSample) -> None:
-        self._heard_mode = sample.text
+        self._last_winch_mode = sample.text
         self._jump.on_winch_mode(sample.text)
 
     def _on_request(self, sample: JointSample) -> None:
@@ -160,9 +160,9 @@ class JumpNode(ContractNode):
         self._step()
         return True, done
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- outputs ---------------------------------------------------------------------------------
 
-    _heard_mode = ""
+    _last_winch_mode = ""
 
     def _step(self) -> None:
         now_ns = self.now_ns()
@@ -174,31 +174,31 @@ class JumpNode(ContractNode):
                 JUMP_LATCH: JointValue(float(command.trips)),
             }
             self._command_publisher.send(JointSample(now_ns, joints))
-        self._tell()
+        self._publish_changes()
 
     def _predict(self, now_ns: int) -> None:
-        """Hand over what is to be predicted, and what was."""
-        question = self._jump.take_question()
-        if question is not None:
-            known = copy.deepcopy(self._jump.spring)
-            self._answer = (
-                question,
-                self._predicter.submit(self._model.predict, question, known),
+        """Start a requested prediction and deliver a finished one."""
+        prediction_request = self._jump.take_prediction_request()
+        if prediction_request is not None:
+            spring = copy.deepcopy(self._jump.spring)
+            self._running = (
+                prediction_request,
+                self._executor.submit(self._lazy_predictor.predict, prediction_request, spring),
             )
-        if self._answer is not None and self._answer[1].done():
-            question, future = self._answer
-            self._answer = None
+        if self._running is not None and self._running[1].done():
+            prediction_request, future = self._running
+            self._running = None
             error = future.exception()
             prediction = (
-                refused_prediction(f"the model failed: {error}") if error else future.result()
+                rejected_prediction(f"the model failed: {error}") if error else future.result()
             )
             self._prediction_publisher.send(prediction_sample(prediction, now_ns))
-            self._jump.on_prediction(question, prediction, now_ns)
+            self._jump.on_prediction(prediction_request, prediction, now_ns)
         slack = self._jump.take_slack_request()
         if slack is not None:
             self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
 
-    def _tell(self) -> None:
+    def _publish_changes(self) -> None:
         for change in self._jump.take_transitions():
             self._phase_publisher.send(TextSample(change.phase.value))
             name = f"jump_{change.phase.value}"
@@ -209,25 +209,25 @@ class JumpNode(ContractNode):
             self._flown_publisher.send(flown_sample(record))
 
 
-class _Model:
-    """The predictor, made in the thread that uses it: the simulator takes seconds to load."""
+class _LazyPredictor:
+    """Creates the predictor in the thread that uses it: the simulator takes seconds to load."""
 
     def __init__(self, parameters: PredictionParameters) -> None:
         self._parameters = parameters
         self._predictor: Any = None
 
     def prepare(self) -> None:
-        """Load the simulator and fly once."""
-        start = Situation(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
-        self.predict(Question(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
+        """Load the simulator and predict one jump."""
+        start = RoverStance(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
+        self.predict(PredictionRequest(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
 
-    def predict(self, question: Question, spring: SpringEstimate) -> Prediction:
-        """As `JumpPredictor.predict`."""
+    def predict(self, prediction_request: PredictionRequest, spring: SpringEstimate) -> Prediction:
+        """See `JumpPredictor.predict`."""
         if self._predictor is None:
             from rover_control.jump_predictor import JumpPredictor  # noqa: PLC0415
 
             self._predictor = JumpPredictor(self._parameters)
-        prediction: Prediction = self._predictor.predict(question, spring)
+        prediction: Prediction = self._predictor.predict(prediction_request, spring)
         return prediction
 
 

@@ -1,4 +1,4 @@
-"""The jump's phases, limits and times."""
+"""Phases and parameters of the jump sequence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from msg_schemas.table import MAX_FREE_TRAVEL, MAX_NUT_FORCE, MAX_NUT_SPEED, MAX
 
 
 class JumpPhase(StrEnum):
-    """What the sequence is doing; the words of the contract."""
+    """Phase of the jump controller, as published."""
 
     STANDBY = "standby"
     PREDICTING = "predicting"

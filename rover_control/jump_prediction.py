@@ -1,4 +1,4 @@
-"""What is asked of a prediction of a jump, and what it answers. Pure; knows no simulator."""
+"""Request and result of a jump prediction. Pure; independent of the simulator."""
 
 from __future__ import annotations
 
@@ -58,63 +58,75 @@ class PredictionParameters:
     )
 
 
-class Situation(NamedTuple):
-    """The rover as it stands."""
+class RoverStance(NamedTuple):
+    """Pose of a standing rover and its tether."""
 
     x: float  # of base_link in map [m]
     y: float
     heading: float  # [rad]
-    up: tuple[float, float, float]  # against gravity, in base_link, any length
-    length: float  # of the tether paid out [m]; nan = not known: as the rover needs it
-    drop: float = 0.0  # of the tether's attachment below the fairlead [m]; 0 = not known
+    up: tuple[float, float, float]  # up direction in base_link, any length
+    length: float  # paid-out tether length [m]; nan = unknown: long enough
+    drop: float = 0.0  # depth of the tether attachment below the fairlead [m]; 0 = unknown
 
     @property
     def tilt(self) -> float:
-        """Of base_link z [rad]."""
+        """Inclination of base_link z [rad]."""
         x, y, z = self.up
         return math.atan2(math.hypot(x, y), z)
 
 
-class Question(NamedTuple):
-    """A prediction that is wanted."""
+class PredictionRequest(NamedTuple):
+    """Request for a prediction."""
 
-    situation: Situation
-    height: float  # [m]
-    is_clearance: bool  # True: to be reached but for the parameters' risk; False: in the median
-    seed: int  # of what is drawn
+    stance: RoverStance
+    height: float  # requested height [m]
+    is_clearance: bool  # True: reached except for `clearance_risk`; False: median
+    seed: int  # of the random numbers
 
 
-class Band(NamedTuple):
-    """Median and the interval that holds 90 %."""
+class Interval(NamedTuple):
+    """Median and central 90 % interval."""
 
-    middle: float
+    median: float
     low: float
     high: float
 
 
 class Prediction(NamedTuple):
-    """What is predicted of a jump."""
+    """Predicted jump."""
 
-    stroke: float  # to be asked of the sequence [m]
-    slack: float  # that the tether is to have beyond the chord [m]
-    gives_slack: float  # of that, what the winch is to give [m]; 0 = there is enough
-    height: Band  # [m]
-    range: Band  # horizontal way from release to rest [m]
-    turn: Band  # about the vertical [rad]
-    peak_tension: Band  # [N]
-    upright: float  # probability of landing so
-    ratio: float  # of heights to those of the spring's formula
-    spread: float  # standard deviation of log height that is not the spring's
+    stroke: float  # selected stroke [m]
+    slack: float  # required tether length beyond the chord [m]
+    extra_slack: float  # part of it that the winch must give [m]; 0 = none
+    height: Interval  # [m]
+    range: Interval  # horizontal distance from release to rest [m]
+    turn: Interval  # about the vertical [rad]
+    peak_tension: Interval  # [N]
+    upright: float  # probability of landing upright
+    ratio: float  # of the heights to the nominal ones
+    spread: float  # standard deviation of log height, without the spring's
     rollouts: int
-    took: float  # wall time [s]
-    refused: str  # why it is better not to jump; empty = go
+    wall_time: float  # [s]
+    rejection: str  # why not to jump; empty = accepted
 
 
-NO_BAND = Band(0.0, 0.0, 0.0)
+NO_INTERVAL = Interval(0.0, 0.0, 0.0)
 
 
-def refused_prediction(reason: str, took: float = 0.0) -> Prediction:
-    """A prediction that could not be made, or of a jump that cannot be."""
+def rejected_prediction(reason: str, wall_time: float = 0.0) -> Prediction:
+    """A prediction that failed, or of a jump that is impossible."""
     return Prediction(
-        0.0, 0.0, 0.0, NO_BAND, NO_BAND, NO_BAND, NO_BAND, 0.0, 1.0, 0.0, 0, took, reason
+        0.0,
+        0.0,
+        0.0,
+        NO_INTERVAL,
+        NO_INTERVAL,
+        NO_INTERVAL,
+        NO_INTERVAL,
+        0.0,
+        1.0,
+        0.0,
+        0,
+        wall_time,
+        reason,
     )

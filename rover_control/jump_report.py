@@ -1,4 +1,4 @@
-"""What the jump tells of itself, as samples of the contract. Pure."""
+"""Published samples of the jump controller. Pure."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import JointSample, JointValue
 from rover_control.jump import JumpRecord
-from rover_control.jump_prediction import NO_BAND, Prediction
+from rover_control.jump_prediction import NO_INTERVAL, Prediction
 
 
 def prediction_sample(prediction: Prediction, stamp_ns: int) -> JointSample:
-    """A jump as it is predicted."""
+    """A predicted jump."""
     joints = {
         JUMP_HEIGHT: JointValue(*prediction.height),
         JUMP_RANGE: JointValue(*prediction.range),
@@ -34,23 +34,23 @@ def prediction_sample(prediction: Prediction, stamp_ns: int) -> JointSample:
         JUMP_STROKE: JointValue(prediction.stroke),
         JUMP_SLACK: JointValue(prediction.slack),
         UPRIGHT: JointValue(prediction.upright),
-        PREDICTION_TIME: JointValue(prediction.took, 0.0, float(prediction.rollouts)),
+        PREDICTION_TIME: JointValue(prediction.wall_time, 0.0, float(prediction.rollouts)),
     }
     return JointSample(stamp_ns, joints)
 
 
 def flown_sample(record: JumpRecord) -> JointSample:
-    """A jump, predicted and flown."""
+    """A measured jump beside its prediction."""
     flown, expected, prediction = record.flown, record.expected, record.prediction
     low, high = 0.0, 0.0
     if expected is not None:
         low, high = expected.interval()
-    way = turn = tension = NO_BAND
+    way = turn = tension = NO_INTERVAL
     if prediction is not None:
         way, turn, tension = prediction.range, prediction.turn, prediction.peak_tension
     pull = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
     values = {
-        JUMP_WANTED: 0.0 if math.isnan(record.wanted) else record.wanted,
+        JUMP_WANTED: 0.0 if math.isnan(record.requested_height) else record.requested_height,
         JUMP_STROKE: record.stroke,
         JUMP_TILT: flown.tilt,
         JUMP_TIME: flown.flight_time,

@@ -1,7 +1,7 @@
-"""What the rover's own sensors say to the jump's sequence. Pure.
+"""Sensor state of the jump sequence. Pure.
 
-What is heard holds for the time of its stamp, however late that is: the controller's clock may be
-simulated, and topics may lag behind one another.
+Each reading is valid at its own time stamp, however late it arrives: the clock may be simulated,
+and topics may lag behind each other.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from msg_schemas.samples import ImuSample, JointSample, WrenchSample
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW
 
 _NANO = 1e9
-_CLOSED = 0.5  # a contact's position from here on means closed
+_CLOSED = 0.5  # contact position from which on the contact is closed
 
 
 def seconds(later_ns: int, earlier_ns: int) -> float:
@@ -24,7 +24,7 @@ def seconds(later_ns: int, earlier_ns: int) -> float:
 
 
 class Reading(NamedTuple):
-    """A sensor's last value and when it was measured."""
+    """Last value of a sensor and its time stamp."""
 
     value: float
     stamp_ns: int
@@ -32,21 +32,21 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensors:
-    """What the rover knows of itself; None = never heard."""
+    """Last readings of all sensors; None = never received."""
 
     contact: Reading | None = None  # 1 closed, 0 open
-    opened_ns: int | None = None  # when the contact last opened,
-    last_open_ns: int | None = None  # was last open,
-    closed_ns: int | None = None  # and closed again
-    compression: Reading | None = None  # where the nut stands [m]
-    nut_force: Reading | None = None  # of the spring on it [N]
+    opened_ns: int | None = None  # time when the contact last opened
+    last_open_ns: int | None = None  # time when it was last open
+    closed_ns: int | None = None  # time when it closed again
+    compression: Reading | None = None  # position of the nut [m]
+    nut_force: Reading | None = None  # of the spring on the nut [N]
     specific_force: Reading | None = None  # magnitude [m/s^2]
-    tilt: float = math.nan  # of base_link z from the specific force [rad]
-    rate: float = math.nan  # angular, magnitude [rad/s]
-    pull: Reading | None = None  # of the tether at the rover [N]
+    tilt: float = math.nan  # of base_link z, from the specific force [rad]
+    rate: float = math.nan  # magnitude of the angular rate [rad/s]
+    tether_tension: Reading | None = None  # at the rover [N]
 
     def readings(self) -> tuple[tuple[str, Reading | None], ...]:
-        """Return the topic and the last reading of each sensor that a jump cannot do without."""
+        """Topic and last reading of each sensor that a jump requires."""
         return (
             (topics.CONTACT, self.contact),
             (topics.JUMP_MOTOR_STATE, self.compression),
@@ -54,7 +54,7 @@ class Sensors:
         )
 
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
-        """Take a sample of the contact switch."""
+        """Process a contact switch sample."""
         value, stamp_ns = sample.joints[FLOOR_SWITCH].position, sample.stamp_ns or now_ns
         taken = replace(self, contact=Reading(value, stamp_ns))
         if taken.is_open:
@@ -63,7 +63,7 @@ class Sensors:
         return replace(taken, closed_ns=stamp_ns) if self.is_open else taken
 
     def with_jump_motor(self, sample: JointSample, now_ns: int) -> Sensors:
-        """Take a sample of the jump motor's state."""
+        """Process a jump motor sample."""
         nut, stamp_ns = sample.joints[JUMP_SCREW], sample.stamp_ns or now_ns
         return replace(
             self,
@@ -72,7 +72,7 @@ class Sensors:
         )
 
     def with_imu(self, sample: ImuSample, now_ns: int) -> Sensors:
-        """Take a sample of the IMU."""
+        """Process an IMU sample."""
         x, y, z = sample.linear_acceleration
         return replace(
             self,
@@ -82,8 +82,10 @@ class Sensors:
         )
 
     def with_load_cell(self, sample: WrenchSample, now_ns: int) -> Sensors:
-        """Take a sample of the load cell at the tether's rover end."""
-        return replace(self, pull=Reading(math.hypot(*sample.force), sample.stamp_ns or now_ns))
+        """Process a sample of the load cell at the tether's rover end."""
+        return replace(
+            self, tether_tension=Reading(math.hypot(*sample.force), sample.stamp_ns or now_ns)
+        )
 
     @property
     def is_open(self) -> bool:
@@ -92,38 +94,38 @@ class Sensors:
 
     @property
     def open_time(self) -> float:
-        """How long the contact was open when it was so last [s]; nan if that is not known."""
+        """Duration of the last opening of the contact [s]; nan = unknown."""
         if self.opened_ns is None or self.closed_ns is None or self.closed_ns < self.opened_ns:
             return math.nan
         return seconds(self.closed_ns, self.opened_ns)
 
-    def is_down(self, zero: float, now_ns: int, patience: float) -> bool:
-        """Whether the nut is known to compress the spring by no more than `zero` [m]."""
+    def is_let_down(self, zero: float, now_ns: int, timeout: float) -> bool:
+        """Whether the nut is known to compress the spring by at most `zero` [m]."""
         nut = self.compression
-        return nut is not None and is_fresh(nut, now_ns, patience) and nut.value <= zero
+        return nut is not None and is_fresh(nut, now_ns, timeout) and nut.value <= zero
 
-    def lost(self, now_ns: int, patience: float) -> str:
-        """Say which sensor is silent for longer than `patience` [s]; empty if none is."""
-        silences = (silence(topic, r, now_ns, patience) for topic, r in self.readings())
-        return next(filter(None, silences), "")
+    def stale(self, now_ns: int, timeout: float) -> str:
+        """Describe the first sensor that is older than `timeout` [s]; empty = none."""
+        reasons = (staleness(topic, r, now_ns, timeout) for topic, r in self.readings())
+        return next(filter(None, reasons), "")
 
-    def waiting_for(self, now_ns: int, patience: float) -> tuple[str, ...]:
-        """Return the topics of the sensors that are silent."""
-        return tuple(t for t, r in self.readings() if silence(t, r, now_ns, patience))
-
-
-def is_fresh(reading: Reading, now_ns: int, patience: float) -> bool:
-    """Whether a reading is no older than `patience` [s]."""
-    return abs(seconds(now_ns, reading.stamp_ns)) <= patience
+    def waiting_for(self, now_ns: int, timeout: float) -> tuple[str, ...]:
+        """Topics of the stale sensors."""
+        return tuple(t for t, r in self.readings() if staleness(t, r, now_ns, timeout))
 
 
-def silence(topic: str, reading: Reading | None, now_ns: int, patience: float) -> str:
-    """Say that a sensor is silent; empty if it is not."""
+def is_fresh(reading: Reading, now_ns: int, timeout: float) -> bool:
+    """Whether a reading is no older than `timeout` [s]."""
+    return abs(seconds(now_ns, reading.stamp_ns)) <= timeout
+
+
+def staleness(topic: str, reading: Reading | None, now_ns: int, timeout: float) -> str:
+    """Describe why a reading is stale; empty = it is fresh."""
     if reading is None:
-        return f"{topic} was never heard"
-    if is_fresh(reading, now_ns, patience):
+        return f"{topic} was never received"
+    if is_fresh(reading, now_ns, timeout):
         return ""
     age = seconds(now_ns, reading.stamp_ns)
     if age > 0.0:
-        return f"{topic} is silent for {age:.3g} s"
-    return f"{topic} is stamped {-age:.3g} s ahead: its sender follows another clock"
+        return f"the last sample of {topic} is {age:.3g} s old"
+    return f"{topic} is stamped {-age:.3g} s ahead: its sender uses another clock"

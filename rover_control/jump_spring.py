@@ -1,17 +1,16 @@
-"""How high a stroke of the spring throws the rover, learnt from the jumps flown. Pure.
+"""Jump height as a function of the spring's stroke, estimated from measured jumps. Pure.
 
-A spring compressed by x throws Body 2 up, which takes Body 1 along (momentum is kept): with the
-rate k, the masses m1 and m2, M = m1 + m2 and gravity g the rover rises by
+A spring compressed by x accelerates Body 2, which then takes Body 1 along with conserved momentum.
+With spring rate k, masses m1 and m2, M = m1 + m2 and gravity g the rover rises by
 
     H(x) = c m2 (k x^2 - 2 m2 g x) / (2 g M^2) cos^2(tilt)
 
-where c takes in what the end stop and Body 2's travel add and the losses take. Two things about it
-are not known well: a, by which log H is off (spring rate, losses), and b, by which the stroke is
-off (zero of the nut). A ratio by which a place makes jumps higher than the formula has them, as the
-slack of the tether or the attitude may, is known from elsewhere or 1. Each jump tells
-log H(x + b) + a with an error; a and b follow as the two-state Kalman filter has them. The stroke's
-own error counts as a part of that error: any up to its tolerance is equally likely, so that the
-heights that are expected are less peaked than a normal distribution, and not as wide in the tails.
+where the factor c accounts for the end stop, the travel of Body 2 and losses. Two errors are
+estimated: a of log H (spring rate, losses) and b of the stroke (zero of the nut). A further factor
+`ratio` describes the influence of a place, such as tether slack and attitude; it is given or 1.
+Each jump measures log H(x + b) + a; a Kalman filter with the two states a and b uses it. The stroke
+error of a single jump enters as measurement noise, uniformly distributed up to its tolerance, so
+the distribution of an expected height is flatter and has shorter tails than a normal one.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from scipy.special import ndtr
 
 from msg_schemas.parameters import parameter
 
-_OUTLIER = 4.0  # a jump further off than so many standard deviations teaches nothing
-_TAIL = 9.0  # standard deviations beyond which nothing is expected
-_NARROW = 1.0e-3  # part of the other error up to which one does not change the quantiles
+_OUTLIER = 4.0  # innovation beyond which a jump is rejected, in standard deviations
+_TAIL = 9.0  # support of the distributions, in standard deviations
+_NARROW = 1.0e-3  # ratio of the two errors below which the smaller one is neglected
 _ROOT_3 = math.sqrt(3.0)
 
 
@@ -62,15 +61,14 @@ class SpringParameters:
 
 
 class Height(NamedTuple):
-    """A height that is expected.
+    """Probability distribution of an expected height.
 
-    The logarithm of the true one over `mean` is the sum of a normally distributed error and of one
-    of which each value up to a tolerance is equally likely.
+    The logarithm of the true height over `mean` is the sum of a normal and a uniform error.
     """
 
     mean: float  # [m]
-    spread: float  # standard deviation of the normally distributed one
-    tolerance: float = 0.0  # of the other one
+    spread: float  # standard deviation of the normal error
+    tolerance: float = 0.0  # bound of the uniform error
 
     @property
     def deviation(self) -> float:
@@ -78,7 +76,7 @@ class Height(NamedTuple):
         return math.hypot(self.spread, self.tolerance / _ROOT_3)
 
     def quantile(self, probability: float) -> float:
-        """The height that the true one stays below with so large a probability [m]."""
+        """Height [m] at a probability of the cumulative distribution."""
         most = self.tolerance + _TAIL * self.spread
         if most == 0.0:
             return self.mean
@@ -86,39 +84,44 @@ class Height(NamedTuple):
         return self.mean * math.exp(error)
 
     def interval(self, share: float = 0.9) -> tuple[float, float]:
-        """The heights between which the true one lies with so large a probability [m]."""
+        """Central interval [m] of a probability."""
         outside = 0.5 * (1.0 - share)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
     def spread_by(self, spread: float) -> Height:
-        """The same with a further normally distributed error of its logarithm."""
+        """The same with an additional normal error of the logarithm."""
         return self._replace(spread=math.hypot(self.spread, spread))
 
     def _below(self, error: float) -> float:
-        """Probability that the logarithm is off by less than this."""
+        """Cumulative distribution of the logarithmic error."""
         if self.tolerance < _NARROW * self.spread:
             return float(ndtr(error / self.deviation))
         if self.spread < _NARROW * self.tolerance:
             return min(max(0.5 + 0.5 * error / self.tolerance, 0.0), 1.0)
         high = (error + self.tolerance) / self.spread
         low = (error - self.tolerance) / self.spread
-        return 0.5 * self.spread / self.tolerance * (_summed(high) - _summed(low))
+        return (
+            0.5
+            * self.spread
+            / self.tolerance
+            * (_normal_cdf_integral(high) - _normal_cdf_integral(low))
+        )
 
 
-def _summed(deviations: float) -> float:
-    """The integral of the standard normal distribution up to here."""
+def _normal_cdf_integral(deviations: float) -> float:
+    """Integral of the standard normal cumulative distribution."""
     density = math.exp(-0.5 * deviations**2) / math.sqrt(math.tau)
     return float(deviations * ndtr(deviations)) + density
 
 
 class SpringEstimate:
-    """What is known of the spring.
+    """Estimate of the spring.
 
     Args:
-        parameters: of the mechanism.
+        parameters: nominal mechanism and its uncertainty.
 
     Attributes:
-        jumps: from how many it has learnt.
+        jumps: number of jumps used.
     """
 
     def __init__(self, parameters: SpringParameters) -> None:
@@ -129,30 +132,30 @@ class SpringEstimate:
 
     @property
     def gain(self) -> float:
-        """By how much heights are larger than the parameters say."""
+        """Estimated factor of the height over the nominal one."""
         return math.exp(float(self._mean[0]))
 
     @property
     def zero(self) -> float:
-        """By how much strokes are longer than the nut says [m]."""
+        """Estimated excess of the stroke over the nut's position [m]."""
         return float(self._mean[1])
 
     @property
     def shortest_stroke(self) -> float:
-        """Below it the spring lifts nothing [m]."""
+        """Shortest stroke that lifts Body 2 [m]."""
         p = self.parameters
         return max(2.0 * p.body2_mass * p.jump_gravity / p.spring_rate - self.zero, 0.0)
 
     def expected(self, stroke: float, tilt: float = 0.0, ratio: float = 1.0) -> Height:
-        """The height of a jump.
+        """Expected height of a jump.
 
         Args:
             stroke: of the nut [m], above `shortest_stroke`.
             tilt: of base_link z [rad].
-            ratio: of the height to the formula's.
+            ratio: factor of the height at this place.
 
         Raises:
-            ValueError: the stroke lifts nothing.
+            ValueError: the stroke is too short to lift Body 2.
         """
         mean, row = self._model(stroke, tilt, ratio)
         p = self.parameters
@@ -160,7 +163,7 @@ class SpringEstimate:
         return Height(mean, math.sqrt(spread), float(row[1]) * p.stroke_tolerance)
 
     def stroke_for(self, height: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
-        """The stroke [m] that reaches a height [m] in the mean; tilt [rad] and ratio as above.
+        """Stroke [m] for an expected height [m]; tilt [rad] and ratio as in `expected`.
 
         Raises:
             ValueError: the height is not above 0.
@@ -173,14 +176,14 @@ class SpringEstimate:
         work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.body2_mass * share)
         return (weight + math.sqrt(weight**2 + p.spring_rate * work)) / p.spring_rate - self.zero
 
-    def learn(self, stroke: float, height: float, tilt: float = 0.0, ratio: float = 1.0) -> bool:
-        """Learn from a jump that was flown; False if it is too far off to teach anything.
+    def update(self, stroke: float, height: float, tilt: float = 0.0, ratio: float = 1.0) -> bool:
+        """Update the estimate with a measured jump; False if it is rejected as an outlier.
 
         Args:
             stroke: of the nut at the release [m].
-            height: flown, as measured [m].
+            height: measured [m].
             tilt: of base_link z before the jump [rad].
-            ratio: of the height to the formula's.
+            ratio: factor of the height at this place.
         """
         if not (math.isfinite(height) and height > 0.0) or stroke <= self.shortest_stroke:
             return False
@@ -188,27 +191,27 @@ class SpringEstimate:
         p = self.parameters
         error = (p.height_measurement_std / mean) ** 2 + p.height_model_std**2
         error += (row[1] * p.stroke_tolerance) ** 2 / 3.0
-        surprise = math.log(height / mean)
+        innovation = math.log(height / mean)
         spread = float(row @ self._cov @ row) + error
-        if surprise**2 > _OUTLIER**2 * spread:
+        if innovation**2 > _OUTLIER**2 * spread:
             return False
         gain = self._cov @ row / spread
-        self._mean = self._mean + gain * surprise
+        self._mean = self._mean + gain * innovation
         kept = np.eye(2) - np.outer(gain, row)
         self._cov = kept @ self._cov @ kept.T + error * np.outer(gain, gain)
         self.jumps += 1
         return True
 
-    def draw(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-        """Factors of the height and errors of the stroke [m] as they may truly be, (count, 2)."""
+    def sample_errors(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Random height factors and stroke errors [m] from the present distribution, (count, 2)."""
         p = self.parameters
         drawn = generator.multivariate_normal(self._mean, self._cov, count)
         drawn[:, 0] = np.exp(drawn[:, 0] + p.height_model_std * generator.standard_normal(count))
         drawn[:, 1] += p.stroke_tolerance * generator.uniform(-1.0, 1.0, count)
         return np.asarray(drawn)
 
-    def same_as(self, stroke: float, gain: float, zero: float) -> float:
-        """The stroke [m] by which a spring as of the parameters jumps as one that is off so does.
+    def equivalent_stroke(self, stroke: float, gain: float, zero: float) -> float:
+        """Stroke [m] of the nominal spring that gives the height of a spring with errors.
 
         Args:
             stroke: of the nut [m].
@@ -220,16 +223,16 @@ class SpringEstimate:
         work = gain * (p.spring_rate * x**2 - 2.0 * weight * x)
         return (weight + math.sqrt(weight**2 + p.spring_rate * max(work, 0.0))) / p.spring_rate
 
-    def formula(self, stroke: float, tilt: float = 0.0) -> float:
-        """H [m] of the parameters alone, whatever was learnt.
+    def nominal_height(self, stroke: float, tilt: float = 0.0) -> float:
+        """Height [m] of the nominal mechanism, without the estimate.
 
         Raises:
-            ValueError: the stroke lifts nothing.
+            ValueError: the stroke is too short to lift Body 2.
         """
         return SpringEstimate(self.parameters).expected(stroke, tilt).mean
 
     def _model(self, stroke: float, tilt: float, ratio: float) -> tuple[float, NDArray[np.float64]]:
-        """Mean height [m], and the derivatives of its logarithm by a and b."""
+        """Mean height [m] and the derivatives of its logarithm with respect to a and b."""
         p = self.parameters
         x, weight = stroke + self.zero, p.body2_mass * p.jump_gravity
         work = p.spring_rate * x**2 - 2.0 * weight * x

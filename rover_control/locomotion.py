@@ -28,7 +28,7 @@ from msg_schemas.parameters import parameter
 
 
 class LocomotionMode(StrEnum):
-    """How to get on."""
+    """Mode of locomotion."""
 
     WHEELS = "wheels"
     JUMP = "jump"
@@ -61,28 +61,28 @@ class LocomotionParameters:
 
 
 class JumpAssessment(NamedTuple):
-    """What a prediction says of a jump."""
+    """Predicted outcome of a jump."""
 
-    upright: float  # probability of landing so
-    refused: str  # why it is better not to jump; empty = go
+    upright: float  # probability of landing upright
+    refused: str  # why the jump is rejected; empty = accepted
 
 
 class LocomotionSituation(NamedTuple):
-    """What is known where the choice is made."""
+    """State of a stuck rover and its surroundings."""
 
-    slack_value: float  # dh/df [-]; inf = plumb below the fairlead
+    slack_value: float  # dh/df [-]; inf = below the fairlead
     axial_stiffness: float  # EA of the tether [N]
-    slope: float  # of what the rover stands on [rad]; nan = not known
-    stuck: int  # times that the wheels got stuck here and did not get on since
-    jumped: int  # jumps here that did not get the rover on
-    assessment: JumpAssessment | None  # of a jump from here; None = none was made
+    slope: float  # slope of the ground [rad]; nan = unknown
+    stuck: int  # wheel failures at this place since the last progress
+    jumped: int  # jumps at this place without progress
+    assessment: JumpAssessment | None  # predicted jump from here; None = not predicted
 
 
 class Choice(NamedTuple):
-    """How to get on, and why."""
+    """Chosen mode and the reason."""
 
     mode: LocomotionMode
-    wheels_risk: float  # weighed probability of failing; nan = not looked at
+    wheels_risk: float  # expected cost of failure; nan = not evaluated
     jump_risk: float
     reason: str
 
@@ -93,54 +93,52 @@ def slack_value(x: float, y: float, drop: float) -> float:
     return math.inf if horizontal == 0.0 else drop / horizontal
 
 
-def choose(parameters: LocomotionParameters, around: LocomotionSituation) -> Choice:
+def choose(parameters: LocomotionParameters, situation: LocomotionSituation) -> Choice:
     """Choose between wheels and jump.
 
     Args:
-        parameters: the rule and its numbers.
-        around: what is known.
+        parameters: rule and thresholds.
+        situation: state of the rover.
     """
     if parameters.locomotion_rule == "slack":
-        return _by_slack(parameters, around)
-    wheels = _wheels_risk(parameters, around)
-    jump, why = _jump_risk(parameters, around)
+        return _by_slack(parameters, situation)
+    wheels = _wheels_risk(parameters, situation)
+    jump, why = _jump_risk(parameters, situation)
     mode = LocomotionMode.JUMP if jump < wheels else LocomotionMode.WHEELS
-    reason = f"wheels fail with {wheels:.2f}, a jump with {jump:.2f}: {why}"
+    reason = f"risk of wheels {wheels:.2f}, of a jump {jump:.2f}: {why}"
     return Choice(mode, wheels, jump, reason)
 
 
-def _by_slack(parameters: LocomotionParameters, around: LocomotionSituation) -> Choice:
-    nan, limit = math.nan, parameters.slack_rule_threshold
-    if around.axial_stiffness < parameters.slack_rule_stiffness:
-        return Choice(
-            LocomotionMode.JUMP, nan, nan, f"a tether of {around.axial_stiffness:g} N is soft"
-        )
-    if around.slack_value <= limit:
-        return Choice(
-            LocomotionMode.JUMP,
-            nan,
-            nan,
-            f"slack value {around.slack_value:.3g} is up to {limit:g}",
-        )
-    return Choice(
-        LocomotionMode.WHEELS, nan, nan, f"slack value {around.slack_value:.3g} is above {limit:g}"
-    )
+def _by_slack(parameters: LocomotionParameters, situation: LocomotionSituation) -> Choice:
+    value, limit = situation.slack_value, parameters.slack_rule_threshold
+    stiffness, stiff = situation.axial_stiffness, parameters.slack_rule_stiffness
+    mode = LocomotionMode.JUMP
+    if stiffness < stiff:
+        reason = f"tether stiffness {stiffness:g} N is below {stiff:g} N"
+    elif value <= limit:
+        reason = f"slack value {value:.3g} is within the threshold of {limit:g}"
+    else:
+        mode = LocomotionMode.WHEELS
+        reason = f"slack value {value:.3g} is above the threshold of {limit:g}"
+    return Choice(mode, math.nan, math.nan, reason)
 
 
-def _wheels_risk(parameters: LocomotionParameters, around: LocomotionSituation) -> float:
-    if around.slope > parameters.max_drive_slope:
+def _wheels_risk(parameters: LocomotionParameters, situation: LocomotionSituation) -> float:
+    if situation.slope > parameters.max_drive_slope:
         return 1.0
-    if around.stuck == 0:
+    if situation.stuck == 0:
         return parameters.base_wheel_risk
-    return (around.stuck + 1.0) / (around.stuck + 2.0)
+    return (situation.stuck + 1.0) / (situation.stuck + 2.0)
 
 
-def _jump_risk(parameters: LocomotionParameters, around: LocomotionSituation) -> tuple[float, str]:
-    assessment, weight = around.assessment, parameters.topple_weight
+def _jump_risk(
+    parameters: LocomotionParameters, situation: LocomotionSituation
+) -> tuple[float, str]:
+    assessment, weight = situation.assessment, parameters.topple_weight
     if assessment is None:
-        return weight, "no jump was predicted"
+        return weight, "no prediction of a jump"
     if assessment.refused:
         return weight, assessment.refused
-    stays = (around.jumped + 1.0) / (around.jumped + 3.0)
+    stays = (situation.jumped + 1.0) / (situation.jumped + 3.0)
     risk = (1.0 - assessment.upright) * weight + assessment.upright * stays
-    return risk, f"it lands upright with {assessment.upright:.2f}"
+    return risk, f"probability of landing upright {assessment.upright:.2f}"

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_control.jump_prediction import PredictionParameters, Question, Situation
+from rover_control.jump_prediction import PredictionParameters, PredictionRequest, RoverStance
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_control.locomotion import (
@@ -174,11 +174,11 @@ class _Walker:
             if self.state.latch is Latch.FREE and self.state.nut < -0.029:
                 break
 
-    def situation(self) -> Situation:
+    def stance(self) -> RoverStance:
         """How it stands."""
         x, y, _ = self.state.G1.tolist()
         up = self.state.rotation[2].tolist()
-        return Situation(x, y, self.heading, (up[0], up[1], up[2]), self.state.length)
+        return RoverStance(x, y, self.heading, (up[0], up[1], up[2]), self.state.length)
 
 
 def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
@@ -188,7 +188,7 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
     while rover is None:
         with suppress(SettlingError):  # it finds no rest where it was put: another place
             put = _Walker(generator, ground)
-            rover = put if put.situation().tilt < _UPRIGHT else None
+            rover = put if put.stance().tilt < _UPRIGHT else None
     settings = LocomotionParameters(locomotion_rule=rule if rule in ("slack", "risk") else "risk")
     parameters = PredictionParameters(floor_depth=_FLOOR, min_upright_probability=0.0)
     predictor, spring = JumpPredictor(parameters), SpringEstimate(SpringParameters())
@@ -206,23 +206,25 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
         jumped += tried is LocomotionMode.JUMP
         rover.stuck += 1
         rover.go(None, 1.0)
-        situation = rover.situation()
+        stance = rover.stance()
         prediction = None
         if rule == "risk":
-            question = Question(situation, _CLEARANCE, False, rover.stuck)
-            prediction = predictor.predict(question, spring)
+            prediction_request = PredictionRequest(stance, _CLEARANCE, False, rover.stuck)
+            prediction = predictor.predict(prediction_request, spring)
         drop = _FLOOR - parameters.attachment_height
         around = LocomotionSituation(
-            slack_value(situation.x, situation.y, drop),
+            slack_value(stance.x, stance.y, drop),
             rover.plant.scenario.tether.section.axial_stiffness,
             0.0,
             stuck,
             jumped,
-            None if prediction is None else JumpAssessment(prediction.upright, prediction.refused),
+            None
+            if prediction is None
+            else JumpAssessment(prediction.upright, prediction.rejection),
         )
         mode = LocomotionMode(rule) if rule in ("wheels", "jump") else choose(settings, around).mode
         if mode is LocomotionMode.JUMP:
-            rover.jump(usual if prediction is None or prediction.refused else prediction.stroke)
+            rover.jump(usual if prediction is None or prediction.rejection else prediction.stroke)
         else:
             rover.detour()
         tried = mode

@@ -21,7 +21,7 @@ from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ImuSample, JointSample, JointValue, PoseSample, Sample, WrenchSample
 from msg_schemas.transition import Transition
-from rover_control.drive import Drive, Drives, DriveSettings
+from rover_control.drive import Drive, DriveCommands, DriveSettings
 from rover_sim import (
     Command,
     Outcome,
@@ -113,7 +113,7 @@ class DrivenRover:
         self.path: list[TruePose] = []
         self.peak_tension = 0.0
         self.turned = 0.0  # of the left wheel since the start, both ways [rad]
-        self._drives = Drives()
+        self._drives = DriveCommands()
         self._winch: DriveCommand | None = None
 
     @property
@@ -141,7 +141,7 @@ class DrivenRover:
             self.tick()
         x, y, heading = self.pose
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
-        self.drive.place(PoseSample(0, (x, y, 0.0), turned))
+        self.drive.set_pose(PoseSample(0, (x, y, 0.0), turned))
 
     def tick(self) -> None:
         """One tick: plant, sensors, both controllers.

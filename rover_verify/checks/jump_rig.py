@@ -35,7 +35,7 @@ from rover_sim.spatial_interface import SpatialInterface
 TICK_NS = 10_000_000
 TICK = TICK_NS * 1e-9
 _EVERY = 5  # ticks between two steps of the controller
-_HEARD = (topics.IMU, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.ROVER_LOAD_CELL)
+_SENSOR_TOPICS = (topics.IMU, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.ROVER_LOAD_CELL)
 _FLOOR = 6.0  # below the fairlead [m]
 _ATTACHMENT = 0.43  # of the tether above the floor [m]
 
@@ -148,42 +148,42 @@ class JumpingRover:
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self._top = max(self._top, float(self.state.G1[2]))
         self.interface.measure(self.state, self.now_ns, result)
-        self._hear()
+        self._update_sensors()
         if self.ticks % _EVERY == 0:
             self._predict()
             self._command = self.control.step(self.now_ns)
-            self._take()
+            self._process_changes()
 
     def run(self, duration: float) -> None:
         """Go on for so long [s]."""
         for _ in range(round(duration / TICK)):
             self.tick()
 
-    def ask(self, joint: str, value: float) -> None:
+    def request(self, joint: str, value: float) -> None:
         """Send a request; a refusal is kept."""
         try:
             self.control.request(JointSample(self.now_ns, {joint: JointValue(value)}), self.now_ns)
         except Refusal as refusal:
             self.refusals.append(str(refusal))
-        self._take()
+        self._process_changes()
 
-    def leap(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> bool:
+    def perform_jump(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> bool:
         """Ask for a jump and wait until it has ended; whether a jump was flown."""
         if self.ticks == 0:
             self.run(0.5)
         flown = len(self.heights)
-        self.ask(joint, value)
+        self.request(joint, value)
         ends = self.time + limit
         while self.control.phase not in (JumpPhase.STANDBY, JumpPhase.FAULT) and self.time < ends:
             self.tick()
         return len(self.heights) > flown
 
     def _predict(self) -> None:
-        question = self.control.take_question()
-        if question is not None:
-            prediction = self.predictor.predict(question, self.control.spring)
+        prediction_request = self.control.take_prediction_request()
+        if prediction_request is not None:
+            prediction = self.predictor.predict(prediction_request, self.control.spring)
             self.predictions.append(prediction)
-            self.control.on_prediction(question, prediction, self.now_ns)
+            self.control.on_prediction(prediction_request, prediction, self.now_ns)
 
     def _plant_command(self) -> Command:
         order = self._command
@@ -192,8 +192,8 @@ class JumpingRover:
         compression = order.compression + self.stroke_error
         return Command(JumpMotorCommand(compression, order.rate, order.force, order.trips))
 
-    def _hear(self) -> None:
-        samples, now = dict(self.interface.samples(_HEARD)), self.now_ns
+    def _update_sensors(self) -> None:
+        samples, now = dict(self.interface.samples(_SENSOR_TOPICS)), self.now_ns
         imu, contact = samples[topics.IMU], samples[topics.CONTACT]
         motor, cell = samples[topics.JUMP_MOTOR_STATE], samples[topics.ROVER_LOAD_CELL]
         assert isinstance(imu, ImuSample)
@@ -204,8 +204,8 @@ class JumpingRover:
         control.on_imu(imu, now)
         control.on_contact(contact, now)
         ((name, nut),) = motor.joints.items()
-        told = nut._replace(position=nut.position - self.stroke_error)
-        control.on_jump_motor(JointSample(motor.stamp_ns, {name: told}), now)
+        reported = nut._replace(position=nut.position - self.stroke_error)
+        control.on_jump_motor(JointSample(motor.stamp_ns, {name: reported}), now)
         control.on_load_cell(cell, now)
         x, y, z, w = self.state.orientation.tolist()
         place = (float(self.state.G1[0]), float(self.state.G1[1]), 0.0)
@@ -214,7 +214,7 @@ class JumpingRover:
         payout = JointValue(self.state.length)
         control.on_winch_estimate(JointSample(now, {PAYOUT: payout}))
 
-    def _take(self) -> None:
+    def _process_changes(self) -> None:
         for change in self.control.take_transitions():
             self.changes.append((self.time, change))
             if change.phase is JumpPhase.RELEASING:

@@ -10,7 +10,12 @@ import numpy as np
 
 from msg_schemas.machine import JUMP_CLEARANCE
 from rover_control.jump_parameters import JumpPhase
-from rover_control.jump_prediction import Band, PredictionParameters, Question, Situation
+from rover_control.jump_prediction import (
+    Interval,
+    PredictionParameters,
+    PredictionRequest,
+    RoverStance,
+)
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks import Batch, Measured
@@ -27,69 +32,71 @@ _CLEARANCES = (0.08, 0.30)  # [m]
 _PREDICTIONS = 10  # that are timed
 
 
-class Leap(NamedTuple):
+class FlownJump(NamedTuple):
     """A jump as it was asked for and flown."""
 
-    wanted: float  # [m]
+    requested_height: float  # [m]
     flown: float  # true [m]; nan = the rover did not leave the ground
-    told: float  # as the rover measured it [m]; nan = it did not
+    measured: float  # as the rover measured it [m]; nan = it did not
     reason: str  # why it did not jump, or how it ended
 
     @property
     def is_near(self) -> bool:
         """Whether it came within 10 % of what was wanted."""
-        return abs(self.flown / self.wanted - 1.0) <= _NEAR
+        return abs(self.flown / self.requested_height - 1.0) <= _NEAR
 
 
-def leaps_of(seed: int, index: int, learns: bool) -> tuple[Leap, ...]:
+def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
     """The jumps of one rover: its spring off by up to 5 %, each stroke by up to 2 mm."""
     generator = np.random.default_rng([seed, index, 61])
     stand = draw_stand(generator)
     rover = JumpingRover(stand, seed=1000 * seed + index)
     found = []
     for _ in range(_JUMPS):
-        wanted = float(generator.uniform(*_HEIGHTS))
+        requested_height = float(generator.uniform(*_HEIGHTS))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
-        if not learns:
-            rover.control.forget()
+        if not adapts:
+            rover.control.reset_spring()
         records = len(rover.records)
-        done = rover.leap(wanted)
-        told = rover.records[-1].flown.height if len(rover.records) > records else math.nan
+        done = rover.perform_jump(requested_height)
+        measured = rover.records[-1].flown.height if len(rover.records) > records else math.nan
         reason = rover.changes[-1][1].reason if rover.changes else "; ".join(rover.refusals)
-        found.append(Leap(wanted, rover.heights[-1] if done else math.nan, told, reason))
+        found.append(
+            FlownJump(requested_height, rover.heights[-1] if done else math.nan, measured, reason)
+        )
     return tuple(found)
 
 
 def height_reached(batch: Batch) -> Measured:
     """Share of jumps whose height comes within 10 % of the wanted one."""
     runs = batch.runs if batch.runs > 0 else _RUNS
-    rovers = fly_batch(batch, runs, leaps_of, True)
-    open_loop = fly_batch(batch, min(runs, _OPEN_LOOP), leaps_of, False)
-    leaps = [leap for rover in rovers for leap in rover]
+    rovers = fly_batch(batch, runs, jumps_of, True)
+    open_loop = fly_batch(batch, min(runs, _OPEN_LOOP), jumps_of, False)
+    jumps = [jump for rover in rovers for jump in rover]
     first = [rover[0] for rover in rovers]
-    errors = np.array([abs(leap.told - leap.flown) for leap in leaps])
+    errors = np.array([abs(jump.measured - jump.flown) for jump in jumps])
     details: dict[str, float | str] = {
-        "without learning": _share([leap for rover in open_loop for leap in rover]),
+        "without learning": _share([jump for rover in open_loop for jump in rover]),
         "of the first jumps": _share(first),
-        "of the later ones": _share([leap for rover in rovers for leap in rover[1:]]),
+        "of the later ones": _share([jump for rover in rovers for jump in rover[1:]]),
         "largest error of the measured height [m]": float(np.nanmax(errors)),
         "jumps not measured": float(np.isnan(errors).sum()),
     }
     for index, rover in enumerate(rovers):
-        text = ", ".join(f"{leap.flown:.3f}/{leap.wanted:.3f}" for leap in rover)
+        text = ", ".join(f"{jump.flown:.3f}/{jump.requested_height:.3f}" for jump in rover)
         details[f"rover {index}"] = f"flown/wanted {text} m; {rover[-1].reason}"
-    note = f"{len(leaps)} jumps of {runs} rovers, {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m"
-    return Measured(_share(leaps), note, details)
+    note = f"{len(jumps)} jumps of {runs} rovers, {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m"
+    return Measured(_share(jumps), note, details)
 
 
 class Predicted(NamedTuple):
     """A jump by clearance, predicted and flown."""
 
     clearance: float  # [m]
-    height: Band  # predicted [m]
+    height: Interval  # predicted [m]
     flown: float  # true [m]; nan = it was not flown
     upright: float  # probability of landing so that was predicted
-    stands: bool  # whether the rover landed upright
+    landed_upright: bool  # whether the rover landed upright
     reason: str  # how it ended
 
     @property
@@ -99,22 +106,24 @@ class Predicted(NamedTuple):
 
 
 def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
-    """The jumps of one rover by clearance, its spring off as for `leaps_of`."""
+    """The jumps of one rover by clearance, its spring off as for `jumps_of`."""
     generator = np.random.default_rng([seed, index, 62])
     rover = JumpingRover(draw_stand(generator), seed=1000 * seed + index)
     found = []
     for _ in range(_JUMPS):
         clearance = float(generator.uniform(*_CLEARANCES))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
-        done = rover.leap(clearance, JUMP_CLEARANCE)
+        done = rover.perform_jump(clearance, JUMP_CLEARANCE)
         prediction = rover.predictions[-1]
         flown = rover.heights[-1] if done else math.nan
         last = rover.changes[-1][1]
-        stands = last.phase is not JumpPhase.FAULT
+        landed_upright = last.phase is not JumpPhase.FAULT
         found.append(
-            Predicted(clearance, prediction.height, flown, prediction.upright, stands, last.reason)
+            Predicted(
+                clearance, prediction.height, flown, prediction.upright, landed_upright, last.reason
+            )
         )
-        if not stands:
+        if not landed_upright:
             break
     return tuple(found)
 
@@ -127,10 +136,10 @@ def _predicted(batch: Batch) -> Measured:
     details: dict[str, float | str] = {
         "refused": float(len(jumps) - len(flown)),
         "clearances reached": float(np.mean([jump.flown >= jump.clearance for jump in flown])),
-        "landed upright": float(np.mean([jump.stands for jump in flown])),
+        "landed upright": float(np.mean([jump.landed_upright for jump in flown])),
         "so predicted": float(np.mean([jump.upright for jump in flown])),
         "half of the interval over its middle, mean": float(
-            np.mean([0.5 * (j.height.high - j.height.low) / j.height.middle for j in flown])
+            np.mean([0.5 * (j.height.high - j.height.low) / j.height.median for j in flown])
         ),
     }
     for index, rover in enumerate(rovers):
@@ -156,10 +165,10 @@ def prediction_time(batch: Batch) -> Measured:
     """Longest wall time [s] of predictions in places not seen before, the model loaded."""
     predictor = JumpPredictor(PredictionParameters(floor_depth=6.0))
     spring = SpringEstimate(SpringParameters())
-    took, used, rollouts = [], [], math.inf
+    wall_time, used, rollouts = [], [], math.inf
     for index, generator in enumerate(batch.generators(_PREDICTIONS + 1)):
         lean = generator.uniform(-0.08, 0.08, 2)
-        situation = Situation(
+        stance = RoverStance(
             x=float(generator.uniform(0.5, 3.0)),
             y=float(generator.uniform(-1.0, 1.0)),
             heading=float(generator.uniform(-math.pi, math.pi)),
@@ -167,19 +176,19 @@ def prediction_time(batch: Batch) -> Measured:
             length=math.nan,
         )
         height = float(generator.uniform(*_CLEARANCES))
-        begun, processor = time.monotonic(), time.process_time()
-        prediction = predictor.predict(Question(situation, height, True, index), spring)
+        started, processor = time.monotonic(), time.process_time()
+        prediction = predictor.predict(PredictionRequest(stance, height, True, index), spring)
         if index > 0:  # the first one loads what was compiled
-            took.append(time.monotonic() - begun)
+            wall_time.append(time.monotonic() - started)
             used.append(time.process_time() - processor)
             rollouts = min(rollouts, prediction.rollouts)
     details: dict[str, float | str] = {
-        "wall time, median [s]": float(np.median(took)),
+        "wall time, median [s]": float(np.median(wall_time)),
         "processor time, largest [s]": max(used),
         "rollouts, fewest": rollouts,
     }
-    return Measured(max(took), f"{_PREDICTIONS} predictions, 2 threads", details)
+    return Measured(max(wall_time), f"{_PREDICTIONS} predictions, 2 threads", details)
 
 
-def _share(leaps: list[Leap]) -> float:
-    return float(np.mean([leap.is_near for leap in leaps]))
+def _share(jumps: list[FlownJump]) -> float:
+    return float(np.mean([jump.is_near for jump in jumps]))

@@ -35,7 +35,7 @@ from rover_control.descent import Drives as DescentDrives
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample
 from rover_control.descent_report import state_sample as descent_state
-from rover_control.drive import Drive, Drives, DriveSettings
+from rover_control.drive import Drive, DriveCommands, DriveSettings
 from rover_control.drive_report import odometry_sample
 from rover_control.drive_report import state_sample as drive_state
 from rover_control.jump import Jump, JumpSettings
@@ -129,7 +129,7 @@ class MissionFlight:
         self._alarms: dict[str, bool] | None = None
         self._drive_command: DriveCommand | None = None
         self._of_descent = DescentDrives()
-        self._of_drive = Drives()
+        self._of_drive = DriveCommands()
         self._nut: JumpMotorCommand | None = None
         self._idle = 0  # ticks for which nobody has told the nut anything
 
@@ -269,14 +269,14 @@ class MissionFlight:
 
     def _predict(self) -> None:
         """Answer at once what takes a node a second or two."""
-        question = self.jump.take_question()
-        if question is None:
+        prediction_request = self.jump.take_prediction_request()
+        if prediction_request is None:
             return
         if self._predictor is None:
             self._predictor = JumpPredictor(PredictionParameters())
-        prediction = self._predictor.predict(question, self.jump.spring)
+        prediction = self._predictor.predict(prediction_request, self.jump.spring)
         self._record(topics.JUMP_PREDICTION, prediction_sample(prediction, self.now_ns))
-        self.jump.on_prediction(question, prediction, self.now_ns)
+        self.jump.on_prediction(prediction_request, prediction, self.now_ns)
 
     def _held_nut(self) -> float:
         drive = self.plant.model.jump
@@ -412,7 +412,7 @@ class MissionFlight:
         now = self.now_ns
         if isinstance(sample, PoseSample):
             if topic == topics.DRIVE_START:
-                self.drive.place(sample)
+                self.drive.set_pose(sample)
             else:
                 self.drive.request(sample, now)
             return
@@ -441,7 +441,7 @@ class MissionFlight:
             self.descent.on_jump(self._words[topics.JUMP_PHASE])
         elif node == _DRIVE:
             self.drive = Drive(DriveSettings())
-            self._of_drive = Drives()
+            self._of_drive = DriveCommands()
             self.drive.on_winch_mode(self._words[topics.WINCH_MODE])
             self.drive.on_jump(self._words[topics.JUMP_PHASE])
             self.drive.on_descent(self._words[topics.DESCENT_PHASE])

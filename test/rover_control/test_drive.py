@@ -45,7 +45,7 @@ def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> Drive:
     drive = Drive(settings)
     for _ in range(25):
         rover.step(drive)
-    drive.place(pose(rover.x, rover.y, rover.heading))
+    drive.set_pose(pose(rover.x, rover.y, rover.heading))
     return drive
 
 
@@ -141,7 +141,7 @@ def test_the_rover_stands_until_the_winch_holds_the_tension_and_gives_up_when_it
     rover.run(drive, 30.0)
     assert phase_of(drive) is DrivePhase.FAILED
     (failed,) = [c for c in drive.take_changes() if c.name == "drive_failed"]
-    assert "has not taken the request" in failed.reason
+    assert "did not enter mode tension" in failed.reason
     assert rover.way == 0.0
 
 
@@ -155,7 +155,7 @@ def test_a_winch_that_is_taken_away_stops_the_rover():
     rover.step(drive)
     rover.step(drive)
     assert phase_of(drive) is DrivePhase.FAILED
-    assert "has left its tension for fault" in drive.take_changes()[-1].reason
+    assert "left mode tension for fault" in drive.take_changes()[-1].reason
 
 
 def test_a_machine_without_the_winch_s_help_drives_as_well():
@@ -258,7 +258,7 @@ def test_after_being_stuck_the_next_goal_is_driven_to():
     drive.request(pose(1.5, 0.0), rover.now_ns)
     stuck_after(rover, drive, 60.0)
     rover.stuck = False
-    drive.place(pose(rover.x, rover.y, rover.heading))
+    drive.set_pose(pose(rover.x, rover.y, rover.heading))
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
     assert names(drive)[-1] == "drive_done"
@@ -289,8 +289,8 @@ def test_a_twist_that_is_too_fast_or_impossible_is_refused_and_changes_nothing()
     rover = RollingRover()
     drive = ready(rover)
     for forward, turn, code, text in (
-        (0.5, 0.0, RefusalCode.OUT_OF_LIMITS, r"0\.5 m/s, it must be at most 0\.1 m/s"),
-        (0.0, 2.0, RefusalCode.OUT_OF_LIMITS, "at most"),
+        (0.5, 0.0, RefusalCode.OUT_OF_LIMITS, r"0\.5 m/s, limit 0\.1 m/s"),
+        (0.0, 2.0, RefusalCode.OUT_OF_LIMITS, "limit"),
         (-0.1, 0.0, RefusalCode.NOT_SUPPORTED, "ratchet"),
         (0.0, -0.1, RefusalCode.NOT_SUPPORTED, "left only"),
     ):
@@ -307,7 +307,7 @@ def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
     far = pose(100.0, 0.0)
     refused(RefusalCode.OUT_OF_LIMITS, "reaches", drive.request, far, rover.now_ns)
     none = PathSample(0, ())
-    refused(RefusalCode.WRONG_LENGTH, "one at least", drive.request_path, none, rover.now_ns)
+    refused(RefusalCode.WRONG_LENGTH, "at least one", drive.request_path, none, rover.now_ns)
     assert not drive.is_busy
 
 
@@ -315,7 +315,7 @@ def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
     ("change", "code", "text"),
     [
         (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
-        (lambda rover, drive: drive.on_jump("flight"), RefusalCode.WRONG_PHASE, "jumps"),
+        (lambda rover, drive: drive.on_jump("flight"), RefusalCode.WRONG_PHASE, "jumping"),
         (
             lambda rover, drive: drive.on_descent("holding"),
             RefusalCode.WRONG_PHASE,
@@ -338,7 +338,7 @@ def test_a_rover_on_its_side_does_not_drive():
     drive = ready(rover)
     for _ in range(300):
         rover.step(drive)
-    text = "on its side, tilted by 97.4 deg"
+    text = "rolled over: tilt 97.4 deg"
     refused(RefusalCode.WRONG_PHASE, text, drive.request, pose(2.0, 0.0), rover.now_ns)
     refused(RefusalCode.WRONG_PHASE, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
     assert not drive.is_busy
@@ -377,12 +377,12 @@ def test_a_rover_that_leaves_the_floor_stops_and_its_turning_wheels_move_it_no_f
 def test_where_the_rover_stands_is_taken_while_it_stands_alone():
     rover = RollingRover()
     drive = ready(rover)
-    drive.place(pose(4.0, 3.0))
+    drive.set_pose(pose(4.0, 3.0))
     assert drive.odometry.pose == pytest.approx((4.0, 3.0, 0.0), abs=1e-2)
-    drive.place(pose(4.0, 3.0, 2.0))
+    drive.set_pose(pose(4.0, 3.0, 2.0))
     assert drive.odometry.pose.heading == pytest.approx(2.0)
     drive.request(pose(6.0, 3.0), rover.now_ns)
-    refused(RefusalCode.WRONG_PHASE, "drives", drive.place, pose(0.0, 0.0))
+    refused(RefusalCode.WRONG_PHASE, "driving", drive.set_pose, pose(0.0, 0.0))
 
 
 def test_asked_to_stop_it_comes_to_rest_and_the_winch_holds():

@@ -42,10 +42,10 @@ class Ride:
 
 def test_straight_ahead_covers_the_wheels_way_less_the_slip():
     reckoning = odometry()
-    reckoning.place(GroundPose(1.0, 2.0, 0.5))
+    reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
     Ride(reckoning).roll(1.0, 1.0, 0.0, 10.0)
     way = 0.15 * 10.0 * (1.0 - CHASSIS.driving_slip)
-    assert reckoning.way == pytest.approx(way)
+    assert reckoning.travelled == pytest.approx(way)
     assert reckoning.pose.x == pytest.approx(1.0 + way * math.cos(0.5))
     assert reckoning.pose.y == pytest.approx(2.0 + way * math.sin(0.5))
 
@@ -61,12 +61,12 @@ def test_the_slip_follows_the_torque_that_the_way_asks_for():
 
 def test_a_turn_moves_the_rover_about_its_right_wheel_by_the_gyro_alone():
     reckoning = odometry()
-    reckoning.place(GroundPose(1.0, 2.0, 0.5))
+    reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
     pivot = reckoning.kinematics.pivot_of(reckoning.pose)
     Ride(reckoning).roll(-5.0, 0.0, 0.25, 4.0)
     assert reckoning.pose.heading == pytest.approx(1.5)
     assert reckoning.kinematics.pivot_of(reckoning.pose) == pytest.approx(pivot)
-    assert reckoning.way == 0.0
+    assert reckoning.travelled == 0.0
 
 
 def test_a_difference_between_the_sides_bends_the_way_as_both_wheels_make_it():
@@ -158,7 +158,7 @@ def taut(x: float, y: float, drop: float = 10.0) -> Tether:
 def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
     values = {"slip_std": 0.05, "slip_correlation_distance": 100.0, "tether_range_std": 0.02}
     reckoning = odometry(initial_position_std=0.01, **values)
-    reckoning.place(GroundPose(0.0, 5.0, math.pi / 2.0))
+    reckoning.set_pose(GroundPose(0.0, 5.0, math.pi / 2.0))
     reckoning.on_tether(taut(0.0, 5.0, 3.0), is_taut=True)
     assert reckoning.drop == pytest.approx(3.0)
     ride = Ride(reckoning)
@@ -174,7 +174,7 @@ def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
 
 def test_a_slack_tether_only_bounds_the_distance():
     reckoning = odometry()
-    reckoning.place(GroundPose(5.0, 0.0, 0.0))
+    reckoning.set_pose(GroundPose(5.0, 0.0, 0.0))
     reckoning.on_tether(taut(5.0, 0.0), is_taut=True)
     before = reckoning.pose
     reckoning.on_tether(taut(9.0, 0.0), is_taut=False)

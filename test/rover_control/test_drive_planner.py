@@ -29,7 +29,7 @@ def carried_out(start: GroundPose, goal: Goal) -> GroundPose:
     assert way >= 0.0
     pose = RATCHETS.driven(RATCHETS.turned(start, left_turn(start.heading, heading)), way)
     assert wrapped(pose.heading - heading) == pytest.approx(0.0, abs=1e-9)
-    if goal.wants_heading:
+    if goal.has_heading:
         pose = RATCHETS.turned(pose, left_turn(pose.heading, goal.heading))
     return pose
 
@@ -60,9 +60,9 @@ def test_a_place_under_the_wheel_is_reached_from_farther_away(
 ):
     px, py = RATCHETS.pivot_of(start)
     goal = Goal(px + distance * math.cos(towards), py + distance * math.sin(towards))
-    away = planner().next_piece(start, goal)
+    away = planner().next_segment(start, goal)
     assert (away.turn, away.is_last) == (0.0, False)
-    pose = carried_out(RATCHETS.driven(start, away.way), goal)
+    pose = carried_out(RATCHETS.driven(start, away.length), goal)
     assert (pose.x, pose.y) == pytest.approx((goal.x, goal.y), abs=1e-7)
 
 
@@ -80,41 +80,43 @@ def planner(**values: float) -> DrivePlanner:
 def test_a_long_way_is_made_in_pieces_aimed_right_and_the_last_one_straight():
     made = planner(aim_offset=0.03, first_segment=1.0, segment_fraction=0.5, last_segment=1.5)
     goal = Goal(10.0, 0.0, 0.0)
-    first = made.next_piece(GroundPose(0.0, 0.0, -1.0), goal)
-    assert first.way == pytest.approx(1.0)
+    first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal)
+    assert first.length == pytest.approx(1.0)
     assert not first.is_last
     assert first.turn == pytest.approx(1.0 - 0.03, abs=0.05)
-    second = made.next_piece(GroundPose(1.0, 0.0, -0.2), goal)
-    assert second.way == pytest.approx(4.5, abs=0.1)
-    last = made.next_piece(GroundPose(9.0, 0.0, 0.0), goal)
+    second = made.next_segment(GroundPose(1.0, 0.0, -0.2), goal)
+    assert second.length == pytest.approx(4.5, abs=0.1)
+    last = made.next_segment(GroundPose(9.0, 0.0, 0.0), goal)
     assert last.is_last
-    assert last.way == pytest.approx(1.0)
+    assert last.length == pytest.approx(1.0)
     assert last.turn == 0.0
 
 
 def test_a_heading_little_left_of_the_course_is_kept_and_one_far_left_costs_a_full_turn():
     made = planner()
-    assert made.next_piece(GroundPose(0.0, 0.0, 0.02), Goal(1.0, 0.0, 0.0)).turn == 0.0
-    away = made.next_piece(GroundPose(0.0, 0.0, 0.5), Goal(1.0, 0.0, 0.0))
+    assert made.next_segment(GroundPose(0.0, 0.0, 0.02), Goal(1.0, 0.0, 0.0)).turn == 0.0
+    away = made.next_segment(GroundPose(0.0, 0.0, 0.5), Goal(1.0, 0.0, 0.0))
     assert away.turn > math.pi
 
 
 def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
     made = planner(curvature_memory=0.1)
     for _ in range(5):
-        made.learn(0.04, 2.0)
-    assert made.bend == pytest.approx(0.02, rel=0.01)
+        made.update_curvature(0.04, 2.0)
+    assert made.curvature == pytest.approx(0.02, rel=0.01)
     # An arc of 0.02 rad/m over 1 m, begun right of its chord.
-    piece = made.next_piece(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
-    straight = planner().next_piece(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
-    assert piece.heading - straight.heading == pytest.approx(-0.5 * made.bend * piece.way)
+    segment = made.next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
+    straight = planner().next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
+    assert segment.heading - straight.heading == pytest.approx(
+        -0.5 * made.curvature * segment.length
+    )
 
 
 def test_a_goal_is_reached_where_its_last_turn_would_put_the_rover():
     made = planner(xy_goal_tolerance=0.05)
     goal = Goal(3.0, 1.0, 2.0)
     before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)
-    assert made.is_there(before, goal)
+    assert made.is_at_goal(before, goal)
     assert before.distance(3.0, 1.0) > 0.05
     assert made.last_turn(before, goal) == pytest.approx(1.5)
     assert made.last_turn(RATCHETS.turned(before, 1.49), goal) == 0.0

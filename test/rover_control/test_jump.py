@@ -21,7 +21,7 @@ def jumped() -> JumpingRover:
     """A rover with a spring 5 % too stiff that was to jump 0.2 m high, three times."""
     rover = JumpingRover(Stand(slope=0.05, downhill=1.0, spring=1.05), seed=3)
     for _ in range(3):
-        assert rover.leap(0.2)
+        assert rover.perform_jump(0.2)
     return rover
 
 
@@ -43,7 +43,7 @@ def test_a_spring_too_stiff_is_learnt(jumped: JumpingRover):
     assert errors[0] > 0.04
     assert errors[2] < 0.5 * errors[0]
     assert jumped.control.spring.gain > 1.02
-    assert all(record.learnt for record in jumped.records)
+    assert all(record.accepted for record in jumped.records)
     strokes = [record.stroke for record in jumped.records]
     assert strokes[2] < strokes[0]
 
@@ -72,13 +72,13 @@ def test_a_height_beyond_the_longest_stroke_is_refused_with_what_is_possible(
 
 def test_what_was_learnt_is_forgotten_on_request(jumped: JumpingRover):
     kept = jumped.control.spring
-    jumped.control.forget()
+    jumped.control.reset_spring()
     assert jumped.control.spring.gain == 1.0
     jumped.control.spring = kept
 
 
 def test_a_request_is_refused_before_anything_was_heard():
     for joint in (JUMP_STROKE, JUMP_HEIGHT):
-        with pytest.raises(Refusal, match="never heard") as caught:
+        with pytest.raises(Refusal, match="never received") as caught:
             Jump(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)
         assert caught.value.code is RefusalCode.STALE

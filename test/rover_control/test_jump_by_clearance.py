@@ -18,23 +18,28 @@ from msg_schemas.machine import (
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, OdometrySample
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_prediction import Band, Prediction, Question, refused_prediction
+from rover_control.jump_prediction import (
+    Interval,
+    Prediction,
+    PredictionRequest,
+    rejected_prediction,
+)
 
 NANO = 1_000_000_000
 GOOD = Prediction(
     stroke=0.12,
     slack=0.8,
-    gives_slack=0.0,
-    height=Band(0.13, 0.12, 0.14),
-    range=Band(0.1, 0.0, 0.2),
-    turn=Band(0.0, -0.1, 0.1),
-    peak_tension=Band(1.0, 0.5, 2.0),
+    extra_slack=0.0,
+    height=Interval(0.13, 0.12, 0.14),
+    range=Interval(0.1, 0.0, 0.2),
+    turn=Interval(0.0, -0.1, 0.1),
+    peak_tension=Interval(1.0, 0.5, 2.0),
     upright=1.0,
     ratio=1.02,
     spread=0.01,
     rollouts=32,
-    took=1.0,
-    refused="",
+    wall_time=1.0,
+    rejection="",
 )
 
 
@@ -44,7 +49,7 @@ class Standing:
     def __init__(self, *, knows_place: bool = True) -> None:
         self.jump = Jump(JumpSettings())
         self.now_ns = NANO
-        self.told: list[tuple[str, str, Level]] = []
+        self.changes: list[tuple[str, str, Level]] = []
         if knows_place:
             c, s = math.cos(0.35), math.sin(0.35)
             still = (0.0, 0.0, 0.0)
@@ -62,24 +67,24 @@ class Standing:
             self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
             self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
             self.jump.step(now)
-        self.told += [(c.phase.value, c.reason, c.level) for c in self.jump.take_transitions()]
+        self.changes += [(c.phase.value, c.reason, c.level) for c in self.jump.take_transitions()]
 
-    def ask(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
+    def request(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
         sample = JointSample(self.now_ns, {joint: JointValue(clearance)})
         self.jump.request(sample, self.now_ns)
 
-    def question(self) -> Question:
-        question = self.jump.take_question()
-        assert question is not None
-        return question
+    def prediction_request(self) -> PredictionRequest:
+        prediction_request = self.jump.take_prediction_request()
+        assert prediction_request is not None
+        return prediction_request
 
     def answer(self, prediction: Prediction) -> None:
-        self.jump.on_prediction(self.question(), prediction, self.now_ns)
+        self.jump.on_prediction(self.prediction_request(), prediction, self.now_ns)
         self.run(0.02)
 
     @property
     def phases(self) -> list[str]:
-        return [phase for phase, _, _ in self.told]
+        return [phase for phase, _, _ in self.changes]
 
 
 @pytest.fixture
@@ -89,36 +94,36 @@ def rover() -> Standing:
 
 def test_the_question_says_how_the_rover_stands(rover: Standing):
     rover.jump.on_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
-    rover.ask(0.12)
-    question = rover.question()
-    assert (question.height, question.is_clearance) == (0.12, True)
-    x, y, heading, up, length, _ = question.situation
+    rover.request(0.12)
+    prediction_request = rover.prediction_request()
+    assert (prediction_request.height, prediction_request.is_clearance) == (0.12, True)
+    x, y, heading, up, length, _ = prediction_request.stance
     assert (x, y, length) == (2.0, 1.0, 7.5)
     assert heading == pytest.approx(0.7)
     assert up == pytest.approx((0.1, 0.0, 1.6))
-    assert rover.jump.take_question() is None
+    assert rover.jump.take_prediction_request() is None
     assert rover.jump.phase.value == "predicting"
 
 
 def test_a_good_answer_begins_the_jump_with_its_stroke(rover: Standing):
-    rover.ask()
+    rover.request()
     rover.answer(GOOD)
     assert rover.phases == ["predicting", "compressing"]
-    assert "0.12 m" in rover.told[1][1]
+    assert "0.12 m" in rover.changes[1][1]
     assert rover.jump.take_slack_request() is None
 
 
 def test_a_bad_answer_leads_back_with_its_reason(rover: Standing):
-    rover.ask()
-    rover.answer(refused_prediction("it would topple"))
-    assert rover.told[-1] == ("standby", "better not: it would topple", Level.WARN)
-    rover.ask()
+    rover.request()
+    rover.answer(rejected_prediction("it would topple"))
+    assert rover.changes[-1] == ("standby", "jump rejected: it would topple", Level.WARN)
+    rover.request()
 
 
 def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
     rover.jump.on_winch_mode("hold")
-    rover.ask()
-    rover.answer(GOOD._replace(gives_slack=0.5))
+    rover.request()
+    rover.answer(GOOD._replace(extra_slack=0.5))
     assert rover.jump.take_slack_request() == GOOD.slack
     assert rover.jump.take_slack_request() is None
     rover.run(1.0)
@@ -132,48 +137,48 @@ def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
 
 def test_a_winch_that_gives_no_slack_ends_it(rover: Standing):
     rover.jump.on_winch_mode("fault")
-    rover.ask()
-    rover.answer(GOOD._replace(gives_slack=0.5))
+    rover.request()
+    rover.answer(GOOD._replace(extra_slack=0.5))
     rover.run(61.0)
     assert rover.phases == ["predicting", "giving_slack", "standby"]
-    assert "it is in 'fault'" in rover.told[-1][1]
+    assert "its mode is 'fault'" in rover.changes[-1][1]
 
 
 def test_an_answer_that_does_not_come_ends_it_and_is_not_heard_later(rover: Standing):
-    rover.ask()
-    question = rover.question()
+    rover.request()
+    prediction_request = rover.prediction_request()
     rover.run(61.0)
-    assert rover.told[-1][:2] == ("standby", "not predicted within 60 s")
-    rover.jump.on_prediction(question, GOOD, rover.now_ns)
-    rover.ask()
-    rover.jump.on_prediction(question, GOOD, rover.now_ns)
+    assert rover.changes[-1][:2] == ("standby", "no prediction within 60 s")
+    rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
+    rover.request()
+    rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
     assert rover.jump.phase.value == "predicting"
 
 
 def test_an_abort_ends_it_before_anything_is_compressed(rover: Standing):
-    rover.ask()
-    assert rover.jump.abort(rover.now_ns) == "nothing was compressed yet"
+    rover.request()
+    assert rover.jump.abort(rover.now_ns) == "aborted before the spring was compressed"
     rover.run(0.02)
-    assert rover.told[-1][:2] == ("standby", "aborted in predicting")
+    assert rover.changes[-1][:2] == ("standby", "aborted in predicting")
 
 
 @pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
 def test_another_request_meanwhile_is_refused(rover: Standing, joint: str):
-    rover.ask()
-    with pytest.raises(Refusal, match="in predicting") as caught:
-        rover.ask(0.1, joint)
+    rover.request()
+    with pytest.raises(Refusal, match="in phase predicting") as caught:
+        rover.request(0.1, joint)
     assert caught.value.code is RefusalCode.WRONG_PHASE
 
 
 def test_a_rover_that_does_not_know_where_it_is_is_not_predicted():
     rover = Standing(knows_place=False)
     with pytest.raises(Refusal, match=topics.ODOMETRY) as caught:
-        rover.ask()
+        rover.request()
     assert caught.value.code is RefusalCode.STALE
 
 
 def test_a_clock_that_jumps_ends_it(rover: Standing):
-    rover.ask()
+    rover.request()
     rover.jump.start_over(0)
     changes = rover.jump.take_transitions()
     assert changes[-1].phase.value == "standby"
@@ -181,30 +186,30 @@ def test_a_clock_that_jumps_ends_it(rover: Standing):
 
 
 def test_a_jump_that_cannot_begin_after_all_is_told(rover: Standing):
-    rover.ask()
+    rover.request()
     rover.answer(GOOD._replace(stroke=0.25))
     assert rover.phases[-1] == "standby"
-    assert "not begun: stroke is 0.25 m" in rover.told[-1][1]
+    assert "jump not started: stroke is 0.25 m" in rover.changes[-1][1]
 
 
 def test_an_outlook_is_predicted_and_nothing_moves(rover: Standing):
-    rover.ask(0.12, JUMP_PREDICTION)
+    rover.request(0.12, JUMP_PREDICTION)
     rover.answer(GOOD)
     rover.run(1.0)
     assert rover.phases == ["predicting", "standby"]
-    assert rover.told[-1][1:] == ("predicted: it lands upright with 1.00", Level.OK)
+    assert rover.changes[-1][1:] == ("predicted: probability of landing upright 1.00", Level.OK)
     assert rover.jump.take_slack_request() is None
 
 
 def test_an_outlook_that_advises_against_the_jump_says_why(rover: Standing):
-    rover.ask(0.12, JUMP_PREDICTION)
-    rover.answer(refused_prediction("it would topple"))
-    assert rover.told[-1][1:] == ("better not: it would topple", Level.WARN)
+    rover.request(0.12, JUMP_PREDICTION)
+    rover.answer(rejected_prediction("it would topple"))
+    assert rover.changes[-1][1:] == ("jump rejected: it would topple", Level.WARN)
 
 
 def test_how_deep_the_rover_stands_is_taken_from_the_odometry(rover: Standing):
     still = (0.0, 0.0, 0.0)
     place = OdometrySample(1, (2.0, 1.0, -49.5), (0.0, 0.0, 0.0, 1.0), still, still)
     rover.jump.on_odometry(place)
-    rover.ask(0.12)
-    assert rover.question().situation.drop == 49.5
+    rover.request(0.12)
+    assert rover.prediction_request().stance.drop == 49.5

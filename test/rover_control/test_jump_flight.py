@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msg_schemas.samples import ImuSample
-from rover_control.jump_flight import FlightRecorder, Flown
+from rover_control.jump_flight import FlightRecorder, MeasuredJump
 
 NANO = 1_000_000_000
 STEP = NANO // 100
@@ -27,7 +27,7 @@ def fly(
     push: float = UP,
     gap: int = -1,
     recorder: FlightRecorder | None = None,
-) -> Flown | None:
+) -> MeasuredJump | None:
     """A parabola from rest to rest, its push and its landing `push` [s] long, as an IMU tells it.
 
     Args:

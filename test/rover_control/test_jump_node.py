@@ -168,7 +168,7 @@ def test_without_sensors_a_request_is_refused(harness: NodeHarness):
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "stale")
-    assert "never heard" in refusal.message
+    assert "never received" in refusal.message
 
 
 def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(harness: NodeHarness):

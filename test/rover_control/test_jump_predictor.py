@@ -10,7 +10,12 @@ import pytest
 
 from msg_schemas.machine import JUMP_CLEARANCE
 from rover_control.jump import JumpSettings
-from rover_control.jump_prediction import Prediction, PredictionParameters, Question, Situation
+from rover_control.jump_prediction import (
+    Prediction,
+    PredictionParameters,
+    PredictionRequest,
+    RoverStance,
+)
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_report import prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
@@ -19,14 +24,14 @@ from rover_verify.checks.jump_rig import JumpingRover, Stand
 pytestmark = pytest.mark.usefixtures("compiled")
 
 FEW = PredictionParameters(rollouts=8, floor_depth=6.0)
-HERE = Situation(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
+HERE = RoverStance(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
 
 
 def predicted(
     height: float = 0.15, parameters: PredictionParameters = FEW, *, clearance: bool = False
 ) -> Prediction:
-    question = Question(HERE, height, clearance, 1)
-    return JumpPredictor(parameters).predict(question, SpringEstimate(SpringParameters()))
+    prediction_request = PredictionRequest(HERE, height, clearance, 1)
+    return JumpPredictor(parameters).predict(prediction_request, SpringEstimate(SpringParameters()))
 
 
 @pytest.fixture(scope="module")
@@ -35,53 +40,56 @@ def usual() -> Prediction:
 
 
 def test_a_jump_is_predicted_and_its_stroke_picked(usual: Prediction):
-    assert usual.refused == ""
+    assert usual.rejection == ""
     assert usual.rollouts == 8
-    assert usual.height.middle == pytest.approx(0.15)
+    assert usual.height.median == pytest.approx(0.15)
     assert 0.12 < usual.height.low < 0.145
     assert 0.155 < usual.height.high < 0.18
     assert usual.stroke == pytest.approx(0.127, abs=0.004)
     assert 0.95 < usual.ratio < 1.08
-    assert 0.0 < usual.range.low <= usual.range.middle <= usual.range.high < 0.5
-    assert usual.turn.low <= usual.turn.middle <= usual.turn.high
+    assert 0.0 < usual.range.low <= usual.range.median <= usual.range.high < 0.5
+    assert usual.turn.low <= usual.turn.median <= usual.turn.high
     assert 0.0 < usual.peak_tension.low < usual.peak_tension.high < 20.0
     assert usual.upright == 1.0
-    assert usual.gives_slack == 0.0
-    assert usual.took > 0.0
+    assert usual.extra_slack == 0.0
+    assert usual.wall_time > 0.0
 
 
 def test_the_same_question_has_the_same_answer(usual: Prediction):
-    assert predicted()._replace(took=0.0) == usual._replace(took=0.0)
+    assert predicted()._replace(wall_time=0.0) == usual._replace(wall_time=0.0)
 
 
 @pytest.mark.parametrize("ahead", [-0.16, 0.16])
 def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_predicted(ahead: float):
     # One way its ratchets let it roll: it finds no rest.
     slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
-    question = Question(slope, 0.15, False, 1)
-    found = JumpPredictor(FEW).predict(question, SpringEstimate(SpringParameters()))
-    assert "cannot be predicted" not in found.refused
+    prediction_request = PredictionRequest(slope, 0.15, False, 1)
+    found = JumpPredictor(FEW).predict(prediction_request, SpringEstimate(SpringParameters()))
+    assert "cannot be predicted" not in found.rejection
     assert found.rollouts == 8
 
 
 def test_a_clearance_is_reached_with_more_than_the_median(usual: Prediction):
     safe = predicted(clearance=True)
     assert safe.stroke > usual.stroke
-    deviation = math.log(safe.height.high / safe.height.middle) / 1.645
+    deviation = math.log(safe.height.high / safe.height.median) / 1.645
     # 10 % of a normal distribution lie below 1.2816 standard deviations.
-    assert safe.height.middle == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
+    assert safe.height.median == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
 
 
 def test_what_is_known_of_the_spring_makes_the_interval_narrower():
     spring = SpringEstimate(SpringParameters())
-    question = Question(HERE, 0.15, False, 1)
+    prediction_request = PredictionRequest(HERE, 0.15, False, 1)
     predictor = JumpPredictor(FEW)
-    before = predictor.predict(question, spring).height
+    before = predictor.predict(prediction_request, spring).height
     for stroke in (0.1, 0.13, 0.16, 0.19):
-        assert spring.learn(stroke, 1.05 * spring.formula(stroke))
-    after = predictor.predict(question, spring)
+        assert spring.update(stroke, 1.05 * spring.nominal_height(stroke))
+    after = predictor.predict(prediction_request, spring)
     assert after.height.high - after.height.low < 0.9 * (before.high - before.low)
-    assert after.stroke < predictor.predict(question, SpringEstimate(SpringParameters())).stroke
+    assert (
+        after.stroke
+        < predictor.predict(prediction_request, SpringEstimate(SpringParameters())).stroke
+    )
 
 
 @pytest.mark.parametrize(
@@ -101,16 +109,16 @@ def test_a_jump_that_is_too_risky_is_refused(changes: dict[str, float], reason: 
     prediction = predicted(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
     assert not np.isnan(prediction.stroke)
     with pytest.raises(AssertionError, match=reason):
-        raise AssertionError(prediction.refused)
+        raise AssertionError(prediction.rejection)
 
 
 def test_too_little_slack_is_to_be_given_by_the_winch():
     taut = HERE._replace(length=math.hypot(2.0, 0.3, 6.0 - 0.43) + 0.1)
     prediction = JumpPredictor(FEW).predict(
-        Question(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
+        PredictionRequest(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
     )
     assert prediction.slack > FEW.slack_margin
-    assert prediction.gives_slack == pytest.approx(prediction.slack - 0.1)
+    assert prediction.extra_slack == pytest.approx(prediction.slack - 0.1)
 
 
 def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
@@ -123,12 +131,12 @@ def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
 def test_a_jump_by_clearance_flies_as_predicted():
     settings = JumpSettings(prediction=replace(FEW, rollouts=16))
     rover = JumpingRover(Stand(slope=0.04, downhill=1.0, heading=0.7), settings, seed=2)
-    assert rover.leap(0.15, JUMP_CLEARANCE)
+    assert rover.perform_jump(0.15, JUMP_CLEARANCE)
     (prediction,) = rover.predictions
     assert rover.heights[0] >= 0.15
     assert prediction.height.low <= rover.heights[0] <= prediction.height.high
     (record,) = rover.records
     assert record.prediction is prediction
-    assert record.wanted == 0.15
+    assert record.requested_height == 0.15
     phases = [change.phase.value for _, change in rover.changes]
     assert phases[:2] == ["predicting", "compressing"]

@@ -39,14 +39,14 @@ class Rover:
         self.compression = 0.0
         self.contact = 1.0
         self.force = GRAVITY
-        self.tilt = self.rate = self.pull = 0.0
+        self.tilt = self.rate = self.tension = 0.0
         self.hooked = True
         self.springs_back = self.lifts = True
         self.flight_left = 0.0
         self.flight_time = 0.5
         self.command: NutCommand | None = None
         self.transitions: list[Transition] = []
-        self.silent: set[str] = set()
+        self.stale: set[str] = set()
         self.lag: dict[str, float] = {}  # of a topic [s]
         self.underway: defaultdict[str, deque[JointSample | ImuSample]] = defaultdict(deque)
         self.stuck = False
@@ -91,21 +91,21 @@ class Rover:
         nut = JointSample(self.now_ns, {JUMP_SCREW: JointValue(self.compression, 0.0, held)})
         up = (self.force * math.sin(self.tilt), 0.0, self.force * math.cos(self.tilt))
         imu = ImuSample(self.now_ns, (0.0, 0.0, self.rate), up)
-        cell = WrenchSample(self.now_ns, (0.0, 0.0, self.pull))
+        cell = WrenchSample(self.now_ns, (0.0, 0.0, self.tension))
         self.sensors = self.sensors.with_load_cell(cell, self.now_ns)
         for topic, sample in (
             (topics.CONTACT, contact),
             (topics.JUMP_MOTOR_STATE, nut),
             (topics.IMU, imu),
         ):
-            if topic not in self.silent:
+            if topic not in self.stale:
                 self.underway[topic].append(sample)
         for topic, waiting in self.underway.items():
             due = self.now_ns - round(self.lag.get(topic, 0.0) * NANO)
             while waiting and waiting[0].stamp_ns <= due:
-                self._hear(waiting.popleft())
+                self._receive(waiting.popleft())
 
-    def _hear(self, sample: JointSample | ImuSample) -> None:
+    def _receive(self, sample: JointSample | ImuSample) -> None:
         if isinstance(sample, ImuSample):
             self.sensors = self.sensors.with_imu(sample, self.now_ns)
         elif FLOOR_SWITCH in sample.joints:
@@ -183,8 +183,8 @@ def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(r
 @pytest.mark.parametrize(
     ("wrong", "value", "reason"),
     [
-        ("tilt", 0.5, "tilts by 0.5 rad, at most 0.35"),
-        ("pull", 3.0, "tether tension is 3 N, limit 2 N; give slack"),
+        ("tilt", 0.5, "tilt is 0.5 rad, limit 0.35"),
+        ("tension", 3.0, "tether tension is 3 N, limit 2 N; give slack"),
     ],
 )
 def test_a_rover_that_stands_badly_is_not_released(
@@ -231,7 +231,7 @@ def test_a_release_that_does_not_lift_the_rover_is_told_and_hooked_again(rover: 
     rover.request(0.1, 0.1)
     rover.run(10.0)
     assert rover.phases == [*JUMPS, LANDED, HOOKING, STANDBY]
-    assert "has not left the ground" in rover.transitions[4].reason
+    assert "no take-off" in rover.transitions[4].reason
     assert rover.transitions[4].level is Level.WARN
 
 
@@ -297,7 +297,7 @@ def test_a_request_in_the_air_is_refused(rover: Rover):
 def test_a_request_with_a_loaded_spring_is_refused_and_abort_unloads_it(rover: Rover):
     rover.compression = 0.05
     rover.run(0.1)
-    assert "0.05 m already" in refusal(rover).reason
+    assert "compressed by 0.05 m" in refusal(rover).reason
     assert rover.abort() == "letting the spring down"
     rover.run(2.0)
     assert (rover.compression, rover.sequence.phase) == (0.0, STANDBY)
@@ -307,13 +307,13 @@ def test_a_request_with_a_loaded_spring_is_refused_and_abort_unloads_it(rover: R
 def test_a_stroke_beyond_the_limit_is_refused(rover: Rover):
     wrong = refusal(rover, 0.31)
     assert wrong.code is RefusalCode.OUT_OF_LIMITS
-    assert "at most 0.3 m" in wrong.reason
+    assert "limit 0.3 m" in wrong.reason
 
 
 @pytest.mark.parametrize("sensor", [topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU])
 def test_a_request_without_a_sensor_is_refused(rover: Rover, sensor: str):
-    assert "never heard" in _refused_without_sensors()
-    rover.silent = {sensor}
+    assert "never received" in _refused_without_sensors()
+    rover.stale = {sensor}
     rover.run(0.3)
     wrong = refusal(rover)
     assert wrong.code is RefusalCode.STALE
@@ -331,7 +331,7 @@ def test_it_says_which_sensors_it_waits_for():
     assert JumpSequence(PARAMETERS).waiting_for(Sensors(), NANO) == everything
     rover = Rover()
     assert rover.sequence.waiting_for(rover.sensors, rover.now_ns) == ()
-    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.stale = {topics.JUMP_MOTOR_STATE}
     rover.run(2.0 * PARAMETERS.sensor_timeout)
     assert rover.sequence.waiting_for(rover.sensors, rover.now_ns) == (topics.JUMP_MOTOR_STATE,)
 
@@ -366,7 +366,7 @@ def test_an_abort_lets_the_spring_down_softly(rover: Rover):
     rover.abort()
     rover.run(0.1)
     assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.max_nut_force, False)
-    assert rover.abort() == "already letting the spring down"
+    assert rover.abort() == "the spring is already being let down"
     rover.run(3.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
     assert rover.compression == 0.0
@@ -374,14 +374,14 @@ def test_an_abort_lets_the_spring_down_softly(rover: Rover):
 
 
 def test_an_abort_with_nothing_to_do_does_nothing(rover: Rover):
-    assert rover.abort() == "nothing to let down"
+    assert rover.abort() == "the spring is already let down"
     assert rover.phases == []
 
 
 def test_an_abort_in_standby_is_refused_while_the_nut_is_not_known(rover: Rover):
-    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.stale = {topics.JUMP_MOTOR_STATE}
     rover.run(1.0)
-    with pytest.raises(Refusal, match="silent") as caught:
+    with pytest.raises(Refusal, match="s old") as caught:
         rover.abort()
     assert caught.value.code is RefusalCode.STALE
     assert rover.phases == []
@@ -390,7 +390,7 @@ def test_an_abort_in_standby_is_refused_while_the_nut_is_not_known(rover: Rover)
 def test_an_abort_while_compressing_lets_down_even_if_the_nut_is_not_known(rover: Rover):
     rover.request()
     rover.run(0.5)
-    rover.silent = {topics.JUMP_MOTOR_STATE}
+    rover.stale = {topics.JUMP_MOTOR_STATE}
     rover.abort()
     rover.run(0.1)
     assert rover.command == (0.0, PARAMETERS.let_down_speed, PARAMETERS.max_nut_force, False)
@@ -432,7 +432,7 @@ def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
     rover.request()
     rover.run(15.0)
     assert rover.phases == [COMPRESSING, SETTLING, RELEASING, LETTING_DOWN, STANDBY]
-    assert "still feels the spring" in rover.transitions[3].reason
+    assert "still measures the spring's force" in rover.transitions[3].reason
     assert rover.compression == 0.0
 
 
@@ -440,7 +440,7 @@ def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
 def test_a_sensor_lost_while_compressing_ends_it(rover: Rover, sensor: str):
     rover.request()
     rover.run(0.5)
-    rover.silent = {sensor}
+    rover.stale = {sensor}
     rover.run(1.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN]
     assert rover.transitions[-1].level is Level.ERROR
@@ -505,7 +505,7 @@ def test_the_request_s_speed_goes_before_the_parameter_s(rover: Rover):
 
 def test_limits_hold_that_were_changed_by_parameter():
     rover = Rover(replace(PARAMETERS, max_stroke=0.1))
-    assert "at most 0.1 m" in refusal(rover, 0.2).reason
+    assert "limit 0.1 m" in refusal(rover, 0.2).reason
 
 
 def test_every_phase_is_a_word_of_the_contract():

@@ -34,7 +34,7 @@ def test_the_model_is_that_of_energy_and_momentum():
 @settings(max_examples=50, deadline=None)
 def test_the_stroke_for_a_height_reaches_it(height: float, tilt: float):
     spring = SpringEstimate(PARAMETERS)
-    spring.learn(0.1, 0.095)
+    spring.update(0.1, 0.095)
     stroke = spring.stroke_for(height, tilt)
     assert spring.expected(stroke, tilt).mean == pytest.approx(height, rel=1e-9)
 
@@ -45,13 +45,13 @@ def test_it_learns_a_spring_that_is_off(gain: float, zero: float, seed: int):
     generator = np.random.default_rng(seed)
     spring = SpringEstimate(PARAMETERS)
     for _ in range(15):
-        wanted = float(generator.uniform(0.08, 0.35))
-        stroke = spring.stroke_for(wanted)
+        requested_height = float(generator.uniform(0.08, 0.35))
+        stroke = spring.stroke_for(requested_height)
         flown = true_height(stroke + 5e-4 * generator.standard_normal(), gain, zero)
-        assert spring.learn(stroke, flown)
-    for wanted in (0.1, 0.2, 0.35):
-        flown = true_height(spring.stroke_for(wanted), gain, zero)
-        assert flown == pytest.approx(wanted, rel=0.03)
+        assert spring.update(stroke, flown)
+    for requested_height in (0.1, 0.2, 0.35):
+        flown = true_height(spring.stroke_for(requested_height), gain, zero)
+        assert flown == pytest.approx(requested_height, rel=0.03)
     assert spring.jumps == 15
 
 
@@ -72,7 +72,7 @@ def test_what_it_expects_becomes_surer_and_stays_honest():
             low, high = height.interval(0.9)
             inside += low <= flown <= high
             count += 1
-            spring.learn(
+            spring.update(
                 stroke, flown + PARAMETERS.height_measurement_std * generator.standard_normal()
             )
         assert spring.expected(0.15).spread < before
@@ -81,15 +81,15 @@ def test_what_it_expects_becomes_surer_and_stays_honest():
 
 def test_a_jump_that_was_hindered_teaches_nothing():
     spring = SpringEstimate(PARAMETERS)
-    assert not spring.learn(0.2, 0.1)
-    assert not spring.learn(0.2, math.nan)
-    assert not spring.learn(0.01, 0.1)
+    assert not spring.update(0.2, 0.1)
+    assert not spring.update(0.2, math.nan)
+    assert not spring.update(0.01, 0.1)
     assert (spring.gain, spring.zero, spring.jumps) == (1.0, 0.0, 0)
 
 
 def test_draws_are_as_scattered_as_what_is_expected():
     spring = SpringEstimate(PARAMETERS)
-    drawn = spring.draw(np.random.default_rng(1), 4000)
+    drawn = spring.sample_errors(np.random.default_rng(1), 4000)
     heights = [true_height(0.15, float(gain), float(zero)) for gain, zero in drawn]
     expected = spring.expected(0.15)
     assert np.std(np.log(heights)) == pytest.approx(expected.deviation, rel=0.05)

@@ -69,7 +69,7 @@ def test_what_was_not_predicted_or_advised_against_is_not_jumped(assessment: Jum
     choice = choose(RISK, FREE._replace(stuck=9, slope=1.0, assessment=assessment))
     assert choice.mode is LocomotionMode.WHEELS
     assert choice.jump_risk == RISK.topple_weight
-    assert ("it would topple" if assessment else "no jump was predicted") in choice.reason
+    assert ("it would topple" if assessment else "no prediction of a jump") in choice.reason
 
 
 @pytest.mark.parametrize(

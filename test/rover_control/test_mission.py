@@ -104,7 +104,7 @@ def test_a_choice_is_told_with_its_reason_and_its_risks():
     assert choice.values["rule"] == "risk"
     assert choice.values["wheels_risk"] == pytest.approx(2.0 / 3.0)
     assert choice.values["jump_risk"] == pytest.approx(1.0 / 3.0)
-    assert "upright with 1.00" in choice.reason
+    assert "landing upright 1.00" in choice.reason
 
 
 @pytest.mark.parametrize(
