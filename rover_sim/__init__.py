@@ -1,7 +1,7 @@
 """The plant: a tethered rover, simulated.
 
-This is the public face for studies and notebooks; nodes use the same. A scenario says what is
-simulated, a plant steps it, `run` and `jump` take it to an event:
+This is the public interface for studies and notebooks; the nodes use it too. A scenario defines
+what is simulated, a plant steps it, `run` and `jump` simulate up to an event:
 
 >>> from rover_sim import build_plant, jump, load_scenario
 >>> scenario = load_scenario("paper_table1_high", {"start.geometry": "+K", "start.slack": 2.0})
@@ -10,7 +10,7 @@ simulated, a plant steps it, `run` and `jump` take it to an event:
 >>> print(f"{metrics.height:.3f} m, {metrics.attitude_variation:+.2f} rad")
 0.309 m, +0.66 rad
 
-The same by hand, tick by tick; a state is a value, so keeping or reusing one is safe:
+The same jump tick by tick. States are immutable, so they can be kept and reused:
 
 >>> from rover_sim import Command, JumpMotorCommand
 >>> state = plant.initial_state()
@@ -19,7 +19,7 @@ The same by hand, tick by tick; a state is a value, so keeping or reusing one is
 >>> state.phase.value, [event.name for event in result.events], result.outcome.value
 ('flight', ['take_off'], 'converged')
 
-In space, on a floor with rubble, with winch, drives and sensors. Runs side by side use all cores:
+The spatial plant has a floor with rubble, winch, drives and sensors. Parallel runs use all cores:
 
 >>> from rover_sim import roll_out
 >>> plant = build_plant(load_scenario("floor_rubble"))
@@ -31,8 +31,8 @@ In space, on a floor with rubble, with winch, drives and sensors. Runs side by s
 0.2 m high, 1 N
 0.4 m high, 1 N
 
-What the sensors make of a state, with noise, bias and delay as the scenario has them, and whatever
-else a plant shows on the contract's topics:
+The plant's interface yields the samples of the contract's topics; sensor readings have the
+scenario's noise, bias and delay:
 
 >>> from msg_schemas import topics
 >>> from rover_sim import build_interface

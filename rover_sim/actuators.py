@@ -1,9 +1,9 @@
-"""The drives' side of the plant: commands judged against it, and stopped when they cease.
+"""Drives of the plant: validation of commands, and a watchdog for each drive.
 
-The contract has already refused what is no number, out of limits or out of date. Here is refused
-what only the drives can judge, such as a reaction wheel's torque while the nut is hooked. Each
-drive has a watchdog of its own, with the contract's times: it needs nobody to be told that the
-commands have ceased. Time is simulated time; a tick is begun stopped if it would end too late.
+The contract has already refused samples that are not finite, out of limits or outdated. This module
+refuses commands that the state of the drives does not permit, such as a reaction-wheel torque while
+the nut is on the latch. Each drive's watchdog stops it when its commands cease, with the contract's
+timeouts in simulated time; a command that would expire during a tick is dropped at its start.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from rover_sim.plant import (
 )
 
 _NANO = 1e9
-# A drum without a motor is told to hold the length that it has; so near counts as that.
+# Tolerance of the length commanded to a drum without a motor [m].
 _SAME_LENGTH = 1e-3
-# A nut so near to where it was sent has arrived [m].
+# Tolerance of the nut's position at its setpoint [m].
 _ARRIVED = 1e-4
-# A drum that pays out no faster counts as standing [m/s].
-_STANDING = 1e-3
-# A command that was on its way when the latch tripped is no mistake of its sender's.
-_ON_THE_WAY_NS = 100_000_000
+# Payout rate below which the drum is at rest [m/s].
+_AT_REST = 1e-3
+# Nut commands sent up to this time after the latch has tripped are ignored, not refused.
+_IN_TRANSIT_NS = 100_000_000
 _TRIPS = JointValue(1.0)
 
 COMMANDS = (
@@ -60,38 +60,38 @@ COMMANDS = (
 class Nut:
     """The nut of the jump motor's screw."""
 
-    spring_rate: float  # that it works against [N/m]
-    stroke: float = math.inf  # how far it can compress [m]
+    spring_rate: float  # of the jump spring [N/m]
+    stroke: float = math.inf  # largest compression [m]
     free_travel: float = 0.0  # above the latch [m]
-    holds: bool = False  # whether its drive can hold it against the spring, and must
-    needs_ground: bool = False  # whether it only works while the ground holds the rover
-    trip_event: str = "take_off"  # of the plant, when the latch trips
+    holds: bool = False  # whether the drive holds the nut against the spring
+    needs_ground: bool = False  # whether it works only while the ground holds the rover
+    trip_event: str = "take_off"  # plant event when the latch trips
 
 
 @dataclass(frozen=True)
 class Equipment:
-    """Which drives a plant has."""
+    """The drives of a plant."""
 
-    scenario: str  # its name
+    scenario: str  # name of the scenario
     nut: Nut | None = None
     flywheel: bool = False
     wheels: bool = False
-    fixed_length: float | None = None  # of a drum without a motor [m]; None: it has one
+    fixed_length: float | None = None  # of a drum without a motor [m]; None: it has a motor
 
 
 class DriveFeedback(NamedTuple):
-    """What the drives feel at the start of a tick."""
+    """State of the drives at the start of a tick."""
 
     phase: Phase
-    compression: float = 0.0  # where the nut stands, counted as compression [m]
+    compression: float = 0.0  # position of the nut as compression of the spring [m]
     nut_free: bool = True  # clear of the latch
-    spring_held: bool = False  # the latch holds the spring compressed so far
+    spring_held: bool = False  # the latch holds the compressed spring
     length: float = 0.0  # paid out [m]
     payout_rate: float = 0.0  # [m/s]
 
 
 class CommandTimeout(NamedTuple):
-    """A drive that was stopped because its commands have ceased."""
+    """A drive stopped by its watchdog."""
 
     name: str  # of the event
     message: str
@@ -102,40 +102,40 @@ C = TypeVar("C")
 
 
 class _LatestCommand(Generic[C]):
-    """The last command of one motor, while it holds."""
+    """The latest command of one motor, until it expires."""
 
     def __init__(self) -> None:
         self.command: C | None = None
         self._topic = ""
         self._received_ns = 0
 
-    def take(self, topic: str, command: C, now_ns: int) -> None:
+    def set(self, topic: str, command: C, now_ns: int) -> None:
         self.command, self._topic, self._received_ns = command, topic, now_ns
 
-    def drop(self) -> None:
+    def clear(self) -> None:
         self.command = None
 
     def hold(self, command: C) -> None:
-        """Go on with a command that needs no renewal."""
+        """Keep a command that does not expire."""
         self.command, self._topic = command, ""
 
-    def silence(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
-        """Drop a command that would be too old at the tick's end; returns its age [s]."""
+    def expire(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
+        """Clear a command that would be too old at the end of the tick; returns its age [s]."""
         if self.command is None or not self._topic:
             return None
         stale = TOPICS[self._topic].stale
         limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
         if now_ns + tick_ns - self._received_ns <= round(limit * _NANO):
             return None
-        self.drop()
+        self.clear()
         return (now_ns - self._received_ns) / _NANO
 
 
 class Actuators:
-    """What the drives were last told, while it holds.
+    """The drives' commands, until they expire.
 
     Args:
-        equipment: the drives that there are.
+        equipment: the drives of the plant.
         tick_ns: control tick [ns].
     """
 
@@ -146,67 +146,68 @@ class Actuators:
         self._jump: _LatestCommand[JumpMotorCommand | FlywheelCommand] = _LatestCommand()
         self._wheel: _LatestCommand[WheelRateCommand | WheelTorqueCommand] = _LatestCommand()
         self._winch: _LatestCommand[WinchCommand] = _LatestCommand()
-        self._takers: dict[str, Callable[[JointSample, DriveFeedback, int], None]] = {
-            topics.JUMP_MOTOR_COMMAND: self._take_nut,
-            topics.FLYWHEEL_COMMAND: self._take_flywheel,
-            topics.WHEEL_COMMAND: self._take_wheel_rate,
-            topics.WHEEL_TORQUE_COMMAND: self._take_wheel_torque,
-            topics.WINCH_COMMAND: self._take_winch,
+        self._handlers: dict[str, Callable[[JointSample, DriveFeedback, int], None]] = {
+            topics.JUMP_MOTOR_COMMAND: self._set_nut,
+            topics.FLYWHEEL_COMMAND: self._set_flywheel,
+            topics.WHEEL_COMMAND: self._set_wheel_rate,
+            topics.WHEEL_TORQUE_COMMAND: self._set_wheel_torque,
+            topics.WINCH_COMMAND: self._set_winch,
         }
 
     @property
     def trip_event(self) -> str | None:
-        """Name of the plant's event when the latch trips."""
+        """Name of the plant event when the latch trips."""
         nut = self._equipment.nut
         return None if nut is None else nut.trip_event
 
     @property
     def command(self) -> Command:
-        """What the plant is to do in the next tick."""
+        """Command of the plant for the next tick."""
         return Command(self._jump.command, self._winch.command, self._wheel.command)
 
     def clear(self) -> None:
-        """Forget everything: the plant starts again."""
+        """Clear all commands, at a reset of the plant."""
         for drive in (self._jump, self._wheel, self._winch):
-            drive.drop()
+            drive.clear()
         self._tripped_ns = None
 
     def on_latch_trip(self, now_ns: int) -> None:
-        """The latch has tripped: what was commanded is done."""
-        self._jump.drop()
+        """Clear the nut's command, completed by the trip of the latch."""
+        self._jump.clear()
         self._tripped_ns = now_ns
 
     def accept_command(
         self, topic: str, sample: JointSample, states: DriveFeedback, now_ns: int
     ) -> None:
-        """Take a command.
+        """Accept a command.
 
         Args:
             topic: one of ``COMMANDS``.
-            sample: an accepted sample of it.
-            states: what the drives feel now.
-            now_ns: simulated time of arrival.
+            sample: of the topic, valid by the contract.
+            states: of the drives.
+            now_ns: simulated time of reception.
 
         Raises:
-            Refusal: the drive cannot do it now, or is not there.
+            Refusal: the plant lacks the drive, or its state does not permit the command.
         """
         if states.phase.final:
             raise Refusal(topic, RefusalCode.WRONG_PHASE, stopped(states.phase))
-        self._takers[topic](sample, states, now_ns)
+        self._handlers[topic](sample, states, now_ns)
 
     # --- jump motor ------------------------------------------------------------------------------
 
-    def _take_nut(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
+    def _set_nut(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
         topic, nut = topics.JUMP_MOTOR_COMMAND, self._equipment.nut
         if nut is None:
             raise self._missing(topic, "rover", "jump motor")
-        if self._tripped_ns is not None and sample.stamp_ns <= self._tripped_ns + _ON_THE_WAY_NS:
+        if self._tripped_ns is not None and sample.stamp_ns <= self._tripped_ns + _IN_TRANSIT_NS:
             return
         if nut.needs_ground and states.phase not in (Phase.HELD, Phase.LANDED):
             raise Refusal(
                 topic,
                 RefusalCode.WRONG_PHASE,
-                f"the nut cannot be driven in phase {states.phase.value}, the rover must stand",
+                f"the phase is {states.phase.value}; the nut can be driven only while the rover"
+                f" is on the ground ({Phase.HELD.value} or {Phase.LANDED.value})",
             )
         setpoint, rate, effort = sample.joints[JUMP_SCREW]
         if setpoint < -nut.free_travel:
@@ -220,39 +221,38 @@ class Actuators:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.position is {setpoint!r} m, the stroke is {nut.stroke:g} m: it must "
-                "be at most that",
+                f"{JUMP_SCREW}.position is {setpoint!r} m: it must be at most the stroke of "
+                f"{nut.stroke:g} m",
             )
         if states.spring_held and 0.0 < setpoint < states.compression - _ARRIVED:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.position is {setpoint!r} m, the spring is compressed by "
-                f"{states.compression:.4g} m already: it must be at least that, or 0 to let it "
-                "down",
+                f"{JUMP_SCREW}.position is {setpoint!r} m: it must be at least the present "
+                f"compression of {states.compression:.4g} m, or 0 to unload the spring",
             )
         force = nut.spring_rate * max(setpoint, 0.0)
         if force > effort:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.effort is {effort!r} N, holding the spring at {setpoint:.4g} m "
-                f"takes {force:.4g} N: the setpoint cannot be reached",
+                f"{JUMP_SCREW}.effort is {effort!r} N: it must be at least {force:.4g} N, the "
+                f"spring's force at {setpoint:.4g} m, or the setpoint cannot be reached",
             )
         trips = self._trips(sample)
         if not (trips or nut.holds):
             raise Refusal(
                 topic,
                 RefusalCode.NOT_SUPPORTED,
-                f"{JUMP_LATCH}.position is 0; this plant's latch always trips at the setpoint",
+                f"{JUMP_LATCH}.position is 0, but this plant's latch always trips at the setpoint",
             )
-        self._jump.take(topic, JumpMotorCommand(setpoint, rate, effort, trips), now_ns)
+        self._jump.set(topic, JumpMotorCommand(setpoint, rate, effort, trips), now_ns)
 
     def _trips(self, sample: JointSample) -> bool:
         latch = sample.joints.get(JUMP_LATCH, _TRIPS).position
         return bool(_switch(topics.JUMP_MOTOR_COMMAND, JUMP_LATCH, latch, "trip", "hold"))
 
-    def _take_flywheel(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
+    def _set_flywheel(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
         topic = topics.FLYWHEEL_COMMAND
         if not self._equipment.flywheel:
             raise self._missing(topic, "rover with a free screw", "reaction wheel")
@@ -260,105 +260,105 @@ class Actuators:
             raise Refusal(
                 topic,
                 RefusalCode.WRONG_PHASE,
-                f"the nut stands at {states.compression:.4g} m and works on the latch; it must be "
-                f"driven clear first ({topics.JUMP_MOTOR_COMMAND} below 0)",
+                f"the nut is on the latch, at {states.compression:.4g} m; it must be driven clear "
+                f"first ({topics.JUMP_MOTOR_COMMAND} below 0)",
             )
-        self._jump.take(topic, FlywheelCommand(sample.joints[FLYWHEEL].effort), now_ns)
+        self._jump.set(topic, FlywheelCommand(sample.joints[FLYWHEEL].effort), now_ns)
 
     # --- wheels ----------------------------------------------------------------------------------
 
-    def _take_wheel_rate(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
+    def _set_wheel_rate(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic = topics.WHEEL_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
         _, rate, torque = sample.joints[WHEEL_DRIVE]
-        self._wheel.take(topic, WheelRateCommand(rate, torque), now_ns)
+        self._wheel.set(topic, WheelRateCommand(rate, torque), now_ns)
 
-    def _take_wheel_torque(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
+    def _set_wheel_torque(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic = topics.WHEEL_TORQUE_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
         torque = sample.joints[WHEEL_DRIVE].effort
-        self._wheel.take(topic, WheelTorqueCommand(torque), now_ns)
+        self._wheel.set(topic, WheelTorqueCommand(torque), now_ns)
 
     # --- winch -----------------------------------------------------------------------------------
 
-    def _take_winch(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
-        topic, held = topics.WINCH_COMMAND, self._equipment.fixed_length
+    def _set_winch(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
+        topic, fixed = topics.WINCH_COMMAND, self._equipment.fixed_length
         length, rate, tension = sample.joints[WINCH_DRUM]
         brake = sample.joints[WINCH_BRAKE].position
         brake = _switch(topic, WINCH_BRAKE, brake, "release", "close")
-        if held is not None:
-            if rate != 0.0 or brake or abs(length - held) > _SAME_LENGTH:
+        if fixed is not None:
+            if rate != 0.0 or brake or abs(length - fixed) > _SAME_LENGTH:
                 raise Refusal(
                     topic,
                     RefusalCode.NOT_SUPPORTED,
-                    f"{WINCH_DRUM} is told {length!r} m at {rate!r} m/s, brake "
-                    f"{'released' if brake else 'closed'}; this plant's drum has no motor and "
-                    f"only holds: {held:g} m at 0 m/s, brake closed",
+                    f"{WINCH_DRUM} is commanded to {length!r} m at {rate!r} m/s, brake "
+                    f"{'released' if brake else 'closed'}; this plant's drum has no motor: it must "
+                    f"be {fixed:g} m at 0 m/s, brake closed",
                 )
             return
         limit = sample.joints[WINCH_LIMIT].effort
         command = WinchCommand(length, rate, tension, bool(brake), limit)
-        self._winch.take(topic, command, now_ns)
+        self._winch.set(topic, command, now_ns)
 
     def _missing(self, topic: str, part: str, drive: str) -> Refusal:
         return Refusal(
             topic,
             RefusalCode.NOT_SUPPORTED,
-            f"the scenario {self._equipment.scenario} has no {part}, so it has no {drive}",
+            f"the scenario {self._equipment.scenario} has no {part} and therefore no {drive}",
         )
 
     # --- stopping --------------------------------------------------------------------------------
 
     def stop_drive(self, topic: str, states: DriveFeedback) -> None:
-        """Stop a drive at once, as its watchdog would: its controller tells it to do nothing.
+        """Stop a drive at once, as its watchdog would.
 
         Args:
-            topic: one of ``COMMANDS``, of the drive.
-            states: what the drives feel now.
+            topic: of the drive, one of ``COMMANDS``.
+            states: of the drives.
         """
         if topic == topics.WINCH_COMMAND:
-            self._winch.drop()
+            self._winch.clear()
         elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
-            self._wheel.drop()
+            self._wheel.clear()
         else:
             jump = self._jump.command
-            self._jump.drop()
+            self._jump.clear()
             if isinstance(jump, JumpMotorCommand):
                 self._hold_nut(jump, states.compression)
 
     def _hold_nut(self, jump: JumpMotorCommand, at: float) -> None:
         nut = self._equipment.nut
         if nut is not None and nut.holds:
-            within = min(max(at, -nut.free_travel), nut.stroke)
-            self._jump.hold(replace(jump, compression=within, trips=False))
+            setpoint = min(max(at, -nut.free_travel), nut.stroke)
+            self._jump.hold(replace(jump, compression=setpoint, trips=False))
 
     # --- watchdogs -------------------------------------------------------------------------------
 
     def expire_commands(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
-        """Stop the drives whose commands have ceased; returns those that were at work.
+        """Stop the drives whose commands have expired; returns those that were active.
 
         Args:
-            states: what the drives feel now.
+            states: of the drives.
             now_ns: start of the tick.
         """
         found = []
         jump, wheel, winch = self._jump.command, self._wheel.command, self._winch.command
-        age = self._jump.silence(now_ns, self._tick_ns, moves=False)
+        age = self._jump.expire(now_ns, self._tick_ns, moves=False)
         if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
             found.append(_timeout("flywheel", age, "the motor is off", torque=jump.torque))
         if age is not None and isinstance(jump, JumpMotorCommand):
             at = states.compression
-            if _on_its_way(jump, at):
+            if _is_moving(jump, at):
                 what = f"the nut stops at {at:.4g} m"
                 found.append(_timeout("jump_motor", age, what, compression=at))
             self._hold_nut(jump, at)
-        age = self._wheel.silence(now_ns, self._tick_ns, moves=False)
-        if age is not None and wheel is not None and _asks_for_motion(wheel):
+        age = self._wheel.expire(now_ns, self._tick_ns, moves=False)
+        if age is not None and wheel is not None and _commands_motion(wheel):
             found.append(_timeout("wheel_motor", age, "the motor is off"))
-        moves = abs(states.payout_rate) > _STANDING or (winch is not None and winch.rate != 0.0)
-        age = self._winch.silence(now_ns, self._tick_ns, moves=moves)
+        moves = abs(states.payout_rate) > _AT_REST or (winch is not None and winch.rate != 0.0)
+        age = self._winch.expire(now_ns, self._tick_ns, moves=moves)
         if age is not None and winch is not None and winch.brake_released:
             rate = states.payout_rate
             found.append(
@@ -374,7 +374,7 @@ class Actuators:
 
 
 def _switch(topic: str, joint: str, position: float, one: str, zero: str) -> float:
-    """A position that is 1 or 0; refuses anything between."""
+    """Return a position that is 1 or 0; refuse any other."""
     if position not in (0.0, 1.0):
         raise Refusal(
             topic,
@@ -384,24 +384,24 @@ def _switch(topic: str, joint: str, position: float, one: str, zero: str) -> flo
     return position
 
 
-def _on_its_way(command: JumpMotorCommand, compression: float) -> bool:
+def _is_moving(command: JumpMotorCommand, compression: float) -> bool:
     return abs(command.compression - compression) > _ARRIVED
 
 
-def _asks_for_motion(command: WheelRateCommand | WheelTorqueCommand) -> bool:
-    wanted = command.rate if isinstance(command, WheelRateCommand) else command.torque
-    return not math.isclose(wanted, 0.0, abs_tol=1e-12)
+def _commands_motion(command: WheelRateCommand | WheelTorqueCommand) -> bool:
+    setpoint = command.rate if isinstance(command, WheelRateCommand) else command.torque
+    return not math.isclose(setpoint, 0.0, abs_tol=1e-12)
 
 
 def _timeout(drive: str, age: float, what: str, **values: object) -> CommandTimeout:
-    message = f"no command for {age:.3g} s while the drive worked: {what}"
-    return CommandTimeout(f"{drive}_silent", message, {"silence": age, **values})
+    message = f"no command for {age:.3g} s while the drive was active: {what}"
+    return CommandTimeout(f"{drive}_silent", message, {"age": age, **values})
 
 
 def stopped(phase: Phase) -> str:
-    """Say why nothing moves any more and what would help."""
-    why = {
-        Phase.DIVERGED: "the integration has diverged",
+    """Return a message with the reason why the simulation has stopped, and the remedy."""
+    reason = {
+        Phase.DIVERGED: "the integration diverged",
         Phase.TETHER_BROKEN: "the tether is broken",
     }[phase]
-    return f"{why}, nothing moves; {topics.SIM_RESET} or {topics.SIM_RESET_PLANT} starts again"
+    return f"{reason}; restart with {topics.SIM_RESET} or {topics.SIM_RESET_PLANT}"

@@ -1,9 +1,9 @@
-"""Compiles the plant in a process of its own, so that all that step it run the same code.
+"""Compile the plant ahead of time in a child process, so that every process runs the same code.
 
-A process that compiles numba functions itself links them otherwise than one that loads them from
-the cache on disk: the last bits of its results differ from those of all later processes. So the
-first process on a machine lets a child compile, a second one beside it what the first comes to
-last, and then loads as the others do.
+A process that compiles numba functions links them differently from one that loads them from the
+cache on disk: the last bits of its results differ from those of all later processes. The first
+process on a machine therefore lets two child processes compile, one of them the functions that the
+other reaches last, and then loads the code as all others do.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from rover_sim.plant_factory import build_plant
 from rover_sim.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.spatial_plant import SpatialPlant
 
-_LONGEST: Final = 900.0  # [s]
-_LOOK: Final = 0.02  # [s]
+_TIMEOUT: Final = 900.0  # [s]
+_POLL_PERIOD: Final = 0.02  # [s]
 _PARTS: Final = "--parts"
 _IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
-_STACK: Final = 1 << 17  # words, of which a compiler's deepest calls need a twentieth
+_STACK: Final = 1 << 17  # [words]; the deepest calls of the compiler need a twentieth of it
 
 
 def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda: False) -> bool:
-    """Compile what the scenario's plant needs, in another process, unless that was done before.
+    """Compile the functions of a scenario's plant in child processes, unless they are cached.
 
     Args:
         scenario: whose plant is compiled.
-        cancelled: asked again and again meanwhile; once it says so, compiling is left off.
+        cancelled: polled meanwhile; True cancels the compilation.
 
     Returns:
-        Whether the code is in the cache now. If it is not (nothing can be written there, or the
-        other process failed), this process will compile by itself, as numba does.
+        Whether the code is in the cache. If not (the cache is not writable, or the child failed),
+        numba compiles in this process on the first call.
     """
     marker = _marker(scenario.model)
     if marker.exists():
@@ -60,13 +60,13 @@ def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda:
         _IN_CHILD: "1",
         "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
     }
-    given = json.dumps(scenario.to_mapping())
+    values = json.dumps(scenario.to_mapping())
     command = [sys.executable, "-P", "-m", __name__]  # -P: not from where it is started, but ours
     try:
-        # On the machine's second core; if it fails, it fails.
+        # The parts compile on a second core; a failure there only costs time.
         with (
-            _at_work([*command, _PARTS], given, environment),
-            _at_work(command, given, environment) as process,
+            _running([*command, _PARTS], values, environment),
+            _running(command, values, environment) as process,
         ):
             if not _has_succeeded(process, cancelled):
                 return False
@@ -77,20 +77,20 @@ def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda:
 
 
 def _has_succeeded(process: subprocess.Popen[bytes], cancelled: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + _LONGEST
+    deadline = time.monotonic() + _TIMEOUT
     while process.poll() is None and not cancelled() and time.monotonic() < deadline:
         with suppress(subprocess.TimeoutExpired):
-            process.wait(_LOOK)
+            process.wait(_POLL_PERIOD)
     return process.returncode == 0
 
 
 @contextmanager
-def _at_work(
-    command: list[str], given: str, environment: dict[str, str]
+def _running(
+    command: list[str], values: str, environment: dict[str, str]
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Have a process at work, and end it afterwards."""
+    """Run a process within the block, with the values on its standard input."""
     with TemporaryFile("w+") as source:
-        source.write(given)
+        source.write(values)
         source.seek(0)
         process = subprocess.Popen(
             command,
@@ -107,7 +107,7 @@ def _at_work(
 
 
 def _marker(model: str) -> Path:
-    """A file in numba's cache that is there once a child has compiled exactly these sources."""
+    """Return the path of a file in numba's cache that marks these exact sources as compiled."""
     physics = Path(planar.__file__).parent
     parts: Iterable[str] = (
         numba.__version__,
@@ -120,18 +120,18 @@ def _marker(model: str) -> Path:
 
 
 def main() -> int:
-    """The child: read a scenario's values, compile its plant, or the parts that come last.
+    """Compile the plant, or its parts, of the scenario on standard input, as the child process.
 
-    Python keeps frames in blocks of 16 kB. Calls that cross the end of one have it mapped by the
-    kernel and unmapped at each return: 300,000 times in a compilation, an eighth of its time. So
-    all is called from a frame that asks for one large block.
+    Python keeps frames in blocks of 16 kB. A call across the end of a block maps a new one, and its
+    return unmaps it: 300,000 times in a compilation, an eighth of its time. All calls therefore
+    start from a frame with one large block.
     """
     _compile_given.__code__ = _compile_given.__code__.replace(co_stacksize=_STACK)
     return _compile_given()
 
 
 def _compile_given() -> int:
-    gc.disable()  # a sixth of the compiler's time would go into looking for garbage
+    gc.disable()  # garbage collection would take a sixth of the compilation time
     plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
     if isinstance(plant, SpatialPlant):
         cache_only(function for function, _ in plant.parts())
@@ -141,7 +141,7 @@ def _compile_given() -> int:
         return 0
     plant.warm_up()
     if isinstance(plant, SpatialPlant):
-        plant.unsettled_state()  # settling calls nothing that a step does not
+        plant.unsettled_state()  # settling calls no further functions
     else:
         plant.initial_state()
     return 0

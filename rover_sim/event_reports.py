@@ -1,4 +1,4 @@
-"""What the simulation tells of: events of the plant and stopped drives, in words."""
+"""Reports of the plant's events and of drives stopped by a command timeout, with messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rover_sim.scenario import AnyScenario
 
 _LATCH_WORDS = {
     "latch_free": "the nut is clear of the latch",
-    "latch_hooking": "the nut climbs past the latch",
+    "latch_hooking": "the nut moves past the latch",
     "latch_engaged": "nut and latch are engaged",
     "latch_compressing": "the nut compresses the spring",
     "latch_released": "the latch has tripped",
@@ -21,7 +21,7 @@ _LATCH_WORDS = {
 
 @dataclass(frozen=True)
 class EventReport:
-    """Something to tell: an event of the plant or of the simulation, at its simulated time."""
+    """A report of an event of the plant or the simulation, at its simulated time."""
 
     name: str
     message: str
@@ -31,21 +31,21 @@ class EventReport:
 
 
 def timeout_report(timeout: CommandTimeout, stamp_ns: int) -> EventReport:
-    """A drive that was stopped because its commands have ceased."""
+    """Report a drive that its watchdog has stopped."""
     return EventReport(timeout.name, timeout.message, stamp_ns, Level.WARN, timeout.values)
 
 
 def plant_event_report(
     event: Event, stamp_ns: int, after: State, result: StepResult, scenario: AnyScenario
 ) -> EventReport:
-    """An event of the plant.
+    """Report an event of the plant.
 
     Args:
-        event: what happened.
+        event: the event.
         stamp_ns: its simulated time.
         after: the state at the end of the tick.
-        result: what the step reported.
-        scenario: what is simulated.
+        result: of the step.
+        scenario: of the plant.
     """
     values: dict[str, object] = dict(event.values)
     level = Level.OK
@@ -60,36 +60,35 @@ def plant_event_report(
             "max_halvings": integration.max_halvings,
         }
         message = (
-            f"{stopped(Phase.DIVERGED)}; the last good state, at {after.time:.6g} s, is kept; "
-            "a smaller integration.h, a larger integration.max_halvings or a tether with damping "
-            "may help"
+            f"{stopped(Phase.DIVERGED)}; the last converged state is at {after.time:.6g} s; try a "
+            "smaller integration.h, a larger integration.max_halvings or more damping of the tether"
         )
     elif event.name == "tether_broken":
         level = Level.ERROR
         message = f"{stopped(Phase.TETHER_BROKEN)}; tension {values['tension']:.4g} N"
     else:
-        message = _in_words(event)
+        message = _message_of(event)
     return EventReport(event.name, message, stamp_ns, level, values)
 
 
-def _in_words(event: Event) -> str:
+def _message_of(event: Event) -> str:
     values = event.values
     if event.name == "take_off":
         return f"the rover takes off at {values['speed']:.4g} m/s"
     if event.name == "apex":
-        return f"highest at {values['height']:.4g} m over the start"
+        return f"apex {values['height']:.4g} m above the start"
     if event.name == "touchdown" and "attitude_variation" in values:
         return (
-            f"down after {values['flight_time']:.4g} s: height {values['height']:.4g} m, "
-            f"attitude changed by {values['attitude_variation']:+.4g} rad, "
-            f"travelled {values['travel']:+.4g} m"
+            f"touchdown after {values['flight_time']:.4g} s: height {values['height']:.4g} m, "
+            f"attitude variation {values['attitude_variation']:+.4g} rad, "
+            f"travel {values['travel']:+.4g} m"
         )
     if event.name == "touchdown":
         return (
-            f"down at {values['speed']:.4g} m/s with {values['load']:.4g} N, "
-            f"from {values['height']:.4g} m over the last take-off"
+            f"touchdown at {values['speed']:.4g} m/s with a load of {values['load']:.4g} N, "
+            f"{values['height']:.4g} m above the last take-off"
         )
     if event.name == "drum_stop":
-        where = "fully reeled in" if values["side"] < 0.0 else "with nothing left to pay out"
+        where = "fully reeled in" if values["side"] < 0.0 else "fully paid out"
         return f"the drum is at its stop, {where}; tension {values['tension']:.4g} N"
     return _LATCH_WORDS.get(event.name, event.name)

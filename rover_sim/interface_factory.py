@@ -1,4 +1,4 @@
-"""Which interface a plant has."""
+"""Build the interface of a plant."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from rover_sim.spatial_plant import SpatialPlant
 
 
 def build_interface(plant: PlanarPlant | SpatialPlant, seed: int) -> PlantInterface[Any]:
-    """The outside of a plant.
+    """Build the interface of a plant.
 
     Args:
         plant: from `build_plant`.
-        seed: of the sensors' errors; the planar plant's have none.
+        seed: of the sensors' errors; unused by the planar plant.
     """
     if isinstance(plant, SpatialPlant):
         return SpatialInterface(plant, seed)

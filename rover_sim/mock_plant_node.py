@@ -1,4 +1,4 @@
-"""The ``mock_plant`` executable: in `sim_node`'s place, a plant that follows commands perfectly."""
+"""The ``mock_plant`` executable: replaces `sim_node` by a plant that follows commands exactly."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rover_sim.sim_node import RateParameters, SimNode, SimParameters
 
 @dataclass(frozen=True)
 class MockPlantParameters(SimParameters):
-    """As those of `sim_node`; sensors have no errors, so the seed changes nothing."""
+    """Parameters of `sim_node`; sensors have no errors, so the seed has no effect."""
 
     scenario: str = parameter(
         "marius_hills",
@@ -28,14 +28,14 @@ class MockPlantParameters(SimParameters):
 
 
 class MockPlantNode(SimNode):
-    """Tells and obeys what `sim_node` does, without mechanics and without compiling anything."""
+    """Has the topics and services of `sim_node`, without mechanics and without compilation."""
 
     NAME = "mock_plant"
     SIM_PARAMETERS = MockPlantParameters
     PARAMETERS = (SIM_PARAMETERS, RateParameters)
 
     def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
-        """The mock plant with the scenario's machine."""
+        """Build the mock plant of the scenario and its simulation."""
         return Simulation(MockInterface(MockPlant(scenario)), parameters.tick)
 
 

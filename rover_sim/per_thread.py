@@ -1,4 +1,4 @@
-"""What each thread needs one of its own of."""
+"""Thread-local objects, created on first use."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ T = TypeVar("T")
 
 
 class PerThread(threading.local, Generic[T]):
-    """One thing for each thread, made when the thread first asks.
+    """One object per thread, created when the thread first uses it.
 
     Args:
-        make: makes it.
+        make: factory of the object.
     """
 
-    def __init__(self, make: Callable[[], T]) -> None:  # called anew by each thread
+    def __init__(self, make: Callable[[], T]) -> None:  # called once by each thread
         self._make = make
         self._own: T | None = None
 
     def own(self) -> T:
-        """This thread's."""
+        """Return this thread's object."""
         if self._own is None:
             self._own = self._make()
         return self._own

@@ -52,7 +52,7 @@ class EnergyBalance:
 
 @dataclass(frozen=True)
 class TakeOffRecord:
-    """Where and when the rover last took off, and how high it has risen since."""
+    """Pose and time of the last take-off, and the largest rise since."""
 
     time: float = 0.0  # [s]
     G1: tuple[float, float] = (0.0, 0.0)  # [m]
@@ -64,9 +64,9 @@ class TakeOffRecord:
 class PlanarState:
     """State of the planar plant; its arrays are read-only.
 
-    The paper's axes: x horizontal, y up, theta counter-clockwise from upright; the tether's root
-    is the origin. Without a rover the fields of the bodies are zero. Body 2's velocity is kept
-    beside Body 1's because the integrator conserves energy in both; the slider's rate follows.
+    Axes as in the paper: x horizontal, y up, theta counter-clockwise from upright; the origin is
+    the tether's root. Without a rover the fields of the bodies are zero. The state holds the
+    velocities of both bodies, as the energy-momentum integrator does; `s_rate` follows from them.
     """
 
     time: float  # [s]
@@ -111,7 +111,7 @@ class PlanarState:
 
 
 class _Motion(NamedTuple):
-    """A state as the arrays that the compiled functions work on."""
+    """A state as arrays of the compiled functions."""
 
     q: Array
     v: Array
@@ -143,19 +143,19 @@ class PlanarPlant:
 
     @property
     def model(self) -> planar.Model:
-        """The constants handed to the compiled functions."""
+        """The constants of the compiled functions."""
         return self._model
 
     def initial_state(self) -> PlanarState:
-        """The state at the scenario's start: all at rest, the rover held.
+        """Return the state at the scenario's start, at rest, with the rover held.
 
         Raises:
-            StaticsError: the tether finds no equilibrium.
+            StaticsError: the tether has no static equilibrium.
         """
         return self.state_at_rest(initial_nodes(self.scenario))
 
     def state_at_rest(self, nodes: ArrayLike) -> PlanarState:
-        """All at rest with the tether in the given shape, the rover held at its tip.
+        """Return a state at rest with the given shape of the tether, the rover held at its tip.
 
         Args:
             nodes: (n + 1, 2, 2), positions [m] and slopes [-].
@@ -192,13 +192,16 @@ class PlanarPlant:
         return replace(state, energy_balance=EnergyBalance(initial=self.energies(state).stored))
 
     def take_off(self, state: PlanarState) -> PlanarState:
-        """Apply the scenario's take-off to a rover that stands.
+        """Apply the scenario's take-off to a rover on the ground.
 
         Raises:
-            ValueError: there is no rover, or it does not stand.
+            ValueError: there is no rover, or it is not on the ground.
         """
         if state.phase not in (Phase.HELD, Phase.LANDED):
-            raise ValueError(f"take-off needs a rover that stands; phase is {state.phase.value}")
+            raise ValueError(
+                f"take-off needs a rover on the ground, phase held or landed; it is"
+                f" {state.phase.value}"
+            )
         motion = _motion_of(state)
         planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
         motion.memory[planar.COMPRESSION] = 0.0
@@ -213,10 +216,10 @@ class PlanarPlant:
     def advance(
         self, state: PlanarState, command: Command, dt: float, *, stop_at_touchdown: bool
     ) -> tuple[PlanarState, StepResult]:
-        """As `step`, and if wanted only as far as the touchdown.
+        """Advance as `step`, optionally only up to the touchdown.
 
         Raises:
-            ValueError: dt or a number of the command is not finite or out of its range.
+            ValueError: dt or a value of the command is not finite or out of range.
         """
         if not (math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt = {dt}: must be finite and above 0 s")
@@ -252,15 +255,16 @@ class PlanarPlant:
         return after, result
 
     def energies(self, state: PlanarState) -> Energies:
-        """Energies of the state, with the balance since the start of the run."""
+        """Return the energies of a state, with the balance since the start of the run."""
         motion = _motion_of(state)
         parts = planar.energies(self._model, motion.q, motion.v, motion.body)
         return _energies_of(parts, state.energy_balance)
 
     def tension(self, state: PlanarState) -> Array:
-        """Tension at the nodes [N], (n + 1,), strain-rate damping included; below 0: pressed.
+        """Return the tension at the nodes [N], (n + 1,), damping included; < 0: compression.
 
-        Mean axial forces of the elements, interpolated to the nodes and extrapolated to the ends.
+        The mean axial forces of the elements are interpolated to the nodes and extrapolated to the
+        ends.
         """
         motion = _motion_of(state)
         tensions = np.empty(self._elements)
@@ -268,7 +272,7 @@ class PlanarPlant:
         return nodal_tensions(tensions)
 
     def warm_up(self) -> None:
-        """Compile everything a step needs, or load it from the cache."""
+        """Compile the functions of a step, or load them from the cache."""
         motion = _motion_of(self.state_at_rest(_straight(self.scenario)))
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
         phase = planar.FREE if self.scenario.rover is None else planar.HELD
@@ -289,7 +293,7 @@ class PlanarPlant:
 
 
 def make_model(scenario: Scenario) -> planar.Model:
-    """Constants of a scenario as the compiled functions take them."""
+    """Return the constants of the compiled functions for a scenario."""
     tether, rover, integration = scenario.tether, scenario.rover, scenario.integration
     section = tether.section
     bodies = planar_rover.NO_ROVER
@@ -328,10 +332,10 @@ def make_model(scenario: Scenario) -> planar.Model:
 
 
 def initial_nodes(scenario: Scenario) -> Array:
-    """Shape of the tether at the scenario's start, (n + 1, 2, 2), its root at the origin.
+    """Return the tether's nodes at the scenario's start, (n + 1, 2, 2), the root at the origin.
 
     Raises:
-        StaticsError: the tether finds no equilibrium.
+        StaticsError: the tether has no static equilibrium.
     """
     tether, start = scenario.tether, scenario.start
     root, tip = np.zeros(2), np.array(scenario.tip_position)
@@ -356,7 +360,7 @@ def initial_nodes(scenario: Scenario) -> Array:
 
 
 def _straight(scenario: Scenario) -> Array:
-    """The unstretched tether along the direction to the tip, or level."""
+    """Return the nodes of the unstretched tether along the direction to the tip."""
     direction = np.array(scenario.tip_position)
     direction = direction / float(np.linalg.norm(direction))
     elements = scenario.tether.elements
@@ -367,10 +371,10 @@ def _straight(scenario: Scenario) -> Array:
 
 
 def _drive_of(command: Command, spring_rate: float) -> tuple[float, float, bool]:
-    """Setpoint [m], rate [m/s] and whether the latch trips there; a rate of 0: the drive is off.
+    """Return setpoint [m], rate [m/s; 0: drive off] and whether the latch trips at the setpoint.
 
     Raises:
-        ValueError: a number is bad, or the command is for a motor that is not there.
+        ValueError: a value is invalid, or the plant lacks the commanded motor.
     """
     for name in ("winch", "wheel"):
         if getattr(command, name) is not None:
@@ -387,14 +391,14 @@ def _drive_of(command: Command, spring_rate: float) -> tuple[float, float, bool]
     holding = spring_rate * jump.compression
     if not jump.max_force >= holding:
         raise ValueError(
-            f"max_force = {jump.max_force}: must be at least the {holding:.4g} N that"
-            f" holding the spring at {jump.compression:.4g} m takes"
+            f"max_force = {jump.max_force}: must be at least {holding:.4g} N, the spring's force"
+            f" at {jump.compression:.4g} m"
         )
     return float(jump.compression), float(jump.rate), bool(jump.trips)
 
 
 def _motion_of(state: PlanarState) -> _Motion:
-    """Fresh arrays holding the state."""
+    """Return new arrays with the state's values."""
     body = np.zeros(planar_rover.BODY_SIZE)
     body[[planar_rover.X1, planar_rover.Y1]] = state.G1
     body[planar_rover.THETA], body[planar_rover.SLIDE], body[planar_rover.OMEGA] = (

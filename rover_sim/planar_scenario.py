@@ -1,11 +1,9 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """Planar scenarios: tether and rover in a vertical plane, as typed, frozen and checked data.
 
-A scenario names the tether, the rover (or what else hangs at the tip), how both
-stand at the start, how the rover takes off and how the motion is integrated. The
-axes are those of the planar model: x horizontal, y up, angles counter-clockwise,
-the tether's root (the fairlead) at the origin and the rover on the side of
-positive x.
+A scenario defines the tether, the rover or point mass at its tip, the start, the take-off and the
+integration. Axes of the planar model: x horizontal, y up, angles counter-clockwise, the tether's
+root (the fairlead) at the origin and the rover on the side of positive x.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ class Tether(CrossSection):
 
     length: float = quantity("m", "unstretched length", above=0.0, maximum=1e4)
     elements: int = quantity("-", "number of elements", kind=int, minimum=1, maximum=2000)
-    root: Root = choice(get_args(Root), "whether the slope at the root is free or held", "pinned")
+    root: Root = choice(get_args(Root), "slope at the root: free or fixed", "pinned")
 
 
 @dataclass(frozen=True)
@@ -78,14 +76,14 @@ class Rover(Configuration):
 
 @dataclass(frozen=True)
 class Tip(Configuration):
-    """What ends a tether without a rover: a point mass, or nothing."""
+    """Tip of a tether without a rover: a point mass, or a free end."""
 
     mass: float = quantity("kg", "point mass at the tip, 0 for a free end", 0.0, minimum=0.0)
 
 
 @dataclass(frozen=True)
 class Start(Configuration):
-    """Where the tether's tip stands at the start, and in what shape the tether is.
+    """Position of the tether's tip and shape of the tether at the start.
 
     The slack evaluation value is dh/df, the vertical over the horizontal distance
     between root and tip. The geometries, tip at (x, y):
@@ -96,12 +94,12 @@ class Start(Configuration):
         below or above the root, on a chord of `chord_ratio` times the tether's
         length at the angle atan(slack).
     ``chord``
-        the same with a chord of `chord` metres, on the named `side`.
+        as -K and +K with a chord of `chord` metres, on the given `side`.
     ``straight``
-        the tether straight and unstretched along `direction`.
+        straight and unstretched along `direction`.
     """
 
-    geometry: Geometry = choice(get_args(Geometry), "where the tip stands")
+    geometry: Geometry = choice(get_args(Geometry), "position of the tip")
     slack: float | None = quantity(
         "-", "slack evaluation value dh/df", None, minimum=0.0, maximum=1e6, optional=True
     )
@@ -111,11 +109,14 @@ class Start(Configuration):
     )
     chord: float | None = quantity("m", "chord of geometry chord", None, above=0.0, optional=True)
     side: Side | None = choice(
-        get_args(Side), "where the tip of geometry chord stands from the root", None, optional=True
+        get_args(Side),
+        "side of the root on which the tip of geometry chord is",
+        None,
+        optional=True,
     )
     direction: float | None = quantity(
         "deg",
-        "direction of a straight tether, and of a clamped root's slope; 0 level, -90 down",
+        "direction of a straight tether and of a clamped root's slope; 0 level, -90 down",
         None,
         minimum=-360.0,
         maximum=360.0,
@@ -123,18 +124,18 @@ class Start(Configuration):
     )
     initial_shape: InitialShape = choice(
         get_args(InitialShape),
-        "static equilibrium, or unrelaxed: inextensible catenary, circular arc, straight",
+        "static: equilibrium; unrelaxed: catenary (inextensible), arc (circular), straight",
         "static",
     )
-    theta0: float = quantity("deg", "theta of the rover", 0.0, minimum=-180.0, maximum=180.0)
+    theta0: float = quantity("deg", "angle of the rover", 0.0, minimum=-180.0, maximum=180.0)
 
     def check(self) -> None:
-        """Refuse what the geometry lacks and what it would silently leave unused."""
+        """Refuse values that the geometry lacks and values that it would ignore."""
         straight = self.geometry == "straight"
         if straight != (self.initial_shape == "straight"):
             right = "straight" if straight else "static, catenary or arc"
             raise ScenarioError(
-                "initial_shape", self.initial_shape, f"geometry {self.geometry} goes with {right}"
+                "initial_shape", self.initial_shape, f"geometry {self.geometry} requires {right}"
             )
         if straight:
             self._require("direction", "the tether's direction in degrees")
@@ -149,7 +150,7 @@ class Start(Configuration):
                 raise ScenarioError(
                     name,
                     getattr(self, name),
-                    f"is used by geometry chord only and should be null with {self.geometry}",
+                    f"should be null with geometry {self.geometry}; only geometry chord uses it",
                 )
 
     def _require(self, name: str, what: str) -> None:
@@ -172,7 +173,7 @@ class Start(Configuration):
 
 @dataclass(frozen=True)
 class TakeOff(Configuration):
-    """How the rover leaves the ground: by its spring, or with a given velocity.
+    """Take-off by the jump spring, or with a given velocity.
 
     Both bodies start with the same velocity and the spring at its free length. A
     compression delta gives the speed delta sqrt(k/(m1 + m2)) along the slider.
@@ -186,13 +187,12 @@ class TakeOff(Configuration):
     )
     tether_rates: TetherRates = choice(
         get_args(TetherRates),
-        "whether only the tether's tip moves with the rover at first, or its nodes do"
-        " linearly with arc length",
+        "initial velocity of the tether: tip: at the tip alone; linear: proportional to arc length",
         "tip",
     )
 
     def check(self) -> None:
-        """Refuse none or both of compression and velocity."""
+        """Require exactly one of compression and velocity."""
         if (self.compression is None) == (self.velocity is None):
             raise ScenarioError(
                 "compression",
@@ -204,30 +204,30 @@ class TakeOff(Configuration):
 
 @dataclass(frozen=True)
 class Scenario(Configuration):
-    """Everything that a simulation starts from."""
+    """All inputs of a planar simulation."""
 
     name: str = text("short name, the file's name without .yaml")
     tether: Tether = configuration.section(Tether, "the tether")
-    start: Start = configuration.section(Start, "how tether and rover stand at the start")
+    start: Start = configuration.section(Start, "tether and rover at the start")
     gravity: float = quantity("m/s^2", "g, along -y", minimum=0.0, maximum=1e3)
-    about: str = text("what it is and where its numbers come from", "")
+    about: str = text("what is simulated, and sources of the values", "")
     model: Model = choice(get_args(Model), "the plant that integrates it", "planar")
     rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
     tip: Tip | None = configuration.section(
-        Tip, "what ends a tether without a rover", None, optional=True
+        Tip, "tip of a tether without a rover", None, optional=True
     )
     take_off: TakeOff | None = configuration.section(
-        TakeOff, "how the rover leaves the ground", None, optional=True
+        TakeOff, "the rover's take-off", None, optional=True
     )
     after_landing: AfterLanding = choice(
-        get_args(AfterLanding), "whether the rover is stopped where it comes down", "hold"
+        get_args(AfterLanding), "hold: the ground stops the rover where it lands", "hold"
     )
     integration: Integration = configuration.section(
-        Integration, "how the motion is integrated", Integration()
+        Integration, "the integrator's settings", Integration()
     )
 
     def check(self) -> None:
-        """Refuse parts that do not fit one another."""
+        """Refuse inconsistent sections."""
         if self.rover is not None:
             if self.tip is not None:
                 raise ScenarioError("tip", self.tip, "should be null, as the rover is at the tip")
@@ -270,16 +270,16 @@ class Scenario(Configuration):
         """Build a scenario from nested plain values.
 
         Raises:
-            ScenarioError: Naming the dotted path, the value and what would be right.
+            ScenarioError: a value is invalid; names the dotted path and what is expected.
         """
         return configuration.read(cls, mapping)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Every value, plain and JSON-ready; `from_mapping` gives the scenario back."""
+        """Return all values as JSON-compatible types, the inverse of `from_mapping`."""
         return configuration.to_mapping(self)
 
     def with_overrides(self, overrides: Mapping[str, object]) -> Scenario:
-        """Copy with values replaced by dotted path, e.g. ``{"start.slack": 2.0}``."""
+        """Return a copy with values replaced by dotted path, e.g. ``{"start.slack": 2.0}``."""
         return Scenario.from_mapping(configuration.with_overrides(self.to_mapping(), overrides))
 
     @cached_property
@@ -318,7 +318,7 @@ class Scenario(Configuration):
 
     @property
     def take_off_energy(self) -> float:
-        """Kinetic energy [J] that the bodies take off with."""
+        """Kinetic energy of both bodies at take-off [J]."""
         vx, vy = self.take_off_velocity
         return 0.5 * self.rover.mass * (vx**2 + vy**2) if self.rover is not None else 0.0
 

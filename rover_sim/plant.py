@@ -1,7 +1,7 @@
-"""The plant contract: what every simulated plant takes, gives and promises.
+"""The protocol of simulated plants: states, commands, step results.
 
-A plant turns a state and a command into the state one control tick later. States are values: a
-step never changes the one it is given, and the same state, command and tick give the same result.
+A plant advances a state under a command by one control tick. States are immutable and a step is
+deterministic: equal state, command and tick give equal results.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from rover_sim.scenario import AnyScenario
 
 
 class Outcome(enum.Enum):
-    """How a step went."""
+    """Outcome of a step."""
 
     CONVERGED = "converged"
-    HALVED = "halved"  # converged, some of its time steps after halving
-    DIVERGED = "diverged"  # stopped at the last good state
-    TETHER_BROKEN = "tether_broken"  # stopped when the tether parted
+    HALVED = "halved"  # converged, with some time steps halved
+    DIVERGED = "diverged"  # stopped at the last converged state
+    TETHER_BROKEN = "tether_broken"  # stopped when the tether broke
 
 
 class Phase(enum.Enum):
-    """What the rover is doing, or why nothing moves any more.
+    """Phase of the rover's motion, or the reason why the simulation has stopped.
 
-    The planar model's ground holds the rover (HELD, LANDED) until it takes off. The spatial one
-    has contact: its rover is GROUNDED while a wheel or a body touches the ground, HANGING while
-    nothing does and the tether carries it, and in FLIGHT while neither holds.
+    In the planar model the ground fixes the rover (HELD, LANDED) until it takes off. The spatial
+    model has contact: the rover is GROUNDED while a wheel or a body touches the ground, HANGING
+    while nothing touches and the tether carries it, otherwise in FLIGHT.
     """
 
-    HELD = "held"  # standing, held by the ground
+    HELD = "held"  # on the ground, fixed
     FLIGHT = "flight"
-    LANDED = "landed"  # held again where it came down
-    FREE = "free"  # no rover, or one that was never held
+    LANDED = "landed"  # fixed again where it landed
+    FREE = "free"  # no rover, or one without ground
     HANGING = "hanging"
     GROUNDED = "grounded"
     DIVERGED = "diverged"
@@ -49,27 +49,27 @@ class Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class JumpMotorCommand:
-    """Nut of the jump motor: go to `compression` of the spring, where the latch trips.
+    """Nut of the jump motor: drive to a compression of the spring, where the latch trips.
 
-    Below 0 the nut stands clear of the latch, for plants whose nut has a free travel.
+    Below 0 the nut is clear of the latch, for plants whose nut has a free travel.
     """
 
-    compression: float  # setpoint [m]; reaching one above 0 releases the spring if it trips
+    compression: float  # setpoint [m]; at a setpoint above 0 the latch releases the spring
     rate: float  # largest speed of the nut [m/s], > 0
-    max_force: float = math.inf  # that the nut may use [N], > 0; inf: the motor's own limit
+    max_force: float = math.inf  # of the nut [N], > 0; inf: the motor's own limit
     trips: bool = True  # False: the nut stays at the setpoint, the latch holds
 
 
 @dataclass(frozen=True)
 class FlywheelCommand:
-    """Jump motor as a reaction wheel, for plants that have one: while the nut is free."""
+    """Jump motor as a reaction wheel, while the nut is free of the latch."""
 
     torque: float  # at the shaft [N m], > 0 drives the nut down
 
 
 @dataclass(frozen=True)
 class WheelRateCommand:
-    """Wheel motor holds a rate."""
+    """Rate control of the wheel motor."""
 
     rate: float  # of the left wheel [rad/s], > 0 forward
     max_torque: float = math.inf  # at the wheel [N m], > 0; inf: the motor's own limit
@@ -77,27 +77,27 @@ class WheelRateCommand:
 
 @dataclass(frozen=True)
 class WheelTorqueCommand:
-    """Wheel motor gives a torque."""
+    """Torque control of the wheel motor."""
 
     torque: float  # at the wheel [N m], > 0 forward
 
 
 @dataclass(frozen=True)
 class WinchCommand:
-    """Winch, for plants that have a drum: its drive holds the payout rate."""
+    """Rate control of the winch's drum."""
 
-    length: float  # setpoint of what watches over the drive, not used by it [m], >= 0
+    length: float  # setpoint of the length controller, not used by the drive [m], >= 0
     rate: float  # payout rate [m/s], > 0 lengthens the tether
-    feed_forward: float = 0.0  # tension that the motor is told to carry [N], >= 0
+    feed_forward: float = 0.0  # tension fed forward to the motor [N], >= 0
     brake_released: bool = True  # power the brake open
-    max_tension: float = math.inf  # that the motor may use [N], > 0; inf: its own limit
+    max_tension: float = math.inf  # of the motor [N], > 0; inf: its own limit
 
 
 @dataclass(frozen=True)
 class Command:
-    """What the actuators are asked to do during one tick.
+    """Commands of the actuators for one tick.
 
-    None leaves a motor without current, and the winch's brake closed.
+    None switches a motor off; without a winch command the brake closes.
     """
 
     jump: JumpMotorCommand | FlywheelCommand | None = None
@@ -107,10 +107,10 @@ class Command:
 
 @dataclass(frozen=True)
 class Energies:
-    """Where the energy is [J], and what came and went since the start of the run.
+    """Energies of the system [J], and the energy balance since the start of the run.
 
-    Gravity's potential is zero at the level of the tether's root. The parts that have a default
-    belong to the spatial plant.
+    The gravitational potential is zero at the level of the tether's root. `rotors`, `contact` and
+    `twist` belong to the spatial plant.
     """
 
     kinetic: float
@@ -118,16 +118,16 @@ class Energies:
     axial: float
     bending: float
     spring: float  # of the jump mechanism, with its end stops
-    input: float = 0.0  # by motors, take-offs, and tether that came through the fairlead
-    dissipated: float = 0.0  # by damping and friction, and in holding the rover after a landing
+    input: float = 0.0  # by motors, take-offs, and tether paid out through the fairlead
+    dissipated: float = 0.0  # by damping, friction, and stopping the rover after a landing
     initial: float = 0.0  # stored at the start of the run
     rotors: float = 0.0  # kinetic energy of flywheel, wheels, motors and drum
-    contact: float = 0.0  # elastic, in what touches the ground
+    contact: float = 0.0  # elastic, in contacts with the ground
     twist: float = 0.0  # of the tether
 
     @property
     def stored(self) -> float:
-        """Kinetic and potential energy together [J]."""
+        """Sum of kinetic and potential energies [J]."""
         return (
             self.kinetic
             + self.rotors
@@ -141,13 +141,13 @@ class Energies:
 
     @property
     def drift(self) -> float:
-        """What the energy balance misses [J]: stored - initial - input + dissipated."""
+        """Residual of the energy balance [J]: stored - initial - input + dissipated."""
         return self.stored - self.initial - self.input + self.dissipated
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at an instant inside a step.
+    """An event at an instant inside a step.
 
     Names: take_off, apex, touchdown, tether_broken, diverged; of the spatial plant also drum_stop
     and latch_free, latch_hooking, latch_engaged, latch_compressing, latch_released.
@@ -160,15 +160,15 @@ class Event:
 
 @dataclass(frozen=True)
 class Forces:
-    """Forces, currents and limits in the last time step of a tick, of plants that have drives."""
+    """Forces, currents and limit flags in the last time step of a tick; zero without drives."""
 
     fairlead: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the tether on the fairlead [N]
     fairlead_tension: float = 0.0  # [N]
     rover_tension: float = 0.0  # of the tether at its tip [N]
     left_wheel: float = 0.0  # normal force of the ground [N]
     right_wheel: float = 0.0
-    body: float = 0.0  # on corners and tail of both bodies
-    grounded_points: int = 0  # of the tether that touch the ground
+    body: float = 0.0  # normal force on corners and tail of both bodies [N]
+    grounded_points: int = 0  # points of the tether in contact with the ground
     nut: float = 0.0  # on Body 2 [N]
     jump_torque: float = 0.0  # of the motors, at their shafts [N m]
     wheel_torque: float = 0.0
@@ -181,25 +181,25 @@ class Forces:
     screw_hard_limit: int = 0  # -1 / +1: at the upper / lower end of the screw
     ratchet: int = 0  # rover_sim.physics.wheel_drive.Ratchet
     drum_stuck: bool = False
-    drum_stop: int = 0  # -1: fully reeled in, +1: nothing left
+    drum_stop: int = 0  # -1: fully reeled in, +1: fully paid out
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """What a step reports besides the new state."""
+    """Result of a step besides the new state."""
 
     outcome: Outcome
     energies: Energies
     constraint_drift: float  # largest violation of a joint [m]
-    newton_iterations: int  # in all time steps of the tick together
-    smallest_step: float  # [s]; infinite if no time step was made
+    newton_iterations: int  # sum over all time steps of the tick
+    smallest_step: float  # [s]; infinite without a time step
     events: tuple[Event, ...]
     peak_tension: float  # largest tension in the tether during the tick [N]
     forces: Forces = Forces()
 
 
 class State(Protocol):
-    """What every plant's state has."""
+    """Properties common to the states of all plants."""
 
     @property
     def time(self) -> float:
@@ -207,7 +207,7 @@ class State(Protocol):
 
     @property
     def phase(self) -> Phase:
-        """What the rover is doing."""
+        """Phase of the rover's motion."""
 
 
 S = TypeVar("S", bound=State)
@@ -221,28 +221,28 @@ class Plant(Protocol[S]):
         """What is simulated."""
 
     def initial_state(self) -> S:
-        """The state at the start of the scenario.
+        """Return the state at the start of the scenario.
 
         Raises:
-            StaticsError: the scenario asks for an equilibrium that does not exist.
+            StaticsError: the static equilibrium at the start does not exist.
         """
 
     def step(self, state: S, command: Command, dt: float) -> tuple[S, StepResult]:
         """Advance by one control tick.
 
-        `state` is left as it is; the computation releases the interpreter's lock. A step that
-        diverges returns the last good state with `Phase.DIVERGED`, and further steps return that
-        unchanged; a broken tether likewise with `Phase.TETHER_BROKEN`.
+        `state` is not changed; the computation releases the interpreter's lock. A step that
+        diverges returns the last converged state with `Phase.DIVERGED`, and further steps return
+        it unchanged; a broken tether likewise with `Phase.TETHER_BROKEN`.
 
         Args:
-            state: where to start.
-            command: what the actuators are asked to do.
+            state: at the start of the tick.
+            command: of the actuators.
             dt: length of the tick [s], above 0; time steps are the scenario's integration.h, the
-                last one shorter if dt is no multiple of it.
+                last one shorter if dt is not a multiple of it.
 
         Raises:
-            ValueError: dt or a number of the command is not finite or out of its range.
+            ValueError: dt or a value of the command is not finite or out of range.
         """
 
     def energies(self, state: S) -> Energies:
-        """Energies of the state, with the balance since the start of the run."""
+        """Return the energies of a state, with the balance since the start of the run."""

@@ -1,4 +1,4 @@
-"""Which plant a scenario asks for."""
+"""Build the plant of a scenario."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def build_plant(scenario: SpatialScenario) -> SpatialPlant: ...
 
 
 def build_plant(scenario: AnyScenario) -> PlanarPlant | SpatialPlant:
-    """The plant that the scenario's `model` names."""
+    """Build the plant that the scenario's `model` names."""
     if isinstance(scenario, SpatialScenario):
         return SpatialPlant(scenario)
     return PlanarPlant(scenario)

@@ -1,6 +1,6 @@
-"""How a plant meets the contract: which drives it has, and what it tells on which topics.
+"""Protocol that connects a plant to the contract: its drives, and the samples of its topics.
 
-There is one implementation for each model of plant. All of it is pure: no ROS, no clock of its own.
+Each plant model has one implementation. Pure: no ROS, no clock.
 """
 
 from __future__ import annotations
@@ -16,45 +16,45 @@ S = TypeVar("S", bound=State)
 
 
 class PlantInterface(Protocol[S]):
-    """The outside of a plant whose states are of type S."""
+    """Drives and topics of a plant whose states are of type S."""
 
     @property
     def plant(self) -> Plant[S]:
-        """What is inside."""
+        """The plant."""
 
     @property
     def equipment(self) -> Equipment:
-        """The drives that there are."""
+        """The drives of the plant."""
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that can be told: without a rover there is nothing of a rover."""
+        """Topics of the plant; without a rover, none of the rover."""
 
     @property
     def available_after_tick(self) -> frozenset[str]:
-        """Those of them that can be told only after a tick, as an accelerometer's."""
+        """Those topics that need a preceding tick, such as an accelerometer's."""
 
     def drive_feedback(self, state: S) -> DriveFeedback:
-        """What the drives feel."""
+        """Return the state of the drives."""
 
     def restart(self, state: S, stamp_ns: int) -> None:
-        """Take a state with no tick before it: sensors begin anew."""
+        """Set a state without a preceding tick; resets the sensors."""
 
     def measure(self, state: S, stamp_ns: int, result: StepResult) -> None:
-        """Take the state at a tick's end; sensors measure what the tick did.
+        """Set the state at the end of a tick, and step the sensors over the tick.
 
         Args:
-            state: follows the one taken before.
+            state: the successor of the last one.
             stamp_ns: its simulated time.
-            result: what the step reported.
+            result: of the step.
         """
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
-        """Yield (topic, sample) of what was last taken, for the topics that are due."""
+        """Yield (topic, sample) of the last state for the topics that are due."""
 
     def environment_markers(self, stamp_ns: int) -> DrawingSample:
-        """What stands around the plant, to be looked at; nothing changes it.
+        """Return the drawing of the static environment.
 
         Args:
-            stamp_ns: to be drawn with.
+            stamp_ns: of the drawing.
         """

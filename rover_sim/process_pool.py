@@ -1,7 +1,7 @@
-"""Processes of this machine that simulate side by side.
+"""Pool of local worker processes for parallel simulations.
 
-The statics of a scenario hold Python's lock, so threads would not help. Each process works with
-one thread, leaves Ctrl-C to the one that started it, and ends with it, however that ends.
+The statics of a scenario hold the interpreter's lock, so threads would not help. Each worker is
+single-threaded, leaves Ctrl-C to its parent, and ends with its parent in any case.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SINGLE_THREADED = dict.fromkeys(
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -30,14 +30,14 @@ def available_cores() -> int:
 def worker_processes(
     count: int, prepare: Callable[..., None] | None = None, *arguments: Any
 ) -> Iterator[ProcessPoolExecutor]:
-    """Start so many processes, and end them with the block.
+    """Start worker processes, and end them with the block.
 
-    What is not begun by then is dropped; where the block ends with an error, what is begun as well.
+    Pending tasks are cancelled at the end of the block; after an error, running tasks as well.
 
     Args:
         count: of processes.
-        prepare: called in each when it starts; a function of a module.
-        arguments: of that function.
+        prepare: called in each process at its start; a function of a module.
+        arguments: of `prepare`.
     """
     # A child reads its environment when it starts, before numpy is imported.
     kept = {name: os.environ.get(name) for name in _SINGLE_THREADED}
@@ -49,7 +49,7 @@ def worker_processes(
     try:
         with _ctrl_c_ignored():
             for _ in range(count):
-                pool.submit(_nothing)  # starts one, as none has come to rest yet
+                pool.submit(_nothing)  # starts a worker, as none is idle yet
         workers = [each for each in multiprocessing.active_children() if each not in others]
         yield pool
     except BaseException:
@@ -71,7 +71,7 @@ def _restore(kept: Mapping[str, str | None]) -> None:
 
 @contextlib.contextmanager
 def _ctrl_c_ignored() -> Iterator[None]:
-    """What starts meanwhile never hears Ctrl-C: it is the parent's to end it."""
+    """Start processes that ignore Ctrl-C: the parent ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -87,7 +87,7 @@ def _nothing() -> None:
 
 
 def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
+    """Ignore Ctrl-C, and watch the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     if prepare is not None:

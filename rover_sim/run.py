@@ -1,4 +1,4 @@
-"""Run a plant until something happens, and what a jump amounts to."""
+"""Run a plant up to an event, run plants in parallel, and compute the metrics of a jump."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Policy: TypeAlias = Callable[[S], Command]
 
 
 class RunError(RuntimeError):
-    """A run did not come to the event it was to run to; says how it ended instead."""
+    """A run ended without its event; the message reports how it ended."""
 
 
 @dataclass(frozen=True)
 class Run(Generic[S]):
-    """States at each tick, what happened on the way and how it ended."""
+    """States at the ticks, results of the steps, and events of a run."""
 
-    states: tuple[S, ...]  # the first is the one the run started from
-    results: tuple[StepResult, ...]  # one less
+    states: tuple[S, ...]  # the first is the initial state
+    results: tuple[StepResult, ...]  # one fewer
     events: tuple[Event, ...]
 
     @property
     def final(self) -> S:
-        """The last state."""
+        """The final state."""
         return self.states[-1]
 
     @property
@@ -41,29 +41,29 @@ class Run(Generic[S]):
 
     @property
     def energy_drift(self) -> float:
-        """Largest miss of the energy balance at the ticks, with its sign [J]."""
+        """Largest residual of the energy balance at the ticks, signed [J]."""
         return max((result.energies.drift for result in self.results), key=abs)
 
     def event(self, name: str) -> Event | None:
-        """The first event of that name."""
+        """Return the first event of a name, or None."""
         return next((event for event in self.events if event.name == name), None)
 
 
 @dataclass(frozen=True)
 class JumpMetrics:
-    """What a jump amounts to."""
+    """Metrics of a jump."""
 
-    height: float  # largest rise of G1 over its start, H [m]
+    height: float  # largest rise of G1 above its start, H [m]
     attitude_variation: float  # theta(landing) - theta0 [rad]
     travel: float  # of G1 from take-off to landing, dx [m]
     flight_time: float  # [s]
     peak_tension: float  # [N]
-    energy_drift: float  # miss of the energy balance at the landing [J]
+    energy_drift: float  # residual of the energy balance at the landing [J]
     slack_value: float  # dh/df at the start [-]
     outcome: Outcome
 
     def to_mapping(self) -> dict[str, float | str]:
-        """Plain values by names that carry their units."""
+        """Return the metrics by names that carry the units."""
         return {
             "jump_height_m": self.height,
             "attitude_variation_rad": self.attitude_variation,
@@ -85,15 +85,15 @@ def run(
     until: str | None = None,
     command: Command | Policy[S] = _NO_COMMAND,
 ) -> Run[S]:
-    """Step a plant for a duration, or up to the tick in which an event happens.
+    """Step a plant for a duration, or up to the tick in which an event occurs.
 
     Args:
-        plant: the plant.
-        state: where to start.
+        plant: to simulate.
+        state: at the start.
         duration: [s], above 0.
-        tick: [s], above 0; the last tick is shorter if the duration is no multiple of it.
+        tick: [s], above 0; the last tick is shorter if the duration is not a multiple of it.
         until: name of an event that ends the run, besides divergence and a broken tether.
-        command: given in every tick, or what makes one of the state at its start.
+        command: of every tick, or a policy that computes it from the state at the tick's start.
 
     Raises:
         ValueError: duration or tick is not finite or not above 0.
@@ -107,8 +107,8 @@ def run(
     ticks = max(1, math.ceil(duration / tick - 1e-9))
     for index in range(ticks):
         dt = tick if index < ticks - 1 else duration - tick * (ticks - 1)
-        told = command if isinstance(command, Command) else command(state)
-        state, result = plant.step(state, told, dt)
+        applied = command if isinstance(command, Command) else command(state)
+        state, result = plant.step(state, applied, dt)
         states.append(state)
         results.append(result)
         events.extend(result.events)
@@ -127,26 +127,26 @@ def roll_out(
     until: str | None = None,
     workers: int = 2,
 ) -> list[Run[S]]:
-    """Run a plant from each state with each command, side by side.
+    """Run a plant in parallel from several states or with several commands.
 
-    The runs share the plant and, as a step releases the interpreter's lock, the processor's cores.
-    What they give does not depend on the number of workers.
+    The runs share the plant; they use several cores, as a step releases the interpreter's lock. The
+    results do not depend on the number of workers.
 
     Args:
-        plant: the plant.
-        states: where to start; one state serves all commands.
-        commands: as in `run`; one command serves all states.
+        plant: to simulate.
+        states: initial states; a single one is used with all commands.
+        commands: as in `run`; a single one is used with all states.
         duration: of each [s], above 0.
         tick: [s], above 0.
         until: name of an event that ends a run.
         workers: threads, at least 1.
 
     Returns:
-        One run for each pair, in their order.
+        One run for each pair of state and command, in their order.
 
     Raises:
-        ValueError: there are several states and several commands, but not as many of both; or a
-            number is out of its range.
+        ValueError: the numbers of states and commands differ and neither is 1; or a value is out
+            of range.
     """
     if workers < 1:
         raise ValueError(f"workers = {workers}: must be at least 1")
@@ -172,15 +172,15 @@ def roll_out(
 def jump(
     plant: PlanarPlant, state: PlanarState | None = None, *, limit: float = 10.0
 ) -> JumpMetrics:
-    """Take off as the scenario says and fly to the landing.
+    """Simulate the scenario's take-off and the flight up to the landing.
 
     Args:
-        plant: a plant with a rover.
-        state: the rover standing; by default the scenario's start.
-        limit: give up after this time of flight [s].
+        plant: with a rover.
+        state: with the rover on the ground; default: the scenario's start.
+        limit: longest time of flight [s].
 
     Raises:
-        RunError: the flight diverged, broke the tether, or had not landed in time.
+        RunError: the simulation diverged, the tether broke, or the flight exceeded the limit.
     """
     standing = plant.initial_state() if state is None else state
     landed, result = plant.advance(
@@ -205,10 +205,10 @@ def jump(
 def jump_many(
     scenarios: Sequence[Scenario], *, workers: int = 1, limit: float = 10.0
 ) -> list[JumpMetrics | RunError]:
-    """Jump each scenario; the flights run in `workers` threads with the lock released.
+    """Simulate the jump of each scenario, in `workers` threads with the lock released.
 
     Returns:
-        In the scenarios' order, the metrics or the reason why there are none.
+        In the scenarios' order, the metrics or the error.
     """
 
     def one(scenario: Scenario) -> JumpMetrics | RunError:

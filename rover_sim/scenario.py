@@ -1,10 +1,9 @@
-"""Scenarios as files: those that come with the package, and one's own.
+"""Load and save scenarios, the package's and the user's own, as YAML files.
 
-A scenario says everything that a simulation starts from. Scenarios are written as YAML files whose
-keys are the field names of `planar_scenario.Scenario` or `spatial_scenario.SpatialScenario`; the
-key `model` says of which (planar, if it is missing). The key `base` names another file, without
-.yaml of the package or with it relative to the file itself, whose values hold where the scenario
-gives none: sections are joined, anything else replaced.
+A scenario holds all inputs of a simulation. The keys of its YAML file are the field names of
+`planar_scenario.Scenario` or `spatial_scenario.SpatialScenario`; the key `model` selects one of the
+two (default: planar). The key `base` names a file with default values: one of the package (without
+.yaml) or a path relative to the file (with .yaml). Sections are merged, other values are replaced.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ __all__ = [
 
 AnyScenario: TypeAlias = Scenario | SpatialScenario
 
-_KINDS: dict[str, type[Scenario] | type[SpatialScenario]] = {
+_TYPES: dict[str, type[Scenario] | type[SpatialScenario]] = {
     "planar": Scenario,
     "spatial": SpatialScenario,
 }
@@ -48,10 +47,10 @@ _BASES = "bases"
 
 
 def list_scenarios(model: str | None = None) -> tuple[str, ...]:
-    """Names of the scenarios that come with the package, sorted; of one model, or of all."""
+    """Return the sorted names of the package's scenarios, of one model or of all."""
     names = sorted(
         entry.name.removesuffix(".yaml")
-        for entry in _shipped().iterdir()
+        for entry in _package_folder().iterdir()
         if entry.name.endswith(".yaml")
     )
     if model is None:
@@ -62,24 +61,24 @@ def list_scenarios(model: str | None = None) -> tuple[str, ...]:
 def load_scenario(
     name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
 ) -> AnyScenario:
-    """Load a scenario that comes with the package, or one from a YAML file.
+    """Load a scenario of the package or from a YAML file.
 
     Args:
         name_or_path: A name of `list_scenarios`, or the path of a file ending in .yaml or .yml.
         overrides: Values by dotted path, e.g. ``{"start.geometry": "+K", "tether.elements": 20}``.
 
     Raises:
-        ScenarioError: Naming the dotted path (or the file), the value and what would be right.
+        ScenarioError: a value is invalid; names the dotted path (or the file) and what is expected.
     """
     mapping = _mapping_of(name_or_path)
     return scenario_from_mapping(configuration.with_overrides(mapping, overrides or {}))
 
 
 def load_overridden(name_or_path: str, overrides: str) -> AnyScenario:
-    """`load_scenario` with overrides as a node's parameter has them: YAML or JSON, or nothing.
+    """Load a scenario with overrides given as YAML or JSON text, as in a node's parameter.
 
     Raises:
-        ScenarioError: as `load_scenario`; or the overrides are no mapping.
+        ScenarioError: as `load_scenario`; or the overrides are not a mapping.
     """
     read = read_yaml(overrides, name="overrides") if overrides.strip() else {}
     if not isinstance(read, Mapping):
@@ -90,10 +89,10 @@ def load_overridden(name_or_path: str, overrides: str) -> AnyScenario:
 def load_planar(
     name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
 ) -> Scenario:
-    """`load_scenario` for those who want a planar one.
+    """Load a planar scenario.
 
     Raises:
-        ScenarioError: As `load_scenario`, and if the scenario is of another model.
+        ScenarioError: as `load_scenario`; or the scenario is of another model.
     """
     scenario = load_scenario(name_or_path, overrides)
     if not isinstance(scenario, Scenario):
@@ -104,10 +103,10 @@ def load_planar(
 def load_spatial(
     name_or_path: str | PathLike[str], overrides: Mapping[str, object] | None = None
 ) -> SpatialScenario:
-    """`load_scenario` for those who want a spatial one.
+    """Load a spatial scenario.
 
     Raises:
-        ScenarioError: As `load_scenario`, and if the scenario is of another model.
+        ScenarioError: as `load_scenario`; or the scenario is of another model.
     """
     scenario = load_scenario(name_or_path, overrides)
     if not isinstance(scenario, SpatialScenario):
@@ -119,20 +118,20 @@ def scenario_from_mapping(mapping: object) -> AnyScenario:
     """Build a scenario of the model that the mapping names.
 
     Raises:
-        ScenarioError: Naming the dotted path, the value and what would be right.
+        ScenarioError: a value is invalid; names the dotted path and what is expected.
     """
     model = mapping.get("model", "planar") if isinstance(mapping, Mapping) else "planar"
-    kind = _KINDS.get(model) if isinstance(model, str) else None
-    if kind is None:
-        raise ScenarioError("model", model, f"should be one of {', '.join(_KINDS)}")
-    return kind.from_mapping(mapping)
+    scenario_type = _TYPES.get(model) if isinstance(model, str) else None
+    if scenario_type is None:
+        raise ScenarioError("model", model, f"should be one of {', '.join(_TYPES)}")
+    return scenario_type.from_mapping(mapping)
 
 
 def parse_override(assignment: str) -> tuple[str, object]:
-    """Read an override as written on a command line, ``start.slack=2``.
+    """Parse an override of a command line, such as ``start.slack=2``.
 
     Raises:
-        ScenarioError: If there is no ``=``, or what follows it is no YAML value.
+        ScenarioError: there is no ``=``, or no YAML value after it.
     """
     path, sign, value = assignment.partition("=")
     if not sign or not path.strip():
@@ -145,14 +144,14 @@ def dump_scenario(scenario: AnyScenario) -> str:
     return yaml.safe_dump(scenario.to_mapping(), sort_keys=False, allow_unicode=True)
 
 
-def _shipped() -> Any:
+def _package_folder() -> Any:
     return importlib.resources.files("rover_sim").joinpath("scenarios")
 
 
 def _source_of(name_or_path: str | PathLike[str]) -> Path | Any:
     name = str(name_or_path)
     if isinstance(name_or_path, str) and name in list_scenarios():
-        return _shipped().joinpath(f"{name}.yaml")
+        return _package_folder().joinpath(f"{name}.yaml")
     path = Path(name)
     if path.suffix in {".yaml", ".yml"}:
         return path
@@ -164,12 +163,12 @@ def _source_of(name_or_path: str | PathLike[str]) -> Path | Any:
 
 
 def _mapping_of(name_or_path: str | PathLike[str]) -> dict[str, Any]:
-    """A file's keys and values, joined with those of its bases."""
+    """Return a file's keys and values, merged over those of its bases."""
     source = _source_of(name_or_path)
-    return _joined_with_bases(source, str(name_or_path), ())
+    return _merged_with_bases(source, str(name_or_path), ())
 
 
-def _joined_with_bases(source: Path | Any, label: str, above: tuple[str, ...]) -> dict[str, Any]:
+def _merged_with_bases(source: Path | Any, label: str, derived: tuple[str, ...]) -> dict[str, Any]:
     mapping = read_yaml(source)
     if not isinstance(mapping, Mapping):
         raise ScenarioError(label, mapping, "should hold a mapping of keys to values")
@@ -178,24 +177,24 @@ def _joined_with_bases(source: Path | Any, label: str, above: tuple[str, ...]) -
     if base is None:
         return own
     found = _base(source, base)
-    if str(found) in above:
-        raise ScenarioError(f"{label}: base", base, "should not lead back to the file itself")
-    return _joined(_joined_with_bases(found, str(base), (*above, str(source))), own)
+    if str(found) in derived:
+        raise ScenarioError(f"{label}: base", base, "should not refer back to the file itself")
+    return _merged(_merged_with_bases(found, str(base), (*derived, str(source))), own)
 
 
 def _base(source: Path | Any, base: object) -> Path | Any:
     names = tuple(
         sorted(
             entry.name.removesuffix(".yaml")
-            for entry in _shipped().joinpath(_BASES).iterdir()
+            for entry in _package_folder().joinpath(_BASES).iterdir()
             if entry.name.endswith(".yaml")
         )
     )
     if isinstance(base, str):
         if base in names:
-            return _shipped().joinpath(_BASES, f"{base}.yaml")
+            return _package_folder().joinpath(_BASES, f"{base}.yaml")
         if base in list_scenarios():
-            return _shipped().joinpath(f"{base}.yaml")
+            return _package_folder().joinpath(f"{base}.yaml")
         if base.endswith((".yaml", ".yml")) and isinstance(source, Path):
             return source.parent / base
     raise ScenarioError(
@@ -205,13 +204,13 @@ def _base(source: Path | Any, base: object) -> Path | Any:
     )
 
 
-def _joined(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of `over`, and where it has none those of `under`, section by section."""
-    result = dict(under)
-    for key, value in over.items():
-        below = result.get(key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping):
-            result[key] = _joined(below, value)
+def _merged(defaults: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `defaults`, overridden by `values`, section by section."""
+    result = dict(defaults)
+    for key, value in values.items():
+        default = result.get(key)
+        if isinstance(value, Mapping) and isinstance(default, Mapping):
+            result[key] = _merged(default, value)
         else:
             result[key] = value
     return result

@@ -1,4 +1,4 @@
-"""What scenarios of every model have in common: cross-section and integration."""
+"""Sections shared by planar and spatial scenarios: tether cross-section and integration."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
 
 @dataclass(frozen=True, kw_only=True)
 class CrossSection(Configuration):
-    """A uniform cross-section, given in exactly one of three ways (`MATERIALS`).
+    """A uniform cross-section, given by exactly one of three parameter sets (`MATERIALS`).
 
-    `section` is what follows from it.
+    `section` holds the derived stiffness and mass.
     """
 
     youngs_modulus: float | None = quantity("Pa", "E", None, above=0.0, optional=True)
@@ -39,17 +39,17 @@ class CrossSection(Configuration):
     bending_stiffness: float | None = quantity("N m^2", "EI", None, above=0.0, optional=True)
     line_density: float | None = quantity("kg/m", "rho A", None, above=0.0, optional=True)
     axial_damping_time: float = quantity(
-        "s", "axial strain-rate damping over EA", 0.0, minimum=0.0, maximum=100.0
+        "s", "axial strain-rate damping divided by EA", 0.0, minimum=0.0, maximum=100.0
     )
     bending_damping_time: float = quantity(
-        "s", "bending strain-rate damping over EI", 0.0, minimum=0.0, maximum=100.0
+        "s", "bending strain-rate damping divided by EI", 0.0, minimum=0.0, maximum=100.0
     )
     breaking_load: float = quantity(
-        "N", "tension at which the tether parts", math.inf, above=0.0, infinite=True
+        "N", "tension at which the tether breaks", math.inf, above=0.0, infinite=True
     )
 
     def check(self) -> None:
-        """Refuse a cross-section that is given in no way or in two."""
+        """Refuse a cross-section with none or several of the parameter sets."""
         every = {name for names in MATERIALS for name in names}
         given = {name for name in every if getattr(self, name) is not None}
         if not any(given == set(names) for names in MATERIALS):
@@ -90,22 +90,26 @@ class CrossSection(Configuration):
 
 @dataclass(frozen=True)
 class Integration(Configuration):
-    """How the energy-momentum integrator steps."""
+    """Settings of the energy-momentum integrator."""
 
     h: float = quantity("s", "time step", 1e-3, above=0.0, maximum=0.1)
     tolerance: float = quantity(
-        "m", "largest change of an unknown in the last iteration", 1e-8, above=0.0, maximum=1e-3
+        "m",
+        "largest change of an unknown in the last Newton iteration",
+        1e-8,
+        above=0.0,
+        maximum=1e-3,
     )
     numerical_damping: float = quantity(
-        "-", "x: 0 conserves the tether's energy, 1 damps most", 0.0, minimum=0.0, maximum=1.0
+        "-", "0 conserves the tether's energy, 1 damps most", 0.0, minimum=0.0, maximum=1.0
     )
     max_halvings: int = quantity(
-        "-", "how often a step that fails may be halved", 10, kind=int, minimum=0, maximum=30
+        "-", "successive halvings of a step that fails", 10, kind=int, minimum=0, maximum=30
     )
 
 
 def known(value: float | None) -> float:
-    """A value that the checks at construction have shown to be there."""
+    """Return a value that the checks at construction require."""
     if value is None:
         raise AssertionError("checked at construction")
     return value

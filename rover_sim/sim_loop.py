@@ -1,4 +1,4 @@
-"""The simulation as it runs tick by tick: plant, clock, commands, pace. No ROS, no waiting."""
+"""Simulation loop: plant, clock, drive commands, pacing. Pure: no ROS, no waiting."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rover_sim.plant import Outcome, Phase, S, StepResult
 from rover_sim.plant_interface import PlantInterface
 
 NANO = 1_000_000_000
-_RUSH = 2.0  # times the factor at which a delay is caught up
+_CATCH_UP_FACTOR = 2.0  # of the real-time factor, while a delay is caught up
 
 
 @dataclass(frozen=True)
 class Tick(Generic[S]):
-    """What one tick did: the states around it, their times, and what happened."""
+    """One tick: states before and after, times, result and events."""
 
     before: S
     after: S
@@ -32,7 +32,7 @@ class Tick(Generic[S]):
 
 
 class Schedule:
-    """Which topics are due after a tick, each at its rate in simulated time.
+    """Topics that are due after a tick, each at its rate in simulated time.
 
     Args:
         rates: topic -> rate [Hz], above 0.
@@ -42,7 +42,7 @@ class Schedule:
         self._rates = dict(rates)
 
     def due(self, before_ns: int, after_ns: int) -> list[str]:
-        """Topics whose next instant lies in (before, after]."""
+        """Return the topics with a publishing instant in (before, after]."""
         return [
             name
             for name, rate in self._rates.items()
@@ -51,16 +51,16 @@ class Schedule:
 
 
 def _count(stamp_ns: int, rate: float) -> int:
-    # The small addend keeps 0.29 s at 100 Hz on its 29th instant, however it was rounded.
+    # The small addend absorbs rounding: 0.29 s at 100 Hz is the 29th instant.
     return math.floor(stamp_ns * rate / NANO + 1e-6)
 
 
 class Pacer:
-    """Holds simulated time to wall time by absolute deadlines.
+    """Paces simulated time by absolute deadlines of wall time.
 
-    A delay is caught up as long as it is short, at no more than twice the factor: controllers
-    must be able to answer each tick, or the drives would take the rush for their timeout. A
-    longer delay is given up, and counted.
+    A delay up to `CATCH_UP` is caught up at no more than twice the real-time factor, so that the
+    controllers can respond to each tick and no drive's watchdog fires. A longer delay is dropped
+    and counted.
 
     Args:
         factor: simulated seconds per wall second; 0 = as fast as possible.
@@ -71,28 +71,28 @@ class Pacer:
 
     def __init__(self, factor: float) -> None:
         self.factor = factor
-        self.dropped = 0.0  # wall time that could not be caught up [s]
-        # Simulated per wall seconds over the last two wall seconds; None = not yet known.
+        self.dropped = 0.0  # wall time that was not caught up [s]
+        # Real-time factor reached over the last `WINDOW`; None: not yet known.
         self.measured: float | None = None
         self._anchor: tuple[float, int] | None = None
-        self._before: tuple[float, int] | None = None  # when and where the last tick began
+        self._before: tuple[float, int] | None = None  # wall and simulated time of the last tick
         self._marks: deque[tuple[float, int]] = deque()
         self._late_until = -math.inf
 
     def set_factor(self, factor: float) -> None:
-        """Go on at another factor."""
+        """Continue at another factor."""
         self.factor = factor
         self.restart()
 
     def restart(self) -> None:
-        """Start anew from the next tick on: after a pause, a reset or another factor."""
+        """Set new deadlines from the next tick on: after a pause, a reset or a new factor."""
         self._anchor = self._before = None
         self.measured = None
         self._marks.clear()
         self._late_until = -math.inf
 
     def wait(self, wall: float, stamp_ns: int) -> float:
-        """How long to wait before the next tick [s].
+        """Return the time to wait before the next tick [s].
 
         Args:
             wall: monotonic wall time [s].
@@ -111,7 +111,7 @@ class Pacer:
             self._late_until = wall + self.WINDOW
             self._anchor = (wall, stamp_ns)
         begun, begun_ns = self._before or (wall, stamp_ns)
-        soonest = begun + (stamp_ns - begun_ns) / NANO / (_RUSH * self.factor)
+        soonest = begun + (stamp_ns - begun_ns) / NANO / (_CATCH_UP_FACTOR * self.factor)
         wait = max(0.0, -late, soonest - wall)
         self._before = (wall + wait, stamp_ns)
         return wait
@@ -125,15 +125,15 @@ class Pacer:
             self.measured = (stamp_ns - past_ns) / NANO / (wall - past)
 
     def keeps_up(self, wall: float) -> bool:
-        """Whether no delay had to be given up within the window."""
+        """Return whether no delay was dropped within the window."""
         return wall > self._late_until
 
 
 class Simulation(Generic[S]):
-    """A plant that runs: its state, simulated time, the drives' commands, and totals.
+    """A running plant: state, simulated time, drive commands and statistics.
 
     Args:
-        interface: the plant and its outside.
+        interface: of the plant.
         tick: control tick [s].
     """
 
@@ -158,12 +158,12 @@ class Simulation(Generic[S]):
         return self.state.phase
 
     def reset(self) -> None:
-        """Start again: state, clock and totals."""
+        """Reset state, clock and statistics."""
         self.stamp_ns = 0
         self.reset_plant()
 
     def reset_plant(self) -> None:
-        """Put the plant back to its start; simulated time stays."""
+        """Reset the plant to its start; simulated time continues."""
         self._actuators.clear()
         self.state = self._start
         self.ticks = 0
@@ -174,9 +174,9 @@ class Simulation(Generic[S]):
         self.interface.restart(self.state, self.stamp_ns)
 
     def fork(self) -> Simulation[S]:
-        """A simulation that goes on from here by itself; the plant, which keeps nothing, is shared.
+        """Return an independent copy of the simulation; the stateless plant is shared.
 
-        Its sensors' errors go on as this one's do.
+        The sensors' errors of the copy continue as those of the original.
         """
         shared = {id(self.plant): self.plant}
         twin = copy.copy(self)
@@ -185,13 +185,13 @@ class Simulation(Generic[S]):
         return twin
 
     def accept_command(self, topic: str, sample: JointSample) -> None:
-        """Take a command for a drive, one of ``actuators.COMMANDS``; raises Refusal."""
+        """Accept a command of a topic of ``actuators.COMMANDS``; raises Refusal."""
         drives = self.interface.drive_feedback(self.state)
         self._actuators.accept_command(topic, sample, drives, self.stamp_ns)
         self.commands += 1
 
     def stop_drive(self, topic: str) -> None:
-        """Stop the drive of a topic, one of ``actuators.COMMANDS``, as its watchdog would."""
+        """Stop the drive of a topic of ``actuators.COMMANDS``, as its watchdog would."""
         self._actuators.stop_drive(topic, self.interface.drive_feedback(self.state))
 
     def tick(self) -> Tick[S]:

@@ -1,4 +1,4 @@
-"""The ``sim_node`` executable: the plant, running behind the contract's topics and services."""
+"""The ``sim_node`` executable: the simulated plant with the contract's topics and services."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MODELS = ("planar", "spatial")
 
 @dataclass(frozen=True)
 class SimParameters:
-    """What is simulated, and how fast."""
+    """Scenario and timing of the simulation."""
 
     scenario: str = parameter(
         "paper_table1_high",
@@ -47,45 +47,43 @@ class SimParameters:
     overrides: str = parameter(
         "",
         "-",
-        "changes to the scenario as YAML or JSON, by dotted path: "
+        "overrides of the scenario as YAML or JSON, by dotted path: "
         '{"start.slack": 2.0, "tether.elements": 20}',
         read_only=True,
     )
     model: str = parameter(
         AS_SCENARIO,
         "-",
-        "the plant that integrates it: that of the scenario, or refuse if it is not this one",
+        "scenario: the scenario's model; otherwise refuse a scenario of another model",
         choices=(AS_SCENARIO, *MODELS),
         read_only=True,
     )
     tick: float = parameter(
-        0.01, "s", "control tick: commands take effect at ticks", 1e-4, 0.05, read_only=True
+        0.01, "s", "control tick; commands take effect at ticks", 1e-4, 0.05, read_only=True
     )
     real_time_factor: float = parameter(
         1.0, "-", "simulated seconds per second; 0 = as fast as possible", 0.0, 1000.0
     )
     seed: int = parameter(
-        1, "-", "seed of the sensors' errors; the ground's is in the scenario", 0, 2**31 - 1,
+        1, "-", "seed of the sensors' errors; the scenario has that of the ground", 0, 2**31 - 1,
         read_only=True,
     )  # fmt: skip
-    start_paused: bool = parameter(
-        False, "-", "simulated time stands still until it is stepped or resumed", read_only=True
-    )
+    start_paused: bool = parameter(False, "-", "start with simulated time paused", read_only=True)
     duration: float = parameter(
-        0.0, "s", "end after this much simulated time; 0 = never", 0.0, 1e9, read_only=True
+        0.0, "s", "simulated time after which the node ends; 0 = never", 0.0, 1e9, read_only=True
     )
 
 
 @dataclass(frozen=True)
 class RateParameters(TruthRates):
-    """How often is published; at most once a tick."""
+    """Publishing rates, at most one sample per tick."""
 
     clock_rate: float = rate_parameter("rate of the clock", topics.CLOCK)
     sensor_rate: float = rate_parameter("rate of sensors and drives", topics.IMU)
 
 
 class SimNode(ContractNode):
-    """Simulates tether and rover: publishes clock, sensors and truth, obeys actuator commands."""
+    """Simulates tether and rover: publishes clock, sensors and truth, accepts drive commands."""
 
     NAME = "sim_node"
     SIM_PARAMETERS: type[SimParameters] = SimParameters
@@ -97,14 +95,15 @@ class SimNode(ContractNode):
     # --- life ------------------------------------------------------------------------------------
 
     def setup(self) -> None:
-        """Load the scenario, compile and build the plant, open everything."""
+        """Load the scenario, compile and build the plant, open topics and services."""
         parameters = self.parameters_of(self.SIM_PARAMETERS)
         rates = self.parameters_of(RateParameters)
         rates.check(parameters.tick)
         scenario = load(parameters)
         simulation = self.make_simulation(scenario, parameters)
-        told = rates.of_topics(simulation.interface.topics, rates.sensor_rate)
-        self._publisher = StatePublisher(self, simulation, told | {topics.CLOCK: rates.clock_rate})
+        topic_rates = rates.of_topics(simulation.interface.topics, rates.sensor_rate)
+        topic_rates[topics.CLOCK] = rates.clock_rate
+        self._publisher = StatePublisher(self, simulation, topic_rates)
         self._status_publisher = self.publisher(topics.SIM_STATUS)
         runner = SimRunner(
             simulation,
@@ -122,11 +121,11 @@ class SimNode(ContractNode):
         self._scenario, self._runner = scenario, runner
 
     def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
-        """The plant in its simulation, ready to run."""
+        """Build the plant and its simulation."""
         return build_simulation(scenario, parameters.seed, parameters.tick, self)
 
     def start(self) -> None:
-        """Let simulated time run."""
+        """Start simulated time."""
         if self._runner is not None:
             self._publisher.publish_static()
             self._runner.start()
@@ -134,29 +133,29 @@ class SimNode(ContractNode):
         self.every(period, self._publish_status, by_wall_clock=True)
 
     def stop(self) -> None:
-        """Stop simulated time where it is."""
+        """Stop simulated time."""
         if self._runner is not None:
             self._runner.stop()
 
     def release(self) -> None:
-        """Let go of the plant."""
+        """Release the plant."""
         self._runner = self._scenario = None
 
     def configuration(self) -> Mapping[str, Any]:
-        """Scenario with all values, and the seed."""
+        """Return the scenario with all values, and the seed."""
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
         return {"scenario": scenario, "seed": self.parameters_of(self.SIM_PARAMETERS).seed}
 
     def now_ns(self) -> int:
-        """Simulated time [ns]: this node is the clock."""
+        """Return simulated time [ns]; this node is its source."""
         return 0 if self._runner is None else self._runner.stamp_ns
 
     def knows_time(self) -> bool:
-        """Always: this node is the clock."""
+        """Return True: this node is the source of simulated time."""
         return True
 
     def parameters_changed(self) -> None:
-        """Take the new real-time factor."""
+        """Apply the new real-time factor."""
         if self._runner is not None and self.active:
             self._runner.set_factor(self.parameters_of(self.SIM_PARAMETERS).real_time_factor)
 
@@ -166,14 +165,14 @@ class SimNode(ContractNode):
             self.accept_earlier_stamps()
         return message
 
-    # --- told by the plant's thread ---------------------------------------------------------------
+    # --- called by the plant's thread ------------------------------------------------------------
 
     def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
-        """Publish what is due."""
+        """Publish the topics that are due."""
         self._publisher.on_tick(tick, before_ns)
 
     def on_restart(self) -> None:
-        """Publish everything once that can be told without a tick before it."""
+        """Publish the topics that need no preceding tick."""
         self._publisher.on_restart()
 
     def on_event(self, report: EventReport) -> None:
@@ -181,21 +180,21 @@ class SimNode(ContractNode):
         self._publisher.on_event(report)
 
     def on_finish(self) -> None:
-        """End the process: the parameters duration is over."""
+        """End the process at the end of the duration."""
         simulation = self._simulation
         phase, seconds = simulation.phase, simulation.stamp_ns / NANO
         self.event("finished", f"simulated {seconds:g} s, the phase is {phase.value}")
         self.exit_code = ExitCode.DIVERGED if phase is Phase.DIVERGED else ExitCode.OK
 
     def on_crash(self, error: Exception) -> None:
-        """End the process: the plant's thread is gone."""
+        """End the process after an error of the plant's thread."""
         self.get_logger().fatal("".join(traceback.format_exception(error)))
         self.exit_code = ExitCode.CRASH
 
     @property
     def _simulation(self) -> Simulation[Any]:
         if self._runner is None:
-            raise AssertionError("told by a thread that does not run")
+            raise AssertionError("called without a running simulation")
         return self._runner.simulation
 
     # --- status ----------------------------------------------------------------------------------
@@ -205,7 +204,7 @@ class SimNode(ContractNode):
         self._status_publisher.send(StatusSample(self.now_ns(), (status,)))
 
     def health(self) -> tuple[Status, ...]:
-        """Whether the plant is well and keeps its pace."""
+        """Return the status of the plant and its pacing."""
         return () if self._runner is None else (self._status(),)
 
     def _status(self) -> Status:
@@ -227,17 +226,17 @@ class SimNode(ContractNode):
             message = "paused"
         elif not pacer.keeps_up(time.monotonic()):
             level = Level.WARN
-            reached = "" if measured is None else f", it reaches {measured:.3g}"
+            reached = "" if measured is None else f"; reached {measured:.3g}"
             message = f"too slow for a real-time factor of {pacer.factor:g}{reached}"
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
 
 
 def load(parameters: SimParameters) -> AnyScenario:
-    """Load the scenario that the parameters ask for.
+    """Load the scenario named by the parameters.
 
     Raises:
-        ScenarioError: it does not exist or holds bad values; the overrides are no mapping; or it is
-            of another model than asked for.
+        ScenarioError: it does not exist or has invalid values; the overrides are not a mapping; or
+            its model is not the one of the parameters.
     """
     scenario = load_overridden(parameters.scenario, parameters.overrides)
     if parameters.model not in (AS_SCENARIO, scenario.model):
@@ -245,7 +244,7 @@ def load(parameters: SimParameters) -> AnyScenario:
             "model",
             parameters.model,
             f"the scenario {scenario.name} is {scenario.model}: should be {scenario.model}, or "
-            f"{AS_SCENARIO} to take what the scenario says",
+            f"{AS_SCENARIO} to use the scenario's model",
         )
     return scenario
 

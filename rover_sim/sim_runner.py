@@ -1,7 +1,7 @@
-"""Runs a simulation in a thread of its own, paced; others reach it by requests.
+"""Run a simulation in a thread of its own, paced; other threads send it requests.
 
-The thread alone touches the simulation. Requests (commands, pause, reset ...) are
-served between two ticks, also while the thread waits for the next one. No ROS.
+Only this thread accesses the simulation. It serves requests (commands, pause, reset ...) between
+two ticks, also while it waits for the next one. No ROS.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from rover_sim.sim_loop import NANO, Pacer, Simulation, Tick
 
 T = TypeVar("T")
 
-# Nothing is computed any more once the plant has stopped for good: time then runs with the wall's.
+# A plant that has stopped computes nothing: simulated time then runs in real time.
 _FACTOR_WHEN_STOPPED = 1.0
-_LOOK_AGAIN = 0.5
+_POLL_PERIOD = 0.5  # [s]
 
 
 class SimulationListener(Protocol):
-    """Who is told what the simulation does; called in its thread."""
+    """Callbacks of the simulation, called in its thread."""
 
     def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
-        """A tick was made."""
+        """Handle a tick."""
 
     def on_restart(self) -> None:
-        """The state is there without a tick before it: at the start and after a reset."""
+        """Handle a state without a preceding tick: at the start and after a reset."""
 
     def on_event(self, report: EventReport) -> None:
-        """Something else than a tick happened."""
+        """Handle an event outside the ticks."""
 
     def on_finish(self) -> None:
-        """The wanted duration is simulated, or the plant has stopped before; time stands still."""
+        """Handle the end of the duration, or an earlier stop of the plant; time is paused."""
 
     def on_crash(self, error: Exception) -> None:
-        """The thread has ended by an error that nobody foresaw."""
+        """Handle an unexpected error that has ended the thread."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,14 @@ class _Request(Generic[T]):
 
 
 class SimRunner:
-    """A simulation that runs at its pace until it is stopped.
+    """Runs a simulation at its real-time factor until it is stopped.
 
     Args:
-        simulation: what runs; nobody else may touch it while the thread lives.
+        simulation: to run; no other thread may access it while the thread lives.
         factor: simulated seconds per wall second; 0 = as fast as possible.
-        listener: who is told.
-        paused: whether time stands still at first.
-        duration: ends after this much simulated time [s]; 0 = never.
+        listener: receives the callbacks.
+        paused: whether time is paused at first.
+        duration: simulated time at which the run ends [s]; 0 = never.
     """
 
     def __init__(
@@ -95,37 +95,37 @@ class SimRunner:
 
     @property
     def stamp_ns(self) -> int:
-        """Simulated time [ns]; may be read from any thread."""
+        """Simulated time [ns]; any thread may read it."""
         return self.simulation.stamp_ns
 
     # --- from other threads ----------------------------------------------------------------------
 
     def start(self) -> None:
-        """Let the thread run."""
+        """Start the thread."""
         self.pacer.restart()
         self._requests = queue.Queue()
         self._thread = threading.Thread(target=self._run, name="plant")
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after the present tick; may be started again."""
+        """End the thread after the current tick; it may be started again."""
         if self._thread is not None:
             self._requests.put(None)
             self._thread.join()
             self._thread = None
 
     def call(self, act: Callable[[], T]) -> T:
-        """Have the thread do something between two ticks, and return what it gives.
+        """Call a function in the thread, between two ticks, and return its result.
 
         Raises:
-            Refusal: what ``act`` refuses; or nothing runs.
+            Refusal: from ``act``; or the simulation is not running.
         """
         request = _Request(act, Future[T]())
         self._requests.put(request)
         while True:
             alive = self._thread is not None and self._thread.is_alive()
-            # A thread that has ended answers nothing any more, but may have just before.
-            wait([request.answer], timeout=_LOOK_AGAIN if alive else 0.0)
+            # A thread that has just ended may have answered before.
+            wait([request.answer], timeout=_POLL_PERIOD if alive else 0.0)
             if request.answer.done():
                 return request.answer.result()
             if not alive:
@@ -133,11 +133,11 @@ class SimRunner:
                 raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
 
     def command(self, topic: str, sample: JointSample) -> None:
-        """Hand a command to a drive; raises Refusal."""
+        """Pass a command to a drive; raises Refusal."""
         self.call(lambda: self.simulation.accept_command(topic, sample))
 
     def set_factor(self, factor: float) -> None:
-        """Go on at another real-time factor."""
+        """Continue at another real-time factor."""
 
         def act() -> None:
             self._factor = factor
@@ -146,15 +146,15 @@ class SimRunner:
         self.call(act)
 
     def pause(self, pause: bool) -> str:
-        """Stop simulated time or let it run on; returns what was done."""
+        """Pause or resume simulated time; returns a message."""
         return self.call(lambda: self._pause(pause))
 
     def step(self) -> str:
-        """Make one tick while paused; raises Refusal."""
+        """Simulate one tick while paused; raises Refusal."""
         return self.call(self._step)
 
     def reset(self, *, clock: bool) -> str:
-        """Put the plant back to its start, and with ``clock`` simulated time to zero."""
+        """Reset the plant to its start and, with ``clock``, simulated time to zero."""
         return self.call(lambda: self._reset(clock))
 
     # --- in the thread ---------------------------------------------------------------------------
@@ -212,7 +212,7 @@ class SimRunner:
             raise Refusal(
                 topics.SIM_STEP,
                 RefusalCode.WRONG_PHASE,
-                f"simulated time runs, it must be paused first ({topics.SIM_PAUSE})",
+                f"simulated time is running; pause it first ({topics.SIM_PAUSE})",
             )
         self._advance()
         return f"at {self.stamp_ns / NANO:g} s"
@@ -226,7 +226,7 @@ class SimRunner:
         self._finished = False
         self.pacer.set_factor(self._factor)
         name, what = ("reset", "plant and clock") if clock else ("reset_plant", "the plant")
-        message = f"{what} put back to the start at {before:g} s"
+        message = f"reset {what} to the start, at {before:g} s"
         self._listener.on_event(EventReport(name, message, self.stamp_ns))
         self._listener.on_restart()
         return message

@@ -1,4 +1,4 @@
-"""What every node that runs a simulation does alike: get it ready, and tell what it does."""
+"""Build a simulation for a node, and publish its state and events."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def table_rate(name: str) -> float:
-    """Rate of a topic as the contract's table has it [Hz]."""
+    """Return a topic's rate in the contract [Hz]."""
     rate = TOPICS[name].rate
     if rate is None:
         raise AssertionError(f"{name} has no rate")
@@ -34,7 +34,7 @@ def table_rate(name: str) -> float:
 
 
 def rate_parameter(about: str, name: str) -> Any:
-    """A parameter with a topic's rate in simulated time."""
+    """Declare a parameter for a topic's rate in simulated time."""
     return parameter(
         table_rate(name), "Hz", f"{about}, in simulated time", 0.1, 1e4, read_only=True
     )
@@ -42,17 +42,17 @@ def rate_parameter(about: str, name: str) -> Any:
 
 @dataclass(frozen=True)
 class TruthRates:
-    """How often is published what no drive and no sensor on it tells; at most once a tick."""
+    """Rates of the ground-truth topics and the camera, at most one sample per tick."""
 
     truth_rate: float = rate_parameter(
-        "rate of the bodies' true motion and the energy", topics.TRUTH_BODY1
+        "rate of the bodies' true motion and of the energies", topics.TRUTH_BODY1
     )
     tether_rate: float = rate_parameter("rate of the tether's true shape", topics.TRUTH_TETHER)
-    camera_rate: float = rate_parameter("rate of the wall camera's figures", topics.CAMERA)
-    marker_rate: float = rate_parameter("rate of markers to look at", topics.MARKERS)
+    camera_rate: float = rate_parameter("rate of the wall camera's measurements", topics.CAMERA)
+    marker_rate: float = rate_parameter("rate of the visualization markers", topics.MARKERS)
 
     def check(self, tick: float) -> None:
-        """Refuse rates that the tick does not allow."""
+        """Refuse rates above one sample per tick."""
         for field in dataclasses.fields(self):
             rate = getattr(self, field.name)
             if rate * tick > 1.0 + 1e-9:
@@ -62,8 +62,8 @@ class TruthRates:
                 )
                 raise ParameterError(msg)
 
-    def of_topics(self, wanted: Iterable[str], otherwise: float) -> dict[str, float]:
-        """Rate [Hz] of each of the wanted topics; of others, `otherwise`."""
+    def of_topics(self, names: Iterable[str], default: float) -> dict[str, float]:
+        """Return the rate [Hz] of each topic; `default` for topics without a parameter."""
         rates = {
             topics.TRUTH_BODY1: self.truth_rate,
             topics.TRUTH_BODY2: self.truth_rate,
@@ -72,34 +72,34 @@ class TruthRates:
             topics.CAMERA: self.camera_rate,
             topics.MARKERS: self.marker_rate,
         }
-        return {name: rates.get(name, otherwise) for name in wanted}
+        return {name: rates.get(name, default) for name in names}
 
 
 def build_simulation(
     scenario: AnyScenario, seed: int, tick: float, node: ContractNode
 ) -> Simulation[Any]:
-    """Compile and build a scenario's plant, and say how that goes.
+    """Compile and build a scenario's plant, and log the progress.
 
     Args:
-        scenario: what is simulated.
+        scenario: to simulate.
         seed: of the sensors' errors.
         tick: [s].
-        node: that says it, and may be told to stop meanwhile.
+        node: logs the progress; its shutdown cancels the compilation.
 
     Raises:
-        ShutdownRequested: it was.
+        ShutdownRequested: the node was shut down meanwhile.
     """
     log = node.get_logger()  # type: ignore[no-untyped-call]
     log.info(
-        f"scenario {scenario.name}: compiling (tens of seconds the first time on a machine, "
-        "a second or two from then on)"
+        f"scenario {scenario.name}: compiling (tens of seconds on the first run of a machine, "
+        "one or two seconds later)"
     )
     begin = time.monotonic()
     is_kept = compile_ahead(scenario, node.shutdown_requested)
     node.heed_stop()
     if not is_kept:
         log.warning(
-            "the compiled code cannot be kept: results may differ from other runs in their "
+            "the compiled code cannot be cached: results may differ from other runs in the "
             "last bits"
         )
     plant = build_plant(scenario)
@@ -114,8 +114,8 @@ class StatePublisher:
 
     Args:
         node: that publishes.
-        simulation: what is told of.
-        rates: topics that are told, each with its rate in simulated time [Hz].
+        simulation: whose state is published.
+        rates: topic -> rate in simulated time [Hz].
     """
 
     def __init__(
@@ -135,29 +135,29 @@ class StatePublisher:
             self._description_publisher = node.publisher(topics.ROBOT_DESCRIPTION)
 
     def publish_static(self) -> None:
-        """Tell what stands around the plant, and what the machine looks like."""
+        """Publish the drawing of the environment and the robot description."""
         stamp_ns = self._simulation.stamp_ns
         self._place_publisher.send(self._simulation.interface.environment_markers(stamp_ns))
         if self._description:
             self._description_publisher.send(TextSample(self._description))
 
     def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
-        """Publish what is due after a tick that began at `before_ns`."""
+        """Publish the topics that are due after a tick that began at `before_ns`."""
         self._publish_due(self._schedule.due(before_ns, tick.stamp_ns))
         self._publish_phase(tick.after.phase)
         for report in tick.event_reports:
             self.on_event(report)
 
     def on_restart(self) -> None:
-        """Publish everything once that can be told without a tick before it."""
-        outside = self._simulation.interface
+        """Publish the topics that need no preceding tick."""
+        interface = self._simulation.interface
         self._publish_due(
-            name for name in self._publishers if name not in outside.available_after_tick
+            name for name in self._publishers if name not in interface.available_after_tick
         )
         self._publish_phase(self._simulation.phase)
 
     def on_event(self, report: EventReport) -> None:
-        """Publish an event; what is not well goes to the diagnostics too."""
+        """Publish an event, and on the diagnostics too if its level is not OK."""
         self._node.event(
             report.name,
             report.message,
@@ -170,8 +170,8 @@ class StatePublisher:
             self._node.report(Status(name, report.message, report.level, self._node.NAME))
 
     def _publish_due(self, due: Iterable[str]) -> None:
-        received = [name for name in due if self._publishers[name].is_heard]
-        for name, sample in self._simulation.interface.samples(received):
+        subscribed = [name for name in due if self._publishers[name].is_heard]
+        for name, sample in self._simulation.interface.samples(subscribed):
             self._publishers[name].send(sample)
 
     def _publish_phase(self, phase: Phase) -> None:
@@ -181,7 +181,7 @@ class StatePublisher:
 
 
 def run_statistics(simulation: Simulation[Any]) -> dict[str, str]:
-    """What a simulation has come to, as a status's values."""
+    """Return a simulation's statistics as values of a status."""
     result = simulation.last
     values = {
         "phase": simulation.phase.value,

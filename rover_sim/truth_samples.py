@@ -1,4 +1,4 @@
-"""What all plants tell alike of their true state."""
+"""Samples of the ground truth that all plants share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rover_sim.plant import Energies
 
 
 def tether_sample(stamp_ns: int, nodes: Array, tension: Array) -> TetherSample:
-    """The tether's shape.
+    """Return the sample of the tether's shape.
 
     Args:
         stamp_ns: simulated time.
@@ -22,7 +22,7 @@ def tether_sample(stamp_ns: int, nodes: Array, tension: Array) -> TetherSample:
 
 
 def energy_sample(stamp_ns: int, energies: Energies) -> JointSample:
-    """Energies and their balance [J]."""
+    """Return the sample of the energies and their balance [J]."""
     return JointSample(
         stamp_ns, {name: JointValue(getattr(energies, name)) for name in ENERGY_NAMES}
     )

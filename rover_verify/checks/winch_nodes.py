@@ -191,7 +191,7 @@ def _let_go(observer: Observer, death: int) -> tuple[int, float]:
 
     feed = observer.listen(topics.EVENTS)
     sample = feed.wait(lambda s: s.stamp_ns >= death and bool(tells(s)))
-    return sample.stamp_ns, float(tells(sample)[0].values["silence"])
+    return sample.stamp_ns, float(tells(sample)[0].values["age"])
 
 
 def _worst(batch: Batch, figure: str) -> Measured:
