@@ -336,8 +336,8 @@ def test_the_flywheel_needs_a_nut_that_is_clear_of_the_latch(actuators: Actuator
     ("position", "states", "words"),
     [
         (-0.07, HANGING, "free travel is 0.06 m"),
-        (0.36, HANGING, "the stroke is 0.35 m"),
-        (0.01, HANGING._replace(compression=0.05, spring_held=True), "0 to let it down"),
+        (0.36, HANGING, "the stroke of 0.35 m"),
+        (0.01, HANGING._replace(compression=0.05, spring_held=True), "0 to unload the spring"),
     ],
 )
 def test_the_nut_s_setpoint_must_be_within_reach(

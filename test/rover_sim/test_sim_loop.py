@@ -219,7 +219,7 @@ def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down
     simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.3)
     refusal = refusal_of(simulation, NUT, nut(0.01))
-    assert "0 to let it down" in refusal.reason
+    assert "0 to unload the spring" in refusal.reason
     simulation.accept_command(NUT, nut(0.0))
     run_to(simulation, 0.7)
     assert simulation.state.compression == 0.0

@@ -126,7 +126,7 @@ def test_the_winch_pays_out_until_silence_closes_its_brake(harness: NodeHarness)
     assert lengths == sorted(lengths)
     silent = observer.wait_for_event("winch_silent")
     assert silent.level is Level.WARN
-    assert float(silent.values["silence"]) <= 0.1
+    assert float(silent.values["age"]) <= 0.1
     states.wait(lambda s: s.joints[WINCH_BRAKE].position == 0.0, since=len(lengths))
     stopped = states.wait(lambda s: s.joints[WINCH_DRUM].velocity == 0.0, since=len(lengths))
     run_on = stopped.joints[WINCH_DRUM].position - float(silent.values["length"])
