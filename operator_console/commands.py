@@ -256,7 +256,7 @@ _OWN = "; left out: the node's own"
 
 
 def _depth(shallowest: bool) -> tuple[Argument, ...]:
-    parameter = (_DESCENT, "shallowest") if shallowest else None
+    parameter = (_DESCENT, "min_depth") if shallowest else None
     about = "to go to, as length at the drum"
     if shallowest:
         about += "; left out: the shallowest that the node allows"

@@ -30,45 +30,51 @@ _LINGERS = 6.0  # some periods of the tilt, before it is said that it holds agai
 
 @dataclass(frozen=True)
 class RotorParameters:
-    """Budgets of the rotors, and their friction."""
+    """Budgets and friction of the rotors."""
 
-    wheel_bias: float = parameter(
-        -5.0, "rad/s", "rate about which the left wheel pumps, backward", -20.0, -0.1
+    wheel_pump_bias: float = parameter(
+        -5.0, "rad/s", "bias rate of the left wheel while it pumps, backward", -20.0, -0.1
     )
-    quiet_bias: float = parameter(
-        -1.0, "rad/s", "rate about which it reacts without pumping, backward", -20.0, -0.01
+    wheel_quiet_bias: float = parameter(
+        -1.0, "rad/s", "bias rate of the left wheel without pumping, backward", -20.0, -0.01
     )
-    wheel_share: float = parameter(
-        0.9, "-", "how far it may leave that rate, as a part of it", 0.1, 1.0
+    wheel_rate_fraction: float = parameter(
+        0.9, "-", "largest deviation from the bias rate, as a fraction of it", 0.1, 1.0
     )
-    wheel_ramp: float = parameter(
-        1.0, "rad/s^2", "at which it is brought to its bias and back", 0.01, 20.0
+    wheel_acceleration: float = parameter(
+        1.0, "rad/s^2", "acceleration limit of the wheel toward its bias rate", 0.01, 20.0
     )
-    wheel_torque: float = parameter(1.0, "N m", "that the wheel motor may use", 0.05, 20.0)
+    wheel_torque: float = parameter(1.0, "N m", "torque limit of the wheel motor", 0.05, 20.0)
     wheel_friction: float = parameter(0.02, "N m", "dry friction of the left wheel", 0.0, 1.0)
     flywheel_rate: float = parameter(200.0, "rad/s", "largest rate of the flywheel", 1.0, 1e3)
-    flywheel_torque: float = parameter(0.12, "N m", "largest torque of its motor", 1e-3, 1.0)
-    flywheel_friction: float = parameter(5.0e-3, "N m", "its dry friction", 0.0, 1.0)
+    flywheel_torque: float = parameter(
+        0.12, "N m", "torque limit of the flywheel's motor", 1e-3, 1.0
+    )
+    flywheel_friction: float = parameter(5.0e-3, "N m", "dry friction of the flywheel", 0.0, 1.0)
     flywheel_friction_rate: float = parameter(
-        1.0, "rad/s", "rate over which the make-up for it builds up", 1e-3, 100.0
+        1.0, "rad/s", "rate over which the friction compensation builds up", 1e-3, 100.0
     )
-    flywheel_viscous: float = parameter(1.0e-5, "N m s/rad", "its viscous friction", 0.0, 0.1)
-    flywheel_tracking: float = parameter(20.0, "1/s", "gain of its rate loop", 0.1, 100.0)
+    flywheel_viscous: float = parameter(
+        1.0e-5, "N m s/rad", "viscous friction of the flywheel", 0.0, 0.1
+    )
+    flywheel_rate_gain: float = parameter(
+        20.0, "1/s", "gain of the flywheel's rate loop", 0.1, 100.0
+    )
     flywheel_bias: float = parameter(
-        1.5, "rad/s", "rate about which it reacts while pictures are taken", 0.0, 100.0
+        1.5, "rad/s", "bias rate of the flywheel during imaging", 0.0, 100.0
     )
-    flywheel_ramp: float = parameter(
-        1.5, "rad/s^2", "at which bias and return to the middle come and go", 0.01, 100.0
+    flywheel_bias_ramp: float = parameter(
+        1.5, "rad/s^2", "ramp of the flywheel's bias and of its return to the middle", 0.01, 100.0
     )
-    travel_centre: float = parameter(
-        -94.2, "rad", "angle of the screw in the middle of the nut's free travel", -1e4, 1e4
+    screw_travel_centre: float = parameter(
+        -94.2, "rad", "screw angle at the middle of the nut's free travel", -1e4, 1e4
     )
-    travel: float = parameter(70.0, "rad", "by which it may leave the middle", 0.1, 1e4)
-    travel_braking: float = parameter(
-        0.8, "1/s", "rate of the screw over what is left of its travel, at most", 0.1, 100.0
+    screw_travel: float = parameter(70.0, "rad", "largest deviation from the middle", 0.1, 1e4)
+    screw_travel_gain: float = parameter(
+        0.8, "1/s", "largest screw rate over the remaining travel", 0.1, 100.0
     )
-    travel_time: float = parameter(
-        8.0, "s", "in which the nut is brought back to the middle", 1.0, 600.0
+    screw_return_time: float = parameter(
+        8.0, "s", "time constant of the return to the middle", 1.0, 600.0
     )
 
 
@@ -143,18 +149,18 @@ class WheelReaction:
         gains = design_axis(
             hanging.inertia_about_y, hanging.stiffness, rotors.wheel_friction, design
         )
-        budget = -rotors.wheel_share * rotors.wheel_bias * self.inertia
+        budget = -rotors.wheel_rate_fraction * rotors.wheel_pump_bias * self.inertia
         self.axis = AxisControl("wheels about y", gains, budget)
         self._bias = 0.0
 
     @property
     def is_quiet(self) -> bool:
         """Whether the wheel has come down from its pumping."""
-        return self._bias == self.rotors.quiet_bias
+        return self._bias == self.rotors.wheel_quiet_bias
 
     def take_over(self, rate: float) -> None:
         """Begin with the left wheel as it turns [rad/s]: a jump of it would tilt the rover."""
-        self._bias = min(rate, self.rotors.quiet_bias)
+        self._bias = min(rate, self.rotors.wheel_quiet_bias)
 
     def step(self, tilt_rate: float, pumped: float, h: float, *, pumps: bool) -> float:
         """Advance by h; returns the left wheel's rate to have [rad/s].
@@ -166,11 +172,11 @@ class WheelReaction:
             pumps: whether there is pumping, now or soon.
         """
         p = self.rotors
-        change = p.wheel_ramp * h
-        goal = p.wheel_bias if pumps else p.quiet_bias
+        change = p.wheel_acceleration * h
+        goal = p.wheel_pump_bias if pumps else p.wheel_quiet_bias
         self._bias = min(max(goal, self._bias - change), self._bias + change)
-        self.axis.budget = max(-p.wheel_share * self._bias * self.inertia, _LEAST_BUDGET)
-        share = min(self._bias / p.wheel_bias, 1.0)
+        self.axis.budget = max(-p.wheel_rate_fraction * self._bias * self.inertia, _LEAST_BUDGET)
+        share = min(self._bias / p.wheel_pump_bias, 1.0)
         total = self.axis.step(tilt_rate, h) + share * pumped
         # Momentum along x is about -y.
         return self._bias - min(max(total, -self.axis.budget), self.axis.budget) / self.inertia
@@ -202,7 +208,7 @@ class FlywheelReaction:
     @property
     def far_off(self) -> bool:
         """Whether the nut has come too near an end for a bias."""
-        return abs(self._away) > 0.7 * self.rotors.travel
+        return abs(self._away) > 0.7 * self.rotors.screw_travel
 
     def step(
         self,
@@ -227,26 +233,26 @@ class FlywheelReaction:
             quiet: whether pictures are taken, now or soon.
         """
         p = self.rotors
-        away = self._away = angle - p.travel_centre
-        said = f"travel {away:.3g} of {p.travel:.3g} rad"
-        momentum = self.axis.step(tilt_rate, h, away / p.travel, said)
+        away = self._away = angle - p.screw_travel_centre
+        said = f"travel {away:.3g} of {p.screw_travel:.3g} rad"
+        momentum = self.axis.step(tilt_rate, h, away / p.screw_travel, said)
         if not quiet:
             self._side = 0.0
         elif self._side == 0.0:
             self._side = -math.copysign(1.0, away)
         drawn = self._side * p.flywheel_bias
         if not quiet:
-            drawn = -(away - swept / self.inertia) / p.travel_time
+            drawn = -(away - swept / self.inertia) / p.screw_return_time
         # Not at once, as that would tilt the rover.
-        ramp = p.flywheel_ramp * h
+        ramp = p.flywheel_bias_ramp * h
         self._drawn = min(max(drawn, self._drawn - ramp), self._drawn + ramp)
         wanted = (momentum + pumped) / self.inertia + self._drawn
         # Slower the nearer the end, never against it; a hard stop would tilt the rover.
-        room = p.travel - math.copysign(away, away * wanted)
-        most = max(p.travel_braking * room, 0.0)
+        room = p.screw_travel - math.copysign(away, away * wanted)
+        most = max(p.screw_travel_gain * room, 0.0)
         wanted = min(max(wanted, -most), most)
         change, self._wanted = wanted - self._wanted, wanted
-        torque = self.inertia * (change / h + p.flywheel_tracking * (wanted - rate))
+        torque = self.inertia * (change / h + p.flywheel_rate_gain * (wanted - rate))
         friction = p.flywheel_friction * math.tanh(wanted / p.flywheel_friction_rate)
         torque += friction + p.flywheel_viscous * rate
         return min(max(torque, -p.flywheel_torque), p.flywheel_torque)

@@ -26,12 +26,14 @@ from msg_schemas.parameters import parameter
 
 @dataclass(frozen=True)
 class AttitudeDesign:
-    """What is asked of the attitude law, and what the drives are like."""
+    """Design of the attitude law, and the dynamics of the drives."""
 
-    tilt_damping: float = parameter(0.4, "-", "damping ratio that a tilt shall have", 0.02, 1.0)
-    bleed_time: float = parameter(15.0, "s", "in which a rotor gives its momentum back", 1.0, 600.0)
-    loop_delay: float = parameter(0.04, "s", "from the gyro's sample to the torque", 0.0, 0.5)
-    drive_bandwidth: float = parameter(20.0, "rad/s", "of the rotors' drives", 1.0, 1e3)
+    tilt_damping_ratio: float = parameter(0.4, "-", "damping ratio of the tilt", 0.02, 1.0)
+    desaturation_time: float = parameter(
+        15.0, "s", "time constant with which a rotor sheds its momentum", 1.0, 600.0
+    )
+    loop_delay: float = parameter(0.04, "s", "delay from the gyro's sample to the torque", 0.0, 0.5)
+    drive_bandwidth: float = parameter(20.0, "rad/s", "bandwidth of the rotor drives", 1.0, 1e3)
 
 
 class AxisGains(NamedTuple):
@@ -54,7 +56,7 @@ def loop(
 ) -> NDArray[np.complex128]:
     """L(j w) at angular frequencies [rad/s], for a gain K [N m s/rad]."""  # fmt: skip
     s = 1j * frequencies
-    law = rate * s**2 / (s + 1.0 / design.bleed_time)
+    law = rate * s**2 / (s + 1.0 / design.desaturation_time)
     drive = np.exp(-s * design.loop_delay) / (1.0 + s / design.drive_bandwidth)
     return np.asarray(law * drive / (inertia * s**2 + stiffness))
 
@@ -71,7 +73,7 @@ def design_axis(
         design: what is asked for.
     """
     frequency = math.sqrt(stiffness / inertia)
-    rate = 2.0 * design.tilt_damping * inertia * frequency
+    rate = 2.0 * design.tilt_damping_ratio * inertia * frequency
     w = np.geomspace(1e-2 * frequency, 1e2 * frequency, 20001)
     # Past the resonance itself, where the loop is infinite.
     w = w[np.abs(w - frequency) > 1e-6 * frequency]
@@ -84,7 +86,7 @@ def design_axis(
     above = [float(size[k]) for k in flips if w[k] > 1.01 * frequency]
     return AxisGains(
         rate,
-        1.0 / design.bleed_time,
+        1.0 / design.desaturation_time,
         frequency,
         1.0 / max(above) if above else math.inf,
         min(margins, default=math.pi),

@@ -44,41 +44,57 @@ _CLEAR = 0.2  # part of its travel, so near to whose middle the nut is clear
 
 @dataclass(frozen=True)
 class DescentParameters:
-    """What stops may ask for, and patience with sensors and camera."""
+    """Limits of stops, timeouts of sensors and camera."""
 
-    shallowest: float = parameter(
-        1.6, "m", "smallest depth of a stop, as length at the drum", 0.1, 1e3
+    min_depth: float = parameter(1.6, "m", "least depth of a stop, as length at the drum", 0.1, 1e3)
+    max_depth: float = parameter(
+        48.0, "m", "largest depth of a stop: depth of the floor less the rover's height", 0.1, 1e3
     )
-    deepest: float = parameter(
-        48.0, "m", "largest depth of a stop: the floor's, less the rover's height", 0.1, 1e3
+    sensor_timeout_steps: int = parameter(
+        25,
+        "-",
+        "consecutive steps without a fresh sensor reading after which the sensor is lost",
+        1,
+        10000,
     )
-    sensor_steps: int = parameter(
-        25, "-", "steps on end with a silent sensor after which it is lost", 1, 10000
+    max_gyro_delay: float = parameter(
+        0.1,
+        "s",
+        "largest delay from the gyro's sample to a step; a later one does not drive the rotors",
+        0.02,
+        5.0,
     )
-    largest_delay: float = parameter(
-        0.1, "s", "from the gyro's sample to a step; the rotors follow no later one", 0.02, 5.0
+    gyro_delay_recovery: float = parameter(
+        2.0, "s", "time without such a delay before the rotors follow again", 0.0, 60.0
     )
-    delay_recovery: float = parameter(
-        2.0, "s", "without such a delay, before the rotors follow again", 0.0, 60.0
+    screw_lead: float = parameter(
+        2.0e-3, "m", "lead of the jump motor's screw, per turn", 1e-4, 0.1
     )
-    screw_lead: float = parameter(2.0e-3, "m", "way of the nut by a turn of its screw", 1e-4, 0.1)
-    nut_clear: float = parameter(
-        2.0e-3, "m", "up to there the nut bears no spring and may be driven clear", 0.0, 0.1
+    nut_unloaded_position: float = parameter(
+        2.0e-3,
+        "m",
+        "largest nut position at which it bears no spring and may be driven clear",
+        0.0,
+        0.1,
     )
-    nut_speed: float = parameter(0.01, "m/s", "at which it is driven clear", 1e-3, 0.5)
-    nut_patience: float = parameter(20.0, "s", "in which it must be clear", 1.0, 600.0)
-    picture_time: float = parameter(
-        0.1, "s", "from the order of a picture to the end of its exposure", 0.0, 10.0
+    nut_speed: float = parameter(0.01, "m/s", "speed at which the nut is driven clear", 1e-3, 0.5)
+    nut_timeout: float = parameter(20.0, "s", "time within which the nut must be clear", 1.0, 600.0)
+    exposure_latency: float = parameter(
+        0.1, "s", "time from the command of a picture to the end of its exposure", 0.0, 10.0
     )
-    picture_wait: float = parameter(
-        1.0, "s", "for what the camera says of a picture, before it is told without", 0.0, 60.0
+    camera_timeout: float = parameter(
+        1.0,
+        "s",
+        "longest wait for the camera's report before a picture is published without it",
+        0.0,
+        60.0,
     )
 
     def __post_init__(self) -> None:
         """Refuse limits that leave no room."""
-        if self.shallowest >= self.deepest:
-            msg = f"shallowest is {self.shallowest:g} m, it must be less than deepest, "
-            raise ParameterError(msg + f"{self.deepest:g} m")
+        if self.min_depth >= self.max_depth:
+            msg = f"min_depth is {self.min_depth:g} m, it must be less than max_depth, "
+            raise ParameterError(msg + f"{self.max_depth:g} m")
 
 
 @dataclass(frozen=True)
@@ -142,7 +158,7 @@ class Descent:
         self.controller = HangingController(settings.hanging_controller)
         self.controller.heading = heading
         self.controller.on_winch_mode(self._mode)
-        self.link = WinchLink(settings.link, settings.hanging_controller.profile.near_enough)
+        self.link = WinchLink(settings.link, settings.hanging_controller.profile.depth_tolerance)
         self.link.on_mode(self._mode, -math.inf)
         self.is_engaged = False
         self._hands_off = True  # the winch is left to others
@@ -228,7 +244,7 @@ class Descent:
         """Take what the camera tells of its last picture; what waited for it is complete."""
         self.controller.on_camera(sample)
         smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
-        ready = sample.stamp_ns - round(self.settings.descent.picture_time * _NANO)
+        ready = sample.stamp_ns - round(self.settings.descent.exposure_latency * _NANO)
         while self._open and round(self._open[0].exposure.time * _NANO) <= ready:
             done = self._open.popleft()
             self._taken.append(done._replace(smear=smear, wall_distance=wall))
@@ -242,11 +258,11 @@ class Descent:
             Refusal: out of limits, the rover jumps, or what the controller refuses.
         """
         p = self.settings.descent
-        if not p.shallowest <= stop.depth <= p.deepest:
+        if not p.min_depth <= stop.depth <= p.max_depth:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.OUT_OF_LIMITS,
-                f"depth is {stop.depth!r} m, it must lie in {p.shallowest:g} .. {p.deepest:g} m",
+                f"depth is {stop.depth!r} m, it must lie in {p.min_depth:g} .. {p.max_depth:g} m",
             )
         self._check_drives(now_ns)
         with _refused_by(topics.DESCENT_REQUEST):
@@ -285,7 +301,7 @@ class Descent:
                 f"the rover jumps ({self._jump}), its motor is needed",
             )
         nut = self.screw * self._per_turn
-        most = self.settings.descent.nut_clear
+        most = self.settings.descent.nut_unloaded_position
         if self.settings.hanging_controller.uses_rotors and nut > most:
             raise Refusal(
                 topics.DESCENT_REQUEST,
@@ -360,7 +376,7 @@ class Descent:
         silent = self.waiting_for(now_ns)
         if silent:
             raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
-        left = self.settings.hanging_controller.profile.first_look - (
+        left = self.settings.hanging_controller.profile.estimator_settling_time - (
             now_ns / _NANO - self._back_since
         )
         if left > 0.0:
@@ -374,7 +390,7 @@ class Descent:
             return
         self._hands_off = False
         profile = self.controller.profile
-        if not abs(self.length - profile.keeps) <= profile.parameters.near_enough:
+        if not abs(self.length - profile.keeps) <= profile.parameters.depth_tolerance:
             profile.keeps = math.nan
 
     def _leave_winch(self) -> None:
@@ -403,7 +419,9 @@ class Descent:
         """Advance to now; returns what is to be sent."""
         now = now_ns / _NANO
         h, self._stepped_ns = (now_ns - self._stepped_ns) / _NANO, now_ns
-        while self._open and now - self._open[0].exposure.time > self.settings.descent.picture_wait:
+        while (
+            self._open and now - self._open[0].exposure.time > self.settings.descent.camera_timeout
+        ):
             self._taken.append(self._open.popleft())
         if not self.is_engaged:
             # A winch that still comes to rest is asked to go on with that.
@@ -438,7 +456,7 @@ class Descent:
         self._silent_steps = self._silent_steps + 1 if silent else 0
         if silent:
             self._back_since = now_ns / _NANO
-        if self._silent_steps < self.settings.descent.sensor_steps:
+        if self._silent_steps < self.settings.descent.sensor_timeout_steps:
             return
         reason = f"{', '.join(silent)} not heard"
         if self.is_busy:
@@ -450,20 +468,20 @@ class Descent:
     def _clear_nut(self, now: float) -> float | None:
         """Where the nut is to go to, so that its motor is a reaction wheel; None = it is clear."""
         rotors = self.settings.hanging_controller.rotors
-        away = abs(self.screw - rotors.travel_centre)
-        if self._clears_since is None and not away > rotors.travel:
+        away = abs(self.screw - rotors.screw_travel_centre)
+        if self._clears_since is None and not away > rotors.screw_travel:
             return None
         if self._clears_since is None:
             self._clears_since = now
             self._changes.append(Transition("nut_clearing", "the nut is driven clear of the latch"))
-        if away < _CLEAR * rotors.travel:
+        if away < _CLEAR * rotors.screw_travel:
             self._clears_since = None
             self._changes.append(Transition("nut_clear", "the jump motor is a reaction wheel"))
             return None
-        if self.is_busy and now - self._clears_since > self.settings.descent.nut_patience:
+        if self.is_busy and now - self._clears_since > self.settings.descent.nut_timeout:
             self._clears_since = now
             self._interrupt("the nut does not come clear of the latch", round(now * _NANO))
-        return rotors.travel_centre * self._per_turn
+        return rotors.screw_travel_centre * self._per_turn
 
     def _rotors(self, orders: Orders, h: float, now: float) -> tuple[float | None, float | None]:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
@@ -476,8 +494,8 @@ class Descent:
             self._wheel_rate, self._catches_up, self._coasts = self._wheel_told, True, False
         p = self.settings.descent
         delay = max(now - self._imu_ns / _NANO, h)
-        if delay > p.largest_delay:
-            self._late_until = now + p.delay_recovery
+        if delay > p.max_gyro_delay:
+            self._late_until = now + p.gyro_delay_recovery
         late, self._is_late = self._is_late, now < self._late_until
         if self._is_late and not late:
             text = f"the gyro's reading is {delay:.2g} s old, the rotors do not follow it"
@@ -488,7 +506,7 @@ class Descent:
         if self._is_late:
             return self._wheel_rate, 0.0
         if self._catches_up:
-            change = self.settings.hanging_controller.rotors.wheel_ramp * h
+            change = self.settings.hanging_controller.rotors.wheel_acceleration * h
             way = rate - self._wheel_rate
             self._catches_up = abs(way) > change
             rate = self._wheel_rate + min(max(way, -change), change)
@@ -529,7 +547,7 @@ class Descent:
         rate = self._wheel_rate
         if rate == 0.0:
             return None, None
-        change = self.settings.hanging_controller.rotors.wheel_ramp * min(max(h, 0.0), 0.1)
+        change = self.settings.hanging_controller.rotors.wheel_acceleration * min(max(h, 0.0), 0.1)
         self._wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
         return self._wheel_rate, 0.0
 

@@ -50,17 +50,17 @@ _NUT_FORCE = 50.0  # that it may use; clear of the latch it bears nothing [N]
 
 @dataclass(frozen=True)
 class DescentNodeParameters:
-    """How often the node acts, and with what."""
+    """Rates of the node, and its actuators."""
 
     command_rate: float = parameter(
-        50.0, "Hz", "how often the controller is stepped and the drives told", 20.0, 100.0,
+        50.0, "Hz", "rate of control steps and drive commands", 20.0, 100.0,
         read_only=True,
     )  # fmt: skip
     state_rate: float = parameter(
-        10.0, "Hz", "how often the estimates are told", 0.1, 50.0, read_only=True
+        10.0, "Hz", "publishing rate of the estimates", 0.1, 50.0, read_only=True
     )
-    uses_winch: bool = parameter(True, "-", "the winch's trim is used against the swing")
-    uses_rotors: bool = parameter(True, "-", "wheels and flywheel are used")
+    uses_winch: bool = parameter(True, "-", "damp the swing by trimming the winch")
+    uses_rotors: bool = parameter(True, "-", "use wheels and flywheel as reaction wheels")
 
 
 class DescentNode(ContractNode):

@@ -17,15 +17,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE
-from msg_schemas.parameters import parameter
+from msg_schemas.machine import MAX_LENGTH
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
 from msg_schemas.transition import Transition
+from rover_control.descent_parameters import ProfileParameters
 from rover_control.hanging_rover import HangingParameters
 from rover_control.stillness import best_span, still_span
 from rover_control.swing_estimator import SwingEstimate
@@ -50,66 +49,6 @@ class DescentPhase(StrEnum):
     SETTLING = "settling"
     EXPOSING = "exposing"
     HOLDING = "holding"
-
-
-@dataclass(frozen=True)
-class ProfileParameters:
-    """Rates, limits and patience of a descent."""
-
-    travel_rate: float = parameter(0.3, "m/s", "largest payout rate", 0.01, MAX_PAYOUT_RATE)
-    ascent_share: float = parameter(
-        0.01, "1/s", "rate of an ascent over the length that is left", 1e-4, 1.0
-    )
-    slowest_ascent: float = parameter(0.02, "m/s", "but no slower", 1e-3, MAX_PAYOUT_RATE)
-    near_enough: float = parameter(0.01, "m", "so near is at the depth", 1e-3, 1.0)
-    steady_rate: float = parameter(
-        0.00175, "rad/s", "camera rate below which it is steady, 0.10 deg/s", 1e-5, 0.1
-    )
-    steady_time: float = parameter(3.0, "s", "for so long before the first picture", 0.1, 60.0)
-    damped_rate: float = parameter(
-        0.0014, "rad/s", "swing's rate at which damping ends, 0.08 deg/s", 1e-5, 0.1
-    )
-    stop_limit: float = parameter(480.0, "s", "longest time at a stop", 1.0, 1e4)
-    settle_limit: float = parameter(25.0, "s", "to become steady before damping again", 1.0, 600.0)
-    settle_trials: int = parameter(4, "-", "times that a stop is tried to become steady", 1, 100)
-    quick_damping: float = parameter(
-        60.0, "s", "decay time up to which a swing is damped even for a stop that it cannot help",
-        1.0, 1e4,
-    )  # fmt: skip
-    handed_rate: float = parameter(
-        0.0011,
-        "rad/s",
-        "camera rate by a cone at the next stop down to which it is handed on, 0.06 deg/s",
-        1e-5,
-        0.1,
-    )
-    kept_swing: float = parameter(
-        0.009, "rad", "plane swing that is kept while a momentum is handed on", 0.0, 0.1
-    )
-    hand_limit: float = parameter(400.0, "s", "longest time to hand a momentum on", 0.0, 1e4)
-    hand_patience: float = parameter(
-        200.0, "s", "of handing on; what is then left is borne more and more", 1.0, 1e4
-    )
-    least_pull: float = parameter(
-        5.0e-5, "rad/s^2", "yaw acceleration by twist that is small enough to go on", 1e-6, 0.1
-    )
-    unwound_yaw: float = parameter(
-        0.0025, "rad/s", "yaw rate that is small enough to go on, 0.14 deg/s", 1e-5, 0.1
-    )
-    exposures: int = parameter(3, "-", "pictures of a stop", 1, 1000)
-    exposure_time: float = parameter(0.5, "s", "between two pictures", 0.05, 60.0)
-    largest_swing: float = parameter(
-        0.0175, "rad", "amplitude that a travel may lead to, 1 deg", 1e-3, 0.5
-    )
-    damped_yaw: float = parameter(
-        0.0007, "rad/s", "yaw rate at which damping ends, 0.04 deg/s", 1e-5, 0.1
-    )
-    known_error: float = parameter(
-        2.5e-4, "rad/s", "error of the swing's rate below which it is known", 1e-6, 0.1
-    )
-    first_look: float = parameter(8.0, "s", "to learn the swing before anything is done", 0.1, 300)
-    wall_clearance: float = parameter(3.0, "m", "from the plumb line to the wall", 0.1, 1e3)
-    rover_reach: float = parameter(0.4, "m", "of the rover from the plumb line", 0.0, 10.0)
 
 
 class Stop(NamedTuple):
@@ -286,13 +225,13 @@ class DescentProfile:
         self._feel(swing.camera_rate, now)
         self._handing = handing
         if self.phase is DescentPhase.STANDBY:
-            if self.stops and now - self._known_since >= p.first_look:
+            if self.stops and now - self._known_since >= p.estimator_settling_time:
                 self._begin(swing, length, now)
         elif self.phase is DescentPhase.DAMPING:
             self._damp(swing, length, now)
         elif self.phase is DescentPhase.TRAVELLING:
             assert self._stop is not None
-            if abs(length - self._stop.depth) < p.near_enough and winch_rests:
+            if abs(length - self._stop.depth) < p.depth_tolerance and winch_rests:
                 self._arrived = now
                 self._enter(DescentPhase.SETTLING, f"at {length:.4g} m", now)
         elif self.phase is DescentPhase.SETTLING:
@@ -324,7 +263,7 @@ class DescentProfile:
         if not self._hands_on:
             return self._swings(swing, length)
         plane = swing.ellipse.major - abs(swing.ellipse.minor)
-        most = self.parameters.kept_swing * (2.0 if self._keeps_swing else 1.0)
+        most = self.parameters.transfer_swing * (2.0 if self._keeps_swing else 1.0)
         self._keeps_swing = plane < most
         return not self._keeps_swing
 
@@ -332,7 +271,7 @@ class DescentProfile:
         p = self.parameters
         rate = p.travel_rate if self._stop is None else self._stop.rate
         if self.keeps < length:
-            rate = min(rate, max(p.ascent_share * length, p.slowest_ascent))
+            rate = min(rate, max(p.ascent_rate_gain * length, p.min_ascent_rate))
         return rate
 
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
@@ -372,8 +311,8 @@ class DescentProfile:
         self._handed_for = now - self._arrived
         self._hands_on = self._must_hand_on(swing)
         self._unwinds = not self._hands_on and (handed or self._unwinds) and self._is_wound(swing)
-        enough = swing.swing_error < p.known_error and not self._too_much(swing, length)
-        late = now - self._arrived > p.stop_limit
+        enough = swing.swing_error < p.swing_error_limit and not self._too_much(swing, length)
+        late = now - self._arrived > p.stop_timeout
         if late and not self._is_there:
             self._travel(now)
         elif late:
@@ -389,7 +328,7 @@ class DescentProfile:
         stop = self._stop
         assert stop is not None
         steady = self._is_steady and all_rests
-        known = swing.swing_error < p.known_error
+        known = swing.swing_error < p.swing_error_limit
         if stop.observes and known and now - self._since > 0.5 and not steady:
             why = self._hopeless(swing, length, length)
             if why:
@@ -401,15 +340,15 @@ class DescentProfile:
                 self._enter(DescentPhase.STANDBY, f"reached {length:.4g} m", now)
                 return
             steady = False
-        patience = max(p.settle_limit, _PERIODS * math.tau / swing.frequency)
+        patience = max(p.settling_timeout, _PERIODS * math.tau / swing.frequency)
         if not steady:
             self._steady_since = math.nan
         elif math.isnan(self._steady_since):
             self._steady_since = now
-        if steady and now - self._steady_since >= p.steady_time:
+        if steady and now - self._steady_since >= p.steady_dwell:
             self._enter(DescentPhase.EXPOSING, f"steady at {length:.4g} m", now)
-        elif now - self._arrived > p.stop_limit or (
-            self._trials >= p.settle_trials and now - self._since > patience
+        elif now - self._arrived > p.stop_timeout or (
+            self._trials >= p.settling_attempts and now - self._since > patience
         ):
             self._give_up(self._unsteady(swing, now), length, now)
         elif (
@@ -428,16 +367,16 @@ class DescentProfile:
         assert self._stop is not None
         if self._has_pictures:
             # The last one may still be exposed: who hears of the end may move the rover.
-            if now - self._last_exposure >= p.exposure_time:
+            if now - self._last_exposure >= p.exposure_interval:
                 self._end_observation()
                 self._enter(DescentPhase.STANDBY, "pictures taken", now)
             return False
         if not self._is_steady:
-            if now - self._last_exposure > 2.0 * p.exposure_time and now - self._since > 2.0:
+            if now - self._last_exposure > 2.0 * p.exposure_interval and now - self._since > 2.0:
                 self._steady_since = math.nan
                 self._enter(DescentPhase.SETTLING, "unsteady again", now)
             return False
-        if now - self._last_exposure < p.exposure_time:
+        if now - self._last_exposure < p.exposure_interval:
             return False
         self._last_exposure = now
         self._taken += 1
@@ -451,7 +390,7 @@ class DescentProfile:
         assert stop is not None
         if self._must_hand_on(swing) or self._unwinds or self._swings(swing, length):
             return True
-        limit = self.parameters.damped_yaw
+        limit = self.parameters.damped_yaw_rate
         # What damping leaves must not begin it again at once.
         if self.phase is DescentPhase.SETTLING:
             limit *= 2.0
@@ -470,16 +409,16 @@ class DescentProfile:
             return plane > p.largest_swing
         if not stop.observes:
             return self._is_there and there > 0.5 * p.largest_swing
-        quick = self.decay_time(length) < p.quick_damping
+        quick = self.decay_time(length) < p.quick_damping_time
         if self._hopeless(swing, length, stop.depth) and (self._is_there or not quick):
             return False
         w = self.hanging.swing_frequency(stop.depth)
         if quick and not self._is_there:
-            return there * w > max(p.damped_rate, _ROUND * self._circle_rate(stop.depth))
+            return there * w > max(p.damped_swing_rate, _ROUND * self._circle_rate(stop.depth))
         minor = self.hanging.grown(ellipse.minor, length, stop.depth)
         # What the winch can make no rounder is steady enough, or hopeless.
         is_round = ellipse.major < _ROUND * math.sqrt(ellipse.major * abs(ellipse.minor))
-        limit = p.steady_rate if is_round else p.damped_rate
+        limit = p.steady_rate if is_round else p.damped_swing_rate
         span = still_span(there, minor, w, limit)
         settling = self.phase is DescentPhase.SETTLING
         return span < self._needed / (_BEGIN if settling else 1.0)
@@ -488,7 +427,7 @@ class DescentProfile:
     def _needed(self) -> float:
         """Time [s] that the rover must be still for a stop's pictures."""
         p = self.parameters
-        return p.steady_time + (p.exposures + 1) * p.exposure_time
+        return p.steady_dwell + (p.exposures + 1) * p.exposure_interval
 
     def _hopeless(self, swing: SwingEstimate, length: float, depth: float) -> str:
         """Why no damping makes the rover still enough for pictures at a depth, if so."""
@@ -498,7 +437,7 @@ class DescentProfile:
         major, minor = (
             self.hanging.grown(each, length, depth) for each in (swing.ellipse.major, known)
         )
-        passed_on = self._is_there and self._handing.time <= p.hand_limit
+        passed_on = self._is_there and self._handing.time <= p.max_transfer_time
         if passed_on or best_span(major, minor, w, p.steady_rate) >= self._needed:
             return ""
         rate = math.degrees(math.sqrt(major * minor) * w)
@@ -519,18 +458,21 @@ class DescentProfile:
         """Whether a cone's momentum is to be handed to the mother here, and can be."""
         stop, p = self._stop, self.parameters
         assert stop is not None
-        if self._handing.time > p.hand_limit:
+        if self._handing.time > p.max_transfer_time:
             return False
         # What is all but plane is the winch's; its momentum is not known well enough either.
         if not self._hands_on and abs(swing.ellipse.minor) < _PLANE * swing.ellipse.major:
             return False
-        limit = p.handed_rate
+        limit = p.transfer_threshold_rate
         if not stop.observes:
             limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
             if not self._is_there:
                 return False
         # The longer it takes the less is to be had: estimates of momentum and twist are off, too.
-        limit *= 1.0 + max(self._handed_for - p.hand_patience, 0.0) / p.hand_patience
+        limit *= (
+            1.0
+            + max(self._handed_for - p.transfer_relaxation_time, 0.0) / p.transfer_relaxation_time
+        )
         # Once is enough: what is left then is near what its estimate and the twist's are off.
         limit *= 1.0 if self._hands_on else _AGAIN
         if stop.observes:
@@ -540,7 +482,10 @@ class DescentProfile:
     def _is_wound(self, swing: SwingEstimate) -> bool:
         """Whether the tether's twist would spin the rover, or it still turns by it."""
         p = self.parameters
-        return abs(self._handing.pull) > p.least_pull or abs(swing.yaw_rate) > p.unwound_yaw
+        return (
+            abs(self._handing.pull) > p.unwound_acceleration
+            or abs(swing.yaw_rate) > p.unwound_yaw_rate
+        )
 
     def _touches(self, swing: SwingEstimate, length: float, depth: float) -> str:
         p = self.parameters

@@ -42,7 +42,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
     ellipse = swing.ellipse
     wheels, flywheel = controller.wheels.axis, controller.flywheel.axis
     rotors = controller.parameters.rotors
-    travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.travel_centre
+    travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.screw_travel_centre
     goal = controller.profile.keeps
     pointing = controller.pointing
     way = pointing.error(controller.twist) if pointing.is_active else 0.0
@@ -67,7 +67,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
         FLYWHEEL_MOMENTUM: JointValue(flywheel.momentum),
         FLYWHEEL_BUDGET: JointValue(flywheel.momentum / flywheel.budget),
         FLYWHEEL_TRAVEL: JointValue(travel),
-        TRAVEL_BUDGET: JointValue(travel / rotors.travel),
+        TRAVEL_BUDGET: JointValue(travel / rotors.screw_travel),
     }
     return JointSample(now_ns, values)
 

@@ -60,7 +60,7 @@ class DriveParameters:
     sensor_timeout: float = parameter(
         0.5, "s", "age of the last sample at which a sensor is stale", 0.02, 60.0
     )
-    sensor_steps: int = parameter(
+    sensor_timeout_steps: int = parameter(
         25, "-", "consecutive control steps with a stale sensor before the rover stops", 1, 10000
     )
     rollover_tilt: float = parameter(
@@ -389,7 +389,7 @@ class Drive:
         # Count steps, not time: after a late step the samples of the meantime are still queued.
         self._stale_steps = self._stale_steps + 1 if stale else 0
         reason = self.tether.fault_reason(now) or self._conflict()
-        if self._stale_steps >= self.settings.drive.sensor_steps:
+        if self._stale_steps >= self.settings.drive.sensor_timeout_steps:
             reason = f"{', '.join(stale)} missing or stale"
         elif (
             self._off_floor is not None

@@ -26,10 +26,10 @@ from msg_schemas.table import (
 from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, RotorParameters, WheelReaction
 from rover_control.attitude_gains import AttitudeDesign
+from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import (
     SUBJECT,
     DescentProfile,
-    ProfileParameters,
     Stop,
     Wish,
 )
@@ -348,8 +348,8 @@ class HangingController:
         rover the opposite.
         """
         hanging, rotors = self.parameters.hanging, self.parameters.rotors
-        change = rotors.wheel_bias - self._left_rate
-        angle = swing.frequency * 0.5 * abs(change) / rotors.wheel_ramp
+        change = rotors.wheel_pump_bias - self._left_rate
+        angle = swing.frequency * 0.5 * abs(change) / rotors.wheel_acceleration
         aside = swing.direction[1] * math.cos(angle)
         aside += swing.direction_rate[1] / swing.frequency * math.sin(angle)
         inertia = self.suspended_mass.ratio * hanging.inertia_about_z
@@ -485,7 +485,7 @@ class HangingController:
         ask = WinchAsk(length, wish.rate)
         asks = self._asked is None or self._asked.length != length
         if self._asked is not None and not asks and now - self._asked_at >= _RENEWAL:
-            away = abs(self._length - length) > self.parameters.profile.near_enough
+            away = abs(self._length - length) > self.parameters.profile.depth_tolerance
             asks = (trims and self._mode != _LENGTH) or (away and not trims)
         trim = None
         if trims and self._mode == _LENGTH and not asks:

@@ -26,32 +26,36 @@ from msg_schemas.parameters import parameter
 
 @dataclass(frozen=True)
 class HangingParameters:
-    """Mass and inertia of the rover, rotors included, and where it hangs."""
+    """Mass properties of the rover, rotors included, and its suspension."""
 
-    rover_mass: float = parameter(10.0, "kg", "of both bodies", 0.1, 1e3)
+    rover_mass: float = parameter(10.0, "kg", "mass of both bodies", 0.1, 1e3)
     lever: float = parameter(
-        0.203, "m", "from the tether's attachment down to the centre of mass", 0.01, 2.0
+        0.203, "m", "distance from the tether's attachment down to the centre of mass", 0.01, 2.0
     )
     inertia_about_x: float = parameter(
-        0.189, "kg m^2", "about the centre of mass, flywheel included", 1e-3, 1e2
+        0.189, "kg m^2", "inertia about the centre of mass, flywheel included", 1e-3, 1e2
     )
     inertia_about_y: float = parameter(
-        0.177, "kg m^2", "about the centre of mass, wheels included", 1e-3, 1e2
+        0.177, "kg m^2", "inertia about the centre of mass, wheels included", 1e-3, 1e2
     )
     inertia_about_z: float = parameter(
-        0.153, "kg m^2", "about the centre of mass, rotors included", 1e-3, 1e2
+        0.153, "kg m^2", "inertia about the centre of mass, rotors included", 1e-3, 1e2
     )
-    rover_gravity: float = parameter(1.62, "m/s^2", "where the rover hangs", 0.01, 30.0)
-    imu_below: float = parameter(
+    rover_gravity: float = parameter(1.62, "m/s^2", "gravity at the rover", 0.01, 30.0)
+    com_above_imu: float = parameter(
         0.077, "m", "height of the centre of mass above the IMU", -1.0, 1.0
     )
-    tether_density: float = parameter(5.0e-3, "kg/m", "mass of the tether by length", 0.0, 10.0)
-    twist_stiffness: float = parameter(1.0e-4, "N m^2", "GJ of the tether", 0.0, 1.0)
-    swivel_friction: float = parameter(
-        1.0e-3, "N m", "largest torque that the swivel passes on", 0.0, 10.0
+    tether_density: float = parameter(5.0e-3, "kg/m", "mass per length of the tether", 0.0, 10.0)
+    twist_stiffness: float = parameter(
+        1.0e-4, "N m^2", "torsional stiffness GJ of the tether", 0.0, 1.0
     )
-    wheel_inertia: float = parameter(6.0e-3, "kg m^2", "of one wheel about the axle", 1e-5, 1.0)
-    flywheel_inertia: float = parameter(1.0e-3, "kg m^2", "of the flywheel", 1e-6, 1.0)
+    swivel_friction: float = parameter(
+        1.0e-3, "N m", "largest torque that the swivel transmits", 0.0, 10.0
+    )
+    wheel_inertia: float = parameter(
+        6.0e-3, "kg m^2", "inertia of one wheel about the axle", 1e-5, 1.0
+    )
+    flywheel_inertia: float = parameter(1.0e-3, "kg m^2", "inertia of the flywheel", 1e-6, 1.0)
 
     @property
     def inertias(self) -> tuple[float, float]:

@@ -53,19 +53,31 @@ _SPIN_TIME = 8.0  # over which the spin that is not the coning's is smoothed [s]
 
 @dataclass(frozen=True)
 class PointingParameters:
-    """How the rover is turned, and what of it is promised."""
+    """Pointing to a heading by coning, and its guaranteed performance."""
 
-    coning_frequency: float = parameter(3.3, "rad/s", "W, below the tilt's own", 0.1, 20.0)
-    coning_momentum: float = parameter(0.024, "N m s", "largest amplitude of both", 0.0, 1.0)
-    coning_reserve: float = parameter(
-        1.1, "-", "by how much more momentum there may be, for a rover that weighs more", 1.0, 2.0
+    coning_frequency: float = parameter(
+        3.3, "rad/s", "coning frequency W, below the tilt's natural frequency", 0.1, 20.0
     )
-    coning_ramp: float = parameter(8.0, "s", "in which the coning comes up", 0.5, 100.0)
-    promised: float = parameter(0.7, "-", "of the coning's rate, that is counted on", 0.1, 1.0)
-    approach: float = parameter(12.0, "s", "in which what is left of a turn is made", 1.0, 100.0)
-    tolerance: float = parameter(0.0873, "rad", "of the heading that is held, 5 deg", 1e-3, 1.0)
-    least_hold: float = parameter(30.0, "s", "that a heading must be held at least", 0.0, 1e4)
-    longest_turn: float = parameter(240.0, "s", "that a turn may take", 1.0, 1e4)
+    coning_momentum: float = parameter(
+        0.024, "N m s", "largest momentum amplitude of wheels and flywheel", 0.0, 1.0
+    )
+    coning_momentum_margin: float = parameter(
+        1.1, "-", "largest increase of the momentum for a heavier rover", 1.0, 2.0
+    )
+    coning_ramp_time: float = parameter(8.0, "s", "ramp time of the coning", 0.5, 100.0)
+    coning_derating: float = parameter(
+        0.7, "-", "fraction of the coning's turn rate that a request may count on", 0.1, 1.0
+    )
+    approach_time: float = parameter(
+        12.0, "s", "time constant of the approach to the heading", 1.0, 100.0
+    )
+    heading_tolerance: float = parameter(
+        0.0873, "rad", "heading error within which a heading is held, 5 deg", 1e-3, 1.0
+    )
+    min_hold_time: float = parameter(
+        30.0, "s", "least time for which a heading must be held", 0.0, 1e4
+    )
+    max_turn_time: float = parameter(240.0, "s", "longest turn", 1.0, 1e4)
 
 
 class Prediction(NamedTuple):
@@ -159,7 +171,7 @@ class Pointing:
         sense = math.copysign(1.0, turn)
         passed, time, back = 0.0, 0.0, spin  # turned, spin against it
         while passed < abs(turn):
-            if back >= rate or time > 10.0 * p.longest_turn:
+            if back >= rate or time > 10.0 * p.max_turn_time:
                 return Prediction(math.inf, 0.0, "twist")
             passed += step * (rate - back)
             back += step * self._pull(sense * (twist + sense * passed), torsion, slips) / inertia
@@ -167,7 +179,7 @@ class Pointing:
         pull = max(self._pull(sense * twist + abs(turn), torsion, slips) / inertia, 0.0)
         held, limit = math.inf, "twist"
         if pull > 0.0:
-            held = (rate - back) / pull + math.sqrt(2.0 * p.tolerance / pull)
+            held = (rate - back) / pull + math.sqrt(2.0 * p.heading_tolerance / pull)
         known = self._known_for(yaw_error) - time
         if known < held:
             held, limit = max(known, 0.0), "gyro bias"
@@ -175,11 +187,13 @@ class Pointing:
 
     def _momentum_share(self, mass: float) -> float:
         """Momentum over that for a rover of the mass that is known, so that it tilts as much."""
-        return min(mass, self.parameters.coning_reserve)
+        return min(mass, self.parameters.coning_momentum_margin)
 
     def _known_for(self, yaw_error: float) -> float:
         """How long a heading is known to within the tolerance [s], by the yaw rate's error."""
-        return self.parameters.tolerance / (_SURE * yaw_error) if yaw_error > 0.0 else math.inf
+        return (
+            self.parameters.heading_tolerance / (_SURE * yaw_error) if yaw_error > 0.0 else math.inf
+        )
 
     @staticmethod
     def _pull(twist: float, torsion: float, slips: float) -> float:
@@ -218,25 +232,25 @@ class Pointing:
                 RefusalCode.OUT_OF_LIMITS,
                 f"turn is {turn!r} rad, it must be within half a turn",
             )
-        promise = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.promised)
+        promise = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.coning_derating)
         degrees = math.degrees(abs(turn))
-        if promise.turning > p.longest_turn:
+        if promise.turning > p.max_turn_time:
             torsion = self.hanging.torsion(length)
-            reach = p.promised * self.largest_rate
+            reach = p.coning_derating * self.largest_rate
             reach /= math.sqrt(torsion / self.hanging.inertia_about_z)
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{degrees:.0f} deg are not reached within {p.longest_turn:.0f} s on "
+                f"{degrees:.0f} deg are not reached within {p.max_turn_time:.0f} s on "
                 f"{length:.3g} m of tether: its twist turns the rover back by {torsion:.3g} "
                 f"N m/rad, coning is sure to reach {math.degrees(reach):.0f} deg of twist",
             )
-        if promise.holding < p.least_hold:
+        if promise.holding < p.min_hold_time:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
                 f"{degrees:.0f} deg would be held for {promise.holding:.0f} s on {length:.3g} m of "
-                f"tether, limited by {promise.limit}; it must be {p.least_hold:.0f} s",
+                f"tether, limited by {promise.limit}; it must be {p.min_hold_time:.0f} s",
             )
         self._target, self._mass = heading + turn, mass
         self._coned, self._learnt = 0.0, _Learnt()
@@ -308,9 +322,9 @@ class Pointing:
             self._look_whether_lost(heading)
         if self.is_active:
             # What spins back is made up for.
-            wanted = (self.error(heading) / p.approach - self._spin) / learnt.share(most)
+            wanted = (self.error(heading) / p.approach_time - self._spin) / learnt.share(most)
         wanted = min(max(wanted, -most), most)
-        change = most * h / p.coning_ramp
+        change = most * h / p.coning_ramp_time
         self._coned = min(max(wanted, self._coned - change), self._coned + change)
         if self._coned == 0.0:
             return NO_PUMPING
@@ -324,7 +338,7 @@ class Pointing:
     def _look_whether_reached(self, heading: float, length: float) -> None:
         """Predict the holding where the turn ends."""
         p, learnt = self.parameters, self._learnt
-        if self._reached or abs(self.error(heading)) > p.tolerance:
+        if self._reached or abs(self.error(heading)) > p.heading_tolerance:
             return
         self._reached = True
         torsion, slips = self.hanging.torsion(length), self.hanging.swivel_friction
@@ -335,7 +349,7 @@ class Pointing:
             # The twist turns against its own sign, and is held off by coning the other way.
             left = learnt.share(self.largest_rate) * self.largest_rate
             left = max(left + math.copysign(1.0, pull) * self._spin, 0.0)
-            drift = math.sqrt(2.0 * p.tolerance * inertia / abs(pull))
+            drift = math.sqrt(2.0 * p.heading_tolerance * inertia / abs(pull))
             held = left * inertia / abs(pull) + drift
         known = self._known_for(self._begun) - self._time
         if known < held:
@@ -345,11 +359,11 @@ class Pointing:
 
     def _look_whether_lost(self, heading: float) -> None:
         """Let go what is held no longer, or not known to be."""
-        p, degrees = self.parameters, math.degrees(self.parameters.tolerance)
+        p, degrees = self.parameters, math.degrees(self.parameters.heading_tolerance)
         held = self._time - self._arrived
         if self._time > self._known_for(self._begun):
             why = f"it is not known to within {degrees:.0f} deg any more, by the gyro's bias"
-        elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.tolerance:
+        elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.heading_tolerance:
             why = f"the tether's twist has turned it away by {degrees:.0f} deg"
         else:
             return

@@ -63,7 +63,9 @@ class RotorPump:
         """
         p, w = self.parameters, swing.frequency
         travelled = p.pump_travel * w * self.hanging.flywheel_inertia
-        change = p.pump_share * self.hanging.reach_inertia(length) * w * swing.ellipse.major
+        change = (
+            p.pump_momentum_fraction * self.hanging.reach_inertia(length) * w * swing.ellipse.major
+        )
         return min(p.pump_momentum, change), min(p.flywheel_momentum, travelled, change)
 
     def largest_torque(self, swing: SwingEstimate, length: float) -> float:
@@ -85,7 +87,7 @@ class RotorPump:
         """
         p, w = self.parameters, swing.frequency
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
-        fade = p.pump_fade
+        fade = p.pump_fade_amplitude
         along = _amplitudes(swing)
         ax, ay = math.hypot(along[0], fade), math.hypot(along[1], fade)
         hx, hy = self.bounds(swing, length)

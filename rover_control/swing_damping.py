@@ -24,31 +24,35 @@ from rover_control.swing_estimator import SwingEstimate
 
 @dataclass(frozen=True)
 class DampingParameters:
-    """What winch and wheels may do against a swing."""
+    """Bounds of winch trim and rotor pumping against a swing."""
 
     trim_rate: float = parameter(0.28, "m/s", "largest rate of the trim", 0.01, MAX_RATE_TRIM)
-    trim_acceleration: float = parameter(0.3, "m/s^2", "that the winch allows a trim", 0.01, 5.0)
-    trim_share: float = parameter(0.15, "-", "largest trim as part of the length", 0.0, 0.5)
-    trim_tracking: float = parameter(
-        3.0, "-", "bandwidth of the trim's tracking over the swing's frequency", 0.5, 20.0
+    trim_acceleration: float = parameter(
+        0.3, "m/s^2", "acceleration limit of a trim at the winch", 0.01, 5.0
     )
-    trim_fade: float = parameter(
-        0.0005, "rad", "amplitude below which the trim fades out", 1e-6, 0.1
+    trim_length_fraction: float = parameter(
+        0.15, "-", "largest trim amplitude, as a fraction of the length", 0.0, 0.5
+    )
+    trim_tracking_bandwidth: float = parameter(
+        3.0, "-", "bandwidth of the trim's tracking over the swing frequency", 0.5, 20.0
+    )
+    trim_fade_amplitude: float = parameter(
+        0.0005, "rad", "swing amplitude below which the trim fades out", 1e-6, 0.1
     )
     pump_momentum: float = parameter(
-        0.022, "N m s", "largest momentum that the wheels pump with", 0.0, 1.0
+        0.022, "N m s", "largest pumping momentum of the wheels", 0.0, 1.0
     )
     flywheel_momentum: float = parameter(
-        0.05, "N m s", "largest momentum that the flywheel pumps with", 0.0, 1.0
+        0.05, "N m s", "largest pumping momentum of the flywheel", 0.0, 1.0
     )
     pump_travel: float = parameter(
-        35.0, "rad", "by which the pumping may turn the screw each way", 0.0, 1e4
+        35.0, "rad", "largest screw travel from pumping, each way", 0.0, 1e4
     )
-    pump_share: float = parameter(
-        0.1, "-", "of the swing's own momentum that the rotors may pump with", 0.0, 1.0
+    pump_momentum_fraction: float = parameter(
+        0.1, "-", "largest pumping momentum, as a fraction of the swing's own", 0.0, 1.0
     )
-    pump_fade: float = parameter(
-        0.001, "rad", "amplitude below which the pumping fades out", 1e-6, 0.1
+    pump_fade_amplitude: float = parameter(
+        0.001, "rad", "swing amplitude below which the pumping fades out", 1e-6, 0.1
     )
 
 
@@ -75,7 +79,7 @@ class WinchTrim:
         return min(
             TrimStroke(p.trim_rate / (2.0 * frequency), "rate"),
             TrimStroke(0.8 * p.trim_acceleration / (4.0 * frequency**2), "acceleration"),
-            TrimStroke(p.trim_share * length, "share"),
+            TrimStroke(p.trim_length_fraction * length, "share"),
         )
 
     def decay(self, length: float, frequency: float) -> float:
@@ -96,11 +100,15 @@ class WinchTrim:
         speed = (vx * vx + vy * vy) / (w * w)
         whole = square + speed
         if whole <= 0.0:
-            return -p.trim_tracking * w * offset
-        fade = min(1.0, math.sqrt(whole) / p.trim_fade - 1.0) if p.trim_fade > 0.0 else 1.0
+            return -p.trim_tracking_bandwidth * w * offset
+        fade = (
+            min(1.0, math.sqrt(whole) / p.trim_fade_amplitude - 1.0)
+            if p.trim_fade_amplitude > 0.0
+            else 1.0
+        )
         stroke = max(fade, 0.0) * self.stroke(length, w).length
         wanted = stroke * 2.0 * along / (whole * w)
         # u.u' changes at |u'|^2 - w^2 |u|^2.
         forward = stroke * 2.0 * w * (speed - square) / whole
-        rate = forward + p.trim_tracking * w * (wanted - offset)
+        rate = forward + p.trim_tracking_bandwidth * w * (wanted - offset)
         return min(max(rate, -p.trim_rate), p.trim_rate)

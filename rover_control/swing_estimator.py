@@ -61,35 +61,47 @@ _MOST_DIRECTION = 1.0  # of swing and tilt, that is believed [rad]
 
 @dataclass(frozen=True)
 class EstimatorParameters:
-    """How much the estimator trusts its sensors and its model."""
+    """Measurement and process noise of the swing estimator."""
 
-    gyro_noise: float = parameter(8.7e-5, "rad/s/sqrt(Hz)", "density of the gyro's noise", 1e-7, 1)
-    gyro_bias: float = parameter(2.0e-3, "rad/s", "its bias when it is switched on", 0.0, 1.0)
-    gyro_walk: float = parameter(5.0e-6, "rad/s/sqrt(s)", "density of its bias' walk", 0.0, 1.0)
-    yaw_walk: float = parameter(
-        1.5e-5, "rad/s/sqrt(s)", "the same about z, with what the swing's model misses", 0.0, 1.0
+    gyro_noise: float = parameter(8.7e-5, "rad/s/sqrt(Hz)", "noise density of the gyro", 1e-7, 1)
+    gyro_bias: float = parameter(
+        2.0e-3, "rad/s", "initial standard deviation of the gyro bias", 0.0, 1.0
     )
-    force_noise: float = parameter(
-        1.0e-3, "m/s^2/sqrt(Hz)", "density of the accelerometer's noise", 1e-6, 1.0
+    gyro_bias_walk: float = parameter(
+        5.0e-6, "rad/s/sqrt(s)", "random walk of the gyro bias about x and y", 0.0, 1.0
+    )
+    yaw_bias_walk: float = parameter(
+        1.5e-5,
+        "rad/s/sqrt(s)",
+        "random walk of the gyro bias about z, errors of the swing model included",
+        0.0,
+        1.0,
+    )
+    accelerometer_noise: float = parameter(
+        1.0e-3, "m/s^2/sqrt(Hz)", "noise density of the accelerometer", 1e-6, 1.0
     )
     tilt_offset: float = parameter(
         0.01,
         "rad",
-        "tilt that the accelerometer shows at rest, as far as it is not known",
+        "initial standard deviation of the accelerometer's tilt offset",
         0.0,
         1.0,
     )
-    tilt_walk: float = parameter(2.0e-5, "rad/sqrt(s)", "density of its walk", 0.0, 1.0)
+    tilt_offset_walk: float = parameter(
+        2.0e-5, "rad/sqrt(s)", "random walk of the tilt offset", 0.0, 1.0
+    )
     swing_process_noise: float = parameter(
-        1.5e-5, "rad/s/sqrt(s)", "density of what else moves the swing", 0.0, 1.0
+        1.5e-5, "rad/s/sqrt(s)", "process noise of the swing rate", 0.0, 1.0
     )
     tilt_process_noise: float = parameter(
-        1.0e-3, "rad/s/sqrt(s)", "density of what else moves the tilt", 0.0, 1.0
+        1.0e-3, "rad/s/sqrt(s)", "process noise of the tilt rate", 0.0, 1.0
     )
-    shock: float = parameter(
-        1.5e-3, "rad/s", "mean miss of the gyro from which the rover was pushed", 1e-5, 1.0
+    disturbance_threshold: float = parameter(
+        1.5e-3, "rad/s", "mean gyro innovation above which a disturbance is detected", 1e-5, 1.0
     )
-    first_swing: float = parameter(0.05, "rad", "swing that may be there at the start", 1e-4, 1.0)
+    initial_swing: float = parameter(
+        0.05, "rad", "initial standard deviation of the swing", 1e-4, 1.0
+    )
 
 
 class Ellipse(NamedTuple):
@@ -153,7 +165,7 @@ class SwingEstimator:
     def restart(self) -> None:
         """Forget what was estimated."""
         p = self.parameters
-        axis = [p.first_swing, p.first_swing, p.first_swing, 0.1, p.gyro_bias, p.tilt_offset]
+        axis = [p.initial_swing, p.initial_swing, p.initial_swing, 0.1, p.gyro_bias, p.tilt_offset]
         self._state: Array = np.zeros(_SIZE)
         self._spread: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
         self._gyro_z = 0.0
@@ -171,10 +183,10 @@ class SwingEstimator:
             p.swing_process_noise,
             0.0,
             p.tilt_process_noise,
-            p.gyro_walk,
-            p.tilt_walk,
+            p.gyro_bias_walk,
+            p.tilt_offset_walk,
         ]
-        self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_walk]))
+        self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_bias_walk]))
         self._flow: Array = np.zeros((_SIZE, _SIZE))  # of the states; _predict fills in the rest
         for at in (0, _AXIS):
             self._flow[at + _U, at + _V] = self._flow[at + _P, at + _Q] = 1.0
@@ -184,7 +196,7 @@ class SwingEstimator:
         for k, inertia in enumerate(self.hanging.inertias):
             at = k * _AXIS
             self._rows[k, [at + _V, at + _Q, at + _B]] = 1.0
-            self._rows[2 + k, at + _P] = g - self.hanging.imu_below * stiffness / inertia
+            self._rows[2 + k, at + _P] = g - self.hanging.com_above_imu * stiffness / inertia
             self._rows[2 + k, at + _C] = g
 
     def look_again(self) -> None:
@@ -248,9 +260,9 @@ class SwingEstimator:
         variances = [self.parameters.gyro_noise**2 / h] * 2
         if not math.isnan(scale):
             for k, inertia in enumerate(self.hanging.inertias):
-                known = -self.hanging.imu_below * momentum_change[k] / (h * inertia)
+                known = -self.hanging.com_above_imu * momentum_change[k] / (h * inertia)
                 measured.append(force[k] * scale - known)
-                variances.append((self.parameters.force_noise * scale) ** 2 / h)
+                variances.append((self.parameters.accelerometer_noise * scale) ** 2 / h)
         rows = self._rows[: len(measured)]
         missed = np.array(measured) - rows @ self._state
         self._look_for_pushes(missed.tolist(), h)
@@ -277,12 +289,15 @@ class SwingEstimator:
     @property
     def is_settled(self) -> bool:
         """Whether the swing's rate is known so well that a push can be told from it."""
-        return float(self._spread[_V, _V]) < self.parameters.shock**2
+        return float(self._spread[_V, _V]) < self.parameters.disturbance_threshold**2
 
     @property
     def _is_calm(self) -> bool:
         """Whether nothing shakes the rover that the model does not know."""
-        return self.is_settled and max(self._process_noise[:2]) < self.parameters.shock**2
+        return (
+            self.is_settled
+            and max(self._process_noise[:2]) < self.parameters.disturbance_threshold**2
+        )
 
     def _is_taut(self, force: Vector) -> bool:
         return force[2] > _LEAST_PULL * self.hanging.rover_gravity
@@ -304,7 +319,7 @@ class SwingEstimator:
             # A model that is off misses in proportion to the tilt's motion.
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
-            limit = self.parameters.shock + _MODEL_ERROR * moving
+            limit = self.parameters.disturbance_threshold + _MODEL_ERROR * moving
             # A push is process noise, too, at once; what it must stand out of was there before.
             share = min(h / _LASTING, 1.0)
             self._lately[k] += share * (self._process_noise[k] - self._lately[k])
@@ -417,8 +432,8 @@ class SwingEstimator:
         self.pushes += 1
         self._missed = [0.0, 0.0]
         self._blown = [0.0, 0.0]
-        push = self.parameters.first_swing * self.hanging.swing_frequency(self.length)
-        aside = 0.1 * self.parameters.first_swing
+        push = self.parameters.initial_swing * self.hanging.swing_frequency(self.length)
+        aside = 0.1 * self.parameters.initial_swing
         for at in (0, _AXIS):
             for n, spread in ((_V, push), (_Q, push), (_U, aside), (_P, aside)):
                 self._spread[at + n, at + n] = max(self._spread[at + n, at + n], spread**2)

@@ -26,14 +26,18 @@ _TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
 
 @dataclass(frozen=True)
 class WinchLinkParameters:
-    """Patience with the winch."""
+    """Timing of requests to the winch."""
 
-    renewal: float = parameter(0.25, "s", "between two renewals of a request", 0.02, 10.0)
-    winch_answer: float = parameter(
-        2.0, "s", "in which the winch must take a request for a length", 0.1, 60.0
+    renewal_period: float = parameter(0.25, "s", "period of a request's renewals", 0.02, 10.0)
+    winch_response_timeout: float = parameter(
+        2.0, "s", "time within which the winch must accept a length request", 0.1, 60.0
     )
-    winch_rest: float = parameter(
-        0.3, "s", "a winch that rests for longer where it should move was stopped", 0.02, 10.0
+    winch_rest_timeout: float = parameter(
+        0.3,
+        "s",
+        "rest of the winch during a motion after which it counts as stopped by others",
+        0.02,
+        10.0,
     )
 
 
@@ -68,7 +72,7 @@ class WinchLink:
 
     def rests(self, now: float) -> bool:
         """Whether the winch holds, and has done so for a while."""
-        return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest
+        return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest_timeout
 
     def step(
         self,
@@ -103,7 +107,7 @@ class WinchLink:
             return None
         if self._begun is None and ask is not None:
             self._begun = now
-        elif now - self._sent < self.parameters.renewal:
+        elif now - self._sent < self.parameters.renewal_period:
             return None
         elif self.mode == _LENGTH:
             # Near its goal it needs no renewal, and one that comes late opens the brake again.
@@ -129,7 +133,7 @@ class WinchLink:
             return ""
         if self._is_taken and self.rests(now):
             return stopped
-        if not self._is_taken and now - self._begun > self.parameters.winch_answer:
+        if not self._is_taken and now - self._begun > self.parameters.winch_response_timeout:
             return (
                 f"the winch has not taken the request for {self._asked.length:g} m, its "
                 "diagnostics say why"

@@ -32,16 +32,18 @@ _SEEN = math.tau  # radians of the swing over which the momentum is smoothed
 
 @dataclass(frozen=True)
 class YawParameters:
-    """How the turning about the tether is controlled."""
+    """Control of the yaw about the tether."""
 
-    largest_twist: float = parameter(10.0, "rad", "of the tether", 0.0, 1e3)
-    swivel_share: float = parameter(
-        0.7, "-", "of the swivel's friction that the twist may use", 0.0, 1.0
+    largest_twist: float = parameter(10.0, "rad", "largest twist of the tether", 0.0, 1e3)
+    swivel_friction_fraction: float = parameter(
+        0.7, "-", "fraction of the swivel's friction that the twist may use", 0.0, 1.0
     )
-    rate_periods: float = parameter(
-        5.0, "rad", "of the swing in which the yaw rate is corrected", 0.5, 100.0
+    yaw_rate_phase: float = parameter(
+        5.0, "rad", "swing phase over which a yaw rate error is corrected", 0.5, 100.0
     )
-    largest_rate: float = parameter(0.15, "rad/s", "of the rover about the tether", 0.0, 5.0)
+    largest_yaw_rate: float = parameter(
+        0.15, "rad/s", "largest yaw rate of the rover about the tether", 0.0, 5.0
+    )
 
 
 class Handing(NamedTuple):
@@ -82,7 +84,9 @@ class YawMomentumController:
         p, torsion = self.parameters, self.hanging.torsion(length)
         if torsion <= 0.0:
             return 0.0
-        return min(p.largest_twist, p.swivel_share * self.hanging.swivel_friction / torsion)
+        return min(
+            p.largest_twist, p.swivel_friction_fraction * self.hanging.swivel_friction / torsion
+        )
 
     def handing(self, swing: SwingEstimate, twist: float, length: float) -> Handing:
         """What it would take from here, by swing, twist [rad] and length [m]."""
@@ -91,7 +95,7 @@ class YawMomentumController:
         most = self.twist_bound(length) * torsion
         time = math.inf
         if most > 0.0:
-            unwinding = self.twist_bound(length) / self.parameters.largest_rate
+            unwinding = self.twist_bound(length) / self.parameters.largest_yaw_rate
             time = abs(momentum) / most + unwinding + 30.0 / swing.frequency
         return Handing(momentum, time, -torsion * twist / self.hanging.inertia_about_z)
 
@@ -118,7 +122,7 @@ class YawMomentumController:
             unwinds: the twist is to be taken out; with neither of both the rover shall not turn.
         """
         p, torsion = self.parameters, self.hanging.torsion(length)
-        quick = p.rate_periods / swing.frequency
+        quick = p.yaw_rate_phase / swing.frequency
         momentum = self._follow(swing, torsion * twist, length, h)
         rate = goal = 0.0
         if unwinds:
@@ -136,7 +140,7 @@ class YawMomentumController:
             # Not past no twist at all.
             most = math.sqrt(abs(twist) * largest / self.hanging.inertia_about_z)
             rate = min(max(rate, -most), most)
-        rate = min(max(rate, -p.largest_rate), p.largest_rate)
+        rate = min(max(rate, -p.largest_yaw_rate), p.largest_yaw_rate)
         need = self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
         need = min(max(need + torsion * twist, -largest), largest)
         # Softly: where it changes its sign, so do the rotors' momenta.
@@ -167,7 +171,7 @@ class YawMomentumController:
         Returns:
             The twist, and how it falls over the twist that there is [1/s].
         """
-        rate = _UNWINDING * self.parameters.largest_rate
+        rate = _UNWINDING * self.parameters.largest_yaw_rate
         last = rate * time  # twist from which on it ends
         if left <= last * time:
             return left / time, 1.0 / time

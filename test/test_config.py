@@ -88,5 +88,5 @@ def test_the_winch_of_a_descent_permits_the_largest_trim_of_the_damping():
 def test_a_descent_goes_no_further_than_its_winch():
     winch = from_mapping(ServoParameters, values_of(WinchNode, "winch_descent"))
     descent = DescentParameters()
-    assert descent.shallowest >= winch.shortest_length + winch.soft_margin - 1e-9
-    assert descent.deepest <= winch.longest_length - winch.soft_margin
+    assert descent.min_depth >= winch.shortest_length + winch.soft_margin - 1e-9
+    assert descent.max_depth <= winch.longest_length - winch.soft_margin

@@ -7,8 +7,8 @@ At the drum, with radius R, rate w = v/R and inertia J = J_d + N^2 J_m,
 
     J w' = R T - Q(motor, through the gear) - friction(w).
 
-A gear passes `gear_efficiency` of the torque when the motor drives, and a motor that brakes holds
-1/`gear_back_efficiency` of its own: this and dry friction are what `motor_tension` makes up for.
+A gear transmits `gear_efficiency` of the torque when the motor drives; a motor that brakes holds
+1/`gear_backdrive_efficiency` of its own torque. `motor_tension` compensates this and the friction.
 """
 
 from __future__ import annotations
@@ -27,43 +27,54 @@ class DrumParameters:
     """Drum, gear, motor and tether, from their data sheets."""
 
     drum_radius: float = parameter(
-        0.05, "m", "of the innermost layer, to the tether's centre", 0.005, 2.0, read_only=True
+        0.05,
+        "m",
+        "radius of the innermost layer, to the tether's centre line",
+        0.005,
+        2.0,
+        read_only=True,
     )
     layer_pitch: float = parameter(
-        0.0, "m", "growth of the radius by each layer", 0.0, 0.1, read_only=True
+        0.0, "m", "growth of the radius per layer", 0.0, 0.1, read_only=True
     )
-    turns_per_layer: float = parameter(40.0, "-", "turns in a layer", 1.0, 1e4, read_only=True)
+    turns_per_layer: float = parameter(40.0, "-", "turns per layer", 1.0, 1e4, read_only=True)
     tether_on_drum: float = parameter(
-        60.0, "m", "length of the tether when all of it is wound", 0.1, 1000.0, read_only=True
+        60.0, "m", "total length of the tether", 0.1, 1000.0, read_only=True
     )
     drum_inertia: float = parameter(
-        0.027, "kg m^2", "of drum, gear and motor together, at the drum", 0.0, 100.0
+        0.027, "kg m^2", "inertia of drum, gear and motor, reduced to the drum", 0.0, 100.0
     )
     gear_ratio: float = parameter(50.0, "-", "motor turns per drum turn", 1.0, 1000.0)
-    gear_efficiency: float = parameter(0.85, "-", "of the gear, motor driving", 0.05, 1.0)
-    gear_back_efficiency: float = parameter(0.82, "-", "of the gear, load driving", 0.05, 1.0)
+    gear_efficiency: float = parameter(
+        0.85, "-", "efficiency of the gear, motor driving", 0.05, 1.0
+    )
+    gear_backdrive_efficiency: float = parameter(
+        0.82, "-", "efficiency of the gear, load driving", 0.05, 1.0
+    )
     drum_friction: float = parameter(0.05, "N m", "dry friction at the drum", 0.0, 100.0)
     drum_viscous: float = parameter(0.005, "N m s/rad", "viscous friction at the drum", 0.0, 10.0)
     friction_rate: float = parameter(
-        0.01, "m/s", "payout rate over which the friction's make-up builds up", 1e-4, 0.1
+        0.01, "m/s", "payout rate over which the friction compensation builds up", 1e-4, 0.1
     )
-    motor_torque: float = parameter(0.2, "N m", "the drive's current limit, as torque", 1e-3, 100.0)
+    motor_torque: float = parameter(
+        0.2, "N m", "current limit of the drive, as motor torque", 1e-3, 100.0
+    )
     motor_continuous_torque: float = parameter(
-        0.08, "N m", "that the motor bears for ever", 1e-3, 100.0
+        0.08, "N m", "continuous torque of the motor", 1e-3, 100.0
     )
     motor_thermal_time: float = parameter(
-        60.0, "s", "time constant of the motor's winding", 1.0, 3600.0
+        60.0, "s", "thermal time constant of the motor's winding", 1.0, 3600.0
     )
     motor_stall_torque: float = parameter(
-        0.6, "N m", "at the bus voltage, without the current limit", 1e-3, 1000.0
+        0.6, "N m", "stall torque at the bus voltage, without the current limit", 1e-3, 1000.0
     )
     motor_no_load_rate: float = parameter(
-        600.0, "rad/s", "where the voltage leaves no torque", 1.0, 1e5
+        600.0, "rad/s", "no-load speed of the motor at the bus voltage", 1.0, 1e5
     )
-    torque_constant: float = parameter(0.04, "N m/A", "of the motor", 1e-4, 10.0)
-    line_density: float = parameter(0.005, "kg/m", "of the tether", 0.0, 10.0)
-    axial_stiffness: float = parameter(2.0e4, "N", "EA of the tether", 1.0, 1e9)
-    gravity: float = parameter(1.62, "m/s^2", "where the winch stands", 0.0, 30.0)
+    torque_constant: float = parameter(0.04, "N m/A", "torque constant of the motor", 1e-4, 10.0)
+    line_density: float = parameter(0.005, "kg/m", "mass per length of the tether", 0.0, 10.0)
+    axial_stiffness: float = parameter(2.0e4, "N", "axial stiffness EA of the tether", 1.0, 1e9)
+    gravity: float = parameter(1.62, "m/s^2", "gravity at the winch", 0.0, 30.0)
 
     def __post_init__(self) -> None:
         """Refuse a motor whose limits contradict each other."""
@@ -146,7 +157,7 @@ class DrumModel:
         wanted = tension - (friction + p.drum_inertia * acceleration / r) / r
         # The motor drives where its pull and the motion agree, that is while it reels in.
         driving = direction < 0.0 if wanted >= 0.0 else direction > 0.0
-        factor = 1.0 / p.gear_efficiency if driving else p.gear_back_efficiency
+        factor = 1.0 / p.gear_efficiency if driving else p.gear_backdrive_efficiency
         return wanted * (1.0 + (factor - 1.0) * abs(direction))
 
     def tether_tension(
@@ -156,7 +167,7 @@ class DrumModel:
         p, r = self.parameters, self.radius(length)
         direction = math.tanh(rate / p.friction_rate)
         driving = direction < 0.0 if motor_tension >= 0.0 else direction > 0.0
-        factor = 1.0 / p.gear_efficiency if driving else p.gear_back_efficiency
+        factor = 1.0 / p.gear_efficiency if driving else p.gear_backdrive_efficiency
         through = motor_tension / (1.0 + (factor - 1.0) * abs(direction))
         friction = p.drum_friction * direction + p.drum_viscous * rate / r
         return through + (friction + p.drum_inertia * acceleration / r) / r

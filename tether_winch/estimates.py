@@ -12,28 +12,36 @@ from tether_winch.drum_model import DrumModel
 
 @dataclass(frozen=True)
 class EstimateParameters:
-    """How the sensors are read."""
+    """Timeouts and plausibility limits of the sensors."""
 
     encoder_timeout: float = parameter(
-        0.1, "s", "without the drum's state for longer it is lost", 0.02, 1.0
+        0.1, "s", "time without a drum state after which the drum is lost", 0.02, 1.0
     )
     load_cell_timeout: float = parameter(
-        0.1, "s", "without the load cell for longer its tension is not valid", 0.02, 10.0
+        0.1, "s", "time without a load cell reading after which its tension is invalid", 0.02, 10.0
     )
-    load_cell_range: float = parameter(500.0, "N", "a reading beyond is not valid", 1.0, 1e6)
+    load_cell_range: float = parameter(
+        500.0, "N", "largest valid reading of the load cell", 1.0, 1e6
+    )
     drift_time: float = parameter(
-        1.0, "s", "time over which length and rate of the drum are compared", 0.1, 60.0
+        1.0,
+        "s",
+        "time over which the drum's length is compared with its integrated rate",
+        0.1,
+        60.0,
     )
     largest_drift: float = parameter(
-        0.02, "m", "by which they may come apart in that time", 1e-3, 1.0
+        0.02, "m", "largest difference of the two in that time", 1e-3, 1.0
     )
     tension_mismatch: float = parameter(
-        0.6, "-", "part by which load cell and motor may disagree before neither is believed",
+        0.6, "-", "relative difference of load cell and motor beyond which both are invalid",
         0.05, 10.0,
     )  # fmt: skip
-    mismatch_floor: float = parameter(6.0, "N", "disagreement that is always allowed", 0.0, 1000.0)
+    mismatch_floor: float = parameter(
+        6.0, "N", "difference of load cell and motor that is always allowed", 0.0, 1000.0
+    )
     mismatch_time: float = parameter(
-        1.5, "s", "how long a disagreement must last, in steady motion", 0.1, 60.0
+        1.5, "s", "time for which they must differ, in steady motion", 0.1, 60.0
     )
 
 

@@ -35,27 +35,29 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True)
 class GuardParameters:
-    """When a motion is ended."""
+    """Limits beyond which the winch brakes and latches a fault until it is armed again."""
 
     command_timeout: float = parameter(
-        1.0, "s", "a rate or tension request not renewed for longer has ended", 0.1, 60.0
+        1.0, "s", "time without renewal after which a rate or tension request times out", 0.1, 60.0
     )
     tension_timeout: float = parameter(
-        0.2, "s", "a motion without a valid tension for longer is ended", 0.02, 10.0
+        0.2, "s", "time without a valid tension after which a motion ends", 0.02, 10.0
     )
     load_cell_required: bool = parameter(
-        True, "-", "false: without the load cell the motor's current tells the tension"
+        True, "-", "false: without the load cell the tension comes from the motor current"
     )
     overspeed_margin: float = parameter(
-        0.1, "m/s", "above largest_rate and the trim's, where a drum runs away", 0.01, 5.0
+        0.1, "m/s", "excess over largest_rate plus trim_rate that is an overspeed", 0.01, 5.0
     )
-    overspeed_time: float = parameter(0.03, "s", "for so long", 0.0, 1.0)
-    stall_time: float = parameter(
-        2.0, "s", "the drum may lag behind the motion asked for so long", 0.1, 60.0
+    overspeed_time: float = parameter(0.03, "s", "time for which the overspeed must last", 0.0, 1.0)
+    stall_timeout: float = parameter(
+        2.0, "s", "longest time for which the drum may lag behind its reference", 0.1, 60.0
     )
-    brake_time: float = parameter(0.6, "s", "in which the brake must open", 0.05, 10.0)
-    latest_step: float = parameter(
-        0.25, "s", "the controller may be late by so much while the drum moves", 0.02, 5.0
+    brake_release_timeout: float = parameter(
+        0.6, "s", "time within which the brake must open", 0.05, 10.0
+    )
+    max_step_delay: float = parameter(
+        0.25, "s", "longest delay of a control step while the drum moves", 0.02, 5.0
     )
 
 
@@ -113,11 +115,11 @@ class Guard:
         lost = seen.is_moving and seen.tension_needed and math.isnan(seen.tension)
         if self._lasts(Fault.TENSION_LOST, lost, p.tension_timeout, now):
             return Fault.TENSION_LOST, f"moving without a valid tension: {seen.tension_fault}"
-        if self._lasts(Fault.NOT_FOLLOWING, seen.waits, p.stall_time, now):
-            reason = f"the drum lags behind its reference for {p.stall_time:g} s"
+        if self._lasts(Fault.NOT_FOLLOWING, seen.waits, p.stall_timeout, now):
+            reason = f"the drum lags behind its reference for {p.stall_timeout:g} s"
             return Fault.NOT_FOLLOWING, reason
-        if seen.brake_wait > p.brake_time:
-            return Fault.BRAKE_STUCK, f"the brake did not open within {p.brake_time:g} s"
+        if seen.brake_wait > p.brake_release_timeout:
+            return Fault.BRAKE_STUCK, f"the brake did not open within {p.brake_release_timeout:g} s"
         if seen.is_moving and seen.feed_forward > seen.allowed:
             return Fault.OVERHEATED, (
                 f"the motor is hot and may use {seen.allowed:.4g} N, carrying the load takes "

@@ -41,63 +41,67 @@ class LoadState(StrEnum):
 
 @dataclass(frozen=True)
 class LoadParameters:
-    """Thresholds as parts of the load's running mean, and how long they must last."""
+    """Thresholds of touchdown, slack, snag and over-tension, relative to the mean load."""
 
-    weight_reference: float = parameter(
-        16.2, "N", "weight of the rover, until the load is known better: 10 kg on the Moon",
+    reference_weight: float = parameter(
+        16.2, "N", "weight of the rover before the load is measured: 10 kg on the Moon",
         1e-3, 5000.0,
     )  # fmt: skip
-    mean_time: float = parameter(5.0, "s", "time constant of the running mean", 0.5, 120.0)
-    learning_range: float = parameter(
-        0.5, "-", "part of the weight by which the mean may differ from weight_reference", 0.0, 0.95
+    mean_time_constant: float = parameter(5.0, "s", "time constant of the mean load", 0.5, 120.0)
+    mean_range: float = parameter(
+        0.5, "-", "largest relative deviation of the mean load from reference_weight", 0.0, 0.95
     )
     hysteresis: float = parameter(
-        0.1, "-", "part of the mean beyond a threshold that takes it back", 0.0, 0.4
+        0.1, "-", "hysteresis of the thresholds, as a fraction of the mean load", 0.0, 0.4
     )
-    touchdown_below: float = parameter(
-        0.5, "-", "below this part of the mean something else carries the rover", 0.1, 0.9
+    touchdown_threshold: float = parameter(
+        0.5, "-", "fraction of the mean load below which the rover is supported", 0.1, 0.9
     )
-    slack_below: float = parameter(
-        0.1, "-", "below this part of the mean the tether is slack", 0.0, 0.5
+    slack_threshold: float = parameter(
+        0.1, "-", "fraction of the mean load below which the tether is slack", 0.0, 0.5
     )
-    snag_above: float = parameter(
-        1.35, "-", "above this part of the mean something holds on", 1.1, 10.0
+    snag_threshold: float = parameter(
+        1.35, "-", "fraction of the mean load above which the tether or rover is snagged", 1.1, 10.0
     )
-    hold_time: float = parameter(
-        0.6, "s", "how long a threshold must be passed to be believed", 0.05, 10.0
+    debounce_time: float = parameter(
+        0.6, "s", "time for which a threshold must be exceeded", 0.05, 10.0
     )
-    bounce_share: float = parameter(
-        0.9, "-", "part of the rover's bounce period on its tether, if that is longer", 0.0, 10.0
+    bounce_fraction: float = parameter(
+        0.9, "-", "shortest debounce time, as a fraction of the rover's bounce period", 0.0, 10.0
     )
-    unsteady_hold_time: float = parameter(
-        1.5, "s", "the same while the drum stands, reels in or has just braked", 0.05, 30.0
+    unsteady_debounce_time: float = parameter(
+        1.5, "s", "debounce time while the drum stands, reels in or has just braked", 0.05, 30.0
     )
-    back_time: float = parameter(
-        0.3, "s", "how long it must be taken back to be believed", 0.0, 10.0
+    release_debounce_time: float = parameter(
+        0.3, "s", "time for which a condition must have ended before it is cleared", 0.0, 10.0
     )
-    brake_blanking: float = parameter(
-        2.0, "s", "after own braking: no snag, and the longer hold time", 0.0, 30.0
+    brake_blanking_time: float = parameter(
+        2.0,
+        "s",
+        "time after own braking without snag detection and with the longer debounce",
+        0.0,
+        30.0,
     )
-    over_above: float = parameter(
-        3.5, "-", "above this part of weight_reference the tension is too high", 1.1, 100.0
+    over_tension_threshold: float = parameter(
+        3.5, "-", "fraction of reference_weight above which the tension is too high", 1.1, 100.0
     )
-    over_hold_time: float = parameter(
-        0.02, "s", "how long too much tension must last to be believed", 0.0, 10.0
+    over_tension_debounce_time: float = parameter(
+        0.02, "s", "time for which the tension must be too high", 0.0, 10.0
     )
 
     def __post_init__(self) -> None:
         """Refuse thresholds that leave nothing between them."""
-        if self.slack_below + self.hysteresis > self.touchdown_below:
+        if self.slack_threshold + self.hysteresis > self.touchdown_threshold:
             msg = (
-                f"slack_below is {self.slack_below:g} and touchdown_below "
-                f"{self.touchdown_below:g}, they must be further apart than the hysteresis, "
+                f"slack_threshold is {self.slack_threshold:g} and touchdown_threshold "
+                f"{self.touchdown_threshold:g}, they must be further apart than the hysteresis, "
                 f"{self.hysteresis:g}"
             )
             raise ParameterError(msg)
-        if self.touchdown_below + self.hysteresis >= self.snag_above - self.hysteresis:
+        if self.touchdown_threshold + self.hysteresis >= self.snag_threshold - self.hysteresis:
             msg = (
-                f"touchdown_below is {self.touchdown_below:g} and snag_above "
-                f"{self.snag_above:g}, they must be further apart than twice the hysteresis, "
+                f"touchdown_threshold is {self.touchdown_threshold:g} and snag_threshold "
+                f"{self.snag_threshold:g}, they must be further apart than twice the hysteresis, "
                 f"{self.hysteresis:g}"
             )
             raise ParameterError(msg)
@@ -111,12 +115,12 @@ class LoadWatch:
     """
 
     _FILTER = 0.03  # low-pass of the load [s]
-    _LEARNT_AT_ONCE = 1.0  # weight of weight_reference in the mean's beginning [s]
+    _LEARNT_AT_ONCE = 1.0  # weight of reference_weight in the mean's beginning [s]
 
     def __init__(self, parameters: LoadParameters) -> None:
         self.parameters = parameters
         self.state = LoadState.UNKNOWN
-        self.mean = parameters.weight_reference  # [N]
+        self.mean = parameters.reference_weight  # [N]
         self.load = math.nan  # [N]
         self._learnt = self._LEARNT_AT_ONCE  # [s]
         self._set_aside = 0.0  # integral of the load while a change is pending [N s]
@@ -195,7 +199,7 @@ class LoadWatch:
         if rate < -0.01:
             self._reeled = now
         self._stood = self._stood + dt if abs(rate) < _STANDING_RATE else 0.0
-        self._judge(tension, max(p.hold_time, p.bounce_share * bounce_period), now)
+        self._judge(tension, max(p.debounce_time, p.bounce_fraction * bounce_period), now)
         self._learn(dt, now)
         return self.state
 
@@ -207,30 +211,44 @@ class LoadWatch:
             and self._paying_since is not None
             and now - self._paying_since > lasting
         )
-        hold = lasting if steady else max(lasting, p.unsteady_hold_time)
+        hold = lasting if steady else max(lasting, p.unsteady_debounce_time)
         self._touchdown.step(
-            ratio < p.touchdown_below, ratio > p.touchdown_below + h, now, hold, p.back_time
+            ratio < p.touchdown_threshold,
+            ratio > p.touchdown_threshold + h,
+            now,
+            hold,
+            p.release_debounce_time,
         )
-        self._slack.step(ratio < p.slack_below, ratio > p.slack_below + h, now, hold, p.back_time)
+        self._slack.step(
+            ratio < p.slack_threshold,
+            ratio > p.slack_threshold + h,
+            now,
+            hold,
+            p.release_debounce_time,
+        )
         free = not self._just_braked(now)
-        over = tension / p.weight_reference
+        over = tension / p.reference_weight
         self._over_tension.step(
-            over > p.over_above, over < p.over_above - h, now, p.over_hold_time, p.back_time
+            over > p.over_tension_threshold,
+            over < p.over_tension_threshold - h,
+            now,
+            p.over_tension_debounce_time,
+            p.release_debounce_time,
         )
         # Too much tension while reeling in is a snag at once: the winch will now brake.
         caught = (
             self._over_tension.is_on
             and self._reeled is not None
-            and now - self._reeled < p.hold_time
+            and now - self._reeled < p.debounce_time
         )
         was_on = self._snag.is_on
         hangs = self._hangs_as_before
         self._snag.step(
-            ratio > p.snag_above and free and not hangs,
-            ratio < p.snag_above - h or not free or hangs,
+            ratio > p.snag_threshold and free and not hangs,
+            ratio < p.snag_threshold - h or not free or hangs,
             now,
             0.0 if caught else lasting,
-            p.back_time,
+            p.release_debounce_time,
         )
         if was_on and hangs and not self._snag.is_on:
             self.mean = self._hung
@@ -249,9 +267,9 @@ class LoadWatch:
     def _hangs_as_before(self) -> bool:
         """Whether the drum stands, and carries no more than when it stood last."""
         p = self.parameters
-        return self._stood > p.brake_blanking and self.load < (p.snag_above - p.hysteresis) * (
-            self._hung
-        )
+        return self._stood > p.brake_blanking_time and self.load < (
+            p.snag_threshold - p.hysteresis
+        ) * (self._hung)
 
     def _learn(self, dt: float, now: float) -> None:
         """Move the running mean, while the rover hangs and nothing else is going on.
@@ -271,17 +289,19 @@ class LoadWatch:
         p, time = self.parameters, self._pended
         load = self._set_aside / time if time > 0.0 else self.load
         self._set_aside = self._pended = 0.0
-        self._learnt = min(self._learnt + time, p.mean_time)
+        self._learnt = min(self._learnt + time, p.mean_time_constant)
         self.mean = self._believed(self.mean + (load - self.mean) * min(time / self._learnt, 1.0))
-        if self._stood > p.brake_blanking:
+        if self._stood > p.brake_blanking_time:
             before = self.mean if math.isnan(self._hung) else self._hung
-            self._hung = self._believed(before + (load - before) * min(time / p.mean_time, 1.0))
+            self._hung = self._believed(
+                before + (load - before) * min(time / p.mean_time_constant, 1.0)
+            )
 
     def _believed(self, load: float) -> float:
         """A load, as far as the rover can weigh as much [N]."""
         p = self.parameters
-        low, high = 1.0 - p.learning_range, 1.0 + p.learning_range
-        return min(max(load, low * p.weight_reference), high * p.weight_reference)
+        low, high = 1.0 - p.mean_range, 1.0 + p.mean_range
+        return min(max(load, low * p.reference_weight), high * p.reference_weight)
 
     def _just_braked(self, now: float) -> bool:
-        return self._braked is not None and now - self._braked < self.parameters.brake_blanking
+        return self._braked is not None and now - self._braked < self.parameters.brake_blanking_time

@@ -43,19 +43,19 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True)
 class RequestParameters:
-    """What requests may leave to the winch."""
+    """Values that a request may leave to the winch."""
 
-    slack_rate: float = parameter(0.2, "m/s", "at which slack is given", 1e-3, 0.5)
-    take_up_rate: float = parameter(0.05, "m/s", "at which slack is taken up", 1e-3, 0.5)
+    slack_rate: float = parameter(0.2, "m/s", "payout rate when giving slack", 1e-3, 0.5)
+    take_up_rate: float = parameter(0.05, "m/s", "rate when taking up slack", 1e-3, 0.5)
     take_up_tension: float = parameter(
-        1.0, "N", "beyond the tether's own weight, at which it is taut", 0.05, 100.0
+        1.0, "N", "tension beyond the tether's own weight at which it is taut", 0.05, 100.0
     )
-    relax_rate: float = parameter(0.05, "m/s", "at which the pull is let down", 1e-3, 0.5)
+    relax_rate: float = parameter(0.05, "m/s", "payout rate when relaxing the tether", 1e-3, 0.5)
     tension_margin: float = parameter(
-        0.3, "N", "by which a tension to hold must exceed the tether's own weight", 0.0, 100.0
+        0.3, "N", "least excess of a tension setpoint over the tether's own weight", 0.0, 100.0
     )
-    flight_time: float = parameter(
-        30.0, "s", "a jump whose end is not told for longer is over", 1.0, 600.0
+    jump_timeout: float = parameter(
+        30.0, "s", "longest jump; without an end reported it is over after this time", 1.0, 600.0
     )
 
 

@@ -28,48 +28,60 @@ from tether_winch.profile import Motion, MotionLimits, stopping_distance, toward
 
 @dataclass(frozen=True)
 class ServoParameters:
-    """Limits of motion, gains, and ends of the tether."""
+    """Motion: limits of the S-curve, gains, ends of the tether, trim."""
 
     largest_rate: float = parameter(
         0.35, "m/s", "largest payout rate of any request", 0.01, MAX_PAYOUT_RATE
     )
-    acceleration: float = parameter(0.3, "m/s^2", "of the S-curve", 0.01, 5.0)
-    jerk: float = parameter(1.0, "m/s^3", "of the S-curve", 0.05, 100.0)
-    quick_acceleration: float = parameter(
-        0.6, "m/s^2", "of a stop that cannot wait: touchdown, snag, silence", 0.01, 10.0
+    acceleration: float = parameter(0.3, "m/s^2", "acceleration limit of the S-curve", 0.01, 5.0)
+    jerk: float = parameter(1.0, "m/s^3", "jerk limit of the S-curve", 0.05, 100.0)
+    quick_stop_acceleration: float = parameter(
+        0.6, "m/s^2", "acceleration limit of a quick stop: touchdown, snag, timeout", 0.01, 10.0
     )
-    quick_jerk: float = parameter(6.0, "m/s^3", "of the same", 0.05, 1000.0)
-    length_gain: float = parameter(2.0, "1/s", "rate by the length's error", 0.0, 20.0)
-    length_tolerance: float = parameter(0.002, "m", "so near is at the length asked for", 1e-4, 0.1)
-    following_limit: float = parameter(
+    quick_stop_jerk: float = parameter(6.0, "m/s^3", "jerk limit of a quick stop", 0.05, 1000.0)
+    length_gain: float = parameter(2.0, "1/s", "gain from length error to payout rate", 0.0, 20.0)
+    length_tolerance: float = parameter(
+        0.002, "m", "length error within which a length is reached", 1e-4, 0.1
+    )
+    following_error_limit: float = parameter(
         0.04, "m", "lead of the S-curve over the drum beyond which it waits", 1e-3, 1.0
     )
     tension_gain: float = parameter(
-        1.0, "-", "part of the tension's error that the motor adds to its pull", 0.0, 10.0
+        1.0, "-", "fraction of the tension error that the motor adds to its pull", 0.0, 10.0
     )
-    friction_reversal: float = parameter(
-        0.02, "m/s/N", "rate by the tension's error, for whose friction the pull makes up", 0.0, 1.0
+    friction_lead_gain: float = parameter(
+        0.02, "m/s/N", "rate per tension error by which the friction compensation leads", 0.0, 1.0
     )
     relief_acceleration: float = parameter(
-        3.0, "m/s^2", "by which taking up slack ends when the tether pulls", 0.01, 20.0
+        3.0, "m/s^2", "deceleration of a slack take-up when the tether comes taut", 0.01, 20.0
     )
-    shortest_length: float = parameter(2.0, "m", "hard end: reeled in", 0.0, MAX_LENGTH)
-    longest_length: float = parameter(58.0, "m", "hard end: paid out", 0.1, MAX_LENGTH)
-    soft_margin: float = parameter(0.2, "m", "before a hard end, where no motion leads", 0.0, 50.0)
-    end_zone: float = parameter(1.0, "m", "before a soft end, where the rate is cut", 0.0, 50.0)
-    end_rate: float = parameter(0.1, "m/s", "at the soft end's side of it", 1e-3, MAX_PAYOUT_RATE)
+    shortest_length: float = parameter(2.0, "m", "hard end, reeled in", 0.0, MAX_LENGTH)
+    longest_length: float = parameter(58.0, "m", "hard end, paid out", 0.1, MAX_LENGTH)
+    soft_margin: float = parameter(
+        0.2, "m", "distance of the soft ends from the hard ends; no motion leads beyond", 0.0, 50.0
+    )
+    end_zone: float = parameter(
+        1.0,
+        "m",
+        "distance before a soft end within which the rate is limited to end_rate",
+        0.0,
+        50.0,
+    )
+    end_rate: float = parameter(0.1, "m/s", "largest rate at a soft end", 1e-3, MAX_PAYOUT_RATE)
     tension_limit: float = parameter(
-        40.0, "N", "largest tension that the motor may use if a request names none",
+        40.0, "N", "largest tension of the motor where a request gives none",
         SMALLEST_LIMIT, MAX_TENSION,
     )  # fmt: skip
     feed_forward_slew: float = parameter(
-        150.0, "N/s", "how fast the tension fed forward may change", 1.0, 1e5
+        150.0, "N/s", "slew rate limit of the tension feed-forward", 1.0, 1e5
     )
-    load_time: float = parameter(0.5, "s", "low-pass of the load that is fed forward", 0.01, 10.0)
-    idle_time: float = parameter(0.5, "s", "at rest for so long, the brake takes over", 0.05, 60.0)
-    trim_rate: float = parameter(0.1, "m/s", "largest rate that a trim adds", 0.0, 0.5)
+    load_filter_time: float = parameter(
+        0.5, "s", "time constant of the low-pass on the load that is fed forward", 0.01, 10.0
+    )
+    idle_time: float = parameter(0.5, "s", "time at rest after which the brake closes", 0.05, 60.0)
+    trim_rate: float = parameter(0.1, "m/s", "largest rate of a trim", 0.0, 0.5)
     trim_length: float = parameter(1.5, "m", "largest length that a trim adds", 0.0, 20.0)
-    trim_acceleration: float = parameter(0.3, "m/s^2", "of the trim", 0.01, 5.0)
+    trim_acceleration: float = parameter(0.3, "m/s^2", "acceleration limit of the trim", 0.01, 5.0)
 
     def __post_init__(self) -> None:
         """Refuse ends that leave no room, and a stop that is softer than the S-curve."""
@@ -80,11 +92,11 @@ class ServoParameters:
                 "leave no room"
             )
             raise ParameterError(msg)
-        if self.quick_acceleration < self.acceleration or self.quick_jerk < self.jerk:
+        if self.quick_stop_acceleration < self.acceleration or self.quick_stop_jerk < self.jerk:
             msg = (
-                f"quick_acceleration {self.quick_acceleration:g} and quick_jerk "
-                f"{self.quick_jerk:g} must not be below acceleration {self.acceleration:g} and "
-                f"jerk {self.jerk:g}"
+                f"quick_stop_acceleration {self.quick_stop_acceleration:g} and quick_stop_jerk "
+                f"{self.quick_stop_jerk:g} must not be below acceleration {self.acceleration:g} "
+                f"and jerk {self.jerk:g}"
             )
             raise ParameterError(msg)
 
@@ -380,7 +392,7 @@ class WinchServo:
 
     def _waiting(self, after: Motion, sensed: Sensed) -> Motion:
         """The S-curve, held back where the drum does not follow."""
-        limit = self.parameters.following_limit
+        limit = self.parameters.following_error_limit
         lead = after.length + self.trim_offset - sensed.length
         self.waits = abs(lead) > limit and lead * after.rate > 0.0
         if not self.waits:
@@ -412,7 +424,7 @@ class WinchServo:
         p = self.parameters
         self.motion = Motion(sensed.length - self.trim_offset, sensed.rate, 0.0)
         # Dry friction is made up for by where the drum should go, before it goes there.
-        rate = sensed.rate + p.friction_reversal * error
+        rate = sensed.rate + p.friction_lead_gain * error
         pull = self._drum.motor_tension(self.goal.tension, sensed.length, rate, 0.0)
         self._pull = _Pull(pull - p.tension_gain * error, low, high, sensed.rate)
 
@@ -444,7 +456,7 @@ class WinchServo:
     def _limits(self) -> MotionLimits:
         p, goal = self.parameters, self.goal
         if goal.quick or goal.kind is GoalKind.REST:
-            return MotionLimits(p.largest_rate, p.quick_acceleration, p.quick_jerk)
+            return MotionLimits(p.largest_rate, p.quick_stop_acceleration, p.quick_stop_jerk)
         named = abs(goal.rate)
         rate = min(named, p.largest_rate) if named > 0.0 else p.largest_rate
         if self._nears_an_end():
@@ -495,7 +507,7 @@ class WinchServo:
         if math.isnan(self._load):
             self._load = load
         else:
-            self._load += (load - self._load) * -math.expm1(-h / self.parameters.load_time)
+            self._load += (load - self._load) * -math.expm1(-h / self.parameters.load_filter_time)
 
     def _tension(self, sensed: Sensed) -> float:
         return max(self._load, 0.0) + self._drum.hanging_weight(sensed.length)
@@ -531,7 +543,7 @@ class WinchServo:
     def stopping_way(self) -> float:
         """Way [m] to rest by the quick limits."""
         p = self.parameters
-        limits = MotionLimits(p.largest_rate, p.quick_acceleration, p.quick_jerk)
+        limits = MotionLimits(p.largest_rate, p.quick_stop_acceleration, p.quick_stop_jerk)
         return stopping_distance(self.motion.rate, self.motion.acceleration, limits)
 
 

@@ -106,7 +106,7 @@ class Winch:
         self.drum = DrumModel(parameters.drum)
         self.servo = WinchServo(parameters.servo, self.drum)
         self._judge = RequestJudge(
-            parameters.requests, parameters.servo, parameters.load.touchdown_below
+            parameters.requests, parameters.servo, parameters.load.touchdown_threshold
         )
         self._goal = REST
         self._in_mode_since = 0.0
@@ -180,7 +180,7 @@ class Winch:
         self.load.parameters = parameters.load
         self._guard.parameters = parameters.guard
         self._judge = RequestJudge(
-            parameters.requests, parameters.servo, parameters.load.touchdown_below
+            parameters.requests, parameters.servo, parameters.load.touchdown_threshold
         )
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
@@ -359,7 +359,7 @@ class Winch:
         if not self.payout.is_known:
             return None
         self._sense(now_ns, h)
-        late = self.parameters.guard.latest_step
+        late = self.parameters.guard.max_step_delay
         if h > late and not self.servo.rests:
             reason = f"the controller was late by {h:.3g} s, at most {late:g} s is right"
             self.latch(Fault.NODE_LATE, reason, now_ns)
@@ -400,7 +400,7 @@ class Winch:
 
     def _follow_mode(self, now_ns: int) -> None:
         now, p = now_ns / _NANO, self.parameters
-        if self.is_jumping and now - self._jump_since > p.requests.flight_time:
+        if self.is_jumping and now - self._jump_since > p.requests.jump_timeout:
             self._jump = ""
             self._set_goal(self._goal)
         if self._trimmed is not None and now - self._trimmed > _TRIM_TIMEOUT:

@@ -47,14 +47,14 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class WinchNodeParameters:
-    """How often the node acts."""
+    """Rates of the node."""
 
     command_rate: float = parameter(
-        100.0, "Hz", "how often the winch is stepped and the drive told", 20.0, 500.0,
+        100.0, "Hz", "rate of control steps and drive commands", 20.0, 500.0,
         read_only=True,
     )  # fmt: skip
     estimate_rate: float = parameter(
-        50.0, "Hz", "how often the estimates are told", 1.0, 200.0, read_only=True
+        50.0, "Hz", "publishing rate of the estimates", 1.0, 200.0, read_only=True
     )
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_control.descent_profile import ProfileParameters
+from rover_control.descent_parameters import ProfileParameters
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
@@ -123,7 +123,7 @@ def damp(seed: int, index: int, length: float) -> float:
     rng = np.random.default_rng([seed, index])
     # Pictures need less than that on a long tether: damped on, until it is still all the time, and
     # for as long as it takes.
-    profile = ProfileParameters(damped_rate=0.0008, steady_time=60.0, stop_limit=1500.0)
+    profile = ProfileParameters(damped_swing_rate=0.0008, steady_dwell=60.0, stop_timeout=1500.0)
     flight = HangingFlight(
         draw(rng, length, 3.0, 0.0), HangingControllerParameters(profile=profile)
     )

@@ -301,9 +301,9 @@ class HangingFlight:
         travel = abs(state.nut - centre) / self.plant.model.jump.pitch
         over = {
             self.rover.wheels.axis.name: max(map(abs, state.wheel_rates))
-            > (1.0 + rotors.wheel_share) * abs(rotors.wheel_bias),
+            > (1.0 + rotors.wheel_rate_fraction) * abs(rotors.wheel_pump_bias),
             self.rover.flywheel.axis.name: abs(state.flywheel_rate) > rotors.flywheel_rate
-            or travel > rotors.travel,
+            or travel > rotors.screw_travel,
         }
         for name, is_over in over.items():
             if is_over:

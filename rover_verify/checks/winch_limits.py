@@ -86,7 +86,7 @@ def largest_heat(batch: Batch) -> Measured:
     values = replace(
         values,
         drum=replace(values.drum, gravity=9.81),
-        load=replace(values.load, weight_reference=98.1),
+        load=replace(values.load, reference_weight=98.1),
         servo=replace(values.servo, tension_limit=190.0),
     )
     session = _session(rig, batch, values)

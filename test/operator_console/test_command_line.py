@@ -62,8 +62,8 @@ def test_help_lists_every_command_and_exit_code():
 def test_an_operator_is_told_what_became_of_each_order(harness: NodeHarness):
     # Slow simulated time, and patience: a machine that is busy elsewhere must not brake the winch.
     patient = {
-        "use_sim_time": True, "latest_step": 5.0, "command_timeout": 30.0, "encoder_timeout": 1.0,
-        "load_cell_timeout": 10.0,
+        "use_sim_time": True, "max_step_delay": 5.0, "command_timeout": 30.0,
+        "encoder_timeout": 1.0, "load_cell_timeout": 10.0,
     }  # fmt: skip
     slow = {"scenario": "free_hang", "real_time_factor": 0.5}
 

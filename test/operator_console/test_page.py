@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.process]
 
 START, LOW = 5.0, 30.0  # where the rover hangs, and where it is sent [m]
 LOOK = 50  # at what the page shows [ms]
-QUICK = {"first_look": 1.5, "steady_time": 0.3}
+QUICK = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
 
 
 class Pit:

@@ -178,13 +178,13 @@ def test_rest_is_a_while_of_resting_by_the_drum_s_own_time(
 
 def test_a_parameter_is_read_from_the_configuration():
     known = Telemetry()
-    content = {"node": "/mother/descent_node", "parameters": {"shallowest": 1.6}}
+    content = {"node": "/mother/descent_node", "parameters": {"min_depth": 1.6}}
     known.hear(topics.CONFIG, TextSample(json.dumps(content)), 1.0)
     known.hear(topics.CONFIG, TextSample(json.dumps({"node": "/mother/winch_node"})), 1.0)
     known.hear(topics.CONFIG, TextSample("[1]"), 1.0)
-    assert known.parameter("descent_node", "shallowest") == 1.6
+    assert known.parameter("descent_node", "min_depth") == 1.6
     assert known.parameter("descent_node", "lowest") is None
-    assert known.parameter("winch_node", "shallowest") is None
+    assert known.parameter("winch_node", "min_depth") is None
 
 
 def test_somebody_is_heard_by_the_health_he_tells():

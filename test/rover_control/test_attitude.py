@@ -29,7 +29,7 @@ def test_momentum_follows_the_tilt_and_bleeds_off():
     axis.step(0.01, H)
     gained = axis.momentum
     assert gained == pytest.approx(axis.gains.rate * 0.01 * H)
-    for _ in range(round(DESIGN.bleed_time / H)):
+    for _ in range(round(DESIGN.desaturation_time / H)):
         axis.step(0.0, H)
     assert axis.momentum == pytest.approx(gained / math.e, rel=0.01)
 
@@ -85,7 +85,7 @@ def flown(tilt_rate: float) -> tuple[float, float]:
     x = y = 0.0
     vx = vy = tilt_rate
     wheel = wheels.step(0.0, 0.0, H, pumps=True)
-    angle, rate = ROTORS.travel_centre, 0.0
+    angle, rate = ROTORS.screw_travel_centre, 0.0
     swept = [0.0, 0.0]
     for k in range(round(4.0 / H)):
         after = wheels.step(vx, 0.0, H, pumps=True)
@@ -126,10 +126,10 @@ def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
 
 def test_a_wheel_that_still_turns_is_taken_over_as_it_is_and_brought_down_by_its_ramp():
     wheels = WheelReaction(HANGING, ROTORS, DESIGN)
-    wheels.take_over(ROTORS.wheel_bias)
-    rates = [ROTORS.wheel_bias, *(wheels.step(0.0, 0.0, H, pumps=False) for _ in range(1000))]
+    wheels.take_over(ROTORS.wheel_pump_bias)
+    rates = [ROTORS.wheel_pump_bias, *(wheels.step(0.0, 0.0, H, pumps=False) for _ in range(1000))]
     steps = [after - before for before, after in itertools.pairwise(rates)]
-    assert max(map(abs, steps)) <= ROTORS.wheel_ramp * H * (1.0 + 1e-9)
+    assert max(map(abs, steps)) <= ROTORS.wheel_acceleration * H * (1.0 + 1e-9)
     assert wheels.is_quiet
     # A wheel that turned with the other one is not driven so.
     wheels.take_over(3.0)
@@ -138,7 +138,7 @@ def test_a_wheel_that_still_turns_is_taken_over_as_it_is_and_brought_down_by_its
 
 def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
-    centre, travel = ROTORS.travel_centre, ROTORS.travel
+    centre, travel = ROTORS.screw_travel_centre, ROTORS.screw_travel
     assert flywheel.step(0.0, 0.0, 0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
     other = FlywheelReaction(HANGING, ROTORS, DESIGN)
     assert other.step(0.0, 0.0, 0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
@@ -158,14 +158,16 @@ def test_a_nut_that_runs_toward_an_end_is_braked_gently(sign: float):
     for k in range(round(20.0 / H)):
         # A pump that wants it to go on, after it has come up to speed.
         pumped = sign * inertia * min(40.0, 40.0 * k * H)
-        torque = flywheel.step(0.0, pumped, 0.0, ROTORS.travel_centre + angle, rate, H, quiet=False)
+        torque = flywheel.step(
+            0.0, pumped, 0.0, ROTORS.screw_travel_centre + angle, rate, H, quiet=False
+        )
         friction = ROTORS.flywheel_friction * math.tanh(10.0 * rate)
         change = (torque - friction) / inertia
         rate += H * change
         angle += H * rate
         if k * H > 1.0:
             hardest = max(hardest, abs(change) * inertia)
-    assert 0.7 * ROTORS.travel < sign * angle < ROTORS.travel
+    assert 0.7 * ROTORS.screw_travel < sign * angle < ROTORS.screw_travel
     # What it reacts with tilts the rover by no more than a degree.
     assert hardest / HANGING.stiffness < math.radians(1.0)
 
@@ -174,5 +176,5 @@ def test_friction_is_made_up_for_in_the_direction_of_motion():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     flywheel.axis.momentum = 0.02  # 20 rad/s
     for _ in range(2):
-        torque = flywheel.step(0.0, 0.0, 0.0, ROTORS.travel_centre, 20.0, H, quiet=False)
+        torque = flywheel.step(0.0, 0.0, 0.0, ROTORS.screw_travel_centre, 20.0, H, quiet=False)
     assert torque == pytest.approx(ROTORS.flywheel_friction, abs=3e-3)

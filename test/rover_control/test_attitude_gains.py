@@ -34,7 +34,7 @@ def flown(
 
 
 def test_the_gain_gives_the_damping_that_was_asked_for():
-    gains = design_axis(INERTIA, STIFFNESS, FRICTION, replace(DESIGN, tilt_damping=0.1))
+    gains = design_axis(INERTIA, STIFFNESS, FRICTION, replace(DESIGN, tilt_damping_ratio=0.1))
     frequency = math.sqrt(STIFFNESS / INERTIA)
     assert gains.frequency == pytest.approx(frequency)
     # K s^2/(s + k_b) -> K s: I s^2 + K s + m g d

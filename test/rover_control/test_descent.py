@@ -39,14 +39,17 @@ from rover_control.descent import (
     Drives,
     Observation,
 )
-from rover_control.descent_profile import DescentPhase, ProfileParameters, Stop
+from rover_control.descent_parameters import ProfileParameters
+from rover_control.descent_profile import DescentPhase, Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks.winch_rig import TICK, Readings, Session
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
-QUICK = ProfileParameters(first_look=0.5, steady_time=0.3, exposures=2, exposure_time=0.2)
+QUICK = ProfileParameters(
+    estimator_settling_time=0.5, steady_dwell=0.3, exposures=2, exposure_interval=0.2
+)
 NOTHING = Drives()
 
 
@@ -235,7 +238,7 @@ def test_a_heading_is_turned_to_where_no_stop_is_left(world: World):
     now = world.winch.now_ns
     # Nothing swings here by which the gyro's bias could be learnt.
     pointing = world.descent.controller.pointing
-    pointing.parameters = replace(pointing.parameters, least_hold=5.0)
+    pointing.parameters = replace(pointing.parameters, min_hold_time=5.0)
     assert refused(lambda: world.descent.turn(math.pi, now)).subject == topics.DESCENT_REQUEST
     world.descent.turn(0.05, now)
     assert world.descent.is_engaged
@@ -300,7 +303,7 @@ def test_a_nut_that_lies_on_the_latch_is_driven_clear_before_the_rotors_are_used
     assert ordered[-1].nut == pytest.approx(-0.030, abs=1e-4)
     assert all(drives.flywheel_torque is None for drives in ordered)
     assert all(drives.wheel_rate is None for drives in ordered)
-    world.rover.screw = RotorParameters().travel_centre + 5.0
+    world.rover.screw = RotorParameters().screw_travel_centre + 5.0
     world.run_until(lambda: world.done)
     assert world.told("nut_clear")
     assert world.sent[-1].nut is None
@@ -322,14 +325,14 @@ def test_released_it_learns_nothing_of_a_rover_that_may_stand_and_then_its_swing
     world.ask(5.0, observes=False)
     assert estimator.yaw_bias == bias
     assert estimator.estimate.swing_error > known.swing_error
-    world.run(0.5 * world.descent.settings.hanging_controller.profile.first_look)
+    world.run(0.5 * world.descent.settings.hanging_controller.profile.estimator_settling_time)
     names = [change.name for change in world.changes[begun:]]
     assert "descent_travelling" not in names
     world.run_until(lambda: world.length < 5.01)
 
 
 def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
-    quick = replace(world.descent.settings, descent=DescentParameters(nut_patience=2.0))
+    quick = replace(world.descent.settings, descent=DescentParameters(nut_timeout=2.0))
     world.descent.settings = quick
     world.arm()
     world.rover.screw = 0.0
@@ -340,8 +343,8 @@ def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
 
 
 def test_limits_that_leave_no_room_are_refused():
-    with pytest.raises(ParameterError, match="less than deepest"):
-        DescentParameters(shallowest=10.0, deepest=9.0)
+    with pytest.raises(ParameterError, match="less than max_depth"):
+        DescentParameters(min_depth=10.0, max_depth=9.0)
 
 
 # ---------------------------------------------------------------------- what takes it off its way

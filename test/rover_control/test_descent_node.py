@@ -35,7 +35,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.process]
 
 MODULE, NODE = "rover_control.descent_node", "descent_node"
 WINCH, WINCH_NODE = "tether_winch.winch_node", "winch_node"
-QUICK = {"first_look": 1.5, "steady_time": 0.3, "exposures": 2, "exposure_time": 0.2}
+QUICK = {
+    "estimator_settling_time": 1.5,
+    "steady_dwell": 0.3,
+    "exposures": 2,
+    "exposure_interval": 0.2,
+}
 START = 5.0  # [m]
 FAR = 20.0  # a depth that is not reached [m]
 
@@ -242,7 +247,7 @@ def lose_a_sensor(bench: Bench) -> None:
     assert bench.mother.last.length < FAR - 0.1
     bench.mother.spoil = lambda _, message: message
     bench.wait_until_ready(bench.diagnostics())
-    bench.mother.wait_for(QUICK["first_look"])  # the swing must be learnt anew
+    bench.mother.wait_for(QUICK["estimator_settling_time"])  # the swing must be learnt anew
     answer = bench.observer.call(topics.DESCENT_RESUME)
     assert answer.success, answer.message
     bench.mother.descends = True

@@ -7,10 +7,10 @@ import math
 import pytest
 
 from msg_schemas.refusal import Refusal, RefusalCode
+from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import (
     DescentPhase,
     DescentProfile,
-    ProfileParameters,
     Stop,
     Wish,
 )
@@ -132,7 +132,7 @@ def test_a_circle_that_the_winch_can_make_no_rounder_is_taken_as_it_is():
     world = World(7.4, 0.2, 0.19)
     world.ask(7.5)
     rate = 0.2 * HANGING.swing_frequency(7.5)
-    assert math.degrees(PROFILE.damped_rate) < rate < math.degrees(PROFILE.steady_rate)
+    assert math.degrees(PROFILE.damped_swing_rate) < rate < math.degrees(PROFILE.steady_rate)
     world.yaw_rate = math.radians(0.2)
     world.run(20.0)
     assert world.profile.phase is DescentPhase.DAMPING
@@ -169,12 +169,12 @@ def test_a_cone_that_pictures_would_not_bear_is_not_taken_along_for_want_of_pati
     momentum = 1.1 * PROFILE.steady_rate**2 * HANGING.reach_inertia(7.5)
     momentum /= HANGING.swing_frequency(7.5)
     inertia = HANGING.reach_inertia(2.0) * HANGING.swing_frequency(2.0)
-    while world.now < 0.9 * PROFILE.stop_limit:
+    while world.now < 0.9 * PROFILE.stop_timeout:
         # So much is left, however long it is handed on.
         world.minor = momentum / (inertia * world.major)
         world.step()
     assert world.length == 2.0
-    world.run(PROFILE.stop_limit)
+    world.run(PROFILE.stop_timeout)
     assert world.length > 2.0
 
 
@@ -183,7 +183,11 @@ def test_a_plane_swing_is_the_winch_s_even_where_the_tether_passes_a_momentum_on
     world.hands_on = True
     world.ask(7.5)
     # Its momentum would be handed on, had it the shape of a cone.
-    limit = PROFILE.handed_rate**2 * HANGING.reach_inertia(7.5) / HANGING.swing_frequency(7.5)
+    limit = (
+        PROFILE.transfer_threshold_rate**2
+        * HANGING.reach_inertia(7.5)
+        / HANGING.swing_frequency(7.5)
+    )
     assert abs(world.handing.momentum) > 2.0 * limit
     for _ in range(200):
         assert not world.step().hands_on
@@ -210,14 +214,14 @@ def test_the_last_picture_is_taken_before_the_rover_goes_on():
         assert world.now < 100.0
         if world.length > 6.0 and world.pictures == PROFILE.exposures:
             break
-    assert world.now - last >= PROFILE.exposure_time - 1e-9
+    assert world.now - last >= PROFILE.exposure_interval - 1e-9
 
 
 def test_a_rover_that_spins_takes_no_pictures_and_says_so():
     world = World(30.0, 0.05)
     world.yaw_rate = math.radians(0.5)
     world.ask(30.5)
-    world.run(PROFILE.stop_limit + 100.0)
+    world.run(PROFILE.stop_timeout + 100.0)
     (reason,) = world.ended()
     assert "not steady" in reason
     assert "0.50 deg/s" in reason
@@ -230,7 +234,7 @@ def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
     assert world.profile.phase is DescentPhase.DAMPING
     world.run(2000.0)
     assert world.length == pytest.approx(4.0, abs=0.01)
-    assert max(world.rates) <= PROFILE.ascent_share + 1e-9
+    assert max(world.rates) <= PROFILE.ascent_rate_gain + 1e-9
     assert world.ended() == ["reached"]
 
 
@@ -309,7 +313,7 @@ def test_a_stop_ends_when_its_last_picture_is_exposed():
     while not (ended := world.ended()):
         world.step()
     assert ended == [f"{PROFILE.exposures} pictures"]
-    assert world.now - ordered == pytest.approx(PROFILE.exposure_time, abs=2 * H)
+    assert world.now - ordered == pytest.approx(PROFILE.exposure_interval, abs=2 * H)
     assert world.profile.is_idle
 
 

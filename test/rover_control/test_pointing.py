@@ -87,7 +87,7 @@ def test_a_twist_that_helps_makes_it_easier_and_a_bias_limits_the_holding():
     biased = pointing.predict(RIGHT, 0.0, 20.0, yaw_error=2e-4)
     assert biased.limit == "gyro bias"
     # It begins to be lost with the turn.
-    assert biased.turning + biased.holding == pytest.approx(POINTING.tolerance / 4e-4)
+    assert biased.turning + biased.holding == pytest.approx(POINTING.heading_tolerance / 4e-4)
 
 
 @pytest.mark.parametrize("turn", [RIGHT, -RIGHT])
@@ -97,8 +97,8 @@ def test_a_right_angle_is_promised_at_15_m_and_deeper_and_refused_at_5_m_with_th
     for length in (15.0, 30.0, 45.0):
         pointing = make()
         predicted = pointing.request(turn, 0.3, length, yaw_error=1e-4, twist=0.0)
-        assert predicted.turning < POINTING.longest_turn
-        assert predicted.holding > POINTING.least_hold
+        assert predicted.turning < POINTING.max_turn_time
+        assert predicted.holding > POINTING.min_hold_time
         assert pointing.is_active
     pointing = make()
     with pytest.raises(Refusal, match=r"90 deg are not reached .* 5 m of tether: its twist"):
@@ -126,17 +126,17 @@ def test_on_its_own_model_it_turns_and_holds_as_predicted(sign: float, heavier: 
         if told is not None:
             reached, predicted = time, told
         elif predicted is not None and not lost:
-            assert abs(rover.heading - sign * RIGHT) < 1.01 * POINTING.tolerance
+            assert abs(rover.heading - sign * RIGHT) < 1.01 * POINTING.heading_tolerance
         assert time < 1000.0
     assert predicted is not None
     assert predicted.limit == "twist"
     assert "twist has turned it away" in lost
     assert not pointing.is_active
-    assert reached < POINTING.longest_turn
+    assert reached < POINTING.max_turn_time
     assert time - reached == pytest.approx(predicted.holding, rel=0.1)
     # When it was asked for, from what the rover weighs; it softly begins and ends.
     assert time - reached == pytest.approx(asked.holding, rel=0.2)
-    assert reached == pytest.approx(asked.turning + POINTING.coning_ramp, rel=0.15)
+    assert reached == pytest.approx(asked.turning + POINTING.coning_ramp_time, rel=0.15)
 
 
 def test_a_heading_that_is_not_known_any_more_is_let_go():
@@ -150,9 +150,9 @@ def test_a_heading_that_is_not_known_any_more_is_let_go():
         lost = pointing.take_lost()
         assert time < 1000.0
     assert "not known" in lost
-    assert time == pytest.approx(POINTING.tolerance / 4e-4, abs=1.0)
+    assert time == pytest.approx(POINTING.heading_tolerance / 4e-4, abs=1.0)
     # The rotors run out softly.
-    for _ in range(round(POINTING.coning_ramp / H) + 2):
+    for _ in range(round(POINTING.coning_ramp_time / H) + 2):
         rover.step(pointing)
     assert rover.pumped == NO_PUMPING
 
@@ -181,7 +181,7 @@ def test_a_wheel_that_turns_with_the_swing_is_not_taken_for_the_twist():
         pumped = pointing.step(0.0, 30.0, swing, (0.0, momentum), H)
         if k > 400:
             # As much as what is left to turn wants, of a rate that goes with the square.
-            share = turn / POINTING.approach / pointing.largest_rate
+            share = turn / POINTING.approach_time / pointing.largest_rate
             expected = POINTING.coning_momentum * math.sqrt(share)
             assert math.hypot(pumped.x, pumped.y) == pytest.approx(expected, rel=1e-6)
 

@@ -22,11 +22,13 @@ def test_the_stroke_is_bounded_by_what_binds_first(length: float, bound: str):
     assert stroke.bound == bound
     assert 2.0 * frequency * stroke.length <= DAMPING.trim_rate + 1e-12
     assert 4.0 * frequency**2 * stroke.length <= 0.8 * DAMPING.trim_acceleration + 1e-12
-    assert stroke.length <= DAMPING.trim_share * length
+    assert stroke.length <= DAMPING.trim_length_fraction * length
 
 
 def test_a_share_of_the_length_bounds_a_quick_winch():
-    quick = WinchTrim(DampingParameters(trim_rate=0.3, trim_acceleration=5.0, trim_share=0.01))
+    quick = WinchTrim(
+        DampingParameters(trim_rate=0.3, trim_acceleration=5.0, trim_length_fraction=0.01)
+    )
     assert quick.stroke(2.0, HANGING.swing_frequency(2.0)).bound == "share"
 
 

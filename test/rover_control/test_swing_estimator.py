@@ -42,7 +42,7 @@ def make_model(length: float, **rest: object) -> HangingModel:
     # An ellipse of 1 by 0.4 deg, counter-clockwise.
     u, v = complex(amplitude), 0.4j * amplitude * frequency
     model = HangingModel(HANGING, length, u, v, phi=u, phi_rate=v)
-    return replace(model, noise=GYRO_NOISE, force_noise=0.01, **rest)  # type: ignore[arg-type]
+    return replace(model, noise=GYRO_NOISE, accelerometer_noise=0.01, **rest)  # type: ignore[arg-type]
 
 
 def misses(estimate: SwingEstimate, model: HangingModel) -> tuple[float, float]:
@@ -79,7 +79,7 @@ def test_what_a_cone_sweeps_and_how_it_precesses_is_not_taken_for_the_gyro_s_bia
     frequency = HANGING.swing_frequency(2.0)
     u, v = complex(math.radians(3.0)), 1j * sign * math.radians(2.2) * frequency
     model = HangingModel(HANGING, 2.0, u, v, phi=u, phi_rate=v, bias=(0.0, 0.0, 0.001))
-    model = replace(model, noise=GYRO_NOISE, force_noise=0.01)
+    model = replace(model, noise=GYRO_NOISE, accelerometer_noise=0.01)
     estimator = watched(model, 60.0)
     # Heading and plane: the half and three eighths of w a b, 0.05 and 0.04 deg/s here.
     swept = 0.5 * frequency * math.radians(3.0) * math.radians(2.2)

@@ -110,5 +110,5 @@ def test_a_rope_without_torsion_passes_nothing_on():
 def test_a_swivel_that_slips_early_bounds_the_twist():
     slippery = HangingParameters(swivel_friction=1.0e-4)
     keeper = YawMomentumController(YawParameters(), slippery)
-    share = YawParameters().swivel_share
+    share = YawParameters().swivel_friction_fraction
     assert keeper.twist_bound(2.0) * slippery.torsion(2.0) == pytest.approx(share * 1.0e-4)

@@ -39,7 +39,7 @@ def test_a_stop_is_reached_by_the_winch_s_own_controller():
     while flight.rover.profile.phase is not DescentPhase.SETTLING:
         flight.tick()
         assert flight.time < 30.0
-    assert flight.state.length == pytest.approx(11.0, abs=flight.parameters.profile.near_enough)
+    assert flight.state.length == pytest.approx(11.0, abs=flight.parameters.profile.depth_tolerance)
     assert not flight.refusals
 
 

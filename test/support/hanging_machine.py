@@ -37,7 +37,7 @@ class HangingMachine:
         self._hanging = HangingParameters()
         self._model = HangingModel(self._hanging, length, swing, 0.0, swing)
         self._wheel = 0.0
-        self.screw = RotorParameters().travel_centre
+        self.screw = RotorParameters().screw_travel_centre
         self._rate = 0.0
         self._ticks = 0
 

@@ -29,7 +29,7 @@ class HangingModel:
     yaw_rate: float = 0.0
     bias: Vector = (0.0, 0.0, 0.0)
     noise: float = 0.0  # of the gyro, a sample of 100 Hz [rad/s]
-    force_noise: float = 0.0
+    accelerometer_noise: float = 0.0
     vibration: float = 0.0  # of the tether's end about its mean direction, along x of the map [rad]
     vibration_rate: float = 25.0  # of a few metres of tether under 16 N [rad/s]
     time: float = 0.0
@@ -61,7 +61,7 @@ class HangingModel:
             self.yaw += H * self.yaw_rate
             turned += self.phi_rate / heading / STEPS
             swept += (self.phi.conjugate() * self.phi_rate).imag / STEPS
-            felt += (p.rover_gravity * tilt + p.imu_below * turning / heading) / STEPS
+            felt += (p.rover_gravity * tilt + p.com_above_imu * turning / heading) / STEPS
         noise = self.generator.standard_normal(5).tolist()
         # About its own axis the rover turns by less than its heading does: the solid angle.
         rates = (turned.imag, -turned.real, self.yaw_rate - 0.5 * swept)
@@ -69,7 +69,10 @@ class HangingModel:
             rate + bias + self.noise * each
             for rate, bias, each in zip(rates, self.bias, noise[:3], strict=True)
         )
-        fx, fy = felt.real + self.force_noise * noise[3], felt.imag + self.force_noise * noise[4]
+        fx, fy = (
+            felt.real + self.accelerometer_noise * noise[3],
+            felt.imag + self.accelerometer_noise * noise[4],
+        )
         return (x, y, z), (fx, fy, p.rover_gravity)
 
     def in_base(self, vector: complex) -> complex:

@@ -29,7 +29,7 @@ FACTOR = 0.15
 # The way down would take half a minute.
 NEAR_THE_FLOOR = "{tether.length: 7.1}"
 # A machine that is busy elsewhere must not brake the winch.
-PATIENT = {"winch_node": {"latest_step": 5.0, "command_timeout": 30.0}}
+PATIENT = {"winch_node": {"max_step_delay": 5.0, "command_timeout": 30.0}}
 NEVER_ENDS = {"watch"}
 # On a busy machine sensors may seem old for a moment: an order refused for it is given again, and a
 # descent that is held for it is resumed first.

@@ -120,6 +120,6 @@ def test_without_a_tension_nothing_is_known(feed: Feed):
 
 def test_thresholds_that_cross_are_refused():
     with pytest.raises(ParameterError, match="further apart"):
-        LoadParameters(touchdown_below=0.9, snag_above=1.1)
+        LoadParameters(touchdown_threshold=0.9, snag_threshold=1.1)
     with pytest.raises(ParameterError, match="further apart"):
-        LoadParameters(slack_below=0.45)
+        LoadParameters(slack_threshold=0.45)

@@ -430,16 +430,16 @@ def test_it_hears_no_truth_of_the_simulator(bench: Bench):
 
 
 def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
-    result = bench.observer.set_parameter(NODE, "snag_above", 1.1)
+    result = bench.observer.set_parameter(NODE, "snag_threshold", 1.1)
     assert result.successful
-    result = bench.observer.set_parameter(NODE, "touchdown_below", 0.9)
+    result = bench.observer.set_parameter(NODE, "touchdown_threshold", 0.9)
     assert not result.successful
     assert "further apart" in result.reason
-    assert bench.observer.get_parameter(NODE, "touchdown_below") == 0.5
+    assert bench.observer.get_parameter(NODE, "touchdown_threshold") == 0.5
 
 
 def test_thresholds_that_cross_end_it_with_code_2(harness: NodeHarness):
-    process = harness.processes.start(MODULE, {"touchdown_below": 0.9, "snag_above": 1.1})
+    process = harness.processes.start(MODULE, {"touchdown_threshold": 0.9, "snag_threshold": 1.1})
     assert process.wait() == 2
     assert "further apart" in process.output
     assert "Traceback" not in process.output
@@ -451,7 +451,7 @@ def test_with_the_planar_simulator_it_holds_and_sees_the_slack_tether_and_its_de
 ):
     observer = harness.observer()
     observer.listen(topics.DIAGNOSTICS)
-    harness.processes.start(MODULE, {"use_sim_time": True, "weight_reference": 49.0})
+    harness.processes.start(MODULE, {"use_sim_time": True, "reference_weight": 49.0})
     sim = harness.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
     observer.wait_for_text(topics.TENSION_WATCH, "slack")
     observer.listen(topics.WINCH_COMMAND).wait_for_count(20)
