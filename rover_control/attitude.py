@@ -1,7 +1,7 @@
 """Holding the attitude of the hanging rover: reaction of the wheels and of the flywheel. Pure.
 
 Each axis has a momentum that the law of `attitude_gains` asks for, and a budget that it must not
-leave. What a budget cannot hold is said before it is spent, and then given up gently: nothing
+leave. What a budget cannot hold is text before it is spent, and then given up gently: nothing
 outward is added any more while what is there bleeds off.
 
 - About base_link y the left wheel reacts. It turns backward at a bias: so it never takes the right
@@ -23,9 +23,9 @@ from msg_schemas.parameters import parameter
 from rover_control.attitude_gains import AttitudeDesign, AxisGains, design_axis
 from rover_control.hanging_rover import HangingParameters
 
-_LEAST_BUDGET = 1e-6  # of a wheel that has not begun to turn [N m s]
-_FULL, _EASED = 0.8, 0.5  # of a budget, where it is said to be spent and where no longer
-_LINGERS = 6.0  # some periods of the tilt, before it is said that it holds again [s]
+_MIN_BUDGET = 1e-6  # of a wheel that has not begun to turn [N m s]
+_SPENT, _RECOVERED = 0.8, 0.5  # of a budget, where it is text to be spent and where no longer
+_RECOVERY_TIME = 6.0  # some periods of the tilt, before it is text that it holds again [s]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class AxisControl:
     """Momentum that damps the tilt of one axis, kept within a budget.
 
     Args:
-        name: of axis and rotor, for what is said.
+        name: of axis and rotor, for what is text.
         gains: of the law.
         budget: largest momentum [N m s].
     """
@@ -92,9 +92,9 @@ class AxisControl:
         self.gains = gains
         self.budget = budget
         self.momentum = 0.0
-        self.cannot_hold = ""
+        self.saturation = ""
         self._is_spent = False
-        self._eased = 0.0  # for so long it is not spent [s]
+        self._recovery_time = 0.0  # for so long it is not spent [s]
 
     def step(self, tilt_rate: float, h: float, spent: float = 0.0, what: str = "") -> float:
         """Advance by h; returns the momentum to have [N m s].
@@ -105,22 +105,22 @@ class AxisControl:
             spent: part of another budget that is spent, with its sign.
             what: that budget, in words.
         """
-        torque = self.gains.rate * tilt_rate - self.gains.bleed * self.momentum
+        torque = self.gains.rate * tilt_rate - self.gains.desaturation * self.momentum
         own = self.momentum / self.budget
         used, text = own, f"momentum {self.momentum:.3g} of {self.budget:.3g} N m s"
         if abs(spent) > abs(own):
             used, text = spent, what
-        if abs(used) >= _FULL:
-            self._is_spent, self._eased = True, 0.0
-            self.cannot_hold = self.cannot_hold or f"{self.name} cannot hold the attitude: {text}"
-        elif abs(used) < _EASED:
+        if abs(used) >= _SPENT:
+            self._is_spent, self._recovery_time = True, 0.0
+            self.saturation = self.saturation or f"{self.name} cannot hold the attitude: {text}"
+        elif abs(used) < _RECOVERED:
             self._is_spent = False
-            self._eased += h
+            self._recovery_time += h
             # A tilt that is too large spends it in each of its half periods.
-            if self._eased > _LINGERS:
-                self.cannot_hold = ""
+            if self._recovery_time > _RECOVERY_TIME:
+                self.saturation = ""
         if self._is_spent and torque * used > 0.0:
-            torque = -self.gains.bleed * self.momentum
+            torque = -self.gains.desaturation * self.momentum
         self.momentum += torque * h
         self.momentum = min(max(self.momentum, -self.budget), self.budget)
         return self.momentum
@@ -158,7 +158,7 @@ class WheelReaction:
         """Whether the wheel has come down from its pumping."""
         return self._bias == self.rotors.wheel_quiet_bias
 
-    def take_over(self, rate: float) -> None:
+    def start_from(self, rate: float) -> None:
         """Begin with the left wheel as it turns [rad/s]: a jump of it would tilt the rover."""
         self._bias = min(rate, self.rotors.wheel_quiet_bias)
 
@@ -175,7 +175,7 @@ class WheelReaction:
         change = p.wheel_acceleration * h
         goal = p.wheel_pump_bias if pumps else p.wheel_quiet_bias
         self._bias = min(max(goal, self._bias - change), self._bias + change)
-        self.axis.budget = max(-p.wheel_rate_fraction * self._bias * self.inertia, _LEAST_BUDGET)
+        self.axis.budget = max(-p.wheel_rate_fraction * self._bias * self.inertia, _MIN_BUDGET)
         share = min(self._bias / p.wheel_pump_bias, 1.0)
         total = self.axis.step(tilt_rate, h) + share * pumped
         # Momentum along x is about -y.
@@ -201,20 +201,20 @@ class FlywheelReaction:
         )
         self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
         self._side = 0.0  # to which the bias turns
-        self._drawn = 0.0  # rate by the bias, or toward the middle of the travel [rad/s]
-        self._wanted = 0.0  # rate of the screw [rad/s]
-        self._away = 0.0  # from the middle of the travel [rad]
+        self._bias_rate = 0.0  # rate by the bias, or toward the middle of the travel [rad/s]
+        self._rate_setpoint = 0.0  # rate of the screw [rad/s]
+        self._offset = 0.0  # from the middle of the travel [rad]
 
     @property
-    def far_off(self) -> bool:
+    def is_near_end(self) -> bool:
         """Whether the nut has come too near an end for a bias."""
-        return abs(self._away) > 0.7 * self.rotors.screw_travel
+        return abs(self._offset) > 0.7 * self.rotors.screw_travel
 
     def step(
         self,
         tilt_rate: float,
         pumped: float,
-        swept: float,
+        integral: float,
         angle: float,
         rate: float,
         h: float,
@@ -226,33 +226,33 @@ class FlywheelReaction:
         Args:
             tilt_rate: along y, without the pumping's own [rad/s].
             pumped: momentum to pump with, along y [N m s].
-            swept: what that sums up to, about a mean of none [N m s^2].
+            integral: what that sums up to, about a mean of none [N m s^2].
             angle: of the screw [rad].
             rate: of the flywheel [rad/s].
             h: duration [s].
             quiet: whether pictures are taken, now or soon.
         """
         p = self.rotors
-        away = self._away = angle - p.screw_travel_centre
-        said = f"travel {away:.3g} of {p.screw_travel:.3g} rad"
-        momentum = self.axis.step(tilt_rate, h, away / p.screw_travel, said)
+        offset = self._offset = angle - p.screw_travel_centre
+        text = f"travel {offset:.3g} of {p.screw_travel:.3g} rad"
+        momentum = self.axis.step(tilt_rate, h, offset / p.screw_travel, text)
         if not quiet:
             self._side = 0.0
         elif self._side == 0.0:
-            self._side = -math.copysign(1.0, away)
-        drawn = self._side * p.flywheel_bias
+            self._side = -math.copysign(1.0, offset)
+        bias_rate = self._side * p.flywheel_bias
         if not quiet:
-            drawn = -(away - swept / self.inertia) / p.screw_return_time
+            bias_rate = -(offset - integral / self.inertia) / p.screw_return_time
         # Not at once, as that would tilt the rover.
         ramp = p.flywheel_bias_ramp * h
-        self._drawn = min(max(drawn, self._drawn - ramp), self._drawn + ramp)
-        wanted = (momentum + pumped) / self.inertia + self._drawn
+        self._bias_rate = min(max(bias_rate, self._bias_rate - ramp), self._bias_rate + ramp)
+        setpoint = (momentum + pumped) / self.inertia + self._bias_rate
         # Slower the nearer the end, never against it; a hard stop would tilt the rover.
-        room = p.screw_travel - math.copysign(away, away * wanted)
+        room = p.screw_travel - math.copysign(offset, offset * setpoint)
         most = max(p.screw_travel_gain * room, 0.0)
-        wanted = min(max(wanted, -most), most)
-        change, self._wanted = wanted - self._wanted, wanted
-        torque = self.inertia * (change / h + p.flywheel_rate_gain * (wanted - rate))
-        friction = p.flywheel_friction * math.tanh(wanted / p.flywheel_friction_rate)
+        setpoint = min(max(setpoint, -most), most)
+        change, self._rate_setpoint = setpoint - self._rate_setpoint, setpoint
+        torque = self.inertia * (change / h + p.flywheel_rate_gain * (setpoint - rate))
+        friction = p.flywheel_friction * math.tanh(setpoint / p.flywheel_friction_rate)
         torque += friction + p.flywheel_viscous * rate
         return min(max(torque, -p.flywheel_torque), p.flywheel_torque)

@@ -4,7 +4,8 @@ The tilt against the tether answers to a rotor's momentum as I p'' + m g d p = -
 
     h' = K q - k_b h
 
-(q the tilt's estimated rate, k_b the bleed) damps it by the ratio K/(2 I w_b), w_b^2 = m g d/I,
+(q the tilt's estimated rate, k_b the desaturation) damps it by the ratio K/(2 I w_b), w_b^2 = m g
+d/I,
 while k_b is small against w_b. What its loop bears follows from
 
     L(s) = K s^2/(s + k_b) e^(-s T)/(1 + s/B) / (I s^2 + m g d)
@@ -40,7 +41,7 @@ class AxisGains(NamedTuple):
     """Gains of one axis with what they bear."""
 
     rate: float  # K [N m s/rad]
-    bleed: float  # k_b [1/s]
+    desaturation: float  # k_b [1/s]
     frequency: float  # w_b [rad/s]
     gain_margin: float  # the loop bears its gain multiplied by this
     phase_margin: float  # [rad], the least of all crossings
@@ -77,12 +78,14 @@ def design_axis(
     w = np.geomspace(1e-2 * frequency, 1e2 * frequency, 20001)
     # Past the resonance itself, where the loop is infinite.
     w = w[np.abs(w - frequency) > 1e-6 * frequency]
-    answer = loop(w, rate, inertia, stiffness, design)
-    size = np.abs(answer)
-    phase = np.angle(answer)
+    response = loop(w, rate, inertia, stiffness, design)
+    size = np.abs(response)
+    phase = np.angle(response)
     crossings = np.nonzero((size[1:] - 1.0) * (size[:-1] - 1.0) < 0.0)[0]
     margins = [math.pi - abs(float(phase[k])) for k in crossings]
-    flips = np.nonzero((answer.imag[1:] * answer.imag[:-1] < 0.0) & (answer.real[1:] < 0.0))[0]
+    flips = np.nonzero((response.imag[1:] * response.imag[:-1] < 0.0) & (response.real[1:] < 0.0))[
+        0
+    ]
     above = [float(size[k]) for k in flips if w[k] > 1.01 * frequency]
     return AxisGains(
         rate,

@@ -24,22 +24,22 @@ from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, WheelReaction
 from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
 from rover_control.hanging_controller import (
+    ActuatorCommands,
     Exposure,
     HangingController,
     HangingControllerParameters,
-    Orders,
-    WinchAsk,
+    WinchRequest,
 )
 from rover_control.pointing import SUBJECT as POINTING
 from rover_control.winch_link import FREE, HOLD, WinchLink, WinchLinkParameters
 
-_NO_ORDERS = Orders(None, None, None, None, None)
+_NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 RELEASED = "released"
 """The word for what is driven by nobody here, beside the words of the phases."""
 
 _NANO = 1e9
 _NO_JUMP = frozenset({"", "standby", "fault"})
-_CLEAR = 0.2  # part of its travel, so near to whose middle the nut is clear
+_CLEAR_FRACTION = 0.2  # part of its travel, so near to whose middle the nut is clear
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ class Observation(NamedTuple):
     wall_distance: float  # [m]; NaN = the camera was not heard
 
 
-class Drives(NamedTuple):
+class DescentCommands(NamedTuple):
     """What to send now; None = nothing."""
 
     wheel_rate: float | None = None  # of the left wheel [rad/s]
     flywheel_torque: float | None = None  # [N m]
-    winch: WinchAsk | None = None  # to be renewed
+    winch: WinchRequest | None = None  # to be renewed
     trim: float | None = None  # [m/s]
     nut: float | None = None  # that the jump motor's nut is to go to [m]
 
@@ -140,19 +140,19 @@ class Descent:
         self.screw = math.nan  # angle of the flywheel's screw [rad]
         self._is_retuned = False  # other parameters wait for the release
         self._pictures = 0
-        self._open: deque[Observation] = deque()
-        self._taken: list[Observation] = []
+        self._pending: deque[Observation] = deque()
+        self._completed: list[Observation] = []
         self._changes: list[Transition] = []
         self._jump = ""
         self._mode = ""
-        self._wheel_rate = 0.0  # as sent last [rad/s]
-        self._wheel_told = 0.0  # by its encoder [rad/s]
+        self._commanded_wheel_rate = 0.0  # as sent last [rad/s]
+        self._measured_wheel_rate = 0.0  # by its encoder [rad/s]
         self._stepped_ns = 0
-        self._clears_since: float | None = None  # that the nut is driven clear [s]
+        self._clearing_since: float | None = None  # that the nut is driven clear [s]
         self._imu_ns = 0  # the newest reading's stamp
-        self._make(0.0)
+        self._reset(0.0)
 
-    def _make(self, heading: float) -> None:
+    def _reset(self, heading: float) -> None:
         settings = self.settings
         self._is_retuned = False
         self.controller = HangingController(settings.hanging_controller)
@@ -161,13 +161,13 @@ class Descent:
         self.link = WinchLink(settings.link, settings.hanging_controller.profile.depth_tolerance)
         self.link.on_mode(self._mode, -math.inf)
         self.is_engaged = False
-        self._hands_off = True  # the winch is left to others
+        self._winch_is_released = True  # the winch is left to others
         self._silent_steps = 0
-        self._back_since = -math.inf  # all sensors, after one of them was silent [s]
+        self._fresh_since = -math.inf  # all sensors, after one of them was silent [s]
         self._late_until = -math.inf  # the rotors do not follow [s]
         self._is_late = False
-        self._coasts = False  # no command is sent to the rotors
-        self._catches_up = False  # the wheel is brought to where it should be gently
+        self._rotors_coast = False  # no command is sent to the rotors
+        self._wheel_is_ramping = False  # the wheel is brought to where it should be gently
         self.interruption = ""  # why the descent is held, where nobody has asked for that
 
     # --- what is known ---------------------------------------------------------------------------
@@ -201,7 +201,7 @@ class Descent:
 
     def take_observations(self) -> list[Observation]:
         """Return the pictures that are complete since the last call, and forget them."""
-        taken, self._taken = self._taken, []
+        taken, self._completed = self._completed, []
         return taken
 
     # --- sensors ---------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ class Descent:
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
-        self._wheel_told = sample.joints[WHEEL_LEFT].velocity
+        self._measured_wheel_rate = sample.joints[WHEEL_LEFT].velocity
         self.controller.on_wheels(sample, now_ns)
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
@@ -245,9 +245,9 @@ class Descent:
         self.controller.on_camera(sample)
         smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
         ready = sample.stamp_ns - round(self.settings.descent.exposure_latency * _NANO)
-        while self._open and round(self._open[0].exposure.time * _NANO) <= ready:
-            done = self._open.popleft()
-            self._taken.append(done._replace(smear=smear, wall_distance=wall))
+        while self._pending and round(self._pending[0].exposure.time * _NANO) <= ready:
+            done = self._pending.popleft()
+            self._completed.append(done._replace(smear=smear, wall_distance=wall))
 
     # --- asked from outside ----------------------------------------------------------------------
 
@@ -264,11 +264,11 @@ class Descent:
                 RefusalCode.OUT_OF_LIMITS,
                 f"depth is {stop.depth!r} m, it must lie in {p.min_depth:g} .. {p.max_depth:g} m",
             )
-        self._check_drives(now_ns)
-        with _refused_by(topics.DESCENT_REQUEST):
+        self._check_rotors(now_ns)
+        with _refusals_as(topics.DESCENT_REQUEST):
             self.controller.request(stop, now_ns)
         self._engage("a stop is asked for")
-        self._take_winch()
+        self._acquire_winch()
 
     def turn(self, angle: float, now_ns: int) -> None:
         """Turn about the plumb line by so much [rad], and hold the heading until another request.
@@ -276,31 +276,31 @@ class Descent:
         Raises:
             Refusal: stops are left, the rover jumps, or the heading cannot be reached or held.
         """
-        self._check_drives(now_ns)
-        with _refused_by(topics.DESCENT_REQUEST):
+        self._check_rotors(now_ns)
+        with _refusals_as(topics.DESCENT_REQUEST):
             self.controller.point(angle, now_ns)
         self._engage("a heading is asked for")
 
     @property
-    def _per_turn(self) -> float:
+    def _lead_per_radian(self) -> float:
         """Way of the nut by the screw's angle [m/rad]."""
         return self.settings.descent.screw_lead / math.tau
 
     def _engage(self, reason: str) -> None:
         if not self.is_engaged:
             self.is_engaged = True
-            self._clears_since = None
-            self.controller.look_again()
+            self._clearing_since = None
+            self.controller.resume_estimation()
             self._changes.append(Transition("descent_engaged", reason))
 
-    def _check_drives(self, now_ns: int) -> None:
+    def _check_rotors(self, now_ns: int) -> None:
         if self._jump not in _NO_JUMP:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
                 f"the rover jumps ({self._jump}), its motor is needed",
             )
-        nut = self.screw * self._per_turn
+        nut = self.screw * self._lead_per_radian
         most = self.settings.descent.nut_unloaded_position
         if self.settings.hanging_controller.uses_rotors and nut > most:
             raise Refusal(
@@ -309,7 +309,7 @@ class Descent:
                 f"the nut stands at {nut:.4g} m and may bear the spring, it must stand at most at "
                 f"{most:g} m; {topics.JUMP_ABORT} lets the spring down",
             )
-        self._check_known(topics.DESCENT_REQUEST, now_ns)
+        self._check_sensors(topics.DESCENT_REQUEST, now_ns)
 
     def hold(self, now_ns: int) -> str:
         """Come to rest where it is.
@@ -327,16 +327,16 @@ class Descent:
             Refusal: nothing is held, a sensor is silent, or the winch is not free.
         """
         self._check_engaged(topics.DESCENT_RESUME)
-        self._check_known(topics.DESCENT_RESUME, now_ns)
+        self._check_sensors(topics.DESCENT_RESUME, now_ns)
         if self._mode not in FREE:
             raise Refusal(
                 topics.DESCENT_RESUME,
                 RefusalCode.NOT_ARMED,
                 f"the winch is in {self._mode or 'no known mode'}, it must hold",
             )
-        with _refused_by(topics.DESCENT_RESUME):
+        with _refusals_as(topics.DESCENT_RESUME):
             done = self.controller.resume(now_ns)
-        self._take_winch()
+        self._acquire_winch()
         return done
 
     def abort(self, now_ns: int) -> str:
@@ -358,7 +358,7 @@ class Descent:
                 f"the descent is in {self.phase}; {topics.DESCENT_ABORT} forgets what is left",
             )
         if self.is_engaged:
-            self._let_go("asked for")
+            self._disengage("asked for")
         return "winch, wheels and flywheel are free"
 
     def retune(self, settings: DescentSettings) -> None:
@@ -366,96 +366,97 @@ class Descent:
         self.settings = settings
         self._is_retuned = True
         if not self.is_engaged:
-            self._make(self.controller.heading)
+            self._reset(self.controller.heading)
 
     def _check_engaged(self, subject: str) -> None:
         if not self.is_engaged:
             raise Refusal(subject, RefusalCode.WRONG_PHASE, "no descent is under way")
 
-    def _check_known(self, subject: str, now_ns: int) -> None:
+    def _check_sensors(self, subject: str, now_ns: int) -> None:
         silent = self.waiting_for(now_ns)
         if silent:
             raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
         left = self.settings.hanging_controller.profile.estimator_settling_time - (
-            now_ns / _NANO - self._back_since
+            now_ns / _NANO - self._fresh_since
         )
         if left > 0.0:
             text = f"a sensor was silent, the swing is known again in {left:.1f} s"
             raise Refusal(subject, RefusalCode.STALE, text)
 
-    def _take_winch(self) -> None:
+    def _acquire_winch(self) -> None:
         """Use the winch again; where others have moved it, there it is now."""
         self.interruption = ""
-        if not self._hands_off:
+        if not self._winch_is_released:
             return
-        self._hands_off = False
+        self._winch_is_released = False
         profile = self.controller.profile
-        if not abs(self.length - profile.keeps) <= profile.parameters.depth_tolerance:
-            profile.keeps = math.nan
+        if not abs(self.length - profile.length_setpoint) <= profile.parameters.depth_tolerance:
+            profile.length_setpoint = math.nan
 
-    def _leave_winch(self) -> None:
-        self._hands_off = True
-        self.link.let_go()
+    def _release_winch(self) -> None:
+        self._winch_is_released = True
+        self.link.clear()
 
-    def _let_go(self, reason: str) -> None:
+    def _disengage(self, reason: str) -> None:
         controller = self.controller
         controller.pointing.stop()
         self._changes += controller.take_changes()
         if self._is_retuned:
-            self._make(controller.heading)
+            self._reset(controller.heading)
         else:
             # The rotors begin from rest; whether the rover hangs is nobody's concern here any more.
             p = controller.parameters
             controller.wheels = WheelReaction(p.hanging, p.rotors, p.design)
             controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
-            controller.look_away()
+            controller.pause_estimation()
             self.is_engaged = False
             self.interruption = ""
         self._changes.append(Transition(f"descent_{RELEASED}", reason))
 
     # --- stepped by time -------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> Drives:
+    def step(self, now_ns: int) -> DescentCommands:
         """Advance to now; returns what is to be sent."""
         now = now_ns / _NANO
         h, self._stepped_ns = (now_ns - self._stepped_ns) / _NANO, now_ns
         while (
-            self._open and now - self._open[0].exposure.time > self.settings.descent.camera_timeout
+            self._pending
+            and now - self._pending[0].exposure.time > self.settings.descent.camera_timeout
         ):
-            self._taken.append(self._open.popleft())
+            self._completed.append(self._pending.popleft())
         if not self.is_engaged:
             # A winch that still comes to rest is asked to go on with that.
-            ask, _ = self._winch(_NO_ORDERS, now)
-            return Drives(*self._run_down(h), ask)
-        self._look_at_sensors(now_ns)
-        orders = self.controller.step(now_ns)
-        if orders.exposure is not None:
+            request, _ = self._winch(_NO_COMMANDS, now)
+            return DescentCommands(*self._spin_down(h), request)
+        self._check_sensor_timeout(now_ns)
+        commands = self.controller.step(now_ns)
+        if commands.exposure is not None:
             self._pictures += 1
             nan = math.nan
-            self._open.append(Observation(self._pictures, orders.exposure, nan, nan))
+            self._pending.append(Observation(self._pictures, commands.exposure, nan, nan))
         nut = self._clear_nut(now) if self.settings.hanging_controller.uses_rotors else None
-        rotors = self._rotors(orders if nut is None else _NO_ORDERS, h, now)
-        return Drives(*rotors, *self._winch(orders, now), nut)
+        rotors = self._rotors(commands if nut is None else _NO_COMMANDS, h, now)
+        return DescentCommands(*rotors, *self._winch(commands, now), nut)
 
-    def halt(self) -> Drives:
+    def halt(self) -> DescentCommands:
         """What to send last, when nobody steps any more."""
         if not self.is_engaged:
-            return Drives()
+            return DescentCommands()
         uses = self.settings.hanging_controller.uses_rotors
-        stops = not self._hands_off and self._mode == "length"
-        ask = WinchAsk(self.length, 0.0) if stops and math.isfinite(self.length) else None
+        stops = not self._winch_is_released and self._mode == "length"
+        request = WinchRequest(self.length, 0.0) if stops and math.isfinite(self.length) else None
         off = 0.0 if uses else None
         self.controller.abort(self._stepped_ns)
-        self._let_go("the node stops")
-        self._leave_winch()
-        return Drives(off, off, ask)
+        self._disengage("the node stops")
+        self._release_winch()
+        return DescentCommands(off, off, request)
 
-    def _look_at_sensors(self, now_ns: int) -> None:
+    def _check_sensor_timeout(self, now_ns: int) -> None:
         silent = self.controller.waiting_for(now_ns)
         # By steps and not by time: one that comes late finds what was said meanwhile still unread.
         self._silent_steps = self._silent_steps + 1 if silent else 0
         if silent:
-            self._back_since = now_ns / _NANO
+            self._fresh_since = now_ns / _NANO
         if self._silent_steps < self.settings.descent.sensor_timeout_steps:
             return
         reason = f"{', '.join(silent)} not heard"
@@ -469,29 +470,35 @@ class Descent:
         """Where the nut is to go to, so that its motor is a reaction wheel; None = it is clear."""
         rotors = self.settings.hanging_controller.rotors
         away = abs(self.screw - rotors.screw_travel_centre)
-        if self._clears_since is None and not away > rotors.screw_travel:
+        if self._clearing_since is None and not away > rotors.screw_travel:
             return None
-        if self._clears_since is None:
-            self._clears_since = now
+        if self._clearing_since is None:
+            self._clearing_since = now
             self._changes.append(Transition("nut_clearing", "the nut is driven clear of the latch"))
-        if away < _CLEAR * rotors.screw_travel:
-            self._clears_since = None
+        if away < _CLEAR_FRACTION * rotors.screw_travel:
+            self._clearing_since = None
             self._changes.append(Transition("nut_clear", "the jump motor is a reaction wheel"))
             return None
-        if self.is_busy and now - self._clears_since > self.settings.descent.nut_timeout:
-            self._clears_since = now
+        if self.is_busy and now - self._clearing_since > self.settings.descent.nut_timeout:
+            self._clearing_since = now
             self._interrupt("the nut does not come clear of the latch", round(now * _NANO))
-        return rotors.screw_travel_centre * self._per_turn
+        return rotors.screw_travel_centre * self._lead_per_radian
 
-    def _rotors(self, orders: Orders, h: float, now: float) -> tuple[float | None, float | None]:
+    def _rotors(
+        self, commands: ActuatorCommands, h: float, now: float
+    ) -> tuple[float | None, float | None]:
         """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
-        rate, torque = orders.wheel_rate, orders.flywheel_torque
+        rate, torque = commands.wheel_rate, commands.flywheel_torque
         if rate is None or torque is None:
-            self._coasts = True
+            self._rotors_coast = True
             return None, None
-        if self._coasts:
+        if self._rotors_coast:
             # Without commands the wheel has come to another rate, and is taken up from there.
-            self._wheel_rate, self._catches_up, self._coasts = self._wheel_told, True, False
+            self._commanded_wheel_rate, self._wheel_is_ramping, self._rotors_coast = (
+                self._measured_wheel_rate,
+                True,
+                False,
+            )
         p = self.settings.descent
         delay = max(now - self._imu_ns / _NANO, h)
         if delay > p.max_gyro_delay:
@@ -502,58 +509,60 @@ class Descent:
             self._changes.append(Transition("rotors_late", text, Level.WARN))
         elif late and not self._is_late:
             self._changes.append(Transition("rotors_follow", "the gyro is heard in time again"))
-            self._catches_up = True
+            self._wheel_is_ramping = True
         if self._is_late:
-            return self._wheel_rate, 0.0
-        if self._catches_up:
+            return self._commanded_wheel_rate, 0.0
+        if self._wheel_is_ramping:
             change = self.settings.hanging_controller.rotors.wheel_acceleration * h
-            way = rate - self._wheel_rate
-            self._catches_up = abs(way) > change
-            rate = self._wheel_rate + min(max(way, -change), change)
-        self._wheel_rate = rate
+            way = rate - self._commanded_wheel_rate
+            self._wheel_is_ramping = abs(way) > change
+            rate = self._commanded_wheel_rate + min(max(way, -change), change)
+        self._commanded_wheel_rate = rate
         return rate, torque
 
-    def _winch(self, orders: Orders, now: float) -> tuple[WinchAsk | None, float | None]:
-        if self._hands_off:
+    def _winch(
+        self, commands: ActuatorCommands, now: float
+    ) -> tuple[WinchRequest | None, float | None]:
+        if self._winch_is_released:
             return None, None
         profile = self.controller.profile
         if not self.is_busy:
             # Whoever has the winch after a release moves it as soon as it holds.
             released = not self.is_engaged and self._mode == HOLD
-            if released or self.link.rests(now) or self._mode not in FREE:
-                self._leave_winch()
+            if released or self.link.is_at_rest(now) or self._mode not in FREE:
+                self._release_winch()
                 return None, None
-            return self.link.step(orders.winch, self.length, now), None
+            return self.link.step(commands.winch, self.length, now), None
         if self._silent_steps:
             return None, None
-        trouble = self.link.trouble(self.length, now)
-        if trouble:
-            self._interrupt(trouble, round(now * _NANO))
+        fault = self.link.fault(self.length, now)
+        if fault:
+            self._interrupt(fault, round(now * _NANO))
             return None, None
         moves = profile.phase is DescentPhase.TRAVELLING
-        trims = orders.trim is not None
-        ask = self.link.step(orders.winch, self.length, now, moves=moves, trims=trims)
-        return ask, orders.trim
+        trims = commands.trim is not None
+        request = self.link.step(commands.winch, self.length, now, moves=moves, trims=trims)
+        return request, commands.trim
 
     def _interrupt(self, reason: str, now_ns: int) -> None:
         self._changes += self.controller.take_changes()
         self.controller.hold(now_ns)
-        self._leave_winch()
+        self._release_winch()
         self.interruption = reason
         self._changes.append(Transition("descent_interrupted", reason, Level.WARN))
 
-    def _run_down(self, h: float) -> tuple[float | None, float | None]:
+    def _spin_down(self, h: float) -> tuple[float | None, float | None]:
         """After a release the left wheel is brought to rest gently; the flywheel coasts."""
-        rate = self._wheel_rate
+        rate = self._commanded_wheel_rate
         if rate == 0.0:
             return None, None
         change = self.settings.hanging_controller.rotors.wheel_acceleration * min(max(h, 0.0), 0.1)
-        self._wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
-        return self._wheel_rate, 0.0
+        self._commanded_wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
+        return self._commanded_wheel_rate, 0.0
 
 
 @contextmanager
-def _refused_by(subject: str) -> Iterator[None]:
+def _refusals_as(subject: str) -> Iterator[None]:
     """What the controller refuses is refused by the topic or service that asked for it."""
     try:
         yield

@@ -31,7 +31,7 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from rover_control.attitude import RotorParameters
-from rover_control.descent import Descent, DescentParameters, DescentSettings, Drives
+from rover_control.descent import Descent, DescentCommands, DescentParameters, DescentSettings
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
@@ -132,7 +132,7 @@ class DescentNode(ContractNode):
             return ()
         descent = self._descent
         axes = (descent.controller.wheels.axis, descent.controller.flywheel.axis)
-        spent = [axis.cannot_hold for axis in axes if axis.cannot_hold]
+        spent = [axis.saturation for axis in axes if axis.saturation]
         level = Level.WARN if descent.interruption else Level.OK
         text = descent.phase + (f": {descent.interruption}" if descent.interruption else "")
         return (
@@ -203,7 +203,7 @@ class DescentNode(ContractNode):
 
     def _begin(self) -> None:
         self._descent = Descent(self._settings())
-        self._told_phase = ""
+        self._published_phase = ""
         self._publish_changes()
 
     def _settings(self) -> DescentSettings:
@@ -222,24 +222,24 @@ class DescentNode(ContractNode):
         self._send(self._descent.step(self.now_ns()), WINCH_WHILE_RENEWED)
         self._publish_changes()
 
-    def _send(self, drives: Drives, winch_joint: str) -> None:
+    def _send(self, commands: DescentCommands, winch_joint: str) -> None:
         now_ns = self.now_ns()
-        if drives.wheel_rate is not None:
+        if commands.wheel_rate is not None:
             torque = self.parameters_of(RotorParameters).wheel_torque
-            value = JointValue(0.0, drives.wheel_rate, torque)
+            value = JointValue(0.0, commands.wheel_rate, torque)
             self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
-        if drives.flywheel_torque is not None:
-            value = JointValue(effort=drives.flywheel_torque)
+        if commands.flywheel_torque is not None:
+            value = JointValue(effort=commands.flywheel_torque)
             self._flywheel_publisher.send(JointSample(now_ns, {FLYWHEEL: value}))
-        if drives.nut is not None:
+        if commands.nut is not None:
             speed = self.parameters_of(DescentParameters).nut_speed
-            value = JointValue(drives.nut, speed, _NUT_FORCE)
+            value = JointValue(commands.nut, speed, _NUT_FORCE)
             self._nut_publisher.send(JointSample(now_ns, {JUMP_SCREW: value}))
-        if drives.winch is not None:
-            value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
+        if commands.winch is not None:
+            value = JointValue(commands.winch.length, commands.winch.rate, 0.0)
             self._winch_publisher.send(JointSample(now_ns, {winch_joint: value}))
-        if drives.trim is not None:
-            value = JointValue(velocity=drives.trim)
+        if commands.trim is not None:
+            value = JointValue(velocity=commands.trim)
             self._trim_publisher.send(JointSample(now_ns, {WINCH_DRUM: value}))
 
     def _publish_changes(self) -> None:
@@ -249,8 +249,8 @@ class DescentNode(ContractNode):
             if change.level is not Level.OK:
                 name = f"{self.NAME}: {change.name}"
                 self.report(Status(name, change.reason, change.level, self.NAME))
-        if descent.phase != self._told_phase:
-            self._told_phase = descent.phase
+        if descent.phase != self._published_phase:
+            self._published_phase = descent.phase
             self._phase_publisher.send(TextSample(descent.phase))
         for observation in descent.take_observations():
             self._observation_publisher.send(observation_sample(observation))

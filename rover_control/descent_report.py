@@ -43,7 +43,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
     wheels, flywheel = controller.wheels.axis, controller.flywheel.axis
     rotors = controller.parameters.rotors
     travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.screw_travel_centre
-    goal = controller.profile.keeps
+    goal = controller.profile.length_setpoint
     pointing = controller.pointing
     way = pointing.error(controller.twist) if pointing.is_active else 0.0
     # A displacement along +x is a negative rotation about +y, one along +y a positive about +x.

@@ -30,25 +30,25 @@ from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import (
     SUBJECT,
     DescentProfile,
+    ProfileSetpoints,
     Stop,
-    Wish,
 )
 from rover_control.hanging_rover import HangingParameters
 from rover_control.pointing import SUBJECT as POINTING
 from rover_control.pointing import Pointing, PointingParameters, Prediction
-from rover_control.rotor_pump import Pumping, RotorPump
-from rover_control.steady_swing import SteadySwing
+from rover_control.rotor_pump import RotorMomenta, RotorPump
 from rover_control.suspended_mass import SuspendedMassEstimator
 from rover_control.swing_damping import DampingParameters, WinchTrim
 from rover_control.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
-from rover_control.yaw_momentum import Handing, YawMomentumController, YawParameters
+from rover_control.swing_filter import SwingFilter
+from rover_control.yaw_momentum import MomentumTransfer, YawMomentumController, YawParameters
 
 _NANO = 1e9
-_SILENCE = 0.3  # a sensor that was not heard for longer is lost [s]
+_SENSOR_TIMEOUT = 0.3  # a sensor that was not heard for longer is lost [s]
 _LONGEST_STEP = 0.2  # of the estimator; after a longer gap it starts anew [s]
 _OPEN = 0.5  # a brake's position from here on means released
-_RENEWAL = 1.0  # between two requests to the winch while its rate changes [s]
-_EASING = 5.0  # in which the pumping comes and goes [s]
+_RENEWAL_PERIOD = 1.0  # between two requests to the winch while its rate changes [s]
+_PUMP_RAMP = 5.0  # in which the pumping comes and goes [s]
 _LENGTH = "length"  # modes of the winch that take a trim
 _ARMED = frozenset({"hold", _LENGTH, "rate"})
 
@@ -69,7 +69,7 @@ class HangingControllerParameters:
     uses_rotors: bool = True
 
 
-class WinchAsk(NamedTuple):
+class WinchRequest(NamedTuple):
     """A request to the winch."""
 
     length: float  # [m]
@@ -87,17 +87,17 @@ class Exposure(NamedTuple):
     wall_distance: float  # [m]; NaN = not heard
 
 
-class Orders(NamedTuple):
+class ActuatorCommands(NamedTuple):
     """What the drives are to do; None = nothing is sent."""
 
     wheel_rate: float | None  # of the left wheel [rad/s]
     flywheel_torque: float | None  # [N m]
-    winch: WinchAsk | None
+    winch: WinchRequest | None
     trim: float | None  # [m/s]
     exposure: Exposure | None
 
 
-_NOTHING = Orders(None, None, None, None, None)
+_NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 
 
 class HangingController:
@@ -113,9 +113,9 @@ class HangingController:
         self.estimator = SwingEstimator(p.estimator, p.hanging)
         self.trim = WinchTrim(p.damping)
         self.pump = RotorPump(p.damping, p.hanging)
-        self.steady = SteadySwing()
-        self._pushes = 0
-        self._losses = 0
+        self.swing_filter = SwingFilter()
+        self._disturbances = 0
+        self._divergences = 0
         self._is_lost = False  # what the gyro shows is no hanging rover's motion
         self.yaw = YawMomentumController(p.yaw, p.hanging)
         self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
@@ -124,7 +124,7 @@ class HangingController:
         self.pointing = Pointing(p.pointing, p.hanging)
         self.suspended_mass = SuspendedMassEstimator(p.hanging)
         self.twist = 0.0  # of the tether: the heading, without ever jumping [rad]
-        self._heard: dict[str, int] = {}
+        self._received_ns: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._load_ns: int | None = None
         self._length = math.nan
@@ -137,12 +137,12 @@ class HangingController:
         self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
         self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
-        self._looks_away = False  # the rover may not hang: nothing is learnt from it
-        self._asked: WinchAsk | None = None
-        self._asked_at = -math.inf
+        self._estimation_paused = False  # the rover may not hang: nothing is learnt from it
+        self._requested: WinchRequest | None = None
+        self._requested_at = -math.inf
         self._trims = False
-        self._ease = 0.0  # of the pumping, 0..1
-        self._told: dict[str, str] = {}
+        self._pump_gain = 0.0  # of the pumping, 0..1
+        self._reported_saturation: dict[str, str] = {}
         self._changes: list[Transition] = []
 
     @property
@@ -170,7 +170,7 @@ class HangingController:
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
         """Take length and rate of the drum, and its brake."""
         length, rate, _ = sample.joints[WINCH_DRUM]
-        self._heard[topics.WINCH_STATE] = now_ns
+        self._received_ns[topics.WINCH_STATE] = now_ns
         self._length = length
         self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
         self.estimator.on_drum(length, rate)
@@ -179,28 +179,28 @@ class HangingController:
         """Take the tension at the fairlead: it weighs the rover."""
         stamp = sample.stamp_ns or now_ns
         last, self._load_ns = self._load_ns, stamp
-        hangs = not (self._looks_away or math.isnan(self._length))
+        hangs = not (self._estimation_paused or math.isnan(self._length))
         if hangs and last is not None and stamp > last:
             h = (stamp - last) / _NANO
-            self.suspended_mass.hear(math.hypot(*sample.force), self._length, h)
+            self.suspended_mass.update(math.hypot(*sample.force), self._length, h)
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Take the wheels' rates."""
-        self._heard[topics.WHEEL_STATE] = now_ns
+        self._received_ns[topics.WHEEL_STATE] = now_ns
         self._left_rate = sample.joints[WHEEL_LEFT].velocity
         rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
         self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
         """Take angle and rate of the flywheel."""
-        self._heard[topics.FLYWHEEL_STATE] = now_ns
+        self._received_ns[topics.FLYWHEEL_STATE] = now_ns
         angle, rate, _ = sample.joints[FLYWHEEL]
         self._screw = (angle, rate)
         self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Take a reading of the IMU; the estimate follows at once."""
-        self._heard[topics.IMU] = now_ns
+        self._received_ns[topics.IMU] = now_ns
         stamp = sample.stamp_ns or now_ns
         last, self._imu_ns = self._imu_ns, stamp
         momentum = (-self._wheel_momentum, self._flywheel_momentum)
@@ -211,7 +211,7 @@ class HangingController:
         if h > _LONGEST_STEP:
             self.estimator.restart()
             return
-        if self._looks_away:
+        if self._estimation_paused:
             self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
             return
         # What turns with the rover changes in space, too.
@@ -221,14 +221,14 @@ class HangingController:
             momentum[1] - before[1] + turned * momentum[0],
         )
         self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
-        self.twist += self.estimator.twisted
-        self._publish_of_losses()
+        self.twist += self.estimator.twist_increment
+        self._publish_divergence()
 
-    def _publish_of_losses(self) -> None:
+    def _publish_divergence(self) -> None:
         """Say that the estimate had to be begun anew, once for as long as it does not settle."""
-        if self.estimator.losses != self._losses:
-            self._losses = self.estimator.losses
-            self.profile.look_again()
+        if self.estimator.divergences != self._divergences:
+            self._divergences = self.estimator.divergences
+            self.profile.on_swing_lost()
             if not self._is_lost:
                 self._is_lost = True
                 text = (
@@ -240,19 +240,19 @@ class HangingController:
             self._is_lost = False
             self._changes.append(Transition("swing_found", "the swing is known again", Level.OK))
 
-    def look_away(self) -> None:
+    def pause_estimation(self) -> None:
         """Learn nothing more: the rover may be set down. How it turns is followed."""
-        self._looks_away = True
+        self._estimation_paused = True
 
-    def look_again(self) -> None:
+    def resume_estimation(self) -> None:
         """The rover hangs again, and its swing is another one; its wheel may still turn."""
-        self.wheels.take_over(self._left_rate)
-        if self._looks_away:
-            self._looks_away = False
-            self.estimator.look_again()
-            self.steady = SteadySwing()
+        self.wheels.start_from(self._left_rate)
+        if self._estimation_paused:
+            self._estimation_paused = False
+            self.estimator.reset_swing()
+            self.swing_filter = SwingFilter()
             self.suspended_mass.restart()
-            self.profile.look_again()
+            self.profile.on_swing_lost()
 
     def on_winch_mode(self, mode: str) -> None:
         """Take what the winch is doing."""
@@ -270,9 +270,9 @@ class HangingController:
         needed = [topics.IMU, topics.WINCH_STATE]
         if self.parameters.uses_rotors:
             needed += [topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
-        limit = _SILENCE * _NANO
+        limit = _SENSOR_TIMEOUT * _NANO
         never = -1 << 62
-        return tuple(name for name in needed if now_ns - self._heard.get(name, never) > limit)
+        return tuple(name for name in needed if now_ns - self._received_ns.get(name, never) > limit)
 
     @property
     def swing(self) -> SwingEstimate | None:
@@ -373,88 +373,90 @@ class HangingController:
 
     # --- stepped by time -------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> Orders:
+    def step(self, now_ns: int) -> ActuatorCommands:
         """Advance to now; returns what the drives are to do."""
         now = now_ns / _NANO
         h = 0.0 if self._stepped is None else now - self._stepped
         self._stepped = now
         swing = self.swing
         if swing is None or self.waiting_for(now_ns) or h <= 0.0:
-            return _NOTHING
+            return _NO_COMMANDS
         h = min(h, _LONGEST_STEP)
-        wish = self.profile.step(
+        setpoints = self.profile.step(
             swing,
             self._length,
             winch_rests=not self._brake_is_open,
-            handing=self._handing(swing),
-            rotors_rest=(self.wheels.is_quiet and self._ease == 0.0)
+            transfer=self._momentum_transfer(swing),
+            rotors_rest=(self.wheels.is_quiet and self._pump_gain == 0.0)
             or not self.parameters.uses_rotors,
             now=now,
         )
-        wheel_rate, torque = self._react(swing, wish, h)
-        ask, trim = self._winch(swing, wish, now)
+        wheel_rate, torque = self._react(swing, setpoints, h)
+        request, trim = self._winch(swing, setpoints, now)
         exposure = None
-        if wish.exposes:
+        if setpoints.exposes:
             exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
-        return Orders(wheel_rate, torque, ask, trim, exposure)
+        return ActuatorCommands(wheel_rate, torque, request, trim, exposure)
 
-    def _handing(self, swing: SwingEstimate) -> Handing:
-        handing = self.yaw.handing(swing, self.twist, self._length)
+    def _momentum_transfer(self, swing: SwingEstimate) -> MomentumTransfer:
+        handing = self.yaw.predict_transfer(swing, self.twist, self._length)
         return handing if self.parameters.uses_rotors else handing._replace(time=math.inf)
 
     def _react(
-        self, swing: SwingEstimate, wish: Wish, h: float
+        self, swing: SwingEstimate, setpoints: ProfileSetpoints, h: float
     ) -> tuple[float | None, float | None]:
         if not self.parameters.uses_rotors:
             return None, None
         # Comes and goes softly, as its steps would tilt the rover.
-        change = h / _EASING
-        self._ease = min(max(float(wish.pumps), self._ease - change), self._ease + change)
-        if self.estimator.pushes != self._pushes:
-            self._pushes = self.estimator.pushes
-            self.steady.restart()
+        change = h / _PUMP_RAMP
+        self._pump_gain = min(
+            max(float(setpoints.pumps), self._pump_gain - change), self._pump_gain + change
+        )
+        if self.estimator.disturbances != self._disturbances:
+            self._disturbances = self.estimator.disturbances
+            self.swing_filter.restart()
             self.yaw.restart()
-        lasting = self.steady.step(swing, self.twist, h)
+        filtered = self.swing_filter.step(swing, self.twist, h)
         torque = self.yaw.step(
             swing,
             self.twist,
             self._length,
-            self.pump.largest_torque(lasting, self._length),
+            self.pump.largest_torque(filtered, self._length),
             h,
-            hands_on=wish.hands_on,
-            unwinds=wish.unwinds,
+            transfers=setpoints.transfers,
+            unwinds=setpoints.unwinds,
         )
-        wanted = self.pump.momenta(
-            lasting, self._length, torque, damps=not (wish.hands_on or wish.unwinds)
+        pumping = self.pump.momenta(
+            filtered, self._length, torque, damps=not (setpoints.transfers or setpoints.unwinds)
         )
-        pumped = Pumping(*(self._ease * each for each in wanted))
-        coned = self._cone(swing, h)
-        own = self.pointing.own_tilt_rates(coned)
-        own_x = self.pump.own_tilt_rate(pumped.x, swing.frequency) + own[0]
-        own_y = self.pump.own_tilt_rate(pumped.y, swing.frequency) + own[1]
-        pumped = Pumping(*(sum(each) for each in zip(pumped, coned, strict=True)))
-        pumps = wish.pumps or self.pointing.is_active
+        pumped = RotorMomenta(*(self._pump_gain * each for each in pumping))
+        coning = self._cone(swing, h)
+        own = self.pointing.induced_tilt_rates(coning)
+        own_x = self.pump.induced_tilt_rate(pumped.x, swing.frequency) + own[0]
+        own_y = self.pump.induced_tilt_rate(pumped.y, swing.frequency) + own[1]
+        pumped = RotorMomenta(*(sum(each) for each in zip(pumped, coning, strict=True)))
+        pumps = setpoints.pumps or self.pointing.is_active
         rate = self.wheels.step(swing.tilt_rate[0] - own_x, pumped.x, h, pumps=pumps)
-        quiet = wish.quiet and not self.flywheel.far_off
+        quiet = setpoints.quiet and not self.flywheel.is_near_end
         torque = self.flywheel.step(
-            swing.tilt_rate[1] - own_y, pumped.y, pumped.y_swept, *self._screw, h, quiet=quiet
+            swing.tilt_rate[1] - own_y, pumped.y, pumped.y_integral, *self._screw, h, quiet=quiet
         )
         for axis in (self.wheels.axis, self.flywheel.axis):
-            if axis.cannot_hold != self._told.get(axis.name, ""):
-                self._told[axis.name] = axis.cannot_hold
-                level = Level.WARN if axis.cannot_hold else Level.OK
-                text = axis.cannot_hold or f"{axis.name} holds the attitude again"
+            if axis.saturation != self._reported_saturation.get(axis.name, ""):
+                self._reported_saturation[axis.name] = axis.saturation
+                level = Level.WARN if axis.saturation else Level.OK
+                text = axis.saturation or f"{axis.name} holds the attitude again"
                 self._changes.append(Transition("attitude_budget", text, level))
         return rate, torque
 
-    def _cone(self, swing: SwingEstimate, h: float) -> Pumping:
+    def _cone(self, swing: SwingEstimate, h: float) -> RotorMomenta:
         """Momenta that turn the rover to its heading; with a stop to go to, none."""
         if self.pointing.is_active and not self.profile.is_idle:
             self.pointing.stop()
             text = "the heading is let go, a stop was asked for"
             self._changes.append(Transition("pointing_ended", text, Level.OK))
         # The tilt of the coning, over a hundred times as fast as the swing, hides how that turns.
-        self.estimator.keeps_yaw_bias = self.pointing.is_coning
+        self.estimator.freezes_yaw_bias = self.pointing.is_coning
         momenta = self.pointing.step(
             self.twist,
             self._length,
@@ -476,21 +478,25 @@ class HangingController:
         return momenta
 
     def _winch(
-        self, swing: SwingEstimate, wish: Wish, now: float
-    ) -> tuple[WinchAsk | None, float | None]:
-        length = wish.length
+        self, swing: SwingEstimate, setpoints: ProfileSetpoints, now: float
+    ) -> tuple[WinchRequest | None, float | None]:
+        length = setpoints.length
         if math.isnan(length) or self._mode not in _ARMED:
             return None, None
-        trims = wish.trims and self.parameters.uses_winch
-        ask = WinchAsk(length, wish.rate)
-        asks = self._asked is None or self._asked.length != length
-        if self._asked is not None and not asks and now - self._asked_at >= _RENEWAL:
+        trims = setpoints.trims and self.parameters.uses_winch
+        request = WinchRequest(length, setpoints.rate)
+        sends = self._requested is None or self._requested.length != length
+        if (
+            self._requested is not None
+            and not sends
+            and now - self._requested_at >= _RENEWAL_PERIOD
+        ):
             away = abs(self._length - length) > self.parameters.profile.depth_tolerance
-            asks = (trims and self._mode != _LENGTH) or (away and not trims)
+            sends = (trims and self._mode != _LENGTH) or (away and not trims)
         trim = None
-        if trims and self._mode == _LENGTH and not asks:
+        if trims and self._mode == _LENGTH and not sends:
             trim = self.trim.rate(swing, length, self._length - length)
-        if not asks:
+        if not sends:
             return None, trim
-        self._asked, self._asked_at = ask, now
-        return ask, trim
+        self._requested, self._requested_at = request, now
+        return request, trim

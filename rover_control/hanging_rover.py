@@ -67,7 +67,7 @@ class HangingParameters:
         """Torque that rights a tilt against the tether, m g d [N m/rad]."""
         return self.rover_mass * self.rover_gravity * self.lever
 
-    def pull(self, length: float) -> float:
+    def effective_gravity(self, length: float) -> float:
         """What takes g's place for the swing on so much tether [m], in m/s^2.
 
         A tether of the mass M swings along, and pulls more at its top: g (1 + M/6m).
@@ -75,24 +75,24 @@ class HangingParameters:
         heavier = self.tether_density * length / (6.0 * self.rover_mass)
         return self.rover_gravity * (1.0 + heavier)
 
-    def torsion(self, length: float) -> float:
+    def torsional_stiffness(self, length: float) -> float:
         """Torque by which so much tether [m] answers to its twist, GJ/l [N m/rad]."""
         return self.twist_stiffness / length
 
-    def reach_inertia(self, length: float) -> float:
+    def pendulum_inertia(self, length: float) -> float:
         """Of the swing about the fairlead, m (l + d)^2 [kg m^2]."""
         return self.rover_mass * (length + self.lever) ** 2
 
     def swing_frequency(self, length: float) -> float:
         """Angular frequency [rad/s] of the swing on so much tether [m]."""
-        return math.sqrt(self.pull(length) / (length + self.lever))
+        return math.sqrt(self.effective_gravity(length) / (length + self.lever))
 
     def tilt_frequencies(self) -> tuple[float, float]:
         """Angular frequencies [rad/s] of the tilts along x and along y."""
         x, y = self.inertias
         return math.sqrt(self.stiffness / x), math.sqrt(self.stiffness / y)
 
-    def grown(self, amplitude: float, length: float, to_length: float) -> float:
+    def swing_amplitude_at(self, amplitude: float, length: float, to_length: float) -> float:
         """Amplitude [rad] that a swing has on another length, if it is changed slowly.
 
         Energy over frequency is kept, so the angle goes with the length to the power -3/4.

@@ -19,7 +19,8 @@ drifts away, by half the acceleration times the square of the time. What the gyr
 known to adds to the error all the time. A turn is promised with less than the largest rate, as the
 mass may be off.
 
-A rover that weighs more tilts less by as much, so the rotors' momenta follow what it weighs, as far
+A rover that coefficient more tilts less by as much, so the rotors' momenta follow what it
+coefficient, as far
 as they reach, and the tilt with the rate is what it would be.
 
 How much the coning turns is measured on the way. The momentum about the plumb line, of the rover's
@@ -41,13 +42,13 @@ from typing import NamedTuple
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
-from rover_control.rotor_pump import NO_PUMPING, Pumping
-from rover_control.suspended_mass import HEAVIEST
+from rover_control.rotor_pump import NO_MOMENTA, RotorMomenta
+from rover_control.suspended_mass import MAX_MASS_RATIO
 from rover_control.swing_estimator import SwingEstimate
 
 SUBJECT = "pointing"  # of refusals
-_LEARNT = 15.0  # of full coning, from which on its rate is known [s]
-_SURE = 2.0  # standard deviations of the yaw rate within which a heading counts as known
+_IDENTIFICATION_TIME = 15.0  # of full coning, from which on its rate is known [s]
+_CONFIDENCE = 2.0  # standard deviations of the yaw rate within which a heading counts as known
 _SPIN_TIME = 8.0  # over which the spin that is not the coning's is smoothed [s]
 
 
@@ -112,18 +113,20 @@ class Pointing:
         tilt = w / (inertia * (square - w * w))  # over h
         # Rate about the tether over h^2.
         self._gain = tilt**2 * (inertia * square / (hanging.inertia_about_z * w) - 0.5 * w)
-        self._own = [w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)]
+        self._tilt_response = [
+            w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)
+        ]
         self._target = math.nan
         self._mass = 1.0  # of the rover over what is known, as it was weighed
         self._coning_inertia = inertia
-        self._weighs = (hanging.stiffness - inertia * w * w) / (w * w)
-        self._phase = self._spin = self._coned = 0.0
-        self._learnt = _Learnt()
+        self._mass_coefficient = (hanging.stiffness - inertia * w * w) / (w * w)
+        self._phase = self._spin = self._coning_rate = 0.0
+        self._identified = _ConingIdentification()
         self._reached = False
-        self._told: Prediction | None = None
-        self._arrived = 0.0  # when it was reached, since it was asked [s]
+        self._reached_prediction: Prediction | None = None
+        self._reached_at = 0.0  # when it was reached, since it was asked [s]
         self._lost = ""
-        self._begun = 0.0  # error of the yaw rate when it was asked [rad/s]
+        self._initial_yaw_error = 0.0  # error of the yaw rate when it was asked [rad/s]
         self._time = 0.0  # since then [s]
         self.prediction: Prediction | None = None
 
@@ -140,7 +143,7 @@ class Pointing:
     @property
     def coning_rate(self) -> float:
         """At which the coning now turns the rover, as the model has it [rad/s]."""
-        return self._coned
+        return self._coning_rate
 
     def predict(
         self,
@@ -166,7 +169,10 @@ class Pointing:
         """
         p = self.parameters
         rate, step = share * (self._momentum_share(mass) / mass) ** 2 * self.largest_rate, 1.0
-        inertia, torsion = mass * self.hanging.inertia_about_z, self.hanging.torsion(length)
+        inertia, torsion = (
+            mass * self.hanging.inertia_about_z,
+            self.hanging.torsional_stiffness(length),
+        )
         slips = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
         passed, time, back = 0.0, 0.0, spin  # turned, spin against it
@@ -174,9 +180,13 @@ class Pointing:
             if back >= rate or time > 10.0 * p.max_turn_time:
                 return Prediction(math.inf, 0.0, "twist")
             passed += step * (rate - back)
-            back += step * self._pull(sense * (twist + sense * passed), torsion, slips) / inertia
+            back += (
+                step
+                * self._twist_torque(sense * (twist + sense * passed), torsion, slips)
+                / inertia
+            )
             time += step
-        pull = max(self._pull(sense * twist + abs(turn), torsion, slips) / inertia, 0.0)
+        pull = max(self._twist_torque(sense * twist + abs(turn), torsion, slips) / inertia, 0.0)
         held, limit = math.inf, "twist"
         if pull > 0.0:
             held = (rate - back) / pull + math.sqrt(2.0 * p.heading_tolerance / pull)
@@ -192,11 +202,13 @@ class Pointing:
     def _known_for(self, yaw_error: float) -> float:
         """How long a heading is known to within the tolerance [s], by the yaw rate's error."""
         return (
-            self.parameters.heading_tolerance / (_SURE * yaw_error) if yaw_error > 0.0 else math.inf
+            self.parameters.heading_tolerance / (_CONFIDENCE * yaw_error)
+            if yaw_error > 0.0
+            else math.inf
         )
 
     @staticmethod
-    def _pull(twist: float, torsion: float, slips: float) -> float:
+    def _twist_torque(twist: float, torsion: float, slips: float) -> float:
         return min(max(torsion * twist, -slips), slips)
 
     def request(
@@ -232,10 +244,10 @@ class Pointing:
                 RefusalCode.OUT_OF_LIMITS,
                 f"turn is {turn!r} rad, it must be within half a turn",
             )
-        promise = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.coning_derating)
+        guaranteed = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.coning_derating)
         degrees = math.degrees(abs(turn))
-        if promise.turning > p.max_turn_time:
-            torsion = self.hanging.torsion(length)
+        if guaranteed.turning > p.max_turn_time:
+            torsion = self.hanging.torsional_stiffness(length)
             reach = p.coning_derating * self.largest_rate
             reach /= math.sqrt(torsion / self.hanging.inertia_about_z)
             raise Refusal(
@@ -245,17 +257,18 @@ class Pointing:
                 f"{length:.3g} m of tether: its twist turns the rover back by {torsion:.3g} "
                 f"N m/rad, coning is sure to reach {math.degrees(reach):.0f} deg of twist",
             )
-        if promise.holding < p.min_hold_time:
+        if guaranteed.holding < p.min_hold_time:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{degrees:.0f} deg would be held for {promise.holding:.0f} s on {length:.3g} m of "
-                f"tether, limited by {promise.limit}; it must be {p.min_hold_time:.0f} s",
+                f"{degrees:.0f} deg would be held for {guaranteed.holding:.0f} s on "
+                f"{length:.3g} m of tether, limited by {guaranteed.limit}; it must be at least "
+                f"{p.min_hold_time:.0f} s",
             )
         self._target, self._mass = heading + turn, mass
-        self._coned, self._learnt = 0.0, _Learnt()
-        self._time, self._reached, self._begun = 0.0, False, yaw_error
-        self._arrived = 0.0
+        self._coning_rate, self._identified = 0.0, _ConingIdentification()
+        self._time, self._reached, self._initial_yaw_error = 0.0, False, yaw_error
+        self._reached_at = 0.0
         against = -math.copysign(spin, spin * turn)
         self.prediction = self.predict(
             turn, twist, length, yaw_error=yaw_error, spin=against, mass=mass
@@ -273,11 +286,11 @@ class Pointing:
     @property
     def is_coning(self) -> bool:
         """Whether the rotors cone."""
-        return self._coned != 0.0
+        return self._coning_rate != 0.0
 
     def take_reached(self) -> Prediction | None:
         """What is predicted from where the heading was reached, once."""
-        taken, self._told = self._told, None
+        taken, self._reached_prediction = self._reached_prediction, None
         return taken
 
     def take_lost(self) -> str:
@@ -292,7 +305,7 @@ class Pointing:
         swing: SwingEstimate,
         momenta: tuple[float, float],
         h: float,
-    ) -> Pumping:
+    ) -> RotorMomenta:
         """Advance by h; returns the momenta that the rotors are to have.
 
         Args:
@@ -304,64 +317,68 @@ class Pointing:
         """
         p = self.parameters
         w = p.coning_frequency
-        learnt, most = self._learnt, self.largest_rate
+        identified, most = self._identified, self.largest_rate
         (ux, uy), (px, py) = swing.direction, swing.tilt
         (vx, vy), (qx, qy) = swing.direction_rate, swing.tilt_rate
         swept = (ux + px) * (vy + qy) - (uy + py) * (vx + qx)
         leaning = momenta[0] * (ux + px) + momenta[1] * (uy + py)
-        by_rotors = leaning / learnt.mass(self._weighs) + self._coning_inertia * swept
+        by_rotors = leaning / identified.mass(self._mass_coefficient) + self._coning_inertia * swept
         by_rotors /= -self.hanging.inertia_about_z
         self._spin += min(h / _SPIN_TIME, 1.0) * (swing.yaw_rate - by_rotors - self._spin)
-        wanted = 0.0
+        setpoint = 0.0
         if self.is_active:
             self._time += h
-            if abs(self._coned) >= 0.99 * most and not self._reached:
-                sense = math.copysign(1.0, self._coned)
-                learnt.add(h, sense * (by_rotors + 0.5 * swept), leaning, swept)
-            self._look_whether_reached(heading, length)
-            self._look_whether_lost(heading)
+            if abs(self._coning_rate) >= 0.99 * most and not self._reached:
+                sense = math.copysign(1.0, self._coning_rate)
+                identified.add(h, sense * (by_rotors + 0.5 * swept), leaning, swept)
+            self._check_reached(heading, length)
+            self._check_lost(heading)
         if self.is_active:
             # What spins back is made up for.
-            wanted = (self.error(heading) / p.approach_time - self._spin) / learnt.share(most)
-        wanted = min(max(wanted, -most), most)
+            setpoint = (self.error(heading) / p.approach_time - self._spin) / identified.share(most)
+        setpoint = min(max(setpoint, -most), most)
         change = most * h / p.coning_ramp_time
-        self._coned = min(max(wanted, self._coned - change), self._coned + change)
-        if self._coned == 0.0:
-            return NO_PUMPING
-        amplitude = self._momentum_share(self._mass) * math.sqrt(abs(self._coned) / self._gain)
-        sense = -math.copysign(1.0, self._coned)
+        self._coning_rate = min(
+            max(setpoint, self._coning_rate - change), self._coning_rate + change
+        )
+        if self._coning_rate == 0.0:
+            return NO_MOMENTA
+        amplitude = self._momentum_share(self._mass) * math.sqrt(
+            abs(self._coning_rate) / self._gain
+        )
+        sense = -math.copysign(1.0, self._coning_rate)
         self._phase = math.remainder(self._phase + w * h, math.tau)
         along = amplitude * math.cos(self._phase)
         across = sense * amplitude * math.sin(self._phase)
-        return Pumping(along, across, -sense * amplitude * math.cos(self._phase) / w)
+        return RotorMomenta(along, across, -sense * amplitude * math.cos(self._phase) / w)
 
-    def _look_whether_reached(self, heading: float, length: float) -> None:
+    def _check_reached(self, heading: float, length: float) -> None:
         """Predict the holding where the turn ends."""
-        p, learnt = self.parameters, self._learnt
+        p, identified = self.parameters, self._identified
         if self._reached or abs(self.error(heading)) > p.heading_tolerance:
             return
         self._reached = True
-        torsion, slips = self.hanging.torsion(length), self.hanging.swivel_friction
-        pull = self._pull(self._target, torsion, slips)
-        inertia = self.hanging.inertia_about_z * learnt.mass(self._weighs)
+        torsion, slips = self.hanging.torsional_stiffness(length), self.hanging.swivel_friction
+        pull = self._twist_torque(self._target, torsion, slips)
+        inertia = self.hanging.inertia_about_z * identified.mass(self._mass_coefficient)
         held, limit = math.inf, "twist"
         if pull != 0.0:
             # The twist turns against its own sign, and is held off by coning the other way.
-            left = learnt.share(self.largest_rate) * self.largest_rate
+            left = identified.share(self.largest_rate) * self.largest_rate
             left = max(left + math.copysign(1.0, pull) * self._spin, 0.0)
             drift = math.sqrt(2.0 * p.heading_tolerance * inertia / abs(pull))
             held = left * inertia / abs(pull) + drift
-        known = self._known_for(self._begun) - self._time
+        known = self._known_for(self._initial_yaw_error) - self._time
         if known < held:
             held, limit = max(known, 0.0), "gyro bias"
-        self._arrived = self._time
-        self._told = Prediction(self._time, held, limit)
+        self._reached_at = self._time
+        self._reached_prediction = Prediction(self._time, held, limit)
 
-    def _look_whether_lost(self, heading: float) -> None:
+    def _check_lost(self, heading: float) -> None:
         """Let go what is held no longer, or not known to be."""
         p, degrees = self.parameters, math.degrees(self.parameters.heading_tolerance)
-        held = self._time - self._arrived
-        if self._time > self._known_for(self._begun):
+        held = self._time - self._reached_at
+        if self._time > self._known_for(self._initial_yaw_error):
             why = f"it is not known to within {degrees:.0f} deg any more, by the gyro's bias"
         elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.heading_tolerance:
             why = f"the tether's twist has turned it away by {degrees:.0f} deg"
@@ -370,12 +387,14 @@ class Pointing:
         self._lost = f"the heading is let go after {held:.0f} s: {why}"
         self.stop()
 
-    def own_tilt_rates(self, momenta: Pumping) -> tuple[float, float]:
+    def induced_tilt_rates(self, momenta: RotorMomenta) -> tuple[float, float]:
         """Tilt rates along x and y [rad/s] that the coning itself causes."""
-        return self._own[0] * momenta.x / self._mass, self._own[1] * momenta.y / self._mass
+        return self._tilt_response[0] * momenta.x / self._mass, self._tilt_response[
+            1
+        ] * momenta.y / self._mass
 
 
-class _Learnt:
+class _ConingIdentification:
     """Sums over the time of full coning, and what follows from them once they are long enough."""
 
     def __init__(self) -> None:
@@ -390,17 +409,17 @@ class _Learnt:
 
     def share(self, rate: float) -> float:
         """Rate by full coning over what the model says [rad/s]."""
-        if self._time < _LEARNT:
+        if self._time < _IDENTIFICATION_TIME:
             return 1.0
         return min(max(self._turned / (self._time * rate), 0.3), 2.0)
 
-    def mass(self, weighs: float) -> float:
+    def mass(self, coefficient: float) -> float:
         """The rover's mass over what is known of it.
 
         Args:
-            weighs: momentum of the rotors over the tilt's rate that it makes [kg m^2].
+            coefficient: momentum of the rotors over the tilt's rate that it makes [kg m^2].
         """
-        if self._time < _LEARNT or self._swept == 0.0:
+        if self._time < _IDENTIFICATION_TIME or self._swept == 0.0:
             return 1.0
-        found = self._leaning / (self._swept * weighs)
-        return min(max(found, 1.0 / HEAVIEST), HEAVIEST)
+        found = self._leaning / (self._swept * coefficient)
+        return min(max(found, 1.0 / MAX_MASS_RATIO), MAX_MASS_RATIO)

@@ -32,15 +32,15 @@ from rover_control.swing_estimator import SwingEstimate
 _TINY = 1e-12
 
 
-class Pumping(NamedTuple):
+class RotorMomenta(NamedTuple):
     """Momenta of both rotors, as `hanging_rover` counts them, and their integral over the swing."""
 
     x: float  # of the wheels [N m s]
     y: float  # of the flywheel [N m s]
-    y_swept: float  # what the flywheel's momentum sums up to, about a mean of none [N m s^2]
+    y_integral: float  # what the flywheel's momentum sums up to, about a mean of none [N m s^2]
 
 
-NO_PUMPING = Pumping(0.0, 0.0, 0.0)
+NO_MOMENTA = RotorMomenta(0.0, 0.0, 0.0)
 
 
 class RotorPump:
@@ -64,7 +64,10 @@ class RotorPump:
         p, w = self.parameters, swing.frequency
         travelled = p.pump_travel * w * self.hanging.flywheel_inertia
         change = (
-            p.pump_momentum_fraction * self.hanging.reach_inertia(length) * w * swing.ellipse.major
+            p.pump_momentum_fraction
+            * self.hanging.pendulum_inertia(length)
+            * w
+            * swing.ellipse.major
         )
         return min(p.pump_momentum, change), min(p.flywheel_momentum, travelled, change)
 
@@ -76,7 +79,7 @@ class RotorPump:
 
     def momenta(
         self, swing: SwingEstimate, length: float, torque: float, *, damps: bool
-    ) -> Pumping:
+    ) -> RotorMomenta:
         """Momenta that the rotors are to have.
 
         Args:
@@ -98,7 +101,7 @@ class RotorPump:
         sign = math.copysign(1.0, torque)
         first, second = sign * gain_x * vy, -sign * gain_y * vx
         # As x'' = -w^2 x, the sum of x' is x, that of x is -x'/w^2.
-        swept = -sign * gain_y * x
+        integral = -sign * gain_y * x
         if damps:
             spin = (x * vy - y * vx) / w
             plane_x, phase_x = x - spin / ay**2 * vy / w, vx / w + spin / ay**2 * y
@@ -107,14 +110,14 @@ class RotorPump:
             first += max(left_x, 0.0) * plane_x / max(math.hypot(plane_x, phase_x), fade)
             rest = max(left_y, 0.0) / max(math.hypot(plane_y, phase_y), fade)
             second += rest * plane_y
-            swept -= rest * phase_y / w
-        return Pumping(min(max(first, -hx), hx), min(max(second, -hy), hy), swept)
+            integral -= rest * phase_y / w
+        return RotorMomenta(min(max(first, -hx), hx), min(max(second, -hy), hy), integral)
 
     def decay(self, length: float) -> float:
         """Rate [rad/s] at which the wheels let the amplitude along x fall on this length [m]."""
-        return self.parameters.pump_momentum / (2.0 * self.hanging.reach_inertia(length))
+        return self.parameters.pump_momentum / (2.0 * self.hanging.pendulum_inertia(length))
 
-    def own_tilt_rate(self, momentum: float, frequency: float) -> float:
+    def induced_tilt_rate(self, momentum: float, frequency: float) -> float:
         """Tilt rate [rad/s] that the pumping itself causes, as p = -h'/(m g d): w^2 h/(m g d)."""
         return frequency**2 * momentum / self.hanging.stiffness
 

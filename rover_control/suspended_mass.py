@@ -10,7 +10,7 @@ from __future__ import annotations
 from rover_control.hanging_rover import HangingParameters
 
 _TIME = 15.0  # over which the tension is averaged [s]
-HEAVIEST = 1.5  # part of the mass that is known, that is believed, and its inverse
+MAX_MASS_RATIO = 1.5  # part of the mass that is known, that is believed, and its inverse
 
 
 class SuspendedMassEstimator:
@@ -26,10 +26,10 @@ class SuspendedMassEstimator:
 
     def restart(self) -> None:
         """Forget what was weighed."""
-        self._weighed = 0.0  # [s]
+        self._averaging_time = 0.0  # [s]
         self._mass = self.hanging.rover_mass
 
-    def hear(self, tension: float, length: float, h: float) -> None:
+    def update(self, tension: float, length: float, h: float) -> None:
         """Take a reading.
 
         Args:
@@ -38,9 +38,9 @@ class SuspendedMassEstimator:
             h: since the last reading [s], above 0.
         """
         mass = tension / self.hanging.rover_gravity - self.hanging.tether_density * length
-        self._weighed += h
+        self._averaging_time += h
         # A mean at first, then one that forgets.
-        self._mass += min(h / min(self._weighed, _TIME), 1.0) * (mass - self._mass)
+        self._mass += min(h / min(self._averaging_time, _TIME), 1.0) * (mass - self._mass)
 
     @property
     def ratio(self) -> float:
@@ -49,5 +49,5 @@ class SuspendedMassEstimator:
         What no rover that hangs weighs, as one that stands, is not believed.
         """
         ratio = self._mass / self.hanging.rover_mass
-        believed = self._weighed >= _TIME and 1.0 / HEAVIEST <= ratio <= HEAVIEST
+        believed = self._averaging_time >= _TIME and 1.0 / MAX_MASS_RATIO <= ratio <= MAX_MASS_RATIO
         return ratio if believed else 1.0

@@ -97,18 +97,18 @@ class WinchTrim:
         p, w = self.parameters, swing.frequency
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
         along, square = x * vx + y * vy, x * x + y * y
-        speed = (vx * vx + vy * vy) / (w * w)
-        whole = square + speed
-        if whole <= 0.0:
+        rate_square = (vx * vx + vy * vy) / (w * w)
+        amplitude_square = square + rate_square
+        if amplitude_square <= 0.0:
             return -p.trim_tracking_bandwidth * w * offset
         fade = (
-            min(1.0, math.sqrt(whole) / p.trim_fade_amplitude - 1.0)
+            min(1.0, math.sqrt(amplitude_square) / p.trim_fade_amplitude - 1.0)
             if p.trim_fade_amplitude > 0.0
             else 1.0
         )
         stroke = max(fade, 0.0) * self.stroke(length, w).length
-        wanted = stroke * 2.0 * along / (whole * w)
+        setpoint = stroke * 2.0 * along / (amplitude_square * w)
         # u.u' changes at |u'|^2 - w^2 |u|^2.
-        forward = stroke * 2.0 * w * (speed - square) / whole
-        rate = forward + p.trim_tracking_bandwidth * w * (wanted - offset)
+        forward = stroke * 2.0 * w * (rate_square - square) / amplitude_square
+        rate = forward + p.trim_tracking_bandwidth * w * (setpoint - offset)
         return min(max(rate, -p.trim_rate), p.trim_rate)

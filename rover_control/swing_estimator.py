@@ -43,20 +43,20 @@ _SIZE = 13
 _SWINGING, _TILTING = (_U, _V), (_P, _Q)
 _EYE = np.eye(_SIZE)
 _YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
-_OUTSTANDING = 8.0  # RMS of the lasting process_noise that a push must stand out of
-_LASTING = 3.0  # over which that is smoothed [s]
-_MISS_TIME = 0.05  # over which the gyro's misses are averaged [s]
-_BLOW_TIME = 0.5  # over which the accelerometer's are gathered [s]
+_NOISE_FACTOR = 8.0  # RMS of the lasting process_noise that a push must stand out of
+_NOISE_TIME = 3.0  # over which that is smoothed [s]
+_INNOVATION_TIME = 0.05  # over which the gyro's misses are averaged [s]
+_IMPACT_TIME = 0.5  # over which the accelerometer's are gathered [s]
 _MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
 _INFLATION_TIME = 0.3  # over which what shakes the rover is learnt [s]
-_EXPECTED = 4.0  # mean square of the misses over their variance, that needs no process noise
-_BLOW = 5.0  # standard deviations beyond which a miss of the accelerometer is a blow, not a tilt
+_EXPECTED_RATIO = 4.0  # mean square of the misses over their variance, that needs no process noise
+_OUTLIER = 5.0  # standard deviations beyond which a miss of the accelerometer is a blow, not a tilt
 _TILT_ERROR = 0.05  # part by which the tilt's stiffness over inertia may be off
-_PUSH_TIME = 1.0  # over which the rotors' push is averaged [s]
+_ROTOR_TORQUE_TIME = 1.0  # over which the rotors' push is averaged [s]
 _MASS_ERROR = 0.2  # part by which the mass may be off
-_LEAST_PULL = 0.3  # of the weight, below which the tether is not taut
-_MOST_PULL = 3.0  # of the weight, that is believed
-_MOST_DIRECTION = 1.0  # of swing and tilt, that is believed [rad]
+_TAUT_FRACTION = 0.3  # of the weight, below which the tether is not taut
+_MAX_PULL = 3.0  # of the weight, that is believed
+_MAX_ANGLE = 1.0  # of swing and tilt, that is believed [rad]
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ class SwingEstimate(NamedTuple):
     def ellipse(self) -> Ellipse:
         """The swing's two turning circles, put together."""
         z = complex(*self.direction)
-        turned = complex(*self.direction_rate) / (1j * self.frequency)
-        ahead, back = 0.5 * (z + turned), 0.5 * (z - turned)
+        yaw_increment = complex(*self.direction_rate) / (1j * self.frequency)
+        ahead, back = 0.5 * (z + yaw_increment), 0.5 * (z - yaw_increment)
         plane = 0.5 * (cmath.phase(ahead) + cmath.phase(back)) if ahead and back else 0.0
         return Ellipse(abs(ahead) + abs(back), abs(ahead) - abs(back), plane)
 
@@ -157,9 +157,9 @@ class SwingEstimator:
         self.hanging = hanging
         self.length = math.nan
         self.rate = 0.0
-        self.keeps_yaw_bias = False  # learns nothing about it: while rotors cone the rover
-        self.pushes = 0  # times that something pushed the rover
-        self.losses = 0  # times that the estimate was no hanging rover's, and was begun anew
+        self.freezes_yaw_bias = False  # learns nothing about it: while rotors cone the rover
+        self.disturbances = 0  # times that something pushed the rover
+        self.divergences = 0  # times that the estimate was no hanging rover's, and was begun anew
         self.restart()
 
     def restart(self) -> None:
@@ -167,17 +167,17 @@ class SwingEstimator:
         p = self.parameters
         axis = [p.initial_swing, p.initial_swing, p.initial_swing, 0.1, p.gyro_bias, p.tilt_offset]
         self._state: Array = np.zeros(_SIZE)
-        self._spread: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
+        self._covariance: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
         self._gyro_z = 0.0
-        self._step = self._swept = 0.0
-        self.turned = 0.0  # about its own axis in the last step [rad]
-        self._missed = [0.0, 0.0]
-        self._blown = [0.0, 0.0]  # sideways, by what the accelerometer missed [m/s]
-        self._surplus = [0.0] * 4  # smoothed once; what is sudden is a push
+        self._last_step = self._swept_rate = 0.0
+        self.yaw_increment = 0.0  # about its own axis in the last step [rad]
+        self._gyro_innovation = [0.0, 0.0]
+        self._impact_speed = [0.0, 0.0]  # sideways, by what the accelerometer innovation [m/s]
+        self._excess = [0.0] * 4  # smoothed once; what is sudden is a push
         self._process_noise = [0.0] * 4  # variance of what is measured, beyond what is known of it
-        self._lately = [0.0, 0.0]  # of the gyro's, smoothed once more
-        self._lasting = [0.0, 0.0]  # and once more: a push does not hide itself
-        self._pushed = [0.0, 0.0]  # how the rotors' momenta change [N m]
+        self._filtered_noise = [0.0, 0.0]  # of the gyro's, smoothed once more
+        self._lasting_noise = [0.0, 0.0]  # and once more: a push does not hide itself
+        self._rotor_torque = [0.0, 0.0]  # how the rotors' momenta change [N m]
         process_noise = [
             0.0,
             p.swing_process_noise,
@@ -187,25 +187,29 @@ class SwingEstimator:
             p.tilt_offset_walk,
         ]
         self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_bias_walk]))
-        self._flow: Array = np.zeros((_SIZE, _SIZE))  # of the states; _predict fills in the rest
+        self._system_matrix: Array = np.zeros(
+            (_SIZE, _SIZE)
+        )  # of the states; _predict fills in the rest
         for at in (0, _AXIS):
-            self._flow[at + _U, at + _V] = self._flow[at + _P, at + _Q] = 1.0
+            self._system_matrix[at + _U, at + _V] = self._system_matrix[at + _P, at + _Q] = 1.0
         stiffness, g = self.hanging.stiffness, self.hanging.rover_gravity
         # Gyro along x and y, then what the accelerometer shows of the tilts.
-        self._rows: Array = np.zeros((4, _SIZE))
+        self._measurement_matrix: Array = np.zeros((4, _SIZE))
         for k, inertia in enumerate(self.hanging.inertias):
             at = k * _AXIS
-            self._rows[k, [at + _V, at + _Q, at + _B]] = 1.0
-            self._rows[2 + k, at + _P] = g - self.hanging.com_above_imu * stiffness / inertia
-            self._rows[2 + k, at + _C] = g
+            self._measurement_matrix[k, [at + _V, at + _Q, at + _B]] = 1.0
+            self._measurement_matrix[2 + k, at + _P] = (
+                g - self.hanging.com_above_imu * stiffness / inertia
+            )
+            self._measurement_matrix[2 + k, at + _C] = g
 
-    def look_again(self) -> None:
+    def reset_swing(self) -> None:
         """Forget the swing, as of a rover that has not hung meanwhile; the gyro stays known."""
-        state, spread = self._state, self._spread
+        state, covariance = self._state, self._covariance
         self.restart()
         for at in (_B, _AXIS + _B, _YAW_BIAS):
             self._state[at] = state[at]
-            self._spread[at, at] = spread[at, at]
+            self._covariance[at, at] = covariance[at, at]
 
     @property
     def yaw_bias(self) -> float:
@@ -222,12 +226,12 @@ class SwingEstimator:
         return self._gyro_z - float(self._state[_YAW_BIAS])
 
     @property
-    def twisted(self) -> float:
-        """By how much the tether was twisted in the last step [rad].
+    def twist_increment(self) -> float:
+        """By how much the tether was twist_increment in the last step [rad].
 
         What base_link turns about its own axis, less the solid angle that this axis sweeps.
         """
-        return self.turned + 0.5 * self._step * self._swept
+        return self.yaw_increment + 0.5 * self._last_step * self._swept_rate
 
     def step(
         self,
@@ -249,11 +253,11 @@ class SwingEstimator:
             return
         # A sample of the gyro is as noisy as a steady camera may turn; what turns is their sum.
         self._gyro_z += min(h / _YAW_TIME, 1.0) * (gyro[2] - self._gyro_z)
-        self.turned = (gyro[2] - float(self._state[_YAW_BIAS])) * h
+        self.yaw_increment = (gyro[2] - float(self._state[_YAW_BIAS])) * h
         # What rights the tilt is the tether's pull, which a winch that accelerates changes.
-        pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MOST_PULL)
+        pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MAX_PULL)
         self._predict(momentum_change, pull, h)
-        self._step = h
+        self._last_step = h
         # Winch and bounce change the pull, not the direction it comes from.
         scale = self.hanging.rover_gravity / force[2] if self._is_taut(force) else math.nan
         measured = [-gyro[1], gyro[0]]
@@ -263,25 +267,25 @@ class SwingEstimator:
                 known = -self.hanging.com_above_imu * momentum_change[k] / (h * inertia)
                 measured.append(force[k] * scale - known)
                 variances.append((self.parameters.accelerometer_noise * scale) ** 2 / h)
-        rows = self._rows[: len(measured)]
-        missed = np.array(measured) - rows @ self._state
-        self._look_for_pushes(missed.tolist(), h)
-        self._update(rows, missed, np.array(variances), h)
-        if not self._is_credible():
+        rows = self._measurement_matrix[: len(measured)]
+        innovation = np.array(measured) - rows @ self._state
+        self._detect_disturbance(innovation.tolist(), h)
+        self._update(rows, innovation, np.array(variances), h)
+        if not self._is_plausible():
             self.restart()
-            self.pushes += 1
-            self.losses += 1
+            self.disturbances += 1
+            self.divergences += 1
 
-    def _is_credible(self) -> bool:
+    def _is_plausible(self) -> bool:
         """Whether a hanging rover can be what is estimated.
 
         One that stands, or that is thrown about on a slack tether, is not what the equations are
         of: the estimate runs away, the faster the larger it is.
         """
         directions = self._state[_U:_YAW_BIAS:_AXIS], self._state[_P:_YAW_BIAS:_AXIS]
-        variances = self._spread.diagonal()
+        variances = self._covariance.diagonal()
         return bool(
-            max(float(np.abs(each).max()) for each in directions) < _MOST_DIRECTION
+            max(float(np.abs(each).max()) for each in directions) < _MAX_ANGLE
             and np.isfinite(variances).all()
             and (variances >= 0.0).all()
         )
@@ -289,7 +293,7 @@ class SwingEstimator:
     @property
     def is_settled(self) -> bool:
         """Whether the swing's rate is known so well that a push can be told from it."""
-        return float(self._spread[_V, _V]) < self.parameters.disturbance_threshold**2
+        return float(self._covariance[_V, _V]) < self.parameters.disturbance_threshold**2
 
     @property
     def _is_calm(self) -> bool:
@@ -300,51 +304,56 @@ class SwingEstimator:
         )
 
     def _is_taut(self, force: Vector) -> bool:
-        return force[2] > _LEAST_PULL * self.hanging.rover_gravity
+        return force[2] > _TAUT_FRACTION * self.hanging.rover_gravity
 
-    def _look_for_pushes(self, missed: list[float], h: float) -> None:
-        """Take by how much the gyro missed, and the accelerometer on a taut tether.
+    def _detect_disturbance(self, innovation: list[float], h: float) -> None:
+        """Take by how much the gyro innovation, and the accelerometer on a taut tether.
 
-        What pushes the rover into a swing, at once or over a second, is felt by the accelerometer
+        What disturbances the rover into a swing, at once or over a second, is felt by the
+        accelerometer
         as the speed that it gives; the gyro alone would show it as a tilt's motion at first.
         """
         # At the start, and just after a push, there is nothing to miss.
         settled = self.is_settled
         reach = self.length + self.hanging.lever
-        blows = missed[2:] or (0.0, 0.0)
+        blows = innovation[2:] or (0.0, 0.0)
         state = self._state.tolist()
         pushed = False
         for k, inertia in enumerate(self.hanging.inertias):
-            self._missed[k] += min(h / _MISS_TIME, 1.0) * (missed[k] - self._missed[k])
+            self._gyro_innovation[k] += min(h / _INNOVATION_TIME, 1.0) * (
+                innovation[k] - self._gyro_innovation[k]
+            )
             # A model that is off misses in proportion to the tilt's motion.
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
             limit = self.parameters.disturbance_threshold + _MODEL_ERROR * moving
             # A push is process noise, too, at once; what it must stand out of was there before.
-            share = min(h / _LASTING, 1.0)
-            self._lately[k] += share * (self._process_noise[k] - self._lately[k])
-            self._lasting[k] += share * (self._lately[k] - self._lasting[k])
-            limit += _OUTSTANDING * math.sqrt(self._lasting[k])
-            self._blown[k] += h * blows[k] - min(h / _BLOW_TIME, 1.0) * self._blown[k]
-            pushed |= max(abs(self._missed[k]), abs(self._blown[k]) / reach) > limit
+            share = min(h / _NOISE_TIME, 1.0)
+            self._filtered_noise[k] += share * (self._process_noise[k] - self._filtered_noise[k])
+            self._lasting_noise[k] += share * (self._filtered_noise[k] - self._lasting_noise[k])
+            limit += _NOISE_FACTOR * math.sqrt(self._lasting_noise[k])
+            self._impact_speed[k] += (
+                h * blows[k] - min(h / _IMPACT_TIME, 1.0) * self._impact_speed[k]
+            )
+            pushed |= max(abs(self._gyro_innovation[k]), abs(self._impact_speed[k]) / reach) > limit
         if pushed and settled:
-            self._shaken()
+            self._on_disturbance()
 
     def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:
         d, length = self.hanging.lever, self.length
         share = d / length
         state = self._state.tolist()
-        yaw = self.turned / h
+        yaw = self.yaw_increment / h
         x, vx, phi_x, rate_x = _motion(state, 0)
         y, vy, phi_y, rate_y = _motion(state, _AXIS)
-        self._swept = phi_x * rate_y - phi_y * rate_x
+        self._swept_rate = phi_x * rate_y - phi_y * rate_x
         # Large swings: a^2 + b^2 of the ellipse slows it down, a b turns its axes.
         size = x * x + y * y + (vx * vx + vy * vy) / self.hanging.swing_frequency(length) ** 2
-        pull = self.hanging.pull(length) * (1.0 - size / 8.0)
+        pull = self.hanging.effective_gravity(length) * (1.0 - size / 8.0)
         # The axes of base_link turn in space by the solid angle, too, that its z axis sweeps.
-        heading_rate = yaw + 0.5 * self._swept
+        heading_rate = yaw + 0.5 * self._swept_rate
         turning = heading_rate - 0.375 * (x * vy - y * vx)
-        flow, growth = self._flow, 2.0 * self.rate / length
+        flow, growth = self._system_matrix, 2.0 * self.rate / length
         for k, inertia in enumerate(self.hanging.inertias):
             at, other = k * _AXIS, (1 - k) * _AXIS
             right = pulled * self.hanging.stiffness / inertia
@@ -363,9 +372,9 @@ class SwingEstimator:
         forward = _EYE + step + 0.5 * step @ step
         moved = forward @ self._state
         for k, inertia in enumerate(self.hanging.inertias):
-            kick = -momentum_change[k] / inertia  # of phi', evenly over the step
+            impulse = -momentum_change[k] / inertia  # of phi', evenly over the step
             at = k * _AXIS
-            for swinging, tilting, part in ((_V, _Q, kick), (_U, _P, 0.5 * h * kick)):
+            for swinging, tilting, part in ((_V, _Q, impulse), (_U, _P, 0.5 * h * impulse)):
                 moved[at + swinging] -= share * part
                 moved[at + tilting] += (1.0 + share) * part
         # The yaw's own bias turns what it turns: x' = ... + yaw y. Of the tilt nothing is learnt
@@ -374,27 +383,29 @@ class SwingEstimator:
             forward[n, _YAW_BIAS] = -h * state[_AXIS + n]
             forward[_AXIS + n, _YAW_BIAS] = h * state[n]
         self._state = moved
-        spread = forward @ self._spread @ forward.T + h * self._noise
-        # A mass that is off pushes the swing otherwise than the rotors tell.
-        reach = self.hanging.reach_inertia(length)
+        covariance = forward @ self._covariance @ forward.T + h * self._noise
+        # A mass that is off disturbances the swing otherwise than the rotors tell.
+        reach = self.hanging.pendulum_inertia(length)
         for k, change in enumerate(momentum_change):
-            self._pushed[k] += min(h / _PUSH_TIME, 1.0) * (change / h - self._pushed[k])
-            unknown = _MASS_ERROR * self._pushed[k] / reach
-            spread[k * _AXIS + _V, k * _AXIS + _V] += h * _PUSH_TIME * unknown**2
+            self._rotor_torque[k] += min(h / _ROTOR_TORQUE_TIME, 1.0) * (
+                change / h - self._rotor_torque[k]
+            )
+            unknown = _MASS_ERROR * self._rotor_torque[k] / reach
+            covariance[k * _AXIS + _V, k * _AXIS + _V] += h * _ROTOR_TORQUE_TIME * unknown**2
         for k, inertia in enumerate(self.hanging.inertias):
             at = k * _AXIS
             square = pulled * self.hanging.stiffness / inertia
             moving = state[at + _Q] ** 2 + square * state[at + _P] ** 2
             process_noise = self._process_noise[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
-            # What turns the rover by its tether pushes the swing as the tilt's own pull does.
-            spread[at + _V, at + _V] += process_noise * share**2
-            spread[at + _Q, at + _Q] += process_noise * (1.0 + share) ** 2
-            spread[at + _V, at + _Q] -= process_noise * share * (1.0 + share)
-            spread[at + _Q, at + _V] -= process_noise * share * (1.0 + share)
-        self._spread = 0.5 * (spread + spread.T)
+            # What turns the rover by its tether disturbances the swing as the tilt's own pull does.
+            covariance[at + _V, at + _V] += process_noise * share**2
+            covariance[at + _Q, at + _Q] += process_noise * (1.0 + share) ** 2
+            covariance[at + _V, at + _Q] -= process_noise * share * (1.0 + share)
+            covariance[at + _Q, at + _V] -= process_noise * share * (1.0 + share)
+        self._covariance = 0.5 * (covariance + covariance.T)
 
-    def _update(self, rows: Array, missed: Array, variances: Array, h: float) -> None:
-        """Take measurements at once: their rows (k, SIZE), what they missed, their variances.
+    def _update(self, rows: Array, innovation: Array, variances: Array, h: float) -> None:
+        """Take measurements at once: their rows (k, SIZE), what they innovation, their variances.
 
         In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
         Innovations larger than the model and the sensors' noise explain are unmodelled process
@@ -407,45 +418,47 @@ class SwingEstimator:
         sample counts, for the tilt as for the process noise, which still grows where it lasts.
         """
         variances[2:] += self._process_noise[2 : len(variances)]
-        along = self._spread @ rows.T
+        along = self._covariance @ rows.T
         expected = rows @ along + np.diag(variances)
-        squares = np.square(missed)
-        believed = _BLOW**2 * expected.diagonal()
-        doubt = np.maximum(squares - believed, 0.0)[2:] / _BLOW**2
+        squares = np.square(innovation)
+        believed = _OUTLIER**2 * expected.diagonal()
+        doubt = np.maximum(squares - believed, 0.0)[2:] / _OUTLIER**2
         squares[2:] = np.minimum(squares, believed)[2:]
         share = min(h / _INFLATION_TIME, 1.0)
         for k, variance in enumerate(expected.diagonal().tolist()):
-            surplus = float(squares[k]) - _EXPECTED * variance
-            self._surplus[k] = max(self._surplus[k] + share * (surplus - self._surplus[k]), 0.0)
-            self._process_noise[k] += share * (self._surplus[k] - self._process_noise[k])
+            surplus = float(squares[k]) - _EXPECTED_RATIO * variance
+            self._excess[k] = max(self._excess[k] + share * (surplus - self._excess[k]), 0.0)
+            self._process_noise[k] += share * (self._excess[k] - self._process_noise[k])
         variances[2:] += doubt
         expected[2:, 2:] += np.diag(doubt)
         gain = np.linalg.solve(expected, along.T).T
-        if self.keeps_yaw_bias or not self._is_calm:
+        if self.freezes_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
-        self._state = self._state + gain @ missed
+        self._state = self._state + gain @ innovation
         kept = _EYE - gain @ rows
-        self._spread = kept @ self._spread @ kept.T + (gain * variances) @ gain.T
+        self._covariance = kept @ self._covariance @ kept.T + (gain * variances) @ gain.T
 
-    def _shaken(self) -> None:
+    def _on_disturbance(self) -> None:
         """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
-        self.pushes += 1
-        self._missed = [0.0, 0.0]
-        self._blown = [0.0, 0.0]
+        self.disturbances += 1
+        self._gyro_innovation = [0.0, 0.0]
+        self._impact_speed = [0.0, 0.0]
         push = self.parameters.initial_swing * self.hanging.swing_frequency(self.length)
         aside = 0.1 * self.parameters.initial_swing
         for at in (0, _AXIS):
-            for n, spread in ((_V, push), (_Q, push), (_U, aside), (_P, aside)):
-                self._spread[at + n, at + n] = max(self._spread[at + n, at + n], spread**2)
+            for n, covariance in ((_V, push), (_Q, push), (_U, aside), (_P, aside)):
+                self._covariance[at + n, at + n] = max(
+                    self._covariance[at + n, at + n], covariance**2
+                )
 
     @property
     def estimate(self) -> SwingEstimate:
         """What is known now."""
         state = self._state.tolist()
         x, y = state[:_AXIS], state[_AXIS:_YAW_BIAS]
-        spread = self._spread.diagonal()
+        covariance = self._covariance.diagonal()
         frequency = self.hanging.swing_frequency(self.length)
-        errors = [spread[at + _V] + frequency**2 * spread[at + _U] for at in (0, _AXIS)]
+        errors = [covariance[at + _V] + frequency**2 * covariance[at + _U] for at in (0, _AXIS)]
         return SwingEstimate(
             (x[_U], y[_U]),
             (x[_V], y[_V]),
@@ -455,7 +468,7 @@ class SwingEstimator:
             self.yaw_rate,
             frequency,
             math.sqrt(max(errors)),
-            math.sqrt(spread[_YAW_BIAS]),
+            math.sqrt(covariance[_YAW_BIAS]),
         )
 
 

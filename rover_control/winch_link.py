@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from msg_schemas import topics
 from msg_schemas.parameters import parameter
 from msg_schemas.table import TOPICS
-from rover_control.hanging_controller import WinchAsk
+from rover_control.hanging_controller import WinchRequest
 
 HOLD = "hold"
-"""Mode of a winch that rests."""
+"""Mode of a winch that is_at_rest."""
 _LENGTH = "length"
 FREE = frozenset({HOLD, _LENGTH})
 """Modes in which nobody else moves the winch."""
 # A winch that is trimmed does not come to rest by itself before the trim has been silent so long.
-_TRIM_LASTS = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
+_TRIM_TIMEOUT = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
 
 
 @dataclass(frozen=True)
@@ -46,96 +46,101 @@ class WinchLink:
 
     Args:
         parameters: patience.
-        near: so near is at a length [m].
+        length_tolerance: so length_tolerance is at a length [m].
     """
 
-    def __init__(self, parameters: WinchLinkParameters, near: float) -> None:
+    def __init__(self, parameters: WinchLinkParameters, length_tolerance: float) -> None:
         self.parameters = parameters
-        self.near = near
+        self.length_tolerance = length_tolerance
         self.mode = ""
         self._mode_since = -math.inf
-        self.let_go()
+        self.clear()
 
-    def let_go(self) -> None:
+    def clear(self) -> None:
         """Forget what was asked: it is not renewed any more."""
-        self._asked: WinchAsk | None = None
-        self._sent = -math.inf
-        self._begun: float | None = None  # when this motion was asked for first
-        self._is_taken = False
+        self._request: WinchRequest | None = None
+        self._sent_at = -math.inf
+        self._requested_at: float | None = None  # when this motion was asked for first
+        self._is_accepted = False
         self._moves = False
-        self._trimmed = -math.inf
+        self._trimmed_at = -math.inf
 
     def on_mode(self, mode: str, now: float) -> None:
         """Take what the winch is doing."""
         if mode != self.mode:
             self.mode, self._mode_since = mode, now
 
-    def rests(self, now: float) -> bool:
+    def is_at_rest(self, now: float) -> bool:
         """Whether the winch holds, and has done so for a while."""
         return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest_timeout
 
     def step(
         self,
-        ask: WinchAsk | None,
+        request: WinchRequest | None,
         length: float,
         now: float,
         *,
         moves: bool = False,
         trims: bool = False,
-    ) -> WinchAsk | None:
+    ) -> WinchRequest | None:
         """What to send now.
 
         Args:
-            ask: what the controller asks for, anew or again.
+            request: what the controller asks for, anew or again.
             length: paid out [m].
             now: [s].
             moves: whether the winch is meant to be on its way.
             trims: whether it is trimmed now.
         """
-        differs = ask is not None and (self._asked is None or ask.length != self._asked.length)
+        differs = request is not None and (
+            self._request is None or request.length != self._request.length
+        )
         if differs or (moves and not self._moves):
-            self._begun, self._is_taken = None, False
+            self._requested_at, self._is_accepted = None, False
         self._moves = moves
         if trims:
-            self._trimmed = now
-        self._asked = ask or self._asked
-        if self._asked is None:
+            self._trimmed_at = now
+        self._request = request or self._request
+        if self._request is None:
             return None
-        if self.mode == _LENGTH and self._begun is not None:
-            self._is_taken = True
-        if self._trim_was_ended:
+        if self.mode == _LENGTH and self._requested_at is not None:
+            self._is_accepted = True
+        if self._trim_was_stopped:
             return None
-        if self._begun is None and ask is not None:
-            self._begun = now
-        elif now - self._sent < self.parameters.renewal_period:
+        if self._requested_at is None and request is not None:
+            self._requested_at = now
+        elif now - self._sent_at < self.parameters.renewal_period:
             return None
         elif self.mode == _LENGTH:
             # Near its goal it needs no renewal, and one that comes late opens the brake again.
-            if not moves and abs(length - self._asked.length) < self.near:
+            if not moves and abs(length - self._request.length) < self.length_tolerance:
                 return None
-        elif ask is None or (self._is_taken and moves):
+        elif request is None or (self._is_accepted and moves):
             return None
-        self._sent = now
-        return self._asked
+        self._sent_at = now
+        return self._request
 
     @property
-    def _trim_was_ended(self) -> bool:
-        return self.mode == HOLD and self._mode_since - self._trimmed < _TRIM_LASTS
+    def _trim_was_stopped(self) -> bool:
+        return self.mode == HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
 
-    def trouble(self, length: float, now: float) -> str:
+    def fault(self, length: float, now: float) -> str:
         """Why the winch does not do what it was asked; empty = it does."""
         if self.mode not in FREE:
             return f"the winch is in {self.mode or 'no known mode'}"
         stopped = f"the winch was stopped at {length:.4g} m, its events say why"
-        if self._trim_was_ended and self.rests(now):
+        if self._trim_was_stopped and self.is_at_rest(now):
             return stopped
-        if self._asked is None or self._begun is None or not self._moves:
+        if self._request is None or self._requested_at is None or not self._moves:
             return ""
-        if self._is_taken and self.rests(now):
+        if self._is_accepted and self.is_at_rest(now):
             return stopped
-        if not self._is_taken and now - self._begun > self.parameters.winch_response_timeout:
+        if (
+            not self._is_accepted
+            and now - self._requested_at > self.parameters.winch_response_timeout
+        ):
             return (
-                f"the winch has not taken the request for {self._asked.length:g} m, its "
+                f"the winch has not taken the request for {self._request.length:g} m, its "
                 "diagnostics say why"
             )
         return ""

@@ -24,10 +24,13 @@ from msg_schemas.parameters import parameter
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
 
-_UNWINDING = 0.5  # of the largest yaw rate, that is counted on
-_FOLLOWING, _ENDING = 3.0, 7.0  # times of the twist's loop and of the momentum's, over the rate's
-_SOFTLY = 2.0  # radians of the swing in which the torque comes up
-_SEEN = math.tau  # radians of the swing over which the momentum is smoothed
+_UNWINDING_FRACTION = 0.5  # of the largest yaw rate, that is counted on
+_TWIST_LOOP, _MOMENTUM_LOOP = (
+    3.0,
+    7.0,
+)  # times of the twist's loop and of the momentum's, over the rate's
+_TORQUE_RAMP = 2.0  # radians of the swing in which the torque comes up
+_MOMENTUM_FILTER = math.tau  # radians of the swing over which the momentum is smoothed
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,12 @@ class YawParameters:
     )
 
 
-class Handing(NamedTuple):
-    """What handing the momentum about the plumb line on would take."""
+class MomentumTransfer(NamedTuple):
+    """What predict_transfer the momentum about the plumb line on would take."""
 
     momentum: float  # of swing and spin [N m s]
     time: float  # [s]; inf = the tether passes nothing on
-    pull: float  # yaw acceleration by the tether's twist [rad/s^2]
+    twist_acceleration: float  # yaw acceleration by the tether's twist [rad/s^2]
 
 
 class YawMomentumController:
@@ -67,37 +70,39 @@ class YawMomentumController:
         self.hanging = hanging
         self._torque = 0.0  # [N m]
         self._momentum = math.nan  # followed [N m s]
-        self._followed = 0.0  # for so long, in radians of the swing
+        self._filter_phase = 0.0  # for so long, in radians of the swing
 
     def restart(self) -> None:
         """Follow the momentum anew: something pushed the rover."""
-        self._followed = 0.0
+        self._filter_phase = 0.0
 
     def momentum(self, swing: SwingEstimate, length: float) -> float:
         """About the plumb line, of swing and spin [N m s]."""
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
-        turning = self.hanging.reach_inertia(length) * (x * vy - y * vx)
+        turning = self.hanging.pendulum_inertia(length) * (x * vy - y * vx)
         return turning + self.hanging.inertia_about_z * swing.yaw_rate
 
     def twist_bound(self, length: float) -> float:
         """Twist that so much tether [m] may have [rad]."""
-        p, torsion = self.parameters, self.hanging.torsion(length)
+        p, torsion = self.parameters, self.hanging.torsional_stiffness(length)
         if torsion <= 0.0:
             return 0.0
         return min(
             p.largest_twist, p.swivel_friction_fraction * self.hanging.swivel_friction / torsion
         )
 
-    def handing(self, swing: SwingEstimate, twist: float, length: float) -> Handing:
+    def predict_transfer(
+        self, swing: SwingEstimate, twist: float, length: float
+    ) -> MomentumTransfer:
         """What it would take from here, by swing, twist [rad] and length [m]."""
-        torsion = self.hanging.torsion(length)
-        momentum = self._momentum if self._followed > 0.0 else self.momentum(swing, length)
+        torsion = self.hanging.torsional_stiffness(length)
+        momentum = self._momentum if self._filter_phase > 0.0 else self.momentum(swing, length)
         most = self.twist_bound(length) * torsion
         time = math.inf
         if most > 0.0:
             unwinding = self.twist_bound(length) / self.parameters.largest_yaw_rate
             time = abs(momentum) / most + unwinding + 30.0 / swing.frequency
-        return Handing(momentum, time, -torsion * twist / self.hanging.inertia_about_z)
+        return MomentumTransfer(momentum, time, -torsion * twist / self.hanging.inertia_about_z)
 
     def step(
         self,
@@ -107,7 +112,7 @@ class YawMomentumController:
         largest: float,
         h: float,
         *,
-        hands_on: bool,
+        transfers: bool,
         unwinds: bool = False,
     ) -> float:
         """Advance by h; returns the torque about the plumb line that the swing shall give [N m].
@@ -118,24 +123,24 @@ class YawMomentumController:
             length: paid out [m].
             largest: torque that the swing can give now [N m].
             h: duration [s].
-            hands_on: the momentum is to be handed to the mother.
+            transfers: the momentum is to be handed to the mother.
             unwinds: the twist is to be taken out; with neither of both the rover shall not turn.
         """
-        p, torsion = self.parameters, self.hanging.torsion(length)
+        p, torsion = self.parameters, self.hanging.torsional_stiffness(length)
         quick = p.yaw_rate_phase / swing.frequency
-        momentum = self._follow(swing, torsion * twist, length, h)
+        momentum = self._filter_momentum(swing, torsion * twist, length, h)
         rate = goal = 0.0
         if unwinds:
-            rate = -twist / (_FOLLOWING * quick)
-        elif hands_on and torsion > 0.0:
-            wanted, follows = self._unwinding(abs(momentum) / torsion, _ENDING * quick)
+            rate = -twist / (_TWIST_LOOP * quick)
+        elif transfers and torsion > 0.0:
+            wanted, follows = self._unwinding(abs(momentum) / torsion, _MOMENTUM_LOOP * quick)
             if wanted > self.twist_bound(length):
                 wanted, follows = self.twist_bound(length), 0.0
             goal = math.copysign(wanted, momentum)
             away = goal - twist
             # What is begun must be stopped again, with half of the torque that there is.
             stopped = math.sqrt(abs(away) * largest / self.hanging.inertia_about_z)
-            rate = min(max(away / (_FOLLOWING * quick), -stopped), stopped) - follows * twist
+            rate = min(max(away / (_TWIST_LOOP * quick), -stopped), stopped) - follows * twist
         if rate * twist < 0.0 <= goal * twist:
             # Not past no twist at all.
             most = math.sqrt(abs(twist) * largest / self.hanging.inertia_about_z)
@@ -144,19 +149,21 @@ class YawMomentumController:
         need = self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
         need = min(max(need + torsion * twist, -largest), largest)
         # Softly: where it changes its sign, so do the rotors' momenta.
-        change = largest * swing.frequency * h / _SOFTLY
+        change = largest * swing.frequency * h / _TORQUE_RAMP
         self._torque = min(max(need, self._torque - change), self._torque + change)
         self._torque = min(max(self._torque, -largest), largest)
         return self._torque
 
-    def _follow(self, swing: SwingEstimate, pull: float, length: float, h: float) -> float:
-        """The momentum as it is estimated, smoothed about what the twist's pull [N m] changes."""
+    def _filter_momentum(
+        self, swing: SwingEstimate, twist_torque: float, length: float, h: float
+    ) -> float:
+        """Filter the momentum about the plumb line; the twist torque [N m] changes it."""
         now = self.momentum(swing, length)
-        if self._followed == 0.0:
+        if self._filter_phase == 0.0:
             self._momentum = now
-        self._followed += swing.frequency * h
-        share = swing.frequency * h / min(self._followed, _SEEN)
-        self._momentum += share * (now - self._momentum) - pull * h
+        self._filter_phase += swing.frequency * h
+        share = swing.frequency * h / min(self._filter_phase, _MOMENTUM_FILTER)
+        self._momentum += share * (now - self._momentum) - twist_torque * h
         return self._momentum
 
     def _unwinding(self, left: float, time: float) -> tuple[float, float]:
@@ -171,7 +178,7 @@ class YawMomentumController:
         Returns:
             The twist, and how it falls over the twist that there is [1/s].
         """
-        rate = _UNWINDING * self.parameters.largest_yaw_rate
+        rate = _UNWINDING_FRACTION * self.parameters.largest_yaw_rate
         last = rate * time  # twist from which on it ends
         if left <= last * time:
             return left / time, 1.0 / time

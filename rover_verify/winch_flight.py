@@ -14,7 +14,7 @@ from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_MOTOR, WINCH_TO_LEN
 from rover_bags.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.checks.winch_rig import TICK, Session
 from tether_winch.drum_model import DrumModel
-from tether_winch.servo import Goal, GoalKind, Sensed, WinchServo
+from tether_winch.servo import Goal, GoalKind, SensedState, WinchServo
 from tether_winch.winch import WinchParameters
 
 Floats = NDArray[np.float64]
@@ -101,11 +101,11 @@ def ideal_way(start: float, goal: float, rate: float) -> tuple[Floats, Floats]:
     """Time [s] and length [m] of the winch's own S-curve on a drum that follows it perfectly."""
     p = WinchParameters()
     servo = WinchServo(p.servo, DrumModel(p.drum))
-    servo.aim(Goal(GoalKind.LENGTH, length=goal, rate=rate))
+    servo.set_goal(Goal(GoalKind.LENGTH, length=goal, rate=rate))
     length, lengths = start, [start]
     for _ in range(round((abs(goal - start) / rate + 60.0) / TICK)):
         is_open = servo.phase.name in {"OPENING", "OPEN"}
-        servo.step(Sensed(length, servo.motion.rate, 0.0, 0.0, 0.0, is_open), 1e3, TICK)
+        servo.step(SensedState(length, servo.motion.rate, 0.0, 0.0, 0.0, is_open), 1e3, TICK)
         length = servo.reference.length
         if servo.motion.rate != 0.0 or len(lengths) > 1:
             lengths.append(length)

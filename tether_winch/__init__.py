@@ -1,1 +1,1 @@
-"""The mother machine's winch: it knows the contract and its own sensors, never the simulator."""
+"""Winch controller of the mother machine; it uses the contract and its sensors, no ground truth."""

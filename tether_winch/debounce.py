@@ -1,27 +1,27 @@
-"""A condition that must last before it is believed. Pure."""
+"""Debouncing of a condition, with hysteresis. Pure."""
 
 from __future__ import annotations
 
 
 class Debounce:
-    """Turns true when a condition has held long enough, and false when its opposite has.
+    """Latch a condition that has held for a time, and release it the same way.
 
-    A value between the two thresholds (hysteresis) keeps what is pending as it is.
+    Between the two thresholds (hysteresis) a running timer keeps running.
     """
 
     def __init__(self) -> None:
         self.is_on = False
-        self._since: float | None = None  # [s] on or off has been asked for since then
+        self._since: float | None = None  # start of the pending change [s]
 
     def step(self, begins: bool, ends: bool, now: float, on_after: float, off_after: float) -> bool:
-        """Take the condition at a time; returns whether it is believed.
+        """Update with the condition at a time; returns the debounced condition.
 
         Args:
-            begins: beyond the threshold that turns it on.
-            ends: beyond the threshold that takes it back.
+            begins: the value is beyond the set threshold.
+            ends: the value is beyond the reset threshold.
             now: controller's clock [s].
-            on_after: how long it must last to be believed [s].
-            off_after: how long its end must last [s].
+            on_after: time for which it must hold before it is set [s].
+            off_after: time for which it must be over before it is reset [s].
         """
         changes, returns = (ends, begins) if self.is_on else (begins, ends)
         if changes and self._since is None:
@@ -36,5 +36,5 @@ class Debounce:
 
     @property
     def is_pending(self) -> bool:
-        """Whether a change has begun and is not believed yet."""
+        """Whether a change is being timed."""
         return self._since is not None

@@ -1,11 +1,11 @@
-"""What the controller knows of its own drum and motor. Pure.
+"""Model of drum, gear and motor. Pure.
 
-Signs as in the contract: a payout rate above zero lengthens the tether, a tension is what the
-motor carries, so the motor's pull reels in.
+Signs as in the contract: a positive payout rate lengthens the tether; a positive motor tension
+reels in.
 
 At the drum, with radius R, rate w = v/R and inertia J = J_d + N^2 J_m,
 
-    J w' = R T - Q(motor, through the gear) - friction(w).
+    J w' = R T - Q(motor, transmitted the gear) - friction(w).
 
 A gear transmits `gear_efficiency` of the torque when the motor drives; a motor that brakes holds
 1/`gear_backdrive_efficiency` of its own torque. `motor_tension` compensates this and the friction.
@@ -87,10 +87,10 @@ class DrumParameters:
 
 
 class DrumModel:
-    """Radius by layer, and torques of motor and tether.
+    """Winding radius by layer, and torques of motor and tether.
 
     Args:
-        parameters: of drum, motor and tether.
+        parameters: drum, motor and tether.
     """
 
     def __init__(self, parameters: DrumParameters) -> None:
@@ -98,79 +98,79 @@ class DrumModel:
         self._full_turns = self._turns_wound(parameters.tether_on_drum)
 
     def radius(self, length: float) -> float:
-        """Radius [m] at which the tether leaves the drum when `length` [m] is paid out."""
+        """Radius [m] at which the tether leaves the drum at a payout of `length` [m]."""
         p = self.parameters
         if p.layer_pitch == 0.0:
             return p.drum_radius
         return self._radius_at(self._turns_wound(p.tether_on_drum - length))
 
     def length_at(self, angle: float) -> float:
-        """Length [m] paid out when the drum has turned by `angle` [rad] since none was."""
+        """Payout [m] after the drum has turned by `angle` [rad] from the fully wound state."""
         return self.parameters.tether_on_drum - self._wound(self._full_turns - angle / _TURN)
 
     def hanging_weight(self, length: float) -> float:
-        """Weight [N] of that much hanging tether."""
+        """Weight [N] of a hanging tether of this length [m]."""
         return self.parameters.line_density * self.parameters.gravity * max(length, 0.0)
 
     def bounce_period(self, length: float, weight: float) -> float:
-        """Period [s] of a rover of a weight [N] that bounces on so much tether."""
+        """Bounce period [s] of a rover of this weight [N] on a tether of this length [m]."""
         p = self.parameters
         if p.gravity == 0.0:
             return 0.0
         return _TURN * math.sqrt(weight * max(length, 0.0) / (p.gravity * p.axial_stiffness))
 
     def stretched(self, length: float, tension: float) -> float:
-        """Length [m] of a hanging tether under its own weight and a tension [N] at its top."""
+        """Stretched length [m] of a hanging tether with this tension [N] at its top."""
         p = self.parameters
         stretch = tension * length - 0.5 * self.hanging_weight(length) * length
         return length + max(stretch, 0.0) / p.axial_stiffness
 
     def largest_rate(self, length: float, tension: float) -> float:
-        """Payout rate [m/s] up to which the motor still gives the torque for a tension [N]."""
+        """Largest payout rate [m/s] at which the motor can still hold a tension [N]."""
         p = self.parameters
         torque = self.shaft_torque(abs(tension), length) / p.gear_efficiency
         share = max(0.0, 1.0 - torque / p.motor_stall_torque)
         return p.motor_no_load_rate * share / p.gear_ratio * self.radius(length)
 
     def shaft_torque(self, tension: float, length: float) -> float:
-        """Torque [N m] at the motor's shaft that a motor tension [N] stands for."""
+        """Motor shaft torque [N m] of a motor tension [N]."""
         return tension * self.radius(length) / self.parameters.gear_ratio
 
     def tension_of(self, shaft_torque: float, length: float) -> float:
-        """Motor tension [N] that a torque [N m] at the motor's shaft stands for."""
+        """Motor tension [N] of a motor shaft torque [N m]."""
         return shaft_torque * self.parameters.gear_ratio / self.radius(length)
 
     def motor_tension(
         self, tension: float, length: float, rate: float, acceleration: float
     ) -> float:
-        """Motor tension [N] that carries a tether tension [N] in a given motion.
+        """Motor tension [N] that balances a tether tension [N] in a given motion.
 
         Args:
-            tension: of the tether at the drum [N].
-            length: paid out [m].
-            rate: of payout [m/s]; friction is made up for by its direction.
-            acceleration: of payout [m/s^2].
+            tension: tether tension at the drum [N].
+            length: payout [m].
+            rate: payout rate [m/s]; its sign selects the friction compensation.
+            acceleration: payout acceleration [m/s^2].
         """
         p, r = self.parameters, self.radius(length)
         direction = math.tanh(rate / p.friction_rate)
         friction = p.drum_friction * direction + p.drum_viscous * rate / r
-        wanted = tension - (friction + p.drum_inertia * acceleration / r) / r
-        # The motor drives where its pull and the motion agree, that is while it reels in.
-        driving = direction < 0.0 if wanted >= 0.0 else direction > 0.0
+        required = tension - (friction + p.drum_inertia * acceleration / r) / r
+        # The motor drives while its torque acts along the motion, that is while it reels in.
+        driving = direction < 0.0 if required >= 0.0 else direction > 0.0
         factor = 1.0 / p.gear_efficiency if driving else p.gear_backdrive_efficiency
-        return wanted * (1.0 + (factor - 1.0) * abs(direction))
+        return required * (1.0 + (factor - 1.0) * abs(direction))
 
     def tether_tension(
         self, motor_tension: float, length: float, rate: float, acceleration: float
     ) -> float:
-        """Tether tension [N] behind a motor tension [N] in motion: `motor_tension` inverted."""
+        """Tether tension [N] from a motor tension [N]: the inverse of `motor_tension`."""
         p, r = self.parameters, self.radius(length)
         direction = math.tanh(rate / p.friction_rate)
         driving = direction < 0.0 if motor_tension >= 0.0 else direction > 0.0
         factor = 1.0 / p.gear_efficiency if driving else p.gear_backdrive_efficiency
-        through = motor_tension / (1.0 + (factor - 1.0) * abs(direction))
+        transmitted = motor_tension / (1.0 + (factor - 1.0) * abs(direction))
         friction = p.drum_friction * direction + p.drum_viscous * rate / r
-        return through + (friction + p.drum_inertia * acceleration / r) / r
+        return transmitted + (friction + p.drum_inertia * acceleration / r) / r
 
     def _radius_at(self, turns: float) -> float:
         p = self.parameters
@@ -179,7 +179,7 @@ class DrumModel:
         return p.drum_radius + p.layer_pitch * (layer + climb / _CLIMB)
 
     def _wound(self, turns: float) -> float:
-        """Length of so many turns: 2 pi times the integral of the radius over the turns."""
+        """Wound length [m]: 2 pi times the integral of the radius over the turns."""
         p = self.parameters
         n = p.turns_per_layer
         layer = math.floor(max(turns, 0.0) / n)

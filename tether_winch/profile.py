@@ -1,8 +1,8 @@
-"""S-curve: length and rate that never exceed limits of rate, acceleration and jerk. Pure.
+"""S-curve within limits of rate, acceleration and jerk. Pure.
 
 Each step takes the largest next acceleration from which a stop before the goal remains possible
-under the same limits. The distance to a stop is known in closed form, so goals and limits may
-change at any time; what is already moving is then brought down as fast as the limits allow.
+within the limits. The stopping distance has a closed form, so goal and limits may change at any
+time; a motion beyond new limits is slowed down as fast as they allow.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 _BISECTIONS = 24
-_CRUISING = 1e-6  # so near to a rate counts as having it [m/s]
-_ARRIVED = 1e-5  # so near and slow counts as arrived [m]
+_CRUISE_TOLERANCE = 1e-6  # of a rate [m/s]
+_ARRIVAL_TOLERANCE = 1e-5  # of a length [m]
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What the motion may not exceed; all above zero."""
+    """Limits of a motion; all above zero."""
 
     rate: float  # [m/s]
     acceleration: float  # [m/s^2]
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
 
 
 def stopping_distance(rate: float, acceleration: float, limits: MotionLimits) -> float:
-    """Way [m] from here to rest, braking as hard as the limits allow; signed as the motion."""
+    """Signed stopping distance [m] at the limits."""
     jerk = limits.jerk
     if rate + acceleration * abs(acceleration) / (2.0 * jerk) < 0.0:
         return -_stop_forward(-rate, -acceleration, limits)
@@ -43,7 +43,7 @@ def stopping_distance(rate: float, acceleration: float, limits: MotionLimits) ->
 
 
 def _stop_forward(rate: float, acceleration: float, limits: MotionLimits) -> float:
-    """The same for a motion that braking must slow down: ramp to -peak, hold, ramp to zero."""
+    """Stopping distance of a forward motion: ramp to -peak, hold, ramp to zero."""
     jerk, most = limits.jerk, limits.acceleration
     # Both ramps together take rate: (peak^2 - a^2/2)/jerk = rate for a triangle.
     peak = math.sqrt(max(0.0, rate * jerk + 0.5 * acceleration * acceleration))
@@ -53,19 +53,19 @@ def _stop_forward(rate: float, acceleration: float, limits: MotionLimits) -> flo
         peak = most
     distance = 0.0
     v, a = rate, acceleration
-    for slope, time in (
+    for jerk_step, time in (
         (-jerk, (a + peak) / jerk),
         (0.0, max(hold, 0.0)),
         (jerk, peak / jerk),
     ):
-        distance += time * (v + time * (0.5 * a + slope * time / 6.0))
-        v += time * (a + 0.5 * slope * time)
-        a += slope * time
+        distance += time * (v + time * (0.5 * a + jerk_step * time / 6.0))
+        v += time * (a + 0.5 * jerk_step * time)
+        a += jerk_step * time
     return distance
 
 
 def advanced(motion: Motion, acceleration: float, h: float) -> Motion:
-    """The motion h later, its acceleration running linearly to the given one."""
+    """The motion h [s] later; the acceleration changes linearly to the given one."""
     start = motion.acceleration
     return Motion(
         motion.length + h * (motion.rate + h * (2.0 * start + acceleration) / 6.0),
@@ -75,15 +75,15 @@ def advanced(motion: Motion, acceleration: float, h: float) -> Motion:
 
 
 def toward_length(motion: Motion, goal: float, limits: MotionLimits, h: float) -> Motion:
-    """Advance by h toward a length [m], to stop there without overshoot."""
+    """Advance by h [s] toward a length [m]; stops there without overshoot."""
     if _has_arrived(motion, goal, limits, h):
         return Motion(goal, 0.0, 0.0)
     rest = motion.length + stopping_distance(motion.rate, motion.acceleration, limits)
     side = 1.0 if goal >= rest else -1.0
 
     def stops_in_time(after: Motion) -> bool:
-        way = stopping_distance(after.rate, after.acceleration, limits)
-        return side * (goal - after.length - way) >= 0.0
+        distance = stopping_distance(after.rate, after.acceleration, limits)
+        return side * (goal - after.length - distance) >= 0.0
 
     cruising = _cruised(motion, side * limits.rate, h)
     if cruising is not None and stops_in_time(cruising):
@@ -98,7 +98,7 @@ def toward_rate(
     h: float,
     ends: tuple[float, float] = (-math.inf, math.inf),
 ) -> Motion:
-    """Advance by h toward a rate [m/s], stopping before the ends [m] if it leads there."""
+    """Advance by h [s] toward a rate [m/s]; stops before the ends [m]."""
     rate = min(max(rate, -limits.rate), limits.rate)
     end = ends[1] if rate > 0.0 else ends[0]
     if rate != 0.0 and _has_arrived(motion, end, limits, h):
@@ -119,28 +119,28 @@ def toward_rate(
         if ends[0] <= rest <= ends[1]:
             return cruising
     after = _furthest(motion, side, stays_below, limits, h)
-    way = stopping_distance(after.rate, after.acceleration, limits)
-    leads_out = (way > 0.0 and after.length + way > ends[1]) or (
-        way < 0.0 and after.length + way < ends[0]
+    distance = stopping_distance(after.rate, after.acceleration, limits)
+    leads_out = (distance > 0.0 and after.length + distance > ends[1]) or (
+        distance < 0.0 and after.length + distance < ends[0]
     )
     if leads_out:
-        return toward_length(motion, ends[1] if way > 0.0 else ends[0], limits, h)
-    if abs(after.rate - rate) <= _CRUISING and abs(after.acceleration) <= limits.jerk * h:
+        return toward_length(motion, ends[1] if distance > 0.0 else ends[0], limits, h)
+    if abs(after.rate - rate) <= _CRUISE_TOLERANCE and abs(after.acceleration) <= limits.jerk * h:
         return after._replace(rate=rate, acceleration=0.0)
     return after
 
 
 def _has_arrived(motion: Motion, goal: float, limits: MotionLimits, h: float) -> bool:
     return (
-        abs(goal - motion.length) <= _ARRIVED
-        and abs(motion.rate) * h <= _ARRIVED
+        abs(goal - motion.length) <= _ARRIVAL_TOLERANCE
+        and abs(motion.rate) * h <= _ARRIVAL_TOLERANCE
         and abs(motion.acceleration) <= limits.jerk * h
     )
 
 
 def _cruised(motion: Motion, rate: float, h: float) -> Motion | None:
-    """The motion h later at a rate that it has already; None = it has not."""
-    if abs(motion.acceleration) > _CRUISING or abs(motion.rate - rate) > _CRUISING:
+    """The motion h [s] later at a constant rate; None if it does not have this rate yet."""
+    if abs(motion.acceleration) > _CRUISE_TOLERANCE or abs(motion.rate - rate) > _CRUISE_TOLERANCE:
         return None
     return Motion(motion.length + h * rate, rate, 0.0)
 
@@ -152,12 +152,12 @@ def _furthest(
     limits: MotionLimits,
     h: float,
 ) -> Motion:
-    """The largest allowed next acceleration toward a side; the least one if none is."""
+    """Step with the largest allowed acceleration toward a side; the smallest if none is allowed."""
     reach = limits.jerk * h
     high = min(side * motion.acceleration + reach, limits.acceleration)
     low = max(side * motion.acceleration - reach, -limits.acceleration)
     high, low = max(high, low), min(high, low)
-    # Never faster than the limit once the acceleration has run out.
+    # The rate must stay within its limit while the acceleration ramps down to zero.
     ramp = limits.jerk * h
 
     def within(acceleration: float) -> bool:

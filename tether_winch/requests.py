@@ -1,4 +1,4 @@
-"""Requests for a motion: what each asks of the servo, or why it is refused. Pure."""
+"""Motion requests: conversion to a servo goal, or refusal. Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tether_winch.servo import Goal, GoalKind, ServoParameters
 
 
 class Mode(StrEnum):
-    """What the winch is doing; the words of the contract."""
+    """Mode of the winch; values of the contract."""
 
     DISARMED = "disarmed"
     HOLD = "hold"
@@ -37,7 +37,7 @@ class Mode(StrEnum):
 
     @property
     def is_armed(self) -> bool:
-        """Whether requests are taken."""
+        """Whether requests are accepted."""
         return self not in (Mode.DISARMED, Mode.STOP, Mode.FAULT)
 
 
@@ -59,47 +59,49 @@ class RequestParameters:
     )
 
 
-class Situation(NamedTuple):
-    """What a request is judged by."""
+class RequestContext(NamedTuple):
+    """State of winch and rover at a request."""
 
-    length: float  # paid out [m]
-    taut_length: float  # at which the tether was last taut [m]
-    tension: float  # [N]; NaN = not known
-    tension_fault: str  # why it is not
-    own_weight: float  # of the tether that is out [N]
-    load: float  # of the rover where it hangs [N]
-    is_supported: bool  # something else carries most of the rover
-    jump: str  # phase of the jump that is under way; empty = none
+    length: float  # payout [m]
+    taut_length: float  # payout at which the tether was last taut [m]
+    tension: float  # [N]; NaN = unknown
+    tension_fault: str  # why it is unknown
+    own_weight: float  # weight of the paid-out tether [N]
+    load: float  # load of the hanging rover [N]
+    is_supported: bool  # the ground carries most of the rover
+    jump: str  # phase of a jump in progress; empty = none
 
 
-class Accepted(NamedTuple):
-    """What a request turns into."""
+class AcceptedRequest(NamedTuple):
+    """Result of an accepted request."""
 
     mode: Mode
     goal: Goal
     reason: str
-    is_renewed: bool = False  # it ends where it is not renewed on the way
+    is_renewed: bool = False  # it must be renewed during the motion
 
 
-class RequestJudge:
-    """Turns requests into goals.
+class RequestInterpreter:
+    """Converts requests to servo goals.
 
     Args:
-        parameters: what requests may leave to the winch.
+        parameters: defaults of requests.
         servo: limits of motion.
-        light: part of the load below which a tension would let a hanging rover fall.
+        min_load_fraction: fraction of the load below which a tension hold would lower the rover.
     """
 
-    def __init__(self, parameters: RequestParameters, servo: ServoParameters, light: float) -> None:
+    def __init__(
+        self, parameters: RequestParameters, servo: ServoParameters, min_load_fraction: float
+    ) -> None:
         self.parameters = parameters
         self.servo = servo
-        self.light = light
+        self.min_load_fraction = min_load_fraction
 
-    def judge(self, name: str, value: JointValue, now: Situation) -> Accepted:
-        """Take a request by its joint's name.
+    def interpret(self, name: str, value: JointValue, now: RequestContext) -> AcceptedRequest:
+        """Convert the request of a joint to a goal.
 
         Raises:
-            Refusal: out of limits, or not now; says what would be right.
+            Refusal: the request is out of limits, or not allowed in this state.
         """
         take = {
             WINCH_TO_LENGTH: self._to_length,
@@ -110,11 +112,11 @@ class RequestJudge:
         }[name]
         return take(value, now)
 
-    def relax(self, now: Situation) -> Accepted:
-        """Let the pull down.
+    def relax(self, now: RequestContext) -> AcceptedRequest:
+        """Lower the tension until the tether is slack.
 
         Raises:
-            Refusal: the tension is not known, or the rover hangs.
+            Refusal: the tension is unknown, or the rover hangs.
         """
         subject = topics.WINCH_RELAX
         self._check_tension(now, subject)
@@ -122,16 +124,16 @@ class RequestJudge:
             raise Refusal(
                 subject,
                 RefusalCode.WRONG_PHASE,
-                f"the tether carries the rover ({now.tension:.4g} N), relaxing would lower it to "
-                "the ground; it must stand first",
+                f"the tether carries the rover ({now.tension:.4g} N) and relaxing would lower it; "
+                "set the rover down first",
             )
         p = self.parameters
         tension = now.own_weight + 0.5 * p.take_up_tension
         goal = Goal(GoalKind.TENSION, rate=p.relax_rate, tension=tension, reels_in=False)
-        return Accepted(Mode.RELAX, goal, f"letting {now.tension:.4g} N down")
+        return AcceptedRequest(Mode.RELAX, goal, f"relaxing from {now.tension:.4g} N")
 
-    def take_up(self, rate: float, now: Situation, reason: str) -> Accepted:
-        """Take slack up, at a rate [m/s] or, where that is 0, at the winch's own."""
+    def take_up(self, rate: float, now: RequestContext, reason: str) -> AcceptedRequest:
+        """Take up slack at a rate [m/s]; 0 selects `take_up_rate`."""
         p = self.parameters
         goal = Goal(
             GoalKind.TENSION,
@@ -139,38 +141,38 @@ class RequestJudge:
             tension=now.own_weight + p.take_up_tension,
             pays_out=False,
         )
-        return Accepted(Mode.SLACK, goal, f"{reason}: taking the slack up")
+        return AcceptedRequest(Mode.SLACK, goal, f"{reason}: taking up the slack")
 
     @property
-    def ends(self) -> tuple[float, float]:
-        """Lengths [m] between which requests may lead."""
+    def soft_ends(self) -> tuple[float, float]:
+        """Range of lengths [m] that a request may lead to."""
         p = self.servo
         return p.shortest_length + p.soft_margin, p.longest_length - p.soft_margin
 
-    def _to_length(self, value: JointValue, now: Situation) -> Accepted:
+    def _to_length(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         length, rate, tension = value
-        low, high = self.ends
+        low, high = self.soft_ends
         if not low <= length <= high:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS,
-                f"length is {length!r} m, it must lie in {low:g} .. {high:g} m",
+                f"length is {length!r} m, it must be within {low:g} .. {high:g} m",
             )
         self._check_rate(rate)
         _check_direction(length - now.length, now)
         goal = Goal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
-        return Accepted(Mode.LENGTH, goal, f"to {length:g} m")
+        return AcceptedRequest(Mode.LENGTH, goal, f"to {length:g} m")
 
-    def _while_renewed(self, value: JointValue, now: Situation) -> Accepted:
+    def _while_renewed(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         return self._to_length(value, now)._replace(is_renewed=True)
 
-    def _at_rate(self, value: JointValue, now: Situation) -> Accepted:
+    def _at_rate(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         _, rate, tension = value
         self._check_rate(rate)
         _check_direction(rate, now)
         goal = Goal(GoalKind.RATE, rate=rate, limit=self._limit(tension))
-        return Accepted(Mode.RATE, goal, f"at {rate:g} m/s")
+        return AcceptedRequest(Mode.RATE, goal, f"at {rate:g} m/s")
 
-    def _at_tension(self, value: JointValue, now: Situation) -> Accepted:
+    def _at_tension(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         longest, rate, tension = value
         self._check_rate(rate)
         self._check_tension(now)
@@ -178,16 +180,16 @@ class RequestJudge:
         if tension < least:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS,
-                f"tension is {tension!r} N, it must be at least {least:.4g} N: the tether that is "
-                f"out weighs {now.own_weight:.4g} N, holding less would pay out without end",
+                f"tension is {tension!r} N, it must be at least {least:.4g} N: the paid-out tether "
+                f"weighs {now.own_weight:.4g} N, a lower tension would pay out without end",
             )
         self._limit(tension)
         hanging = now.load + now.own_weight
-        if not now.is_supported and tension < self.light * hanging:
+        if not now.is_supported and tension < self.min_load_fraction * hanging:
             raise _refused(
                 RefusalCode.WRONG_PHASE,
-                f"the rover hangs with {hanging:.4g} N, holding {tension:g} N would let it fall; "
-                "it must stand first",
+                f"the rover hangs with {hanging:.4g} N and a tension of {tension:g} N would let it "
+                "fall; set the rover down first",
             )
         goal = Goal(
             GoalKind.TENSION,
@@ -195,26 +197,26 @@ class RequestJudge:
             rate=rate,
             tension=tension,
         )
-        return Accepted(Mode.TENSION, goal, f"holding {tension:g} N")
+        return AcceptedRequest(Mode.TENSION, goal, f"holding {tension:g} N")
 
-    def _slack(self, value: JointValue, now: Situation) -> Accepted:
+    def _slack(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         amount, rate, _ = value
         self._check_rate(rate)
         if amount == 0.0:
             _check_direction(-1.0, now)
             self._check_tension(now)
-            return self.take_up(rate, now, "asked for")
+            return self.take_up(rate, now, "requested")
         if not now.is_supported:
             raise _refused(
                 RefusalCode.WRONG_PHASE,
-                "the tether carries the rover, giving slack would lower it; it must stand first",
+                "the tether carries the rover and giving slack would lower it; set it down first",
             )
         length = now.taut_length + amount
-        _, high = self.ends
+        _, high = self.soft_ends
         if length > high:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS,
-                f"slack of {amount!r} m leads to {length:.4g} m, it may lead to {high:g} m",
+                f"slack of {amount!r} m leads to {length:.4g} m, the limit is {high:g} m",
             )
         goal = Goal(
             GoalKind.LENGTH,
@@ -222,14 +224,16 @@ class RequestJudge:
             rate=rate if rate > 0.0 else self.parameters.slack_rate,
             reels_in=False,
         )
-        return Accepted(Mode.SLACK, goal, f"giving {amount:g} m beyond {now.taut_length:.4g} m")
+        return AcceptedRequest(
+            Mode.SLACK, goal, f"giving {amount:g} m of slack beyond {now.taut_length:.4g} m"
+        )
 
     def _check_rate(self, rate: float) -> None:
         largest = self.servo.largest_rate
         if abs(rate) > largest:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS,
-                f"rate is {rate!r} m/s, it must lie in {-largest:g} .. {largest:g} m/s",
+                f"rate is {rate!r} m/s, it must be within {-largest:g} .. {largest:g} m/s",
             )
 
     def _limit(self, tension: float) -> float:
@@ -241,23 +245,23 @@ class RequestJudge:
             )
         return tension if tension > SMALLEST_LIMIT else most
 
-    def _check_tension(self, now: Situation, subject: str = topics.WINCH_REQUEST) -> None:
+    def _check_tension(self, now: RequestContext, subject: str = topics.WINCH_REQUEST) -> None:
         if math.isnan(now.tension):
-            reason = f"the tension is not known: {now.tension_fault}"
+            reason = f"the tension is unknown: {now.tension_fault}"
             raise Refusal(subject, RefusalCode.STALE, reason)
 
 
-def _check_direction(way: float, now: Situation) -> None:
-    if way < 0.0 and now.jump:
+def _check_direction(direction: float, now: RequestContext) -> None:
+    if direction < 0.0 and now.jump:
         raise _refused(
             RefusalCode.WRONG_PHASE,
-            f"the rover jumps ({now.jump}), nothing is reeled in until it has landed",
+            f"a jump is in progress ({now.jump}); wait for the landing before reeling in",
         )
-    if way > 0.0 and now.is_supported:
+    if direction > 0.0 and now.is_supported:
         raise _refused(
             RefusalCode.WRONG_PHASE,
-            f"touchdown at {now.length:.4g} m: something carries the rover, only slack or a "
-            "tension hold pay out now",
+            f"touchdown at {now.length:.4g} m: the ground carries the rover; use a slack request "
+            "or a tension hold to pay out",
         )
 
 

@@ -1,23 +1,23 @@
-"""I2t: what a motor may give without overheating its winding. Pure."""
+"""I2t protection: thermal model of the motor's winding. Pure."""
 
 from __future__ import annotations
 
 import math
 
-_KNEE = 0.8  # from this part of the bearable heat on, the torque is cut down
+_KNEE = 0.8  # relative heat above which the torque is derated
 
 
-class MotorHeat:
-    """Heat of the winding as part of what it bears for ever, and the torque that it leaves.
+class MotorThermalModel:
+    """Relative heat of the winding, and the torque that it allows.
 
-    First order in the square of the torque (the current's): torque for ever `continuous` heats
-    it to 1. From 0.8 on the torque allowed falls, linearly in the heat, from `peak` to
-    `continuous`, so that 1 is never passed.
+    First order in the square of the torque, as of the current; the `continuous` torque heats the
+    winding to 1. Above 0.8 the allowed torque falls linearly with the heat from `peak` to
+    `continuous`, so that the heat never exceeds 1.
 
     Args:
-        continuous: torque that the motor bears for ever [N m].
-        peak: torque that it gives when cold [N m].
-        time: time constant of the winding [s].
+        continuous: continuous torque [N m].
+        peak: torque of the cold motor [N m].
+        time: thermal time constant [s].
     """
 
     def __init__(self, continuous: float, peak: float, time: float) -> None:
@@ -25,13 +25,13 @@ class MotorHeat:
         self.heat = 0.0
 
     def step(self, torque: float, dt: float) -> float:
-        """Let a torque [N m] act for dt [s]; returns the torque that is allowed now [N m]."""
+        """Apply a torque [N m] for dt [s]; returns the torque allowed now [N m]."""
         source = (torque / self._continuous) ** 2
         self.heat += (source - self.heat) * -math.expm1(-dt / self._time)
         return self.allowed
 
     @property
     def allowed(self) -> float:
-        """Torque that is allowed now [N m]."""
+        """Torque allowed now [N m]."""
         share = min(max((self.heat - _KNEE) / (1.0 - _KNEE), 0.0), 1.0)
         return self._peak + share * (self._continuous - self._peak)

@@ -1,18 +1,18 @@
-"""The mother machine's winch: modes, requests with their refusals, and faults. Pure.
+"""Winch of the mother machine: modes, requests and faults. Pure.
 
-It is told what sensors and operators say, and stepped by time; it returns what the drive is to do.
+Inputs are sensor samples and requests; each time step returns the command to the drive.
 
 ========  ====================================================================================
 disarmed  brake closed; armed by service only
-hold      brake closed, or about to be, by itself when a motion has ended
-length    to a length by an S-curve; ends in hold, or at a touchdown or snag, or where a request
-          that is to be renewed is not
-rate      at a rate, renewed by its request
-tension   holds a tension at the fairlead, renewed by its request
-slack     gives slack beyond the taut length and then keeps it, or takes it up
-relax     pays out until the tether carries little more than itself
+hold      coming to rest, then brake closed; entered when a motion ends
+length    to a length by an S-curve; ends in hold at the length, at a touchdown or snag, or when a
+          request that needs renewal is not renewed
+rate      at a rate, while its request is renewed
+tension   holds a tension at the fairlead, while its request is renewed
+slack     gives slack beyond the taut length and keeps it, or takes it up
+relax     pays out until the tether carries little more than its own weight
 stop      brake closed at once; armed by service only
-fault     the same, with its reason
+fault     as stop, with a fault code and reason
 ========  ====================================================================================
 """
 
@@ -46,57 +46,57 @@ from tether_winch.estimates import (
     TensionEstimate,
     TensionSource,
 )
-from tether_winch.guard import Fault, Guard, GuardParameters, Watched
-from tether_winch.load_watch import LoadParameters, LoadState, LoadWatch
-from tether_winch.requests import Accepted, Mode, RequestJudge, RequestParameters, Situation
+from tether_winch.fault_monitor import Fault, FaultInputs, FaultMonitor, FaultParameters
+from tether_winch.load_monitor import LoadMonitor, LoadParameters, LoadState
+from tether_winch.requests import (
+    AcceptedRequest,
+    Mode,
+    RequestContext,
+    RequestInterpreter,
+    RequestParameters,
+)
 from tether_winch.servo import (
     REST,
     BrakePhase,
     DriveCommand,
     Goal,
     GoalKind,
-    Sensed,
+    SensedState,
     ServoParameters,
     WinchServo,
-    at_rest_quickly,
+    quick_stop,
 )
-from tether_winch.thermal import MotorHeat
+from tether_winch.thermal import MotorThermalModel
 
 _NANO = 1e9
-_OPEN = 0.5  # a brake's position from here on means released
-_MOVING = 0.02  # from this rate on the drum moves [m/s]
+_OPEN = 0.5  # brake position above which the brake is open
+_MOVING = 0.02  # rate above which the drum moves [m/s]
 _JUMPING = frozenset({"compressing", "settling", "releasing", "flight", "landed"})
-_STALL = 0.05  # a step that comes later than this after the last one comes late [s]
-_BEGINNING = 3  # steps after which a motion that has something to do has begun
-_QUICK_LIMIT = 1.5  # longest stop before the brake closes in any case [s]
-_LITTLE = 0.1  # part of a held tension, or of a way's rate, by which a renewal may differ
-_SHORTEST = 0.05  # a motion, before it is over [s]
-_TRIM_AWAITED = 0.3  # the same, of one that is renewed [s]
-_TRIM_TIMEOUT = 0.5  # a trim not renewed for longer has ended [s]
-
-
-_RENEWED = (Mode.RATE, Mode.TENSION)
+_LATE_STEP = 0.05  # step interval above which a step is late [s]
+_MIN_STEPS = 3  # servo steps after which a motion has begun
+_MAX_STOP_TIME = 1.5  # longest quick stop; then the brake closes [s]
+_RENEWAL_TOLERANCE = 0.1  # relative change of tension or rate that counts as a renewal
+_MIN_MOTION_TIME = 0.05  # shortest motion [s]
+_MIN_RENEWED_MOTION_TIME = 0.3  # shortest motion of a renewed request; a trim may follow [s]
+_TRIM_TIMEOUT = 0.5  # time without renewal after which a trim ends [s]
+_RENEWED_MODES = (Mode.RATE, Mode.TENSION)
 _STOPS_AT_TOUCHDOWN = (Mode.LENGTH, Mode.RATE)
 
 
 @dataclass(frozen=True)
 class WinchParameters:
-    """All that the winch is told of itself."""
+    """All parameters of the winch."""
 
     drum: DrumParameters = field(default_factory=DrumParameters)
     estimates: EstimateParameters = field(default_factory=EstimateParameters)
     load: LoadParameters = field(default_factory=LoadParameters)
     servo: ServoParameters = field(default_factory=ServoParameters)
-    guard: GuardParameters = field(default_factory=GuardParameters)
+    faults: FaultParameters = field(default_factory=FaultParameters)
     requests: RequestParameters = field(default_factory=RequestParameters)
 
 
 class Winch:
-    """One winch.
-
-    Args:
-        parameters: all of them.
-    """
+    """Controller of one winch."""
 
     def __init__(self, parameters: WinchParameters) -> None:
         self.parameters = parameters
@@ -105,19 +105,19 @@ class Winch:
         self.fault_reason = ""
         self.drum = DrumModel(parameters.drum)
         self.servo = WinchServo(parameters.servo, self.drum)
-        self._judge = RequestJudge(
+        self._interpreter = RequestInterpreter(
             parameters.requests, parameters.servo, parameters.load.touchdown_threshold
         )
         self._goal = REST
         self._in_mode_since = 0.0
-        self._driven = 0  # steps of the servo since the mode began
-        self._renewed = 0.0
-        self._is_renewed = False  # the length is gone to only while its request is renewed
-        self._trimmed: float | None = None
+        self._servo_steps = 0  # servo steps in this mode
+        self._renewed_at = 0.0
+        self._requires_renewal = False  # the length request must be renewed
+        self._trimmed_at: float | None = None
         self._jump = ""
         self._jump_since = 0.0
-        self._taut: float | None = None  # length at which the tether was last taut [m]
-        self._tight_since: float | None = None
+        self._taut_length: float | None = None  # payout at which the tether was last taut [m]
+        self._tension_reached_since: float | None = None
         self._transitions: list[Transition] = []
         self._begin_sensing()
 
@@ -125,108 +125,109 @@ class Winch:
         p = self.parameters
         self.payout = PayoutEstimate(p.estimates)
         self.tension = TensionEstimate(p.estimates, self.drum)
-        self.load = LoadWatch(p.load)
-        self.heat = MotorHeat(
+        self.load = LoadMonitor(p.load)
+        self.heat = MotorThermalModel(
             p.drum.motor_continuous_torque, p.drum.motor_torque, p.drum.motor_thermal_time
         )
-        self._guard = Guard(p.guard)
+        self._fault_monitor = FaultMonitor(p.faults)
         self._brake_is_open = False
-        self._torque = 0.0
-        self._last: float | None = None
-        self._late = 0.0  # by which the last step came too late [s]
+        self._motor_torque = 0.0
+        self._last_step: float | None = None
+        self._step_delay = 0.0  # delay of the last step [s]
         self._alarms: dict[str, bool] = {}
 
     def take_transitions(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call, and clear them."""
         taken, self._transitions = self._transitions, []
         return taken
 
     # --- sensors ---------------------------------------------------------------------------------
 
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
-        """Take the state of drum and brake."""
+        """Update with the state of drum and brake."""
         length, rate, _ = sample.joints[WINCH_DRUM]
         is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
         now = now_ns / _NANO
         moves = max(abs(rate), abs(self.payout.rate)) > _MOVING
         if self._brake_is_open and not is_open and moves:
-            self.load.note_braking(now)
+            self.load.on_braking(now)
         self._brake_is_open = is_open
         taken = sample.stamp_ns / _NANO if sample.stamp_ns else now
-        self.payout.hear(length, rate, taken, now)
+        self.payout.update(length, rate, taken, now)
 
     def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
-        """Take the pull of the tether at the fairlead."""
-        self.tension.on_cell(math.hypot(*sample.force), now_ns / _NANO)
+        """Update with the tether force at the fairlead."""
+        self.tension.on_load_cell(math.hypot(*sample.force), now_ns / _NANO)
 
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
-        """Take the motors' currents; the winch's counts."""
+        """Update with the motor currents; uses the winch motor's."""
         current = sample.joints[WINCH_MOTOR].effort
-        self._torque = current * self.parameters.drum.torque_constant
+        self._motor_torque = current * self.parameters.drum.torque_constant
         self.tension.on_motor(current, self.payout, self._brake_is_open, now_ns / _NANO)
 
-    def note_silence(self, reason: str) -> None:
-        """The sensors are silent by another clock than the controller's: nothing is known."""
-        self.tension.lose(reason)
-        self.load.lose()
+    def on_sensor_timeout(self, reason: str) -> None:
+        """Invalidate tension and load; the sensors timed out by another clock."""
+        self.tension.invalidate(reason)
+        self.load.invalidate()
 
     def retune(self, parameters: WinchParameters) -> None:
-        """Go by other parameters at once; what moves goes on within the new limits."""
+        """Apply other parameters at once; a motion continues within the new limits."""
         self.parameters = parameters
         self.drum = DrumModel(parameters.drum)
         self.servo.retune(parameters.servo, self.drum)
         self.payout.parameters = parameters.estimates
         self.tension.retune(parameters.estimates, self.drum)
         self.load.parameters = parameters.load
-        self._guard.parameters = parameters.guard
-        self._judge = RequestJudge(
+        self._fault_monitor.parameters = parameters.faults
+        self._interpreter = RequestInterpreter(
             parameters.requests, parameters.servo, parameters.load.touchdown_threshold
         )
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics of the sensors that are silent: nothing is moved without them."""
+        """Topics of the sensors that have timed out; without them no motion starts."""
         now = now_ns / _NANO
         silent = []
-        if self.payout.silence(now) > self.parameters.estimates.encoder_timeout:
+        if self.payout.age(now) > self.parameters.estimates.encoder_timeout:
             silent.append(topics.WINCH_STATE)
         if self.tension.cell_fault:
             silent.append(topics.LOAD_CELL)
         return tuple(silent)
 
     def on_jump(self, phase: str, now_ns: int) -> None:
-        """Take the phase of the jump: nothing is reeled in while the rover jumps."""
+        """Update with the phase of the jump; reeling in is inhibited during a jump."""
         was = self._jump
         self._jump, self._jump_since = phase, now_ns / _NANO
         self._set_goal(self._goal)
         if self.mode is Mode.SLACK and was == "landed" and phase == "standby":
-            self._tight_since = None
-            taking = self._judge.take_up(0.0, self._situation(now_ns), "the rover has landed")
+            self._tension_reached_since = None
+            taking = self._interpreter.take_up(
+                0.0, self._request_context(now_ns), "the rover has landed"
+            )
             self._accept(taking, now_ns / _NANO)
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def is_jumping(self) -> bool:
-        """Whether a jump is under way, as far as it was told."""
+        """Whether a jump in progress is reported."""
         return self._jump in _JUMPING
 
     @property
     def alarms(self) -> Mapping[str, bool]:
-        """Touchdown, slack, snag and over-tension, each whether it is so."""
+        """State of the alarms: touchdown, slack, snag and over-tension."""
         return self.load.alarms
 
     def tension_now(self, now_ns: int) -> tuple[float, TensionSource]:
-        """Tension [N] that the winch goes by, and its source; NaN where none is valid."""
+        """Tension [N] and its source; NaN where no source is valid."""
         value, source = self.tension.value(now_ns / _NANO)
-        if source is TensionSource.MOTOR and self.parameters.guard.load_cell_required:
+        if source is TensionSource.MOTOR and self.parameters.faults.load_cell_required:
             return math.nan, TensionSource.NONE
         return value, source
 
     def estimate(self, now_ns: int) -> JointSample | None:
-        """What is made of encoder, current and load cell, as `winch/estimate` tells it.
+        """Sample of `winch/estimate`; None before the first drum state.
 
-        None before the drum has spoken. Where no tension is valid, the stretched length is that
-        under what hangs.
+        Without a valid tension, the stretched length assumes the mean load.
         """
         if not self.payout.is_known:
             return None
@@ -244,31 +245,31 @@ class Winch:
             REFERENCE: JointValue(
                 min(max(aim.length, 0.0), MAX_LENGTH),
                 min(max(aim.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
-                min(self.servo.aimed_tension, MAX_TENSION),
+                min(self.servo.tension_setpoint, MAX_TENSION),
             ),
         }
         return JointSample(now_ns, values)
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def request(self, sample: JointSample, now_ns: int) -> None:
-        """Take a request for a motion; the joint's name is its mode.
+        """Start a motion; the joint's name selects its mode.
 
         Raises:
-            Refusal: not armed, out of limits, not now, or the winch's own state is not known.
+            Refusal: not armed, out of limits, not allowed in this state, or the payout is unknown.
         """
         ((name, value),) = sample.joints.items()
         now = now_ns / _NANO
         self._check_armed()
         unknown = self.payout.fault(now)
         if unknown:
-            reason = f"{unknown}, so where the drum stands is not known"
+            reason = f"{unknown}, the payout is unknown"
             raise Refusal(topics.WINCH_REQUEST, RefusalCode.STALE, reason)
-        accepted = self._judge.judge(name, value, self._situation(now_ns))
-        self._tight_since = None
+        accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
+        self._tension_reached_since = None
         self._accept(accepted, now)
-        self._renewed = now
-        self._is_renewed = accepted.is_renewed
+        self._renewed_at = now
+        self._requires_renewal = accepted.is_renewed
 
     def hold(self, now_ns: int) -> str:
         """Come to rest smoothly and close the brake.
@@ -281,17 +282,17 @@ class Winch:
         return "coming to rest"
 
     def relax(self, now_ns: int) -> str:
-        """Pay out slowly until the tether carries little more than itself.
+        """Pay out slowly until the tether carries little more than its own weight.
 
         Raises:
-            Refusal: not armed, the tension is not known, or the rover hangs.
+            Refusal: not armed, the tension is unknown, or the rover hangs.
         """
         self._check_armed(topics.WINCH_RELAX)
-        self._accept(self._judge.relax(self._situation(now_ns)), now_ns / _NANO)
-        return "letting the pull down"
+        self._accept(self._interpreter.relax(self._request_context(now_ns)), now_ns / _NANO)
+        return "relaxing"
 
     def stop(self, reason: str, now_ns: int) -> None:
-        """Close the brake at once, motor off; always done."""
+        """Close the brake at once and switch the motor off; never refused."""
         if self.mode is not Mode.FAULT:
             self._enter(Mode.STOP, reason, REST, now_ns / _NANO, Level.WARN)
 
@@ -299,23 +300,23 @@ class Winch:
         """Arm after the start, a stop or a fault.
 
         Raises:
-            Refusal: what caused the fault is still there.
+            Refusal: a fault is still present.
         """
         if self.mode.is_armed:
             return f"already armed, in {self.mode}"
         now = now_ns / _NANO
         self.tension.mismatch = ""
         self.payout.drift = 0.0
-        self._guard.forget()
-        found = self._guard.find(self._watched(now_ns), now)
+        self._fault_monitor.reset()
+        found = self._fault_monitor.check(self._fault_inputs(now_ns), now)
         if found is not None:
             raise Refusal(topics.WINCH_REARM, RefusalCode.NOT_ARMED, found[1])
         self.fault, self.fault_reason = None, ""
-        self._enter(Mode.HOLD, f"armed, was in {self.mode}", REST, now)
+        self._enter(Mode.HOLD, f"armed, previously in {self.mode}", REST, now)
         return "armed"
 
     def trim(self, rate: float, now_ns: int) -> None:
-        """Add a rate [m/s] to that of a length or rate request, for a short while.
+        """Add a rate [m/s] to a length or rate request until the trim times out.
 
         Raises:
             Refusal: in another mode.
@@ -324,173 +325,170 @@ class Winch:
             raise Refusal(
                 topics.WINCH_TRIM,
                 RefusalCode.WRONG_PHASE,
-                f"the winch is in {self.mode}, a trim adds to {Mode.LENGTH} or {Mode.RATE}",
+                f"the winch is in {self.mode}, a trim requires {Mode.LENGTH} or {Mode.RATE}",
             )
-        self._trimmed = now_ns / _NANO
+        self._trimmed_at = now_ns / _NANO
         self.servo.trim(rate)
 
     def clock_jumped(self, now_ns: int) -> None:
-        """The clock has jumped: nothing that was timed by it can be trusted."""
+        """Reset the estimates and latch a fault: all times are invalid."""
         mean = self.load.mean
         self._begin_sensing()
         self.load.mean = mean
-        self._trimmed = None
+        self._trimmed_at = None
         self._jump_since = self._in_mode_since = now_ns / _NANO
         self.latch(Fault.CLOCK_JUMP, "the clock has jumped", now_ns)
 
     def latch(self, fault: Fault, reason: str, now_ns: int) -> None:
-        """Brake and stay braked, for a reason."""
+        """Latch a fault: close the brake until the winch is armed again."""
         if not self.mode.is_armed:
             return
         values = {"fault": fault.value, "length": self.payout.length, "rate": self.payout.rate}
-        goal = at_rest_quickly(self._goal)
+        goal = quick_stop(self._goal)
         self.fault, self.fault_reason = fault, reason
         self._enter(Mode.FAULT, f"{fault}: {reason}", goal, now_ns / _NANO, Level.ERROR, values)
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> DriveCommand | None:
-        """Advance to now; returns what the drive is told, None before the drum has spoken."""
+        """Advance to now; returns the command to the drive, None before the first drum state."""
         now = now_ns / _NANO
-        h = 0.0 if self._last is None else now - self._last
-        self._last = now
-        # After a stall of its own the time is known before what the sensors said meanwhile.
-        self._late = h if h > _STALL else 0.0
+        h = 0.0 if self._last_step is None else now - self._last_step
+        self._last_step = now
+        # After a stall of this process the clock is ahead of the queued sensor samples.
+        self._step_delay = h if h > _LATE_STEP else 0.0
         if not self.payout.is_known:
             return None
         self._sense(now_ns, h)
-        late = self.parameters.guard.max_step_delay
-        if h > late and not self.servo.rests:
-            reason = f"the controller was late by {h:.3g} s, at most {late:g} s is right"
+        late = self.parameters.faults.max_step_delay
+        if h > late and not self.servo.is_at_rest:
+            reason = f"a control step came after {h:.3g} s, the limit is {late:g} s"
             self.latch(Fault.NODE_LATE, reason, now_ns)
-        found = self._guard.find(self._watched(now_ns), now)
+        found = self._fault_monitor.check(self._fault_inputs(now_ns), now)
         if found is not None:
             self._on_fault(*found, now_ns)
-        self._follow_mode(now_ns)
+        self._step_mode(now_ns)
         return self._drive(now_ns, min(h, late))
 
     def _sense(self, now_ns: int, h: float) -> None:
         now = now_ns / _NANO
-        self.tension.step(self.payout, now - self._late)
+        self.tension.step(self.payout, now - self._step_delay)
         tension, _ = self.tension_now(now_ns)
-        own = self._own_weight()
-        self.load.step(
-            tension,
-            own,
-            self.payout.rate,
-            self.drum.bounce_period(self.payout.length, self.load.mean),
-            now,
-        )
+        own, length = self._own_weight(), self.payout.length
+        bounce_period = self.drum.bounce_period(length, self.load.mean)
+        self.load.step(tension, own, self.payout.rate, bounce_period, now)
         if not math.isnan(tension):
-            light = 0.5 * self.parameters.requests.take_up_tension
-            if tension - own > light:
-                self._taut = self.payout.length
-        self.heat.step(self._torque, h)
+            if tension - own > 0.5 * self.parameters.requests.take_up_tension:
+                self._taut_length = length
+        self.heat.step(self._motor_torque, h)
         for name, is_on in self.load.alarms.items():
             if is_on is not self._alarms.get(name, False):
                 self._publish_alarm(name, is_on, tension)
         self._alarms = dict(self.load.alarms)
 
     def _on_fault(self, fault: Fault, reason: str, now_ns: int) -> None:
-        """Latch a fault; one that comes while the drum is still slowing down ends that."""
+        """Latch a fault; during a quick stop it replaces the fault and closes the brake."""
         if self.mode is not Mode.FAULT:
             self.latch(fault, reason, now_ns)
-        elif self.fault is not None and self.fault.comes_to_rest_first:
+        elif self.fault is not None and self.fault.stops_before_braking:
             self.fault, self.fault_reason = fault, reason
 
-    def _follow_mode(self, now_ns: int) -> None:
+    def _step_mode(self, now_ns: int) -> None:
         now, p = now_ns / _NANO, self.parameters
         if self.is_jumping and now - self._jump_since > p.requests.jump_timeout:
             self._jump = ""
             self._set_goal(self._goal)
-        if self._trimmed is not None and now - self._trimmed > _TRIM_TIMEOUT:
-            self._trimmed = None
+        if self._trimmed_at is not None and now - self._trimmed_at > _TRIM_TIMEOUT:
+            self._trimmed_at = None
             self.servo.trim(None)
-        if self.mode in _RENEWED and now - self._renewed > p.guard.command_timeout:
-            reason = f"the {self.mode} request was not renewed within {p.guard.command_timeout:g} s"
-            self.latch(Fault.COMMAND_TIMEOUT, reason, now_ns)
-        elif self._is_forgotten(now):
-            goal = at_rest_quickly(self._goal)
+        if self.mode in _RENEWED_MODES and now - self._renewed_at > p.faults.command_timeout:
             reason = (
-                f"who asked for {self._goal.length:g} m is silent, at {self.payout.length:.4g} m"
+                f"the {self.mode} request was not renewed within {p.faults.command_timeout:g} s"
+            )
+            self.latch(Fault.COMMAND_TIMEOUT, reason, now_ns)
+        elif self._renewal_timed_out(now):
+            goal = quick_stop(self._goal)
+            reason = (
+                f"the request for {self._goal.length:g} m was not renewed; stopping at "
+                f"{self.payout.length:.4g} m"
             )
             self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
         elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
-            goal = at_rest_quickly(self._goal)
+            goal = quick_stop(self._goal)
             self._enter(Mode.HOLD, f"touchdown at {self.payout.length:.4g} m", goal, now)
-        elif self.load.is_snagged and not self.servo.rests and self._reels_in():
+        elif self.load.is_snagged and not self.servo.is_at_rest and self._reels_in():
             if self.mode.is_armed and self.mode is not Mode.HOLD:
-                goal = at_rest_quickly(self._goal)
+                goal = quick_stop(self._goal)
                 reason = f"snag at {self.payout.length:.4g} m"
                 self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
-        elif self.mode is Mode.LENGTH and self._has_ended(now):
+        elif self.mode is Mode.LENGTH and self._is_complete(now):
             self._enter(Mode.HOLD, f"at {self.payout.length:.4g} m", REST, now)
         elif self.mode is Mode.RELAX or (self.mode is Mode.SLACK and not self._goal.pays_out):
             self._end_by_tension(now_ns)
 
     def _end_by_tension(self, now_ns: int) -> None:
-        """Relaxing and taking up end when the tension has come there."""
+        """End a relaxation or a slack take-up when the tension reaches its setpoint."""
         tension, _ = self.tension_now(now_ns)
-        sought = self._goal.tension
+        setpoint = self._goal.tension
         slackening = self.mode is Mode.RELAX
-        beyond = tension <= sought if slackening else tension >= 0.9 * sought
+        beyond = tension <= setpoint if slackening else tension >= 0.9 * setpoint
         now = now_ns / _NANO
         if not beyond:
-            self._tight_since = None
-        elif self._tight_since is None:
-            self._tight_since = now
-        elif now - self._tight_since > 0.2:
-            self._tight_since = None
-            done = "relaxed" if slackening else "the slack is taken up"
+            self._tension_reached_since = None
+        elif self._tension_reached_since is None:
+            self._tension_reached_since = now
+        elif now - self._tension_reached_since > 0.2:
+            self._tension_reached_since = None
+            done = "relaxed" if slackening else "slack taken up"
             self._enter(Mode.HOLD, f"{done}: {tension:.3g} N", REST, now)
 
-    def _has_ended(self, now: float) -> bool:
-        # By time alone a stalled node would take a motion that has not begun for one that is over.
-        # A controller that would trim hears of the motion first, and its trim comes after that.
-        least = _TRIM_AWAITED if self._is_renewed else _SHORTEST
-        begun = self._driven >= _BEGINNING and now - self._in_mode_since > least
-        return begun and self._trimmed is None and self.servo.rests
+    def _is_complete(self, now: float) -> bool:
+        # Time alone does not suffice: a stalled node would end a motion that has not begun.
+        # A controller that trims reacts to the mode, so its first trim comes later.
+        least = _MIN_RENEWED_MOTION_TIME if self._requires_renewal else _MIN_MOTION_TIME
+        begun = self._servo_steps >= _MIN_STEPS and now - self._in_mode_since > least
+        return begun and self._trimmed_at is None and self.servo.is_at_rest
 
-    def _is_forgotten(self, now: float) -> bool:
-        """Whether a length is gone to for somebody who does not renew the request any more."""
+    def _renewal_timed_out(self, now: float) -> bool:
+        """Whether a length request that needs renewal was not renewed in time."""
         return (
-            self._is_renewed
+            self._requires_renewal
             and self.mode is Mode.LENGTH
-            and now - self._renewed > self.parameters.guard.command_timeout
+            and now - self._renewed_at > self.parameters.faults.command_timeout
             and self.servo.motion.rate != 0.0
         )
 
     def _pays_out(self) -> bool:
         goal = self._goal
-        # Of a length's goal the rate is a largest one, whichever way it leads.
+        # The rate of a length goal is a limit for both directions.
         is_length = goal.kind is GoalKind.LENGTH
-        wants = goal.length > self.payout.length if is_length else goal.rate > 0.0
-        return self.servo.reference.rate > 0.0 or wants
+        demand = goal.length > self.payout.length if is_length else goal.rate > 0.0
+        return self.servo.reference.rate > 0.0 or demand
 
     def _reels_in(self) -> bool:
-        """Whether what holds the rover is pulled at; paying out lets it come free."""
+        """Whether the motion pulls at a snag; paying out frees the rover."""
         return self.servo.reference.rate < 0.0 or not self._pays_out()
 
     def _drive(self, now_ns: int, h: float) -> DriveCommand:
         tension, _ = self.tension_now(now_ns)
-        sensed = Sensed(
+        sensed = SensedState(
             self.payout.length_at(now_ns / _NANO),
             self.payout.rate,
             tension,
             0.0 if self.load.is_supported else self.load.mean,
-            self.drum.tension_of(-self._torque, self.payout.length),
+            self.drum.tension_of(-self._motor_torque, self.payout.length),
             self._brake_is_open,
         )
         slows = (
             self.mode is Mode.FAULT
             and self.fault is not None
-            and self.fault.comes_to_rest_first
-            and now_ns / _NANO - self._in_mode_since < _QUICK_LIMIT
-            and not self.servo.rests
+            and self.fault.stops_before_braking
+            and now_ns / _NANO - self._in_mode_since < _MAX_STOP_TIME
+            and not self.servo.is_at_rest
         )
         if not self.mode.is_armed and not slows:
-            return self.servo.close_at_once(sensed)
-        self._driven += 1
+            return self.servo.emergency_stop(sensed)
+        self._servo_steps += 1
         return self.servo.step(sensed, self._allowed_tension(), h)
 
     # --- helpers ---------------------------------------------------------------------------------
@@ -505,12 +503,12 @@ class Winch:
             f"the winch is in {self.mode}{why}; {topics.WINCH_REARM} arms it",
         )
 
-    def _situation(self, now_ns: int) -> Situation:
+    def _request_context(self, now_ns: int) -> RequestContext:
         tension, _ = self.tension_now(now_ns)
         length = self.payout.length
-        return Situation(
+        return RequestContext(
             length,
-            length if self._taut is None else self._taut,
+            length if self._taut_length is None else self._taut_length,
             tension,
             self._tension_fault(),
             self._own_weight(),
@@ -519,22 +517,22 @@ class Winch:
             self._jump if self.is_jumping else "",
         )
 
-    def _accept(self, accepted: Accepted, now: float) -> None:
+    def _accept(self, accepted: AcceptedRequest, now: float) -> None:
         self._enter(accepted.mode, accepted.reason, accepted.goal, now)
 
-    def _watched(self, now_ns: int) -> Watched:
+    def _fault_inputs(self, now_ns: int) -> FaultInputs:
         now, servo = now_ns / _NANO, self.parameters.servo
         tension, _ = self.tension_now(now_ns)
         opening = self.servo.phase is BrakePhase.OPENING
-        return Watched(
-            self.payout.fault(now - self._late),
+        return FaultInputs(
+            self.payout.fault(now - self._step_delay),
             tension,
             self._tension_fault(),
             self.load.state,
             self.payout.length,
             self.payout.rate,
-            not self.servo.rests,
-            self.servo.waits,
+            not self.servo.is_at_rest,
+            self.servo.is_lagging,
             self.servo.time_in_phase if opening else 0.0,
             self.servo.feed_forward,
             self._allowed_tension(),
@@ -553,11 +551,11 @@ class Winch:
         return self.tension.mismatch or self.tension.cell_fault
 
     def _set_goal(self, goal: Goal) -> None:
-        """Aim at a goal; while the rover jumps nothing is reeled in."""
+        """Set the servo's goal; reeling in is inhibited during a jump."""
         self._goal = goal
-        told = replace(goal, reels_in=False) if self.is_jumping else goal
-        if told != self.servo.goal:
-            self.servo.aim(told)
+        allowed = replace(goal, reels_in=False) if self.is_jumping else goal
+        if allowed != self.servo.goal:
+            self.servo.set_goal(allowed)
 
     def _enter(
         self,
@@ -568,25 +566,25 @@ class Winch:
         level: Level = Level.OK,
         values: Mapping[str, object] | None = None,
     ) -> None:
-        # Who leads a tether renews with the weight that is out now, and who goes up slows down as
-        # the tether gets short: each time a little other.
+        # Renewals may differ a little: a tension follows the paid-out weight, and the rate of an
+        # ascent falls with the length.
         before = self._goal
         rate = before.rate if mode is Mode.LENGTH else goal.rate
         same = replace(goal, tension=before.tension, rate=rate) == before
-        little = abs(goal.tension - before.tension) <= _LITTLE * before.tension
-        little &= abs(goal.rate - before.rate) <= _LITTLE * abs(before.rate)
+        little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
+        little &= abs(goal.rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
         renewed = mode is self.mode and same and little
         self._set_goal(goal)
         if renewed:
             return
         if mode not in (Mode.LENGTH, Mode.RATE):
-            self._trimmed = None
+            self._trimmed_at = None
             self.servo.trim(None)
         self.mode = mode
         self._in_mode_since = now
-        self._driven = 0
-        told = {"length": self.payout.length, **(values or {})}
-        self._transitions.append(Transition(f"winch_{mode}", reason, level, told))
+        self._servo_steps = 0
+        event_values = {"length": self.payout.length, **(values or {})}
+        self._transitions.append(Transition(f"winch_{mode}", reason, level, event_values))
 
     def _publish_alarm(self, name: str, is_on: bool, tension: float) -> None:
         values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}

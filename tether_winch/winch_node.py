@@ -28,17 +28,17 @@ from msg_schemas.samples import (
 )
 from tether_winch.drum_model import DrumParameters
 from tether_winch.estimates import EstimateParameters, TensionSource
-from tether_winch.guard import Fault, GuardParameters
-from tether_winch.load_watch import LoadParameters, LoadState
+from tether_winch.fault_monitor import Fault, FaultParameters
+from tether_winch.load_monitor import LoadParameters, LoadState
 from tether_winch.requests import Mode, RequestParameters
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
 
-_LISTENING_PERIOD = 0.1  # by the wall clock [s]
-_SILENCE = 0.5  # by the wall clock [s]
+_CHECK_PERIOD = 0.1  # wall clock [s]
+_LOAD_CELL_TIMEOUT = 0.5  # wall clock [s]
 _SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
-# What the tension watch says of a state of the load.
-_WORDS = {
+# Load states on the topic of the tension watch; all others are "normal".
+_STATE_WORDS = {
     LoadState.UNKNOWN: "unknown",
     LoadState.SLACK: "slack",
     LoadState.OVER_TENSION: "over_tension",
@@ -59,14 +59,14 @@ class WinchNodeParameters:
 
 
 class WinchNode(ContractNode):
-    """Moves the tether on request and keeps the rover safe, whatever else is alive."""
+    """Moves the tether on request, and stays safe without any other node."""
 
     NAME = "winch_node"
     PARAMETERS = (
         WinchNodeParameters,
         ServoParameters,
         RequestParameters,
-        GuardParameters,
+        FaultParameters,
         LoadParameters,
         EstimateParameters,
         DrumParameters,
@@ -92,32 +92,32 @@ class WinchNode(ContractNode):
         self.subscribe(topics.WINCH_REQUEST, self._on_request)
 
     def start(self) -> None:
-        """Stand disarmed, with the brake closed."""
+        """Start disarmed, with the brake closed."""
         self._begin()
         rates = self.parameters_of(WinchNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
         self.every(1.0 / rates.estimate_rate, self._publish_estimates)
-        # Where simulated time stands still, the sensors are silent too.
-        self.every(_LISTENING_PERIOD, self._listen, by_wall_clock=True)
+        # Simulated time may stop together with the sensors.
+        self.every(_CHECK_PERIOD, self._check_load_cell, by_wall_clock=True)
 
     def stop(self) -> None:
-        """Brake, motor off."""
+        """Close the brake and switch the motor off."""
         self._winch.stop("the node stops", self.now_ns())
         self._step()
 
     def parameters_changed(self) -> None:
-        """Go by the new limits and thresholds at once."""
+        """Apply new parameters at once."""
         if self.active:
             self._winch.retune(self._winch_parameters())
 
     def clock_jumped(self) -> None:
-        """Brake: nothing that was timed means anything any more."""
+        """Latch a fault: all times are invalid."""
         if self.active:
             self._winch.clock_jumped(self.now_ns())
             self._step()
 
     def refuse(self, refusal: Refusal) -> None:
-        """Put a refusal on diagnostics; a sensor that talks nonsense ends every motion."""
+        """Report a refusal; an invalid sensor message latches a fault."""
         super().refuse(refusal)
         if self.active and refusal.subject in _SENSORS:
             reason = f"{refusal.subject}: {refusal.reason}"
@@ -125,11 +125,11 @@ class WinchNode(ContractNode):
             self._step()
 
     def waiting_for(self) -> tuple[str, ...]:
-        """The sensors that are silent."""
+        """Sensors that have timed out."""
         return self._winch.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
-        """Mode with its fault, and tension with its source."""
+        """Status of the mode with its fault, and of the tension with its source."""
         if not self.active:
             return ()
         winch = self._winch
@@ -150,13 +150,13 @@ class WinchNode(ContractNode):
             ),
         )  # fmt: skip
 
-    # --- what is heard ---------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def _on_drum(self, sample: JointSample) -> None:
         self._winch.on_drum(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
-        self._heard = time.monotonic()
+        self._load_cell_received = time.monotonic()
         self._winch.on_load_cell(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
@@ -183,23 +183,23 @@ class WinchNode(ContractNode):
         return True, done
 
     def _on_stop(self) -> tuple[bool, str]:
-        self._winch.stop("asked to stop", self.now_ns())
+        self._winch.stop("stop requested", self.now_ns())
         self._step()
-        return True, f"braked, in {self._winch.mode}"
+        return True, f"brake closed, in {self._winch.mode}"
 
     def _on_rearm(self) -> tuple[bool, str]:
         done = self._winch.rearm(self.now_ns())
         self._publish_changes()
         return True, done
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- outputs ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
         self._winch = Winch(self._winch_parameters())
-        self._heard = time.monotonic()
-        self._told_mode: Mode | None = None
-        self._told_word = ""
-        self._told_alarms: dict[str, bool] | None = None
+        self._load_cell_received = time.monotonic()
+        self._published_mode: Mode | None = None
+        self._published_state = ""
+        self._published_alarms: dict[str, bool] | None = None
         self._publish_changes()
 
     def _winch_parameters(self) -> WinchParameters:
@@ -208,7 +208,7 @@ class WinchNode(ContractNode):
             self.parameters_of(EstimateParameters),
             self.parameters_of(LoadParameters),
             self.parameters_of(ServoParameters),
-            self.parameters_of(GuardParameters),
+            self.parameters_of(FaultParameters),
             self.parameters_of(RequestParameters),
         )
 
@@ -216,27 +216,27 @@ class WinchNode(ContractNode):
         now_ns = self.now_ns()
         command = self._winch.step(now_ns)
         if command is not None:
-            self._command_publisher.send(_told(command, now_ns))
+            self._command_publisher.send(_command_sample(command, now_ns))
         self._publish_changes()
 
-    def _listen(self) -> None:
-        silent = time.monotonic() - self._heard
-        if silent > _SILENCE:
-            self._winch.note_silence(f"the load cell is silent for {silent:.2g} s")
+    def _check_load_cell(self) -> None:
+        age = time.monotonic() - self._load_cell_received
+        if age > _LOAD_CELL_TIMEOUT:
+            self._winch.on_sensor_timeout(f"no load cell reading for {age:.2g} s")
             self._publish_changes()
 
     def _publish_changes(self) -> None:
         winch = self._winch
-        if winch.mode is not self._told_mode:
-            self._told_mode = winch.mode
+        if winch.mode is not self._published_mode:
+            self._published_mode = winch.mode
             self._mode_publisher.send(TextSample(winch.mode.value))
-        word = _WORDS.get(winch.load.state, "normal")
-        if word != self._told_word:
-            self._told_word = word
-            self._watch_publisher.send(TextSample(word))
+        state = _STATE_WORDS.get(winch.load.state, "normal")
+        if state != self._published_state:
+            self._published_state = state
+            self._watch_publisher.send(TextSample(state))
         alarms = dict(winch.alarms)
-        if alarms != self._told_alarms:
-            self._told_alarms = alarms
+        if alarms != self._published_alarms:
+            self._published_alarms = alarms
             tension, _ = winch.tension_now(self.now_ns())
             effort = 0.0 if math.isnan(tension) else max(tension, 0.0)
             values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
@@ -248,12 +248,12 @@ class WinchNode(ContractNode):
                 self.report(Status(name, change.reason, change.level, self.NAME))
 
     def _publish_estimates(self) -> None:
-        made = self._winch.estimate(self.now_ns())
-        if made is not None:
-            self._estimate_publisher.send(made)
+        sample = self._winch.estimate(self.now_ns())
+        if sample is not None:
+            self._estimate_publisher.send(sample)
 
 
-def _told(command: DriveCommand, now_ns: int) -> JointSample:
+def _command_sample(command: DriveCommand, now_ns: int) -> JointSample:
     return JointSample(
         now_ns,
         {

@@ -77,12 +77,13 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
     kicked_toward = float(rng.uniform(0.0, math.tau))
     flight.begin()
     for depth in STOPS:
-        flight.ask(depth)
+        flight.request(depth)
     kicked, began = False, flight.time
     profile = flight.rover.profile
     while flight.time - began < LONGEST:
         flight.tick()
-        if not kicked and abs(flight.state.length - KICK_AT) < 0.02 and flight.winch.servo.rests:
+        rests = flight.winch.servo.is_at_rest
+        if not kicked and abs(flight.state.length - KICK_AT) < 0.02 and rests:
             flight.kick(KICK, kicked_toward)
             kicked = True
         if profile.is_idle and flight.time - began > 20.0:
@@ -128,13 +129,13 @@ def damp(seed: int, index: int, length: float) -> float:
         draw(rng, length, 3.0, 0.0), HangingControllerParameters(profile=profile)
     )
     flight.begin()
-    flight.ask(length)
+    flight.request(length)
     while flight.time < 1500.0:
         flight.tick()
         if flight.ticks % 5 == 0 and flight.true_swing().major < math.radians(0.3):
             return flight.time
         if flight.rover.profile.is_idle and flight.time > 20.0:
-            flight.ask(length)
+            flight.request(length)
     return math.nan
 
 
@@ -165,7 +166,7 @@ def kicked(seed: int, index: int) -> float:
     length, kick = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
     flight = HangingFlight(draw(rng, length, 0.15, 0.05))
     flight.begin()
-    flight.ask(length, observes=False)
+    flight.request(length, observes=False)
     flight.run(45.0)
     flight.kick(kick, float(rng.uniform(0.0, math.tau)))
     flight.run(_LEARNT)
@@ -183,7 +184,7 @@ def ascend(seed: int, index: int) -> float:
     rng = np.random.default_rng([seed, index])
     flight = HangingFlight(draw(rng, 45.0, 0.3, 0.3))
     flight.begin()
-    flight.ask(2.0, observes=False)
+    flight.request(2.0, observes=False)
     while flight.time < 3000.0:
         flight.tick()
         if flight.rover.profile.is_idle and flight.time > 20.0:
@@ -305,7 +306,7 @@ def _cone(seed: int) -> tuple[float, float]:
     """What a cone lost in momentum about the plumb line, and what the rover got [N m s]."""
     flight = HangingFlight(Start(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
     flight.begin()
-    flight.ask(2.5, observes=False)
+    flight.request(2.5, observes=False)
     flight.run(12.0)
     before = flight.true_momentum()
     flight.run(60.0)

@@ -23,10 +23,10 @@ from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, Wren
 from msg_schemas.transition import Transition
 from rover_control.descent_profile import Stop
 from rover_control.hanging_controller import (
+    ActuatorCommands,
     Exposure,
     HangingController,
     HangingControllerParameters,
-    Orders,
 )
 from rover_control.hanging_rover import HangingParameters
 from rover_sim import (
@@ -164,7 +164,7 @@ class HangingFlight:
         self.refusals: list[str] = []
         self.spent: dict[str, float] = {}  # when a rotor first left its budget, by its axis [s]
         self._drive: DriveCommand | None = None
-        self._orders = Orders(None, None, None, None, None)
+        self._orders = ActuatorCommands(None, None, None, None, None)
         self._mode = ""
         self._open: list[tuple[Exposure, int, list[float], list[tuple[float, float]]]] = []
 
@@ -186,7 +186,7 @@ class HangingFlight:
         for _ in range(20):
             self.tick()
 
-    def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
+    def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
         """Ask the rover's controller for a stop."""
         self.rover.request(Stop(depth, observes, rate), self.now_ns)
 

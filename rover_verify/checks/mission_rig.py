@@ -30,8 +30,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import SERVICES
 from msg_schemas.transition import Transition
-from rover_control.descent import Descent, DescentSettings
-from rover_control.descent import Drives as DescentDrives
+from rover_control.descent import Descent, DescentCommands, DescentSettings
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample
 from rover_control.descent_report import state_sample as descent_state
@@ -128,7 +127,7 @@ class MissionFlight:
         self._words: dict[str, str] = {}
         self._alarms: dict[str, bool] | None = None
         self._drive_command: DriveCommand | None = None
-        self._of_descent = DescentDrives()
+        self._of_descent = DescentCommands()
         self._of_drive = DriveCommands()
         self._nut: JumpMotorCommand | None = None
         self._idle = 0  # ticks for which nobody has told the nut anything
@@ -436,7 +435,7 @@ class MissionFlight:
             self.winch.on_jump(self._words[topics.JUMP_PHASE], self.now_ns)
         elif node == _DESCENT:
             self.descent = Descent(DescentSettings())
-            self._of_descent = DescentDrives()
+            self._of_descent = DescentCommands()
             self.descent.on_winch_mode(self._words[topics.WINCH_MODE], self.now_ns)
             self.descent.on_jump(self._words[topics.JUMP_PHASE])
         elif node == _DRIVE:

@@ -22,7 +22,7 @@ from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, run_trial
 from rover_verify.winch_flight import flight_of_session
-from tether_winch.guard import Fault
+from tether_winch.fault_monitor import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
@@ -45,10 +45,10 @@ def session_on(rig: SpatialRig, errors: SensorErrors = _ERRORS, seed: int = 0) -
 def descent(seed: int) -> Session:
     """From the top to 45 m and back at 0.3 m/s."""
     session = session_on(SpatialRig({"tether.length": _TOP}), seed=seed)
-    session.ask(WINCH_TO_LENGTH, _BOTTOM, _RATE)
+    session.request(WINCH_TO_LENGTH, _BOTTOM, _RATE)
     session.run_until_rest(200.0)
     session.run(5.0)
-    session.ask(WINCH_TO_LENGTH, _TOP, _RATE)
+    session.request(WINCH_TO_LENGTH, _TOP, _RATE)
     session.run_until_rest(200.0)
     session.run(2.0)
     return session
@@ -223,9 +223,9 @@ def touchdown_slack(batch: Batch) -> Measured:
     for depth in (6.0, 16.0, 46.0):
         rig = SpatialRig({"tether.length": depth - 1.0, **on_floor(depth)})
         session = session_on(rig, seed=batch.seed)
-        session.ask(WINCH_TO_LENGTH, depth + 4.0, 0.1)
+        session.request(WINCH_TO_LENGTH, depth + 4.0, 0.1)
         session.run(20.0)
-        found = session.winch.load.is_supported and session.winch.servo.rests
+        found = session.winch.load.is_supported and session.winch.servo.is_at_rest
         slack[f"{depth:g} m"] = rig.slack if found else math.inf
     return Measured(max(slack.values()), details=slack)
 
@@ -304,10 +304,10 @@ def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
     joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
     if case.fault is Fault.COMMAND_TIMEOUT:
         joint, value = WINCH_AT_RATE, (0.0, _RATE)
-    session.ask(joint, *value)
+    session.request(joint, *value)
     session.run(0.9)
     if joint == WINCH_AT_RATE:
-        session.ask(joint, *value)
+        session.request(joint, *value)
     session.run(0.9)
     case.act(session)
     session.spoil = case.spoil
@@ -349,7 +349,7 @@ def motions_after_fault(_batch: Batch) -> Measured:
         length = rig.state.length
         for request in requests:
             try:
-                session.ask(*request)
+                session.request(*request)
                 moved += 1
             except Refusal:
                 pass
@@ -384,7 +384,7 @@ def refusals_without_reason(_batch: Batch) -> Measured:
 def _is_refused(session: Session, request: tuple[str, float, float, float, str]) -> bool:
     joint, position, velocity, effort, words = request
     try:
-        session.ask(joint, position, velocity, effort)
+        session.request(joint, position, velocity, effort)
     except Refusal as refusal:
         return words in refusal.reason
     return False
@@ -402,7 +402,7 @@ def mode_step(batch: Batch) -> Measured:
         (WINCH_TO_LENGTH, 9.0, 0.3, 0.0, 2.0),
         (WINCH_AT_RATE, 0.0, 0.3, 0.0, 0.9),
     ):
-        session.ask(joint, position, velocity, effort)
+        session.request(joint, position, velocity, effort)
         session.run(time)
     winch.hold(session.now_ns)
     session.run(3.0)

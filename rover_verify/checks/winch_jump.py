@@ -120,15 +120,15 @@ class _Trip:
 
     def take_up(self) -> None:
         """Reel in until the tether is taut."""
-        self.session.ask(WINCH_SLACK, 0.0)
+        self.session.request(WINCH_SLACK, 0.0)
         self._until(lambda: self.session.winch.mode is Mode.HOLD, "the slack is not taken up")
-        self._until(lambda: self.session.winch.servo.rests, "the brake does not close")
+        self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
 
     def give(self, slack: float) -> None:
         """Give slack, and wait until the drum stands."""
-        self.session.ask(WINCH_SLACK, slack)
+        self.session.request(WINCH_SLACK, slack)
         self.session.run(0.2)
-        self._until(lambda: self.session.winch.servo.rests, "the slack is not given")
+        self._until(lambda: self.session.winch.servo.is_at_rest, "the slack is not given")
 
     def fly(self, renew: Callable[[], None] = lambda: None) -> Flight:
         """Compress, take off, land, settle; told to the winch as the jump's controller would."""
@@ -166,7 +166,7 @@ class _Trip:
     def after(self, flight: Flight) -> Flight:
         """Wait until the slack is taken up, as the winch does by itself after the landing."""
         self._until(lambda: self.session.winch.mode is not Mode.SLACK, "the slack is not taken up")
-        self._until(lambda: self.session.winch.servo.rests, "the brake does not close")
+        self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
         return flight._replace(peak_tension=self.rig.peak_tension, slack_left=self.rig.slack)
 
     def _until(self, done: Callable[[], bool], complaint: str) -> None:
@@ -194,9 +194,9 @@ def held_jump(jump: Jump, seed: int, tension: float) -> Flight:
 
     def renew() -> None:
         if round(trip.session.time * 100.0) % 50 == 0:
-            trip.session.ask(WINCH_AT_TENSION, 0.0, 0.3, tension)
+            trip.session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
 
-    trip.session.ask(WINCH_AT_TENSION, 0.0, 0.3, tension)
+    trip.session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
     return trip.fly(renew)
 
 

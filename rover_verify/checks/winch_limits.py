@@ -22,7 +22,7 @@ from rover_sim import WheelRateCommand
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig
-from tether_winch.guard import Fault
+from tether_winch.fault_monitor import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
@@ -59,7 +59,7 @@ def _layered(seed: int) -> Session:
     session = Session(winch, rig, _ERRORS, np.random.default_rng(seed))
     session.arm()
     for goal in (30.0, 2.2):
-        session.ask(WINCH_TO_LENGTH, goal, 0.3)
+        session.request(WINCH_TO_LENGTH, goal, 0.3)
         session.run_until_rest(150.0)
         session.run(1.0)
     return session
@@ -90,7 +90,7 @@ def largest_heat(batch: Batch) -> Measured:
         servo=replace(values.servo, tension_limit=190.0),
     )
     session = _session(rig, batch, values)
-    session.ask(WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
+    session.request(WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
     heat = 0.0
     for _ in range(9000):
         session.tick()
@@ -116,7 +116,7 @@ def beyond_ends(batch: Batch) -> Measured:
         p = session.winch.parameters.servo
         low, high = p.shortest_length + p.soft_margin, p.longest_length - p.soft_margin
         for _ in range(60):
-            session.ask(WINCH_AT_RATE, 0.0, rate)
+            session.request(WINCH_AT_RATE, 0.0, rate)
             session.run(_RENEWAL)
         length, speed = session.column("length"), session.column("rate")
         over = max(float(length.max()) - high, low - float(length.min()))
@@ -153,7 +153,7 @@ def _trimmed(seed: int) -> dict[str, _Trimmed]:
     ):
         rig = SpatialRig({"tether.length": 20.0})
         session = _session(rig, Batch(1, seed, None))  # type: ignore[arg-type]
-        session.ask(WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
+        session.request(WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
         begun = session.time
         lengths, rates, drum, wanted = [], [], [], []
         while session.time - begun < max(20.0, 2.0 * min(period, 20.0)):
@@ -204,14 +204,14 @@ def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tupl
     )
     session = _session(rig, batch)
     session.run(2.5)
-    session.ask(WINCH_SLACK, 0.0)
+    session.request(WINCH_SLACK, 0.0)
     for _ in range(6000):
         session.tick()
-        if session.winch.mode is Mode.HOLD and session.winch.servo.rests:
+        if session.winch.mode is Mode.HOLD and session.winch.servo.is_at_rest:
             break
     began, place = len(session.ticks), float(rig.state.G1[0])
     for step in range(30):
-        session.ask(WINCH_AT_TENSION, 0.0, 0.3, tension)
+        session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
         if step >= 4:  # 0.1 m/s, after it has come to stand under the tension
             rig.wheel = WheelRateCommand(min(0.2 * (step - 3), 0.65))
         session.run(_RENEWAL)

@@ -98,7 +98,9 @@ class Session:
         self.run(0.1)
         self.winch.rearm(self.now_ns)
 
-    def ask(self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0) -> None:
+    def request(
+        self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0
+    ) -> None:
         """Send a request."""
         value = JointValue(position, velocity, effort)
         self.winch.request(JointSample(self.now_ns, {joint: value}), self.now_ns)
@@ -114,7 +116,7 @@ class Session:
         """Go on until the winch has come to rest by itself, or so long [s]."""
         for _ in range(round(limit / TICK)):
             self.tick()
-            if self.winch.mode is not Mode.LENGTH and self.winch.servo.rests:
+            if self.winch.mode is not Mode.LENGTH and self.winch.servo.is_at_rest:
                 return
 
     def tick(self) -> Readings:
@@ -156,7 +158,7 @@ class Session:
         }
         self.winch.on_currents(JointSample(stamp, currents), stamp)
 
-    def told(self, name: str) -> list[float]:
+    def times_of(self, name: str) -> list[float]:
         """Times at which the winch told something by this name."""
         return [time for time, transition in self.transitions if transition.name == name]
 

@@ -224,14 +224,14 @@ class _Trial:
         goal = max(winch.payout.length + sign * leg.way, 2.5)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         try:
-            session.ask(WINCH_TO_LENGTH, goal, leg.rate)
+            session.request(WINCH_TO_LENGTH, goal, leg.rate)
         except Refusal:  # it takes the rover for standing: true or not is in the tally
             return
         if leg.lip_above is not None and comes_by:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
 
         def done() -> bool:
-            return winch.mode is not Mode.LENGTH and winch.servo.rests
+            return winch.mode is not Mode.LENGTH and winch.servo.is_at_rest
 
         if leg.hard_stop_after is not None:
             self.go(leg.hard_stop_after, done)
@@ -256,8 +256,8 @@ class _Trial:
         winch, session = self.session.winch, self.session
         self._ready()
         with contextlib.suppress(Refusal):
-            session.ask(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
-        self.go(140.0, lambda: winch.mode is not Mode.LENGTH and winch.servo.rests)
+            session.request(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
+        self.go(140.0, lambda: winch.mode is not Mode.LENGTH and winch.servo.is_at_rest)
         self.go(_SETTLE)
 
     def _ready(self) -> None:

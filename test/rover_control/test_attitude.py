@@ -40,15 +40,15 @@ def test_what_cannot_be_held_is_said_before_the_budget_is_spent():
     for _ in range(2000):
         axis.step(0.01, H)
         assert abs(axis.momentum) <= axis.budget
-        if axis.cannot_hold and said_at is None:
+        if axis.saturation and said_at is None:
             said_at = axis.momentum
     assert said_at is not None
     assert said_at < axis.budget
-    assert "cannot hold" in axis.cannot_hold
-    assert f"of {axis.budget:g} N m s" in axis.cannot_hold
+    assert "cannot hold" in axis.saturation
+    assert f"of {axis.budget:g} N m s" in axis.saturation
     for _ in range(2000):
         axis.step(0.0, H)
-    assert not axis.cannot_hold
+    assert not axis.saturation
 
 
 def test_a_tilt_that_spends_the_budget_again_and_again_is_told_once():
@@ -57,8 +57,8 @@ def test_a_tilt_that_spends_the_budget_again_and_again_is_told_once():
     for step in range(3000):
         # A tilt that swings, and that nobody damps, until it ends.
         axis.step(0.2 * math.cos(4.0 * step * H) if step < 2000 else 0.0, H)
-        if not told or bool(axis.cannot_hold) is not told[-1]:
-            told.append(bool(axis.cannot_hold))
+        if not told or bool(axis.saturation) is not told[-1]:
+            told.append(bool(axis.saturation))
     assert told == [False, True, False]
 
 
@@ -126,13 +126,13 @@ def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
 
 def test_a_wheel_that_still_turns_is_taken_over_as_it_is_and_brought_down_by_its_ramp():
     wheels = WheelReaction(HANGING, ROTORS, DESIGN)
-    wheels.take_over(ROTORS.wheel_pump_bias)
+    wheels.start_from(ROTORS.wheel_pump_bias)
     rates = [ROTORS.wheel_pump_bias, *(wheels.step(0.0, 0.0, H, pumps=False) for _ in range(1000))]
     steps = [after - before for before, after in itertools.pairwise(rates)]
     assert max(map(abs, steps)) <= ROTORS.wheel_acceleration * H * (1.0 + 1e-9)
     assert wheels.is_quiet
     # A wheel that turned with the other one is not driven so.
-    wheels.take_over(3.0)
+    wheels.start_from(3.0)
     assert wheels.step(0.0, 0.0, H, pumps=False) <= 0.0
 
 
@@ -146,7 +146,7 @@ def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
     assert flywheel.step(0.05, 0.0, 0.0, centre + 1.01 * travel, 0.0, H, quiet=False) < (
         ROTORS.flywheel_friction + 0.05 * flywheel.axis.gains.rate
     )
-    assert "travel" in flywheel.axis.cannot_hold
+    assert "travel" in flywheel.axis.saturation
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -22,7 +22,7 @@ def flown(
     late = [0.0] * max(1, round(delay / h))
     seen, torque = [], 0.0
     for _ in range(20000):
-        wanted = gain * gains.rate * rate - gains.bleed * momentum
+        wanted = gain * gains.rate * rate - gains.desaturation * momentum
         late.append(wanted)
         told = late.pop(0)
         torque += h * DESIGN.drive_bandwidth * (told - torque)

@@ -34,9 +34,9 @@ from rover_control.attitude import RotorParameters
 from rover_control.descent import (
     RELEASED,
     Descent,
+    DescentCommands,
     DescentParameters,
     DescentSettings,
-    Drives,
     Observation,
 )
 from rover_control.descent_parameters import ProfileParameters
@@ -50,7 +50,7 @@ from tether_winch.winch import Winch, WinchParameters
 QUICK = ProfileParameters(
     estimator_settling_time=0.5, steady_dwell=0.3, exposures=2, exposure_interval=0.2
 )
-NOTHING = Drives()
+NOTHING = DescentCommands()
 
 
 class World:
@@ -63,7 +63,7 @@ class World:
             DescentSettings(hanging_controller=HangingControllerParameters(profile=QUICK))
         )
         self.silent: set[str] = set()
-        self.sent: list[Drives] = []
+        self.sent: list[DescentCommands] = []
         self.changes: list[Transition] = []
         self.observations: list[Observation] = []
         self.readings: Readings | None = None
@@ -113,7 +113,7 @@ class World:
         self.rover.wheel_rate = coasts if drives.wheel_rate is None else drives.wheel_rate
         self.rover.flywheel_torque = drives.flywheel_torque or 0.0
         if drives.winch is not None:
-            self.winch.ask(WINCH_WHILE_RENEWED, *drives.winch)
+            self.winch.request(WINCH_WHILE_RENEWED, *drives.winch)
         if drives.trim is not None and self.winch.winch.mode is Mode.LENGTH:
             self.winch.winch.trim(drives.trim, self.winch.now_ns)
 
@@ -416,7 +416,7 @@ def held(world: World) -> None:
 
 
 def driven_by_hand(world: World) -> None:
-    world.winch.ask(WINCH_AT_RATE, 0.0, -0.05)
+    world.winch.request(WINCH_AT_RATE, 0.0, -0.05)
 
 
 @pytest.mark.parametrize(
@@ -465,7 +465,7 @@ def test_a_winch_that_is_stopped_while_it_is_trimmed_is_left_to_others():
 def test_a_winch_that_does_not_take_the_request_ends_in_a_hold_with_the_reason(world: World):
     world.arm()
     world.ask(6.0)
-    world.winch.ask = lambda *_, **__: None  # type: ignore[method-assign]
+    world.winch.request = lambda *_, **__: None  # type: ignore[method-assign]
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 10.0)
     (reason,) = world.told("descent_interrupted")
     assert "not taken the request for 6 m" in reason
@@ -476,7 +476,7 @@ def test_a_winch_moved_by_hand_between_two_stops_is_not_moved_back(world: World)
     world.ask(5.5, observes=False)
     world.run_until(lambda: world.done)
     world.run(1.0)
-    world.winch.ask(WINCH_TO_LENGTH, 7.0, 0.3)
+    world.winch.request(WINCH_TO_LENGTH, 7.0, 0.3)
     world.run(10.0)
     assert world.length == pytest.approx(7.0, abs=0.01)
     world.ask(6.5, observes=False)

@@ -11,12 +11,12 @@ from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import (
     DescentPhase,
     DescentProfile,
+    ProfileSetpoints,
     Stop,
-    Wish,
 )
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
-from rover_control.yaw_momentum import Handing
+from rover_control.yaw_momentum import MomentumTransfer
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1
@@ -30,7 +30,7 @@ class World:
         self.length = length
         self.major, self.minor = math.radians(major), math.radians(minor)
         self.yaw_rate = 0.0
-        self.hands_on = False  # whether the tether passes a momentum on
+        self.transfers = False  # whether the tether passes a momentum on
         self.now = 0.0
         self.rates: list[float] = []
         self.pictures = 0
@@ -45,21 +45,23 @@ class World:
         return SwingEstimate(u, v, zero, zero, zero, self.yaw_rate, frequency, 1e-5, 1e-5)
 
     @property
-    def handing(self) -> Handing:
-        inertia = HANGING.reach_inertia(self.length)
+    def transfer(self) -> MomentumTransfer:
+        inertia = HANGING.pendulum_inertia(self.length)
         momentum = inertia * HANGING.swing_frequency(self.length) * self.major * self.minor
-        return Handing(momentum, 100.0 if self.hands_on else math.inf, 0.0)
+        return MomentumTransfer(momentum, 100.0 if self.transfers else math.inf, 0.0)
 
     def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
         self.profile.request(Stop(depth, observes, rate), self.swing, self.length)
 
-    def step(self, *, rests: bool = True) -> Wish:
+    def step(self, *, rests: bool = True) -> ProfileSetpoints:
         self.now += H
-        at_rest = math.isnan(self.profile.keeps) or self.length == self.profile.keeps
+        at_rest = (
+            math.isnan(self.profile.length_setpoint) or self.length == self.profile.length_setpoint
+        )
         wish = self.profile.step(
             self.swing,
             self.length,
-            handing=self.handing,
+            transfer=self.transfer,
             winch_rests=rests and at_rest,
             rotors_rest=True,
             now=self.now,
@@ -73,7 +75,7 @@ class World:
             round_ = math.copysign(math.sqrt(self.major * abs(self.minor)), self.minor)
             self.major += H / 30.0 * (abs(round_) - self.major)
             self.minor += H / 30.0 * (round_ - self.minor)
-        if wish.hands_on:
+        if wish.transfers:
             self.minor -= H / 30.0 * self.minor
         self.pictures += wish.exposes
         return wish
@@ -144,19 +146,19 @@ def test_a_circle_that_the_winch_can_make_no_rounder_is_taken_as_it_is():
 
 def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
     world = World(2.0, 3.0, 1.5)
-    world.hands_on = True
+    world.transfers = True
     world.ask(7.5)
     handed = 0
     while world.length == 2.0:
         wish = world.step()
-        handed += wish.hands_on
-        assert wish.pumps or not wish.hands_on
+        handed += wish.transfers
+        assert wish.pumps or not wish.transfers
         assert world.now < 400.0
     assert handed > 300
     assert math.degrees(world.minor) < 0.5
     # What the longer tether makes of it.
     world.major, world.minor = (
-        HANGING.grown(each, 2.0, 7.5) for each in (world.major, world.minor)
+        HANGING.swing_amplitude_at(each, 2.0, 7.5) for each in (world.major, world.minor)
     )
     world.run(400.0)
     assert world.ended() == [f"{PROFILE.exposures} pictures"]
@@ -164,11 +166,11 @@ def test_a_cone_is_handed_on_before_it_is_taken_along_where_that_can_be_done():
 
 def test_a_cone_that_pictures_would_not_bear_is_not_taken_along_for_want_of_patience():
     world = World(2.0, 0.8, 0.7)
-    world.hands_on = True
+    world.transfers = True
     world.ask(7.5)
-    momentum = 1.1 * PROFILE.steady_rate**2 * HANGING.reach_inertia(7.5)
+    momentum = 1.1 * PROFILE.steady_rate**2 * HANGING.pendulum_inertia(7.5)
     momentum /= HANGING.swing_frequency(7.5)
-    inertia = HANGING.reach_inertia(2.0) * HANGING.swing_frequency(2.0)
+    inertia = HANGING.pendulum_inertia(2.0) * HANGING.swing_frequency(2.0)
     while world.now < 0.9 * PROFILE.stop_timeout:
         # So much is left, however long it is handed on.
         world.minor = momentum / (inertia * world.major)
@@ -180,17 +182,17 @@ def test_a_cone_that_pictures_would_not_bear_is_not_taken_along_for_want_of_pati
 
 def test_a_plane_swing_is_the_winch_s_even_where_the_tether_passes_a_momentum_on():
     world = World(7.5, 3.0, 0.03)
-    world.hands_on = True
+    world.transfers = True
     world.ask(7.5)
     # Its momentum would be handed on, had it the shape of a cone.
     limit = (
         PROFILE.transfer_threshold_rate**2
-        * HANGING.reach_inertia(7.5)
+        * HANGING.pendulum_inertia(7.5)
         / HANGING.swing_frequency(7.5)
     )
-    assert abs(world.handing.momentum) > 2.0 * limit
+    assert abs(world.transfer.momentum) > 2.0 * limit
     for _ in range(200):
-        assert not world.step().hands_on
+        assert not world.step().transfers
     assert math.degrees(world.major) < 2.3
 
 

@@ -28,5 +28,5 @@ def test_an_estimate_that_is_begun_anew_is_told_once_and_again_when_the_swing_is
     assert hear(rover, 1, 10.0, 0.0) == []
     # As of a rover that is turned over, and not of one that hangs.
     assert hear(rover, 1001, 20.0, 1.0) == ["swing_lost"]
-    assert rover.estimator.losses > 1
+    assert rover.estimator.divergences > 1
     assert hear(rover, 3001, 60.0, 0.0) == ["swing_found"]

@@ -10,7 +10,7 @@ import pytest
 from msg_schemas.refusal import Refusal
 from rover_control.hanging_rover import HangingParameters
 from rover_control.pointing import Pointing, PointingParameters
-from rover_control.rotor_pump import NO_PUMPING, Pumping
+from rover_control.rotor_pump import NO_MOMENTA, RotorMomenta
 from rover_control.swing_estimator import SwingEstimate
 
 HANGING, POINTING = HangingParameters(), PointingParameters()
@@ -30,7 +30,7 @@ class Coned:
     heavier: float = 1.0
     heading: float = 0.0
     spin: float = 0.0  # by the twist [rad/s]
-    pumped: Pumping = NO_PUMPING
+    pumped: RotorMomenta = NO_MOMENTA
 
     def step(self, pointing: Pointing) -> None:
         """Advance by H."""
@@ -46,7 +46,7 @@ class Coned:
         swept = tilt.real * tilt_rate.imag - tilt.imag * tilt_rate.real
         momenta = (h.imag, -h.real)  # about base_link x and y
         leaning = momenta[0] * tilt.real + momenta[1] * tilt.imag
-        self.spin -= H * HANGING.torsion(self.length) * self.heading / inertia_z
+        self.spin -= H * HANGING.torsional_stiffness(self.length) * self.heading / inertia_z
         rate = self.spin - (leaning + inertia * swept) / inertia_z
         zero = (0.0, 0.0)
         swing = SwingEstimate(
@@ -66,7 +66,7 @@ class Coned:
 
 def test_from_no_twist_the_turn_is_that_of_the_closed_form():
     pointing = make()
-    torsion = math.sqrt(HANGING.torsion(15.0) / HANGING.inertia_about_z)
+    torsion = math.sqrt(HANGING.torsional_stiffness(15.0) / HANGING.inertia_about_z)
     rate = pointing.largest_rate
     predicted = pointing.predict(RIGHT, 0.0, 15.0)
     assert predicted.turning == pytest.approx(math.asin(RIGHT * torsion / rate) / torsion, abs=2.0)
@@ -154,7 +154,7 @@ def test_a_heading_that_is_not_known_any_more_is_let_go():
     # The rotors run out softly.
     for _ in range(round(POINTING.coning_ramp_time / H) + 2):
         rover.step(pointing)
-    assert rover.pumped == NO_PUMPING
+    assert rover.pumped == NO_MOMENTA
 
 
 def test_a_wheel_that_turns_with_the_swing_is_not_taken_for_the_twist():

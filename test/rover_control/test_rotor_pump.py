@@ -61,7 +61,7 @@ def test_both_rotors_stay_within_their_bounds_and_the_screw_within_its_travel():
             momenta = pump.momenta(swing, length, 1.0, damps=True)
             assert abs(momenta.x) <= most[0] + 1e-12
             assert abs(momenta.y) <= most[1] + 1e-12
-            swept = max(swept, abs(momenta.y_swept))
+            swept = max(swept, abs(momenta.y_integral))
             rover.step()
         assert swept / HANGING.flywheel_inertia <= 1.05 * DAMPING.pump_travel
 
@@ -72,8 +72,8 @@ def test_what_the_flywheel_sweeps_is_the_sum_of_its_momentum():
     total, misses, sweeps = 0.0, [], []
     for _ in range(2000):
         momenta = pump.momenta(rover.estimate(), 6.0, 1.0e-5, damps=False)
-        misses.append(momenta.y_swept - total)
-        sweeps.append(momenta.y_swept)
+        misses.append(momenta.y_integral - total)
+        sweeps.append(momenta.y_integral)
         total += H * momenta.y
         rover.step()
     assert max(misses) - min(misses) < 0.05 * (max(sweeps) - min(sweeps))
@@ -103,4 +103,4 @@ def test_the_pumping_s_own_tilt_is_that_of_its_torque():
     frequency, momentum = 0.5, 0.02
     # h = H cos wt, p = -h'/(m g d): p' = H w^2/(m g d) at t = 0.
     wanted = momentum * frequency**2 / (10.0 * 1.62 * 0.203)
-    assert pump.own_tilt_rate(momentum, frequency) == pytest.approx(wanted)
+    assert pump.induced_tilt_rate(momentum, frequency) == pytest.approx(wanted)

@@ -24,7 +24,7 @@ def weigh(
         pull = HANGING.rover_gravity * math.cos(angle) + length * rate**2
         pull *= mass * (1.0 + 0.05 * math.sin(9.0 * t))
         weight = HANGING.tether_density * length * HANGING.rover_gravity
-        suspended_mass.hear(pull + weight, length, H)
+        suspended_mass.update(pull + weight, length, H)
 
 
 @pytest.mark.parametrize("length", [2.0, 50.0])

@@ -169,7 +169,7 @@ def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing(samples: int, 
         errors.append(estimator.estimate.swing_error)
         swings.append(estimator.estimate.ellipse.major)
     assert max(errors[:70]) > 5.0 * calm
-    assert (estimator.pushes, estimator.losses) == (1, 0)
+    assert (estimator.disturbances, estimator.divergences) == (1, 0)
     assert max(swings) < math.radians(3.0)
     assert misses(estimator.estimate, model)[0] < math.radians(0.15)
     # Without a push none is seen.
@@ -188,7 +188,7 @@ def test_the_swing_of_a_rover_just_lifted_is_found_while_it_tilts_and_its_tether
     model.hanging = replace(HANGING, rover_mass=11.0)
     model.vibration = math.radians(3.0)
     estimator = watched(model, 15.0)
-    assert estimator.pushes == 0
+    assert estimator.disturbances == 0
     assert misses(estimator.estimate, model)[0] < math.radians(0.2)
     assert abs(estimator.yaw_bias) < 0.002
 
@@ -203,7 +203,7 @@ def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_lo
     for k in range(10000):
         model.vibration = math.radians(1.0) * math.sin(0.0008 * k) ** 2
         if k == 6000:
-            assert estimator.pushes == 0
+            assert estimator.disturbances == 0
             push = 1j * math.radians(1.5) * HANGING.swing_frequency(45.0)
             model.v += push
             model.phi_rate += push

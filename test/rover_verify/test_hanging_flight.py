@@ -32,10 +32,10 @@ def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
 def test_a_stop_is_reached_by_the_winch_s_own_controller():
     flight = HangingFlight(Start(10.0, 0.2, seed=5))
     with pytest.raises(Refusal) as refused:
-        flight.ask(12.0)
+        flight.request(12.0)
     assert refused.value.code is RefusalCode.STALE
     flight.begin()
-    flight.ask(11.0)
+    flight.request(11.0)
     while flight.rover.profile.phase is not DescentPhase.SETTLING:
         flight.tick()
         assert flight.time < 30.0

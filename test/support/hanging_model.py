@@ -49,7 +49,7 @@ class HangingModel:
             along_x = (right.real + momentum_rate[1]) / p.inertia_about_y
             along_y = (right.imag - momentum_rate[0]) / p.inertia_about_x
             turning = complex(along_x, along_y) * heading
-            pull = p.pull(self.length) * self.u + 2.0 * self.payout_rate * self.v
+            pull = p.effective_gravity(self.length) * self.u + 2.0 * self.payout_rate * self.v
             self.v += H * -(pull + p.lever * turning) / self.length
             self.u += H * self.v
             # An ellipse precesses.

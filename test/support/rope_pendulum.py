@@ -22,7 +22,7 @@ class Pendulum:
         u, v: its direction against the plumb line, and its rate, in space [rad], [rad/s].
         yaw, yaw_rate: of the rover [rad], [rad/s].
         trimmed: length that was paid out [m].
-        torsion: whether the rope's twist turns the rover back.
+        has_torsion: whether the rope's twist turns the rover back.
     """
 
     length: float
@@ -31,7 +31,7 @@ class Pendulum:
     yaw: float = 0.0
     yaw_rate: float = 0.0
     trimmed: float = 0.0
-    torsion: bool = False
+    has_torsion: bool = False
     momentum_in_space: complex = 0j
 
     def estimate(self) -> SwingEstimate:
@@ -47,11 +47,11 @@ class Pendulum:
     def step(self, rate: float = 0.0, rotors: complex = 0j) -> None:
         """Advance by H with a payout rate [m/s] and momenta of the rotors [N m s]."""
         reach = self.length + HANGING.lever
-        lever = HANGING.reach_inertia(self.length)
+        lever = HANGING.pendulum_inertia(self.length)
         in_space = rotors * cmath.exp(1j * self.yaw)
         push = -(in_space - self.momentum_in_space) / H / lever
         self.momentum_in_space = in_space
-        pull = HANGING.pull(self.length) / reach
+        pull = HANGING.effective_gravity(self.length) / reach
         for _ in range(4):
             self.v += 0.25 * H * (-pull * self.u - 2.0 * rate / reach * self.v + push)
             self.u += 0.25 * H * self.v
@@ -59,8 +59,8 @@ class Pendulum:
         self.trimmed += H * rate
         # What the swing gains in momentum about the plumb line, the rover loses.
         torque = -lever * (self.u.conjugate() * push).imag
-        if self.torsion:
-            torque -= HANGING.torsion(self.length) * self.yaw
+        if self.has_torsion:
+            torque -= HANGING.torsional_stiffness(self.length) * self.yaw
         self.yaw_rate += H * torque / HANGING.inertia_about_z
         self.yaw += H * self.yaw_rate
 
@@ -72,7 +72,7 @@ class Pendulum:
     @property
     def momentum(self) -> float:
         """Of the swing about the plumb line [N m s]."""
-        return HANGING.reach_inertia(self.length) * (self.u.conjugate() * self.v).imag
+        return HANGING.pendulum_inertia(self.length) * (self.u.conjugate() * self.v).imag
 
 
 def swinging(length: float, major: float, minor: float = 0.0) -> Pendulum:

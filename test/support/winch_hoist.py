@@ -165,7 +165,7 @@ class Hoist:
         lip = self.parameters.lip
         depth = lip[1] if lip is not None and self.time >= lip[0] else -1e9
         self._state, self._body, tension, current, peak, self.floor_force = _march(
-            self._constants, self._drum, self._state, self._told(command), self._body, rub, depth,
+            self._constants, self._drum, self._state, self._drum_command(command), self._body, rub, depth,
             round(dt / _SUBSTEP), _SUBSTEP,
         )  # fmt: skip
         self.is_caught = self._body.z + depth > 0.0
@@ -175,7 +175,7 @@ class Hoist:
         radius = drums.radius_at(self._drum, self._drum.full_turns - s.angle / (2.0 * math.pi))
         return Readings(s.length, s.rate * radius, not s.braked, current, tension)
 
-    def _told(self, command: DriveCommand | None) -> drums.DrumCommand:
+    def _drum_command(self, command: DriveCommand | None) -> drums.DrumCommand:
         if command is None:
             return drums.DrumCommand(0, 0.0, 0.0, 0.0, False)
         arm = self._drum.radius / self._drum.gear_ratio

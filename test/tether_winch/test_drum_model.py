@@ -1,4 +1,4 @@
-"""What the winch knows of its drum agrees with the simulated drum and with itself."""
+"""The drum model agrees with the simulated drum and with itself."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from msg_schemas.parameters import ParameterError
 from rover_sim.physics import drum as plant
 from tether_winch.drum_model import DrumModel, DrumParameters
-from tether_winch.thermal import MotorHeat
+from tether_winch.thermal import MotorThermalModel
 
 LAYERED = DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
 
 
-def test_radius_and_length_by_layer_are_those_of_the_simulated_drum():
+def test_radius_and_length_per_layer_match_the_simulated_drum():
     ours = DrumModel(LAYERED)
     theirs = plant.make_drum(plant.DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0))
     for length in np.linspace(0.0, 60.0, 121):
@@ -39,7 +39,7 @@ def test_a_fuller_drum_has_a_larger_radius():
     st.floats(-0.5, 0.5),
     st.floats(-0.5, 0.5),
 )
-def test_the_motor_s_tension_and_the_tether_s_are_each_other_s_inverse(
+def test_motor_and_tether_tension_are_inverse_functions(
     tension: float, length: float, rate: float, acceleration: float
 ):
     drum = DrumModel(DrumParameters())
@@ -69,7 +69,7 @@ def test_a_tether_stretches_by_its_load_and_half_its_own_weight():
     assert 0.03 < stretch < 0.05  # centimetres
 
 
-def test_the_voltage_leaves_less_rate_under_load():
+def test_the_largest_rate_falls_under_load():
     drum = DrumModel(DrumParameters())
     free, loaded = drum.largest_rate(20.0, 0.0), drum.largest_rate(20.0, 100.0)
     assert free == pytest.approx(600.0 / 50.0 * 0.05)
@@ -85,16 +85,16 @@ def test_a_continuous_torque_above_the_peak_is_refused():
 # ----------------------------------------------------------------------------------------- heat
 
 
-def test_the_continuous_torque_is_allowed_for_ever_and_twice_as_much_is_not():
-    heat = MotorHeat(0.08, 0.2, 60.0)
+def test_the_continuous_torque_is_never_derated_and_twice_as_much_is():
+    heat = MotorThermalModel(0.08, 0.2, 60.0)
     for _ in range(100_000):
         heat.step(0.08, 0.01)
     assert heat.heat == pytest.approx(1.0, abs=1e-6)
     assert heat.allowed == pytest.approx(0.08, abs=1e-6)
 
 
-def test_a_motor_at_what_is_allowed_never_overheats():
-    heat = MotorHeat(0.08, 0.2, 60.0)
+def test_a_motor_at_the_allowed_torque_never_overheats():
+    heat = MotorThermalModel(0.08, 0.2, 60.0)
     allowed = 0.2
     for _ in range(60_000):
         allowed = heat.step(allowed, 0.01)
@@ -102,8 +102,8 @@ def test_a_motor_at_what_is_allowed_never_overheats():
     assert allowed == pytest.approx(0.08, rel=1e-2)
 
 
-def test_heat_follows_the_closed_form_and_goes_away():
-    heat = MotorHeat(0.08, 0.2, 60.0)
+def test_heat_follows_the_closed_form_and_decays():
+    heat = MotorThermalModel(0.08, 0.2, 60.0)
     for _ in range(3000):
         heat.step(0.16, 0.01)
     assert heat.heat == pytest.approx(4.0 * (1.0 - math.exp(-0.5)), rel=1e-9)

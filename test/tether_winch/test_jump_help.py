@@ -1,4 +1,4 @@
-"""A jump with the winch's help on the spatial plant is the jump that it were without a tether."""
+"""A jump with the winch's help on the spatial plant equals the jump without a tether."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""S-curves keep their limits and end where they should, from wherever they begin."""
+"""S-curves keep their limits and reach their goals from any state."""
 
 from __future__ import annotations
 
@@ -54,32 +54,32 @@ def test_a_length_is_reached_within_all_limits_and_without_overshoot(
 
 @settings(deadline=None, max_examples=15)
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(0.1, 6.0))
-def test_a_goal_may_change_at_any_time_and_nothing_jumps(first: float, second: float, after: float):
+def test_the_motion_stays_smooth_when_the_goal_changes(first: float, second: float, after: float):
     path = run(Motion(0.0, 0.0, 0.0), first, LIMITS, after)
     path += run(path[-1], second, LIMITS, 45.0)[1:]
     assert_within(path, LIMITS)
     assert path[-1] == Motion(second, 0.0, 0.0)
 
 
-def test_the_time_of_a_long_way_is_that_of_the_closed_form():
+def test_the_duration_of_a_long_motion_matches_the_closed_form():
     path = run(Motion(0.0, 0.0, 0.0), 3.0, LIMITS, 20.0)
     arrived = next(i for i, m in enumerate(path) if m.length == 3.0) * H
-    # Trapezoid with ramps of the acceleration: way/v + v/a + a/j.
+    # Trapezoid with ramps of the acceleration: distance/v + v/a + a/j.
     assert arrived == pytest.approx(3.0 / 0.3 + 0.3 / 0.3 + 0.3 / 1.0, abs=0.05)
 
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
-def test_the_stopping_distance_is_the_way_of_braking_as_hard_as_allowed(rate: float, acc: float):
+def test_the_stopping_distance_matches_braking_at_the_limits(rate: float, acc: float):
     limits = MotionLimits(1.0, 0.3, 1.0)
-    way = stopping_distance(rate, acc, limits)
+    distance = stopping_distance(rate, acc, limits)
     h = 1e-3
     motion = Motion(0.0, rate, acc)
     for _ in range(4000):
         motion = toward_rate(motion, 0.0, limits, h)
         if motion.rate == 0.0 and motion.acceleration == 0.0:
             break
-    assert motion.length == pytest.approx(way, abs=1e-3)
+    assert motion.length == pytest.approx(distance, abs=1e-3)
 
 
 @settings(deadline=None, max_examples=15)
@@ -98,6 +98,6 @@ def test_a_rate_is_reached_and_stops_before_the_ends(rate: float, at: float):
         assert path[-1].length == pytest.approx(4.0 if rate > 0.0 else 0.0, abs=1e-4)
 
 
-def test_it_stands_where_no_rate_is_asked_for():
+def test_a_zero_rate_goal_stands_still():
     assert toward_rate(Motion(1.0, 0.0, 0.0), 0.0, LIMITS, H) == Motion(1.0, 0.0, 0.0)
     assert math.isclose(stopping_distance(0.0, 0.0, LIMITS), 0.0)

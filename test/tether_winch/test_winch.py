@@ -19,7 +19,7 @@ from msg_schemas.machine import (
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
-from tether_winch.guard import Fault
+from tether_winch.fault_monitor import Fault
 from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
@@ -33,7 +33,7 @@ def session(length: float = 10.0, floor_depth: float = math.inf) -> Session:
 
 
 def standing(slack: float = 0.5) -> Session:
-    """The rover on a floor, the tether longer than its way."""
+    """The rover stands on a floor with a slack tether."""
     made = session(10.0 + slack, floor_depth=10.0)
     made.run(2.5)
     assert made.winch.load.is_supported
@@ -42,13 +42,13 @@ def standing(slack: float = 0.5) -> Session:
 
 def refused(made: Session, *request: object) -> Refusal:
     with pytest.raises(Refusal) as caught:
-        made.ask(*request)  # type: ignore[arg-type]
+        made.request(*request)  # type: ignore[arg-type]
     return caught.value
 
 
 def test_a_length_is_reached_without_overshoot_and_braked():
     made = session()
-    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
     made.run_until_rest(30.0)
     made.run(0.5)
     lengths = made.column("length")
@@ -59,101 +59,101 @@ def test_a_length_is_reached_without_overshoot_and_braked():
     assert made.ticks[-1].torque == 0.0
 
 
-def test_stepped_twice_at_one_time_it_says_the_same_again():
+def test_a_second_step_at_the_same_time_returns_the_same_command():
     made = session()
-    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
     made.run(3.0)
-    told = made.winch.step(made.now_ns)
-    assert told is not None
-    assert told.rate > 0.1
-    assert made.winch.step(made.now_ns) == told
+    command = made.winch.step(made.now_ns)
+    assert command is not None
+    assert command.rate > 0.1
+    assert made.winch.step(made.now_ns) == command
 
 
-def test_a_length_that_is_not_renewed_on_the_way_ends_in_a_hold():
+def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
     made = session()
     for _ in range(8):
-        made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+        made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
         made.run(0.5)
     assert made.winch.mode is Mode.LENGTH
-    assert len(made.told("winch_hold")) == 1  # when it was armed
+    assert len(made.times_of("winch_hold")) == 1  # when it was armed
     renewed, length = made.time, made.ticks[-1].length
     made.run_until_rest(10.0)
-    _, told = made.told("winch_hold")
-    assert told - renewed == pytest.approx(made.winch.parameters.guard.command_timeout, abs=0.6)
+    _, held = made.times_of("winch_hold")
+    assert held - renewed == pytest.approx(made.winch.parameters.faults.command_timeout, abs=0.6)
     assert made.ticks[-1].length - length < 0.7
     assert made.winch.fault is None
-    made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+    made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
     for _ in range(30):
         made.run(0.5)
         if made.winch.mode is Mode.LENGTH:
-            made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3)
+            made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
     assert made.ticks[-1].length == pytest.approx(14.0, abs=0.003)
-    made.run(3.0)  # there it needs no renewal
+    made.run(3.0)  # at the length it needs no renewal
     assert made.ticks[-1].mode is Mode.HOLD
-    made.ask(WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a length of the other kind
+    made.request(WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
     made.run(3.0)
     assert made.winch.mode is Mode.LENGTH
 
 
-def test_a_way_that_is_slowed_down_little_by_little_is_told_once():
+def test_small_changes_of_the_rate_publish_the_mode_once():
     made = session()
     for step in range(16):
-        made.ask(WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
+        made.request(WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
         made.run(0.5)
-    assert len(made.told("winch_length")) == 1
+    assert len(made.times_of("winch_length")) == 1
     assert made.ticks[-1].rate == pytest.approx(0.3 * 0.95**15, rel=0.05)
-    made.ask(WINCH_WHILE_RENEWED, 14.0, 0.05)
+    made.request(WINCH_WHILE_RENEWED, 14.0, 0.05)
     made.run(0.1)
-    assert len(made.told("winch_length")) == 2
+    assert len(made.times_of("winch_length")) == 2
 
 
 def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
     made = session()
-    made.ask(WINCH_TO_LENGTH, 11.0, 0.3)
-    made.now_ns += 14 * TICK_NS  # it is not stepped for so long
+    made.request(WINCH_TO_LENGTH, 11.0, 0.3)
+    made.now_ns += 14 * TICK_NS  # no step in this time
     made.run(0.3)
     assert made.winch.mode is Mode.LENGTH
     made.run_until_rest(20.0)
     assert made.ticks[-1].length == pytest.approx(11.0, abs=0.003)
 
 
-def test_a_controller_that_stalled_does_not_take_its_sensors_for_silent():
+def test_a_stalled_controller_does_not_time_its_sensors_out():
     made = session()
-    made.ask(WINCH_TO_LENGTH, 14.0, 0.3)
+    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
     made.run(2.0)
     running = made.winch.step(made.now_ns)
     for _ in range(14):
         made.rig.step(running, TICK)
         made.now_ns += TICK_NS
-    made.winch.step(made.now_ns)  # before it has heard what was said meanwhile
+    made.winch.step(made.now_ns)  # before it receives the queued samples
     assert made.winch.mode is Mode.LENGTH
     made.run(1.0)
     assert made.winch.fault is None
-    for _ in range(12):  # but sensors that stay silent are lost
+    for _ in range(12):  # sensors that stay silent time out
         made.now_ns += TICK_NS
         made.winch.step(made.now_ns)
     assert made.winch.fault is Fault.DRUM_LOST
 
 
-def test_samples_that_were_lost_do_not_speak_against_the_encoder():
+def test_lost_samples_do_not_raise_the_drift():
     estimate = PayoutEstimate(EstimateParameters())
-    estimate.hear(10.0, 0.3, 0.0, 0.0)
-    # Braked at once after the first sample, heard of 0.2 s later: 30 mm by the mean rate.
-    estimate.hear(10.003, 0.0, 0.2, 0.2)
+    estimate.update(10.0, 0.3, 0.0, 0.0)
+    # A brake right after the first sample, next sample 0.2 s later: 30 mm by the mean rate.
+    estimate.update(10.003, 0.0, 0.2, 0.2)
     assert estimate.fault(0.2) == ""
     assert estimate.length == pytest.approx(10.003, abs=0.02)
-    for k in range(1, 40):  # but an encoder that tells a rate and does not move is found
+    for k in range(1, 40):  # an encoder that reports a rate without moving is detected
         at = 0.2 + 0.01 * k
-        estimate.hear(10.003, 0.3, at, at)
-    assert "came apart" in estimate.fault(0.6)
+        estimate.update(10.003, 0.3, at, at)
+    assert "length and integrated rate" in estimate.fault(0.6)
 
 
-def test_samples_that_a_stalled_node_hears_all_at_once_make_the_same_motion():
+def test_queued_samples_that_arrive_at_once_give_the_same_estimate():
     prompt, late = (PayoutEstimate(EstimateParameters()) for _ in range(2))
     for k in range(100):
         at = 0.01 * k
-        prompt.hear(10.0 + 0.3 * at, 0.3, at, at)
-        late.hear(10.0 + 0.3 * at, 0.3, at, at if k < 50 else 1.0)
+        prompt.update(10.0 + 0.3 * at, 0.3, at, at)
+        late.update(10.0 + 0.3 * at, 0.3, at, at if k < 50 else 1.0)
     assert late.length == prompt.length == pytest.approx(10.297)
     assert late.rate == prompt.rate
     assert late.fault(1.0) == ""
@@ -163,33 +163,33 @@ def test_samples_that_a_stalled_node_hears_all_at_once_make_the_same_motion():
     assert late.length_at(9.0) == pytest.approx(10.297 + 0.3 * 0.05)
 
 
-def test_a_sample_from_before_the_clock_went_back_does_not_silence_the_drum():
+def test_a_sample_from_before_a_clock_reset_does_not_block_the_drum():
     estimate = PayoutEstimate(EstimateParameters())
-    estimate.hear(10.0, 0.3, 20.0, 19.3)
+    estimate.update(10.0, 0.3, 20.0, 19.3)
     for k in range(5):
         at = 19.3 + 0.01 * k
-        estimate.hear(10.0 + 0.003 * k, 0.3, at, at)
-    assert estimate.silence(19.35) == pytest.approx(0.01)
+        estimate.update(10.0 + 0.003 * k, 0.3, at, at)
+    assert estimate.age(19.35) == pytest.approx(0.01)
     assert estimate.length == pytest.approx(10.012)
     assert estimate.fault(19.35) == ""
 
 
-def test_holding_less_than_the_hanging_tether_weighs_is_refused():
+def test_a_tension_below_the_tether_weight_is_refused():
     made = standing()
     own = made.winch.drum.hanging_weight(10.5)
     refusal = refused(made, WINCH_AT_TENSION, 0.0, 0.1, own)
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert "without end" in refusal.reason
-    made.ask(WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
+    made.request(WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
     assert made.winch.mode is Mode.TENSION
 
 
-def test_a_held_tension_never_runs_faster_than_asked():
+def test_a_tension_hold_keeps_its_rate_limit():
     made = session()
     for tension, sign in ((12.0, 1.0), (22.0, -1.0)):
         begun = len(made.ticks)
         for _ in range(10):
-            made.ask(WINCH_AT_TENSION, 0.0, 0.1, tension)
+            made.request(WINCH_AT_TENSION, 0.0, 0.1, tension)
             made.run(0.5)
         rates = made.column("rate")[begun:]
         assert np.abs(rates[200:] - sign * 0.1).max() < 0.02
@@ -200,29 +200,29 @@ def test_a_held_tension_never_runs_faster_than_asked():
 
 def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
     made = standing()
-    made.ask(WINCH_SLACK, 0.0)
+    made.request(WINCH_SLACK, 0.0)
     made.run(20.0)
     assert made.transitions[-1][1].name == "winch_hold"
     taut = made.ticks[-1].length
     assert taut == pytest.approx(10.0, abs=0.01)
     assert made.column("tension")[300:].max() < 16.0
-    made.ask(WINCH_SLACK, 0.4)
+    made.request(WINCH_SLACK, 0.4)
     made.run(6.0)
     assert made.ticks[-1].length == pytest.approx(taut + 0.4, abs=0.01)
     assert made.winch.mode is Mode.SLACK
 
 
-def test_a_rover_that_stands_is_lifted_by_a_length_at_a_rate():
+def test_a_length_request_lifts_a_standing_rover():
     made = standing()
-    made.ask(WINCH_TO_LENGTH, 9.5, 0.1)
+    made.request(WINCH_TO_LENGTH, 9.5, 0.1)
     made.run_until_rest(40.0)
     assert made.ticks[-1].length == pytest.approx(9.5, abs=0.003)
     assert not made.winch.load.is_supported
 
 
-def test_nothing_is_reeled_in_while_the_rover_jumps():
+def test_nothing_is_reeled_in_during_a_jump():
     made = standing()
-    made.ask(WINCH_SLACK, 0.0)
+    made.request(WINCH_SLACK, 0.0)
     made.run(1.0)
     made.winch.on_jump("compressing", made.now_ns)
     made.run(0.5)
@@ -230,14 +230,14 @@ def test_nothing_is_reeled_in_while_the_rover_jumps():
     made.winch.on_jump("flight", made.now_ns)
     made.run(3.0)
     assert made.ticks[-1].length >= before - 1e-6
-    assert "jumps" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
+    assert "a jump is in progress" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
 
 
-def test_a_trim_is_bounded_ends_by_itself_and_is_refused_elsewhere():
+def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
     made = session(20.0)
-    with pytest.raises(Refusal, match="a trim adds to"):
+    with pytest.raises(Refusal, match="a trim requires"):
         made.winch.trim(0.05, made.now_ns)
-    made.ask(WINCH_TO_LENGTH, 20.003, 0.3)
+    made.request(WINCH_TO_LENGTH, 20.003, 0.3)
     p = made.winch.parameters.servo
     for _ in range(400):
         made.winch.trim(0.4, made.now_ns)
@@ -251,12 +251,12 @@ def test_a_trim_is_bounded_ends_by_itself_and_is_refused_elsewhere():
     assert made.ticks[-1].length == pytest.approx(20.003, abs=0.01)
 
 
-def test_a_controller_s_request_for_where_it_is_waits_for_the_trim():
+def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
     made = session(20.0)
-    made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
+    made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.6)
-    assert len(made.told("winch_hold")) == 2  # when it was armed, and as none came
-    made.ask(WINCH_WHILE_RENEWED, 20.0, 0.3)
+    assert len(made.times_of("winch_hold")) == 2  # when armed, and when no trim came
+    made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.25)
     made.winch.trim(0.05, made.now_ns)
     made.run(0.4)
@@ -264,10 +264,10 @@ def test_a_controller_s_request_for_where_it_is_waits_for_the_trim():
     assert made.winch.servo.trim_offset > 0.005
 
 
-def test_before_its_ends_it_slows_down_smoothly():
+def test_the_rate_falls_smoothly_before_a_soft_end():
     made = session(6.0)
     for _ in range(50):
-        made.ask(WINCH_AT_RATE, 0.0, -0.35)
+        made.request(WINCH_AT_RATE, 0.0, -0.35)
         made.run(0.5)
     references = made.column("reference_rate")
     lengths = made.column("length")
@@ -279,11 +279,11 @@ def test_before_its_ends_it_slows_down_smoothly():
     assert np.diff(braking).min() > -1e-6
 
 
-def test_a_lower_rate_is_taken_over_smoothly():
+def test_a_lower_rate_limit_is_reached_smoothly():
     made = session()
-    made.ask(WINCH_TO_LENGTH, 20.0, 0.3)
+    made.request(WINCH_TO_LENGTH, 20.0, 0.3)
     made.run(5.0)
-    made.ask(WINCH_TO_LENGTH, 20.0, 0.1)
+    made.request(WINCH_TO_LENGTH, 20.0, 0.1)
     begun = len(made.ticks)
     made.run(5.0)
     rates = made.column("reference_rate")[begun:]
@@ -291,17 +291,17 @@ def test_a_lower_rate_is_taken_over_smoothly():
     assert rates.min() == pytest.approx(0.1, abs=1e-3)
 
 
-def test_a_hot_motor_brakes_before_it_takes_harm():
+def test_a_hot_motor_brakes_before_it_overheats():
     drum = replace(WinchParameters().drum, motor_continuous_torque=0.01, motor_thermal_time=5.0)
     made = Session(Winch(replace(WinchParameters(), drum=drum)), Hoist(HoistParameters()))
     made.arm()
     made.run(0.5)
-    made.ask(WINCH_TO_LENGTH, 40.0, 0.3)
+    made.request(WINCH_TO_LENGTH, 40.0, 0.3)
     made.run(5.0)
     made.winch.stop("enough", made.now_ns)
     made.run(1.0)
     made.winch.rearm(made.now_ns)
-    made.ask(WINCH_TO_LENGTH, 2.3, 0.3)
+    made.request(WINCH_TO_LENGTH, 2.3, 0.3)
     hottest = 0.0
     for _ in range(2000):
         made.tick()
@@ -311,9 +311,9 @@ def test_a_hot_motor_brakes_before_it_takes_harm():
     assert made.ticks[-1].rate == 0.0
 
 
-def test_nothing_is_known_before_the_drum_has_spoken():
+def test_without_a_drum_state_nothing_is_known():
     winch = Winch(WinchParameters())
     assert winch.step(1_000_000_000) is None
-    with pytest.raises(Refusal, match="never heard"):
+    with pytest.raises(Refusal, match="no drum state received"):
         winch.rearm(1_000_000_000)
     assert math.isnan(winch.tension_now(1_000_000_000)[0])

@@ -1,4 +1,4 @@
-"""winch_node as a process of its own, with a mother machine of the test's or with the simulator."""
+"""winch_node as a process of its own, with a simulated mother machine or with the simulator."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ class Bench:
         self.observer = observer
         self.mother = mother
 
-    def ask(self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0) -> None:
+    def request(
+        self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0
+    ) -> None:
         value = JointValue(position, velocity, effort)
         sample = JointSample(self.mother.now_ns, {joint: value})
         self.observer.send(topics.WINCH_REQUEST, sample)
@@ -60,7 +62,7 @@ class Bench:
     def lower(self, rate: float = 0.3) -> None:
         """Arm, and wait until the tether is paid out at a rate."""
         self.arm()
-        self.ask(WINCH_TO_LENGTH, 45.0, rate)
+        self.request(WINCH_TO_LENGTH, 45.0, rate)
         self.mother.wait(lambda: self.mother.last.rate > 0.95 * rate, "the drum does not pay out")
 
     def wait_for_fault(self, fault: str, since: int) -> str:
@@ -72,7 +74,7 @@ class Bench:
         ).message
 
     def wait_for_hold(self, why: str) -> None:
-        """Wait until it comes to rest for a reason."""
+        """Wait for a hold whose reason contains a text."""
         self.observer.wait_for_status(
             topics.EVENTS, lambda s: s.name == "winch_hold" and why in s.message
         )
@@ -93,7 +95,7 @@ def bench(harness: NodeHarness) -> Iterator[Bench]:
 
 
 def make_bench(harness: NodeHarness, hoist: Hoist) -> Iterator[Bench]:
-    hoist.step(None, 0.01)  # compiled here, not while time runs
+    hoist.step(None, 0.01)  # compile before time runs
     process = harness.processes.start(MODULE, {"use_sim_time": True})
     observer = harness.observer()
     observer.listen(topics.DIAGNOSTICS)
@@ -111,8 +113,8 @@ def make_bench(harness: NodeHarness, hoist: Hoist) -> Iterator[Bench]:
 # ------------------------------------------------------------------------------ arms and requests
 
 
-def test_it_stands_disarmed_and_refuses_motion_with_the_reason(bench: Bench):
-    bench.ask(WINCH_TO_LENGTH, 10.0, 0.3)
+def test_it_starts_disarmed_and_refuses_motion_with_the_reason(bench: Bench):
+    bench.request(WINCH_TO_LENGTH, 10.0, 0.3)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
     assert topics.WINCH_REARM in refusal.message
     answer = bench.observer.call(topics.WINCH_HOLD)
@@ -128,7 +130,7 @@ def commands(bench: Bench) -> list[JointSample]:
 def test_a_length_is_reached_and_held_by_the_brake(bench: Bench):
     bench.arm()
     since = bench.modes()
-    bench.ask(WINCH_TO_LENGTH, 6.0, 0.3)
+    bench.request(WINCH_TO_LENGTH, 6.0, 0.3)
     bench.observer.wait_for_text(topics.WINCH_MODE, "length", since=since)
     bench.observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
     bench.wait_until_braked()
@@ -142,18 +144,18 @@ def test_a_length_is_reached_and_held_by_the_brake(bench: Bench):
     assert joints[TETHER_OUT].position == pytest.approx(0.005 * 6.0, rel=1e-3)
 
 
-def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
+def test_each_refusal_states_value_limit_and_remedy(bench: Bench):
     bench.arm()
     for joint, value, code, words in (
         (WINCH_TO_LENGTH, (59.0, 0.3, 0.0), "out_of_limits", "2.2 .. 57.8 m"),
         (WINCH_TO_LENGTH, (10.0, 0.4, 0.0), "out_of_limits", "0.35 m/s"),
         (WINCH_AT_RATE, (0.0, 0.1, 100.0), "out_of_limits", "at most 40 N"),
         (WINCH_AT_TENSION, (0.0, 0.1, 0.1), "out_of_limits", "pay out without end"),
-        (WINCH_AT_TENSION, (0.0, 0.1, 3.0), "wrong_phase", "let it fall"),
-        (WINCH_SLACK, (1.0, 0.1, 0.0), "wrong_phase", "must stand first"),
+        (WINCH_AT_TENSION, (0.0, 0.1, 3.0), "wrong_phase", "set the rover down first"),
+        (WINCH_SLACK, (1.0, 0.1, 0.0), "wrong_phase", "set it down first"),
     ):
         since = len(bench.observer.listen(topics.DIAGNOSTICS))
-        bench.ask(joint, *value)
+        bench.request(joint, *value)
         refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, code, since)
         assert words in refusal.message
     bad = JointSample(bench.mother.now_ns, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
@@ -173,7 +175,7 @@ def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "stale")
     answer = bench.observer.call(topics.WINCH_RELAX)
     assert not answer.success
-    assert "must stand first" in answer.message
+    assert "set the rover down first" in answer.message
     trim = JointSample(bench.mother.now_ns, {WINCH_DRUM: JointValue(0.0, 0.05, 0.0)})
     bench.observer.send(topics.WINCH_TRIM, trim)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_TRIM, "wrong_phase")
@@ -181,7 +183,7 @@ def test_each_refusal_says_what_why_and_what_would_be_right(bench: Bench):
     assert bench.mother.last.rate == 0.0
 
 
-def test_every_mode_does_what_it_says_with_the_rover_on_the_floor(harness: NodeHarness):
+def test_every_mode_works_with_the_rover_on_the_floor(harness: NodeHarness):
     hoist = Hoist(HoistParameters(start_length=5.4, floor_depth=5.6))
     for bench in make_bench(harness, hoist):
         use_every_mode(bench)
@@ -189,14 +191,14 @@ def test_every_mode_does_what_it_says_with_the_rover_on_the_floor(harness: NodeH
 
 def use_every_mode(bench: Bench) -> None:
     bench.arm()
-    bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+    bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
     bench.wait_for_hold("touchdown")
-    bench.ask(WINCH_SLACK, 0.0)
+    bench.request(WINCH_SLACK, 0.0)
     bench.wait_for_hold("taken up")
     mother, taut = bench.mother, bench.mother.last.length
     assert taut == pytest.approx(5.6, abs=0.01)
 
-    bench.ask(WINCH_SLACK, 0.3)
+    bench.request(WINCH_SLACK, 0.3)
     bench.observer.wait_for_text(topics.WINCH_MODE, "slack")
     mother.wait(lambda: mother.last.length > taut + 0.29, "no slack is given")
     bench.wait_until_braked()
@@ -204,7 +206,7 @@ def use_every_mode(bench: Bench) -> None:
 
     since = bench.modes()
     for _ in range(16):
-        bench.ask(WINCH_AT_TENSION, 0.0, 0.2, 4.0)
+        bench.request(WINCH_AT_TENSION, 0.0, 0.2, 4.0)
         mother.wait_for(0.25)
     assert {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]} == {"tension"}
     assert mother.last.tension == pytest.approx(4.0, abs=1.0)
@@ -218,7 +220,7 @@ def use_every_mode(bench: Bench) -> None:
     assert mother.last.length == pytest.approx(taut, abs=0.03)
 
     begun = len(mother.history)
-    bench.ask(WINCH_AT_RATE, 0.0, -0.1)
+    bench.request(WINCH_AT_RATE, 0.0, -0.1)
     mother.wait(lambda: mother.last.rate < -0.095, "it does not reel in")
     assert bench.observer.call(topics.WINCH_HOLD).success
     bench.wait_for_hold("asked")
@@ -241,7 +243,7 @@ def silent_cell(bench: Bench) -> None:
     bench.mother.spoil = lambda name, m: None if name == topics.LOAD_CELL else m
 
 
-def cell_says(value: float) -> Callable[[Bench], None]:
+def corrupt_load_cell(value: float) -> Callable[[Bench], None]:
     def spoil(name: str, message: Any) -> Any:
         if name == topics.LOAD_CELL:
             message.wrench.force.z = -value
@@ -253,7 +255,7 @@ def cell_says(value: float) -> Callable[[Bench], None]:
     return apply
 
 
-def drum_says(field: str, value: float) -> Callable[[Bench], None]:
+def corrupt_drum(field: str, value: float) -> Callable[[Bench], None]:
     def spoil(name: str, message: Any) -> Any:
         if name == topics.WINCH_STATE:
             getattr(message, field)[0] = value
@@ -294,11 +296,11 @@ def tether_ends(bench: Bench) -> None:
 CASES = {
     "drum_lost": silent_drum,
     "tension_lost": silent_cell,
-    "bad_reading": cell_says(math.nan),
-    "bad_reading ": drum_says("position", math.nan),
+    "bad_reading": corrupt_load_cell(math.nan),
+    "bad_reading ": corrupt_drum("position", math.nan),
     "overspeed": drum_runs_away,
-    "drum_lost ": drum_says("velocity", 0.1),
-    "over_tension": cell_says(5.0 * WEIGHT),
+    "drum_lost ": corrupt_drum("velocity", 0.1),
+    "over_tension": corrupt_load_cell(5.0 * WEIGHT),
     "tether_end": tether_ends,
     "clock_jump": clock_jumps_back,
     "node_late": clock_jumps_ahead,
@@ -306,9 +308,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", list(CASES))
-def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
-    bench: Bench, case: str
-):
+def test_an_unsafe_state_brakes_and_latches_a_fault_until_rearmed(bench: Bench, case: str):
     bench.lower(0.2)
     since = bench.modes()
     CASES[case](bench)
@@ -319,7 +319,7 @@ def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
     begun = len(bench.mother.history)
     bench.mother.spoil = lambda _, message: message
     bench.mother.wait_for(0.5)
-    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
+    bench.request(WINCH_TO_LENGTH, 2.5, 0.2)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
     assert case.strip() in refusal.message
     assert all(r.rate == 0.0 for _, r, _ in bench.mother.history[begun:])
@@ -327,18 +327,16 @@ def test_what_is_not_safe_brakes_and_latches_a_fault_until_armed_by_the_service(
         bench.observer.set_parameter(NODE, "longest_length", 58.0)
     since = bench.modes()
     bench.arm()
-    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
+    bench.request(WINCH_TO_LENGTH, 2.5, 0.2)
     bench.mother.wait(lambda: bench.mother.last.rate < -0.1, "it does not reel in again")
 
 
 @pytest.mark.parametrize("mode", [WINCH_AT_RATE, WINCH_AT_TENSION])
-def test_a_request_that_is_not_renewed_ends_in_a_fault_and_a_renewed_one_goes_on(
-    bench: Bench, mode: str
-):
+def test_a_request_that_is_not_renewed_ends_in_a_fault(bench: Bench, mode: str):
     bench.arm()
     since = bench.modes()
     for _ in range(8):
-        bench.ask(mode, 0.0, 0.1, 0.0 if mode == WINCH_AT_RATE else 15.0)
+        bench.request(mode, 0.0, 0.1, 0.0 if mode == WINCH_AT_RATE else 15.0)
         bench.mother.wait_for(0.25)
     assert "fault" not in {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]}
     assert bench.mother.last.brake_is_open
@@ -353,7 +351,7 @@ def test_the_stop_service_brakes_at_once_and_stays_so(bench: Bench):
     assert bench.observer.call(topics.WINCH_STOP).success
     bench.observer.wait_for_text(topics.WINCH_MODE, "stop", since=since)
     bench.wait_until_braked()
-    bench.ask(WINCH_TO_LENGTH, 2.5, 0.2)
+    bench.request(WINCH_TO_LENGTH, 2.5, 0.2)
     bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
 
 
@@ -384,7 +382,7 @@ def test_killed_while_it_pays_out_the_drum_stops_in_time_and_softly(
 
 def kill_while_paying_out(bench: Bench, length: float) -> None:
     bench.arm()
-    bench.ask(WINCH_TO_LENGTH, length + 8.0, 0.3)
+    bench.request(WINCH_TO_LENGTH, length + 8.0, 0.3)
     mother = bench.mother
     mother.wait(lambda: mother.last.rate > 0.295, "the drum does not pay out")
     killed = len(mother.history)
@@ -394,7 +392,7 @@ def kill_while_paying_out(bench: Bench, length: float) -> None:
     mother.wait(lambda: mother.last.rate == 0.0, "the drum does not stop")
     mother.wait_for(3.0)
     last = next(i for i, (_, _, c) in enumerate(mother.history) if i >= killed and c is None)
-    # Silence begins with the last command, which the drive had for 0.1 s.
+    # The timeout starts with the last command, which the drive kept for 0.1 s.
     begun = max(0, last - 11)
     after = mother.history[begun:]
     stopped = next(t for t, r, _ in after if r.rate == 0.0)
@@ -406,11 +404,11 @@ def kill_while_paying_out(bench: Bench, length: float) -> None:
 # ----------------------------------------------------------------------------------------- the rest
 
 
-def test_touchdown_is_told_and_stops_the_payout(harness: NodeHarness):
+def test_touchdown_is_reported_and_stops_the_payout(harness: NodeHarness):
     hoist = Hoist(HoistParameters(start_length=5.0, floor_depth=5.6))
     for bench in make_bench(harness, hoist):
         bench.arm()
-        bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+        bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
         event = bench.observer.wait_for_event("alarm_touchdown")
         assert float(event.values["length"]) == pytest.approx(5.65, abs=0.05)
         bench.wait_until_braked()
@@ -419,14 +417,14 @@ def test_touchdown_is_told_and_stops_the_payout(harness: NodeHarness):
         alarms.wait(lambda s: s.joints["touchdown"].position == 1.0)
         alarms.wait(lambda s: s.joints["slack"].position == 1.0)
         bench.observer.wait_for_text(topics.TENSION_WATCH, "slack")
-        bench.ask(WINCH_TO_LENGTH, 10.0, 0.1)
+        bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
         bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_phase")
 
 
-def test_it_hears_no_truth_of_the_simulator(bench: Bench):
-    heard = subscriptions_of(bench.observer, NODE)
-    assert {topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS} <= heard
-    assert not heard & forbidden_to_controllers()
+def test_it_subscribes_to_no_ground_truth(bench: Bench):
+    subscribed = subscriptions_of(bench.observer, NODE)
+    assert {topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS} <= subscribed
+    assert not subscribed & forbidden_to_controllers()
 
 
 def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
@@ -438,7 +436,7 @@ def test_thresholds_are_checked_together_also_when_changed(bench: Bench):
     assert bench.observer.get_parameter(NODE, "touchdown_threshold") == 0.5
 
 
-def test_thresholds_that_cross_end_it_with_code_2(harness: NodeHarness):
+def test_crossing_thresholds_end_it_with_code_2(harness: NodeHarness):
     process = harness.processes.start(MODULE, {"touchdown_threshold": 0.9, "snag_threshold": 1.1})
     assert process.wait() == 2
     assert "further apart" in process.output
@@ -446,7 +444,7 @@ def test_thresholds_that_cross_end_it_with_code_2(harness: NodeHarness):
 
 
 @pytest.mark.usefixtures("compiled")
-def test_with_the_planar_simulator_it_holds_and_sees_the_slack_tether_and_its_death(
+def test_it_detects_slack_and_loss_of_the_planar_simulator(
     harness: NodeHarness,
 ):
     observer = harness.observer()

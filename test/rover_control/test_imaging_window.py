@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from rover_control.steady_swing import SteadySwing
-from rover_control.stillness import best_span, still_span
+from rover_control.imaging_window import imaging_window, longest_imaging_window
 from rover_control.swing_estimator import SwingEstimate
+from rover_control.swing_filter import SwingFilter
 
 
 @pytest.mark.parametrize(("major", "minor"), [(0.01, 0.0), (0.01, 0.003), (0.02, -0.004)])
@@ -19,12 +19,12 @@ def test_the_span_is_that_of_the_motion(major: float, minor: float):
     times = np.linspace(0.0, math.pi / w, 200001)
     rates = w * np.hypot(major * np.sin(w * times), minor * np.cos(w * times))
     slow = float(np.mean(rates < limit)) * math.pi / w
-    assert still_span(major, minor, w, limit) == pytest.approx(slow, abs=1e-3)
+    assert imaging_window(major, minor, w, limit) == pytest.approx(slow, abs=1e-3)
 
 
 def test_what_is_slow_always_and_what_never_is():
-    assert still_span(0.004, 0.004, 0.2, 0.001) == math.inf
-    assert still_span(0.02, 0.01, 0.2, 0.001) == 0.0
+    assert imaging_window(0.004, 0.004, 0.2, 0.001) == math.inf
+    assert imaging_window(0.02, 0.01, 0.2, 0.001) == 0.0
 
 
 def test_the_best_ellipse_is_no_circle_where_the_circle_is_too_fast():
@@ -32,18 +32,18 @@ def test_the_best_ellipse_is_no_circle_where_the_circle_is_too_fast():
     circle = 1.05 * limit / w
     major = 2.5 * circle
     minor = circle**2 / major
-    best = best_span(major, minor, w, limit)
+    best = longest_imaging_window(major, minor, w, limit)
     assert 0.0 < best < math.inf
-    assert best >= still_span(major, minor, w, limit)
-    assert still_span(circle, circle, w, limit) == 0.0
+    assert best >= imaging_window(major, minor, w, limit)
+    assert imaging_window(circle, circle, w, limit) == 0.0
     # Much more momentum has no slow ellipse; much less makes a slow circle.
-    assert best_span(3.0 * circle, 2.0 * circle, w, limit) == 0.0
-    assert best_span(2.0 * circle, 0.2 * circle, w, limit) == math.inf
+    assert longest_imaging_window(3.0 * circle, 2.0 * circle, w, limit) == 0.0
+    assert longest_imaging_window(2.0 * circle, 0.2 * circle, w, limit) == math.inf
 
 
 def test_what_lasts_of_a_swing_is_not_delayed_and_loses_the_tilt():
     w, tilting, h = 0.4, 4.2, 0.02
-    steady = SteadySwing()
+    steady = SwingFilter()
     ahead, back = 0.02, 0.012 * cmath.exp(0.7j)
     misses = []
     for n in range(round(60.0 / h)):

@@ -1,18 +1,18 @@
-"""What the tension says about the rover: touchdown, slack, snag, over-tension. Pure.
+"""Detection of touchdown, slack, snag and over-tension from the tension. Pure.
 
-The load is the tension at the fairlead less the weight of the tether that is out. It is compared
-with its own running mean, so that neither payload nor load cell need be known well. A bounce after
-a hard stop takes the load away, or doubles it, for up to half the period of the rover on its
-tether (0.5 s at 45 m and 10 kg); a wall that the rover scrapes does so for a few tenths. So a
-change is believed only after it has lasted longer, and later still when the drum has just braked
-or stands still, where waiting costs no slack.
+The load is the tension at the fairlead less the weight of the paid-out tether. Its thresholds are
+relative to its running mean, so that neither the payload nor the load cell's scale must be known
+well. A bounce after a hard stop removes or doubles the load for up to half the rover's bounce
+period (0.5 s at 45 m and 10 kg); contact with a wall does so for a few tenths of a second. Each
+condition is therefore debounced for longer, and longer still while the drum stands or has just
+braked, where the delay costs no slack.
 
-touchdown     something carries most of the rover: the floor, or a ledge on which it sits
-slack         the tether carries nothing but itself
-snag          the load is well above the mean: something holds the rover or tether while it is
-              reeled in; not looked for after own braking, and ended where the drum stands and
-              carries what it did when it stood before
-over_tension  the tension is too high, whatever the reason
+touchdown     the floor or a ledge carries most of the rover
+slack         the tether carries only its own weight
+snag          the load is well above the mean: rover or tether is caught while reeling in;
+              suppressed after own braking, and cleared while the drum stands and carries
+              its earlier standing load
+over_tension  the tension is too high
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from enum import StrEnum
 from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.debounce import Debounce
 
-_STANDING_RATE = 1e-3  # of payout, below which the drum stands [m/s]
+_STANDING_RATE = 1e-3  # payout rate below which the drum stands [m/s]
 
 
 class LoadState(StrEnum):
-    """What the tension says; the gravest that holds."""
+    """State of the load; the most severe condition that holds."""
 
     UNKNOWN = "unknown"
     NORMAL = "normal"
@@ -90,7 +90,11 @@ class LoadParameters:
     )
 
     def __post_init__(self) -> None:
-        """Refuse thresholds that leave nothing between them."""
+        """Refuse thresholds that overlap.
+
+        Raises:
+            ParameterError: two thresholds are closer than the hysteresis.
+        """
         if self.slack_threshold + self.hysteresis > self.touchdown_threshold:
             msg = (
                 f"slack_threshold is {self.slack_threshold:g} and touchdown_threshold "
@@ -107,46 +111,46 @@ class LoadParameters:
             raise ParameterError(msg)
 
 
-class LoadWatch:
-    """Follows the load of one tether.
+class LoadMonitor:
+    """Monitors the load of one tether.
 
     Args:
         parameters: thresholds.
     """
 
     _FILTER = 0.03  # low-pass of the load [s]
-    _LEARNT_AT_ONCE = 1.0  # weight of reference_weight in the mean's beginning [s]
+    _INITIAL_WEIGHT = 1.0  # initial averaging time of the mean [s]
 
     def __init__(self, parameters: LoadParameters) -> None:
         self.parameters = parameters
         self.state = LoadState.UNKNOWN
         self.mean = parameters.reference_weight  # [N]
         self.load = math.nan  # [N]
-        self._learnt = self._LEARNT_AT_ONCE  # [s]
-        self._set_aside = 0.0  # integral of the load while a change is pending [N s]
-        self._pended = 0.0  # for so long [s]
-        self._stood = 0.0  # for so long the drum has stood [s]
-        self._hung = math.nan  # load that hung on the drum when it stood last [N]
-        self._braked: float | None = None
-        self._paying_since: float | None = None
-        self._reeled: float | None = None
+        self._mean_weight = self._INITIAL_WEIGHT  # [s]
+        self._pending_integral = 0.0  # of the load while a change is pending [N s]
+        self._pending_time = 0.0  # [s]
+        self._standing_time = 0.0  # time for which the drum has stood [s]
+        self._standing_load = math.nan  # load when the drum last stood [N]
+        self._braked_at: float | None = None
+        self._paying_out_since: float | None = None
+        self._reeled_in_at: float | None = None
         self._last: float | None = None
         self._touchdown, self._slack = Debounce(), Debounce()
         self._snag, self._over_tension = Debounce(), Debounce()
 
     @property
     def is_supported(self) -> bool:
-        """Whether something else than the tether carries most of the rover."""
+        """Whether the ground carries most of the rover."""
         return self._touchdown.is_on
 
     @property
     def is_snagged(self) -> bool:
-        """Whether something holds on to rover or tether."""
+        """Whether rover or tether is snagged."""
         return self._snag.is_on
 
     @property
     def alarms(self) -> Mapping[str, bool]:
-        """Each condition, whether it holds; several may."""
+        """Whether each condition holds; several may at once."""
         return {
             LoadState.TOUCHDOWN: self._touchdown.is_on,
             LoadState.SLACK: self._slack.is_on,
@@ -154,14 +158,14 @@ class LoadWatch:
             LoadState.OVER_TENSION: self._over_tension.is_on,
         }
 
-    def note_braking(self, now: float) -> None:
-        """The brake has closed on a moving drum."""
-        self._braked = now
+    def on_braking(self, now: float) -> None:
+        """Note that the brake has closed on a moving drum."""
+        self._braked_at = now
 
-    def lose(self) -> None:
-        """The tension is not known now."""
+    def invalidate(self) -> None:
+        """Invalidate the load: the tension is unknown."""
         self.load = math.nan
-        self._paying_since = None
+        self._paying_out_since = None
         self.state = LoadState.UNKNOWN
 
     def step(
@@ -172,12 +176,12 @@ class LoadWatch:
         bounce_period: float,
         now: float,
     ) -> LoadState:
-        """Take the estimates of one instant.
+        """Update with the estimates of one instant; returns the state of the load.
 
         Args:
-            tension: at the fairlead [N]; NaN = not known.
-            own_weight: of the tether that is out [N].
-            rate: of payout [m/s].
+            tension: at the fairlead [N]; NaN = unknown.
+            own_weight: weight of the paid-out tether [N].
+            rate: payout rate [m/s].
             bounce_period: of the rover on its tether [s].
             now: controller's clock [s].
         """
@@ -185,7 +189,7 @@ class LoadWatch:
         dt = 0.0 if self._last is None else now - self._last
         self._last = now
         if math.isnan(tension):
-            self.lose()
+            self.invalidate()
             return self.state
         load = tension - own_weight
         if math.isnan(self.load):
@@ -193,23 +197,25 @@ class LoadWatch:
         else:
             self.load += (load - self.load) * -math.expm1(-dt / self._FILTER)
         if rate <= 0.01:
-            self._paying_since = None
-        elif self._paying_since is None:
-            self._paying_since = now
+            self._paying_out_since = None
+        elif self._paying_out_since is None:
+            self._paying_out_since = now
         if rate < -0.01:
-            self._reeled = now
-        self._stood = self._stood + dt if abs(rate) < _STANDING_RATE else 0.0
-        self._judge(tension, max(p.debounce_time, p.bounce_fraction * bounce_period), now)
-        self._learn(dt, now)
+            self._reeled_in_at = now
+        self._standing_time = self._standing_time + dt if abs(rate) < _STANDING_RATE else 0.0
+        self._update_conditions(
+            tension, max(p.debounce_time, p.bounce_fraction * bounce_period), now
+        )
+        self._update_mean(dt, now)
         return self.state
 
-    def _judge(self, tension: float, lasting: float, now: float) -> None:
+    def _update_conditions(self, tension: float, lasting: float, now: float) -> None:
         p = self.parameters
         ratio, h = self.load / self.mean, p.hysteresis
         steady = (
             not self._just_braked(now)
-            and self._paying_since is not None
-            and now - self._paying_since > lasting
+            and self._paying_out_since is not None
+            and now - self._paying_out_since > lasting
         )
         hold = lasting if steady else max(lasting, p.unsteady_debounce_time)
         self._touchdown.step(
@@ -235,23 +241,23 @@ class LoadWatch:
             p.over_tension_debounce_time,
             p.release_debounce_time,
         )
-        # Too much tension while reeling in is a snag at once: the winch will now brake.
-        caught = (
+        # Over-tension while reeling in is a snag without debounce: the winch brakes now.
+        snags_reeling = (
             self._over_tension.is_on
-            and self._reeled is not None
-            and now - self._reeled < p.debounce_time
+            and self._reeled_in_at is not None
+            and now - self._reeled_in_at < p.debounce_time
         )
         was_on = self._snag.is_on
-        hangs = self._hangs_as_before
+        hangs = self._carries_standing_load
         self._snag.step(
             ratio > p.snag_threshold and free and not hangs,
             ratio < p.snag_threshold - h or not free or hangs,
             now,
-            0.0 if caught else lasting,
+            0.0 if snags_reeling else lasting,
             p.release_debounce_time,
         )
         if was_on and hangs and not self._snag.is_on:
-            self.mean = self._hung
+            self.mean = self._standing_load
         if self._over_tension.is_on:
             self.state = LoadState.OVER_TENSION
         elif self._snag.is_on:
@@ -264,44 +270,48 @@ class LoadWatch:
             self.state = LoadState.NORMAL
 
     @property
-    def _hangs_as_before(self) -> bool:
-        """Whether the drum stands, and carries no more than when it stood last."""
+    def _carries_standing_load(self) -> bool:
+        """Whether the drum stands and carries no more than its earlier standing load."""
         p = self.parameters
-        return self._stood > p.brake_blanking_time and self.load < (
+        return self._standing_time > p.brake_blanking_time and self.load < (
             p.snag_threshold - p.hysteresis
-        ) * (self._hung)
+        ) * (self._standing_load)
 
-    def _learn(self, dt: float, now: float) -> None:
-        """Move the running mean, while the rover hangs and nothing else is going on.
+    def _update_mean(self, dt: float, now: float) -> None:
+        """Update the running mean while the rover hangs freely.
 
-        What passed a threshold and was not believed was part of the motion as much as what did
-        not: it is learnt belatedly, as the mean of a load that goes up and down would otherwise
-        be that of its lower half.
+        Loads during a pending change are held back, and added to the mean if the change is not
+        confirmed: without them the mean of an oscillating load would be biased low.
         """
-        watched = (self._touchdown, self._snag, self._over_tension)
-        if any(held.is_on for held in watched) or self._just_braked(now):
-            self._set_aside = self._pended = 0.0
+        conditions = (self._touchdown, self._snag, self._over_tension)
+        if any(each.is_on for each in conditions) or self._just_braked(now):
+            self._pending_integral = self._pending_time = 0.0
             return
-        self._set_aside += self.load * dt
-        self._pended += dt
-        if any(held.is_pending for held in watched):
+        self._pending_integral += self.load * dt
+        self._pending_time += dt
+        if any(each.is_pending for each in conditions):
             return
-        p, time = self.parameters, self._pended
-        load = self._set_aside / time if time > 0.0 else self.load
-        self._set_aside = self._pended = 0.0
-        self._learnt = min(self._learnt + time, p.mean_time_constant)
-        self.mean = self._believed(self.mean + (load - self.mean) * min(time / self._learnt, 1.0))
-        if self._stood > p.brake_blanking_time:
-            before = self.mean if math.isnan(self._hung) else self._hung
-            self._hung = self._believed(
+        p, time = self.parameters, self._pending_time
+        load = self._pending_integral / time if time > 0.0 else self.load
+        self._pending_integral = self._pending_time = 0.0
+        self._mean_weight = min(self._mean_weight + time, p.mean_time_constant)
+        self.mean = self._clipped(
+            self.mean + (load - self.mean) * min(time / self._mean_weight, 1.0)
+        )
+        if self._standing_time > p.brake_blanking_time:
+            before = self.mean if math.isnan(self._standing_load) else self._standing_load
+            self._standing_load = self._clipped(
                 before + (load - before) * min(time / p.mean_time_constant, 1.0)
             )
 
-    def _believed(self, load: float) -> float:
-        """A load, as far as the rover can weigh as much [N]."""
+    def _clipped(self, load: float) -> float:
+        """Load [N], clipped to the range that the rover can weigh."""
         p = self.parameters
         low, high = 1.0 - p.mean_range, 1.0 + p.mean_range
         return min(max(load, low * p.reference_weight), high * p.reference_weight)
 
     def _just_braked(self, now: float) -> bool:
-        return self._braked is not None and now - self._braked < self.parameters.brake_blanking_time
+        return (
+            self._braked_at is not None
+            and now - self._braked_at < self.parameters.brake_blanking_time
+        )

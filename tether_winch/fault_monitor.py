@@ -1,4 +1,4 @@
-"""What ends every motion of the winch, whoever asked for it. Pure."""
+"""Fault detection of the winch. Pure."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from msg_schemas.parameters import parameter
-from tether_winch.load_watch import LoadState
+from tether_winch.load_monitor import LoadState
 
 
 class Fault(StrEnum):
-    """Why the winch has braked and stays so until it is armed again."""
+    """Reason of a latched fault; the brake stays closed until the winch is armed again."""
 
     COMMAND_TIMEOUT = "command_timeout"
     DRUM_LOST = "drum_lost"
@@ -28,13 +28,13 @@ class Fault(StrEnum):
     NODE_LATE = "node_late"
 
     @property
-    def comes_to_rest_first(self) -> bool:
-        """Whether the drum is sound, so that it may slow down before the brake closes."""
+    def stops_before_braking(self) -> bool:
+        """Whether the drum decelerates before the brake closes; it is sound in this fault."""
         return self is Fault.COMMAND_TIMEOUT
 
 
 @dataclass(frozen=True)
-class GuardParameters:
+class FaultParameters:
     """Limits beyond which the winch brakes and latches a fault until it is armed again."""
 
     command_timeout: float = parameter(
@@ -61,74 +61,78 @@ class GuardParameters:
     )
 
 
-class Watched(NamedTuple):
-    """What the guard looks at."""
+class FaultInputs(NamedTuple):
+    """State that the fault monitor checks."""
 
-    drum_fault: str  # why length and rate are not known; empty = they are
+    drum_fault: str  # why length and rate are unknown; empty = known
     tension: float  # [N]; NaN = not known
-    tension_fault: str  # why it is not
+    tension_fault: str  # why it is unknown
     load: LoadState
     length: float  # [m]
     rate: float  # [m/s]
-    is_moving: bool  # the brake is open, or about to be
-    waits: bool  # the drum lags behind
-    brake_wait: float  # how long the brake has been asked to open [s]
-    feed_forward: float  # tension that the motor is to carry [N]
-    allowed: float  # tension that the motor may use without overheating [N]
+    is_moving: bool  # the brake is open or opening
+    is_lagging: bool  # the drum lags behind its reference
+    brake_opening_time: float  # time since the brake was commanded to open [s]
+    feed_forward: float  # motor tension [N]
+    allowed: float  # motor tension allowed by the thermal model [N]
     ends: tuple[float, float]  # hard ends [m]
-    largest_rate: float  # that may be commanded, trim included [m/s]
-    tension_needed: bool  # this motion needs to know the tension
+    largest_rate: float  # largest commanded rate, trim included [m/s]
+    tension_required: bool  # this motion requires a valid tension
 
 
-class Guard:
-    """Looks for reasons to brake.
+class FaultMonitor:
+    """Detects faults.
 
     Args:
-        parameters: when a motion is ended.
+        parameters: limits.
     """
 
-    def __init__(self, parameters: GuardParameters) -> None:
+    def __init__(self, parameters: FaultParameters) -> None:
         self.parameters = parameters
         self._since: dict[Fault, float] = {}
 
-    def find(self, seen: Watched, now: float) -> tuple[Fault, str] | None:
-        """The first reason to brake, with what was found; None = there is none.
+    def check(self, inputs: FaultInputs, now: float) -> tuple[Fault, str] | None:
+        """Return the first fault with its reason; None = no fault.
 
         Args:
-            seen: what is known.
+            inputs: state to check.
             now: controller's clock [s].
         """
         p = self.parameters
-        if seen.drum_fault:
-            return Fault.DRUM_LOST, seen.drum_fault
-        if seen.load is LoadState.OVER_TENSION:
-            return Fault.OVER_TENSION, f"the tension is too high: {seen.tension:.4g} N"
-        limit = seen.largest_rate + p.overspeed_margin
-        if self._lasts(Fault.OVERSPEED, abs(seen.rate) > limit, p.overspeed_time, now):
-            reason = f"the drum runs at {seen.rate:.3g} m/s, it may run at {limit:.3g} m/s at most"
-            return Fault.OVERSPEED, reason
-        low, high = seen.ends
-        if (seen.length >= high and seen.rate > 1e-3) or (seen.length <= low and seen.rate < -1e-3):
-            return Fault.TETHER_END, (
-                f"{seen.length:.4g} m are out, the ends are {low:g} and {high:g} m"
+        if inputs.drum_fault:
+            return Fault.DRUM_LOST, inputs.drum_fault
+        if inputs.load is LoadState.OVER_TENSION:
+            return Fault.OVER_TENSION, f"the tension is too high: {inputs.tension:.4g} N"
+        limit = inputs.largest_rate + p.overspeed_margin
+        if self._lasts(Fault.OVERSPEED, abs(inputs.rate) > limit, p.overspeed_time, now):
+            reason = (
+                f"the drum runs at {inputs.rate:.3g} m/s, it may run at {limit:.3g} m/s at most"
             )
-        lost = seen.is_moving and seen.tension_needed and math.isnan(seen.tension)
+            return Fault.OVERSPEED, reason
+        low, high = inputs.ends
+        if (inputs.length >= high and inputs.rate > 1e-3) or (
+            inputs.length <= low and inputs.rate < -1e-3
+        ):
+            return Fault.TETHER_END, (
+                f"{inputs.length:.4g} m are out, the ends are {low:g} and {high:g} m"
+            )
+        lost = inputs.is_moving and inputs.tension_required and math.isnan(inputs.tension)
         if self._lasts(Fault.TENSION_LOST, lost, p.tension_timeout, now):
-            return Fault.TENSION_LOST, f"moving without a valid tension: {seen.tension_fault}"
-        if self._lasts(Fault.NOT_FOLLOWING, seen.waits, p.stall_timeout, now):
+            return Fault.TENSION_LOST, f"moving without a valid tension: {inputs.tension_fault}"
+        if self._lasts(Fault.NOT_FOLLOWING, inputs.is_lagging, p.stall_timeout, now):
             reason = f"the drum lags behind its reference for {p.stall_timeout:g} s"
             return Fault.NOT_FOLLOWING, reason
-        if seen.brake_wait > p.brake_release_timeout:
+        if inputs.brake_opening_time > p.brake_release_timeout:
             return Fault.BRAKE_STUCK, f"the brake did not open within {p.brake_release_timeout:g} s"
-        if seen.is_moving and seen.feed_forward > seen.allowed:
+        if inputs.is_moving and inputs.feed_forward > inputs.allowed:
             return Fault.OVERHEATED, (
-                f"the motor is hot and may use {seen.allowed:.4g} N, carrying the load takes "
-                f"{seen.feed_forward:.4g} N"
+                f"the motor is hot and may use {inputs.allowed:.4g} N, carrying the load takes "
+                f"{inputs.feed_forward:.4g} N"
             )
         return None
 
-    def forget(self) -> None:
-        """Start all timers anew."""
+    def reset(self) -> None:
+        """Reset all timers."""
         self._since.clear()
 
     def _lasts(self, fault: Fault, holds: bool, time: float, now: float) -> bool:

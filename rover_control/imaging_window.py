@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-_TRIED = 24  # ellipses between what there is and its circle
+_CANDIDATES = 24  # ellipses between what there is and its circle
 
 
-def still_span(major: float, minor: float, frequency: float, rate: float) -> float:
+def imaging_window(major: float, minor: float, frequency: float, rate: float) -> float:
     """Time [s] that an ellipse turns the rover slower than a rate in each half of its period.
 
     Args:
@@ -31,14 +31,14 @@ def still_span(major: float, minor: float, frequency: float, rate: float) -> flo
     return 2.0 / frequency * math.asin(math.sqrt(share))
 
 
-def best_span(major: float, minor: float, frequency: float, rate: float) -> float:
+def longest_imaging_window(major: float, minor: float, frequency: float, rate: float) -> float:
     """The longest such time [s] of all ellipses that the winch can make of this one."""
     product = major * abs(minor)
     circle = math.sqrt(product)
     if frequency * circle <= rate:
         return math.inf
     spans = []
-    for n in range(_TRIED + 1):
-        wide = circle + (major - circle) * n / _TRIED
-        spans.append(still_span(wide, product / wide, frequency, rate))
+    for n in range(_CANDIDATES + 1):
+        wide = circle + (major - circle) * n / _CANDIDATES
+        spans.append(imaging_window(wide, product / wide, frequency, rate))
     return max(spans)
