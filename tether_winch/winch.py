@@ -377,9 +377,9 @@ class Winch:
         own, length = self._own_weight(), self.payout.length
         bounce_period = self.drum.bounce_period(length, self.load.mean)
         self.load.step(tension, own, self.payout.rate, bounce_period, now)
-        if not math.isnan(tension):
-            if tension - own > 0.5 * self.parameters.requests.take_up_tension:
-                self._taut_length = length
+        # A NaN compares as false.
+        if tension - own > 0.5 * self.parameters.requests.take_up_tension:
+            self._taut_length = length
         self.heat.step(self._motor_torque, h)
         for name, is_on in self.load.alarms.items():
             if is_on is not self._alarms.get(name, False):

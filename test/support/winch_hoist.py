@@ -165,8 +165,8 @@ class Hoist:
         lip = self.parameters.lip
         depth = lip[1] if lip is not None and self.time >= lip[0] else -1e9
         self._state, self._body, tension, current, peak, self.floor_force = _march(
-            self._constants, self._drum, self._state, self._drum_command(command), self._body, rub, depth,
-            round(dt / _SUBSTEP), _SUBSTEP,
+            self._constants, self._drum, self._state, self._drum_command(command), self._body,
+            rub, depth, round(dt / _SUBSTEP), _SUBSTEP,
         )  # fmt: skip
         self.is_caught = self._body.z + depth > 0.0
         self.peak_tension = max(self.peak_tension, peak)
