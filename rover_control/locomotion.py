@@ -64,7 +64,7 @@ class JumpAssessment(NamedTuple):
     """Predicted outcome of a jump."""
 
     upright: float  # probability of landing upright
-    refused: str  # why the jump is rejected; empty = accepted
+    rejection: str  # why the jump is rejected; empty = accepted
 
 
 class LocomotionSituation(NamedTuple):
@@ -137,8 +137,8 @@ def _jump_risk(
     assessment, weight = situation.assessment, parameters.topple_weight
     if assessment is None:
         return weight, "no prediction of a jump"
-    if assessment.refused:
-        return weight, assessment.refused
+    if assessment.rejection:
+        return weight, assessment.rejection
     stays = (situation.jumped + 1.0) / (situation.jumped + 3.0)
     risk = (1.0 - assessment.upright) * weight + assessment.upright * stays
     return risk, f"probability of landing upright {assessment.upright:.2f}"

@@ -1,18 +1,20 @@
-"""The mission's supervisor: leg after leg by asking other nodes, and never a motor itself. Pure.
+"""Mission supervisor: executes a plan leg by leg through requests to the other nodes. Pure.
+
+It commands no motor. Its phases:
 
 ===========  ================================================================================
-standby      nothing is under way; `go` begins
-(a leg's)    looking, turning, approaching, landing, driving, choosing, jumping, returning,
-             lifting, ascending, stowing: what the present leg does
-holding      all is at rest: asked for, or because a leg cannot go on by itself; `resume` begins
-             the leg again, `skip` leaves it out
-aborted      the same, and what was planned is forgotten; `go` leads home from where the rover is
+standby      no mission; `go` begins
+(of a leg)   looking, turning, approaching, landing, driving, choosing, jumping, returning,
+             lifting, ascending, stowing: the present leg's activity
+holding      at rest, on request or because a leg cannot continue; `resume` restarts the leg,
+             `skip` omits it
+aborted      at rest, the plan is discarded; `go` leads home from the present position
 ===========  ================================================================================
 
-Each trial of a leg has a time limit; a leg that fails is tried again, and after `tries` of them
-left out or held at, as `_AFTER` says. On the floor the winch helps first: it hauls the rover below
-the fairlead, and sets it down there to try once more, or takes it home. What interlocks forbid is
-not asked for. Every change is told with its reason.
+Each trial of a leg has a time limit. A failed leg is tried again; after `max_trials` the mission
+skips it or holds, see `_AFTER_LAST_TRIAL`. On the floor the winch helps first: it hauls the rover
+below the fairlead, sets it down there for another trial, or takes it home. Requests that an
+interlock forbids are not sent. Every transition is reported as an event with its reason.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ from rover_control.mission_route import Leg, LegKind, Route
 from rover_control.observed_state import ObservedState, Place
 
 _NANO = 1e9
-_PAUSE = 2.0  # between two calls of one service [s]
+_PAUSE = 2.0  # least time between two calls of one service [s]
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class MissionParameters:
 
 @dataclass(frozen=True)
 class MissionSettings:
-    """All parameters of a mission."""
+    """All parameters of the mission supervisor."""
 
     mission: MissionParameters = field(default_factory=MissionParameters)
     limits: LegLimits = field(default_factory=LegLimits)
@@ -84,7 +86,7 @@ class MissionSettings:
 
 
 class _AfterLastTrial(Enum):
-    """What follows a leg that was tried often enough."""
+    """What follows the last failed trial of a leg."""
 
     NEXT = auto()
     HOLD = auto()
@@ -121,7 +123,7 @@ _MANDATORY = (LegKind.LIFT, LegKind.ASCEND, LegKind.STOW)
 
 
 class LegRecord(NamedTuple):
-    """A leg that is over."""
+    """A finished leg."""
 
     leg: str
     result: LegResult
@@ -129,11 +131,11 @@ class LegRecord(NamedTuple):
 
 
 class Mission:
-    """One mission by a plan.
+    """Supervisor of one mission.
 
     Args:
-        plan: what is to be done.
-        settings: patience.
+        plan: legs and limits of the mission.
+        settings: parameters.
     """
 
     def __init__(self, plan: MissionPlan, settings: MissionSettings | None = None) -> None:
@@ -143,66 +145,66 @@ class Mission:
         self.route = Route(plan)
         self.record: list[LegRecord] = []
         self.blackboard = Blackboard()
-        self.reason = ""  # of the present phase
-        self.waiting_on = ""  # what keeps the leg from going on
+        self.reason = ""  # reason of the present phase
+        self.waiting_on = ""  # what the leg is waiting for; empty = nothing
         self._failed_trials = 0
         self._rearms = 0
         self._task: LegTask | None = None
-        self._idle_phase = MissionPhase.STANDBY  # the phase where no leg is under way
-        self._is_at_rest = True  # what was to be brought to rest, is
-        self._retry_at = -math.inf  # before the leg is tried again [s]
-        self._sent_at: dict[str, float] = {}  # when what was asked for last [s]
+        self._idle_phase = MissionPhase.STANDBY  # phase while no leg is active
+        self._is_at_rest = True  # whether everything has come to rest since the last hold
+        self._retry_at = -math.inf  # start of the next trial [s]
+        self._sent_at: dict[str, float] = {}  # time of the last request, by topic or service [s]
         self._published_phase: MissionPhase | None = None
         self._changes: list[Transition] = []
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def phase(self) -> MissionPhase:
-        """What is done."""
+        """Present phase."""
         return self._idle_phase if self._task is None else self._task.phase
 
     @property
     def is_active(self) -> bool:
-        """Whether a leg is under way."""
+        """Whether a leg is active."""
         return self._task is not None
 
     @property
     def leg(self) -> Leg | None:
-        """The leg that is done or comes next; None = none is left."""
+        """The active or next leg; None = no leg remains."""
         return self.route.leg
 
     @property
     def failed_trials(self) -> int:
-        """Trials of the leg that have failed."""
+        """Failed trials of the present leg."""
         return self._failed_trials
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call and clear them."""
         taken, self._changes = self._changes, []
         return taken
 
     def receive(self, topic: str, sample: Sample, now_ns: int) -> None:
-        """Take what was said on a topic of `observed_state.HEARD`."""
+        """Process a sample on one of `observed_state.OBSERVED_TOPICS`."""
         self.observed.receive(topic, sample, now_ns)
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- operator commands -----------------------------------------------------------------------
 
     def go(self, now_ns: int) -> str:
-        """Begin the mission; after an abort, the way home.
+        """Begin the mission; after an abort, the return.
 
         Raises:
-            Refusal: one is under way or held, or the winch is not heard.
+            Refusal: a mission is active or held, or the winch estimate is stale.
         """
         now = now_ns / _NANO
         if self.is_active or self._idle_phase is MissionPhase.HOLDING:
             other = topics.MISSION_RESUME if not self.is_active else topics.MISSION_ABORT
-            raise _refused(topics.MISSION_GO, f"a mission is {self.phase}; see {other}")
+            raise _refused(topics.MISSION_GO, f"a mission is in phase {self.phase}; use {other}")
         self._check_winch(topics.MISSION_GO, now)
         on_floor = self.observed.on_floor
         if self._idle_phase is MissionPhase.ABORTED:
             self.route.begin_home(on_floor=on_floor)
-            text = "home from " + ("the floor" if on_floor else f"{self.observed.length:.2f} m")
+            text = "return from " + ("the floor" if on_floor else f"{self.observed.length:.2f} m")
         else:
             self.route.begin(on_floor=on_floor)
             self.record, self.blackboard = [], Blackboard()
@@ -210,90 +212,94 @@ class Mission:
                 self.observed.place = None
             elif self.observed.place is None:
                 self.observed.place = Place(0.0, 0.0, math.radians(self.plan.heading))
-            text = f"{len(self.route.legs)} legs" + (
-                ", the rover stands already" if on_floor else ""
-            )
+            text = f"{len(self.route.legs)} legs" + (", beginning on the floor" if on_floor else "")
         self._emit("mission_begun", text)
         self._failed_trials = 0
         self._begin(now, text)
         return text
 
     def hold(self, _now_ns: int) -> str:
-        """Bring all to rest; the leg waits.
+        """Bring everything to rest; the leg can be resumed.
 
         Raises:
-            Refusal: nothing is under way.
+            Refusal: no mission is active.
         """
         if not self.is_active:
             if self._idle_phase in (MissionPhase.HOLDING, MissionPhase.ABORTED):
                 self._is_at_rest = False
                 return f"already {self._idle_phase}"
-            raise _refused(topics.MISSION_HOLD, "no mission is under way")
+            raise _refused(topics.MISSION_HOLD, "no mission is active")
         self._stop(MissionPhase.HOLDING, "asked for")
         return "coming to rest"
 
     def resume(self, now_ns: int) -> str:
-        """Begin the leg again that a hold has left.
+        """Restart the held leg.
 
         Raises:
-            Refusal: nothing is held, or the winch is not heard.
+            Refusal: no leg is held, or the winch estimate is stale.
         """
         now = now_ns / _NANO
         if self.is_active or self._idle_phase is not MissionPhase.HOLDING or self.leg is None:
-            raise _refused(topics.MISSION_RESUME, f"the mission is {self.phase}, nothing is held")
+            raise _refused(
+                topics.MISSION_RESUME, f"the mission is in phase {self.phase}, no leg is held"
+            )
         self._check_winch(topics.MISSION_RESUME, now)
         self._failed_trials = 0
         self._begin(now, f"resumed with {self.leg.name}")
-        return f"on with {self.leg.name}"
+        return f"resuming with {self.leg.name}"
 
     def skip(self, now_ns: int) -> str:
-        """Leave the present leg out.
+        """Skip the present leg.
 
         Raises:
-            Refusal: there is none, or the rover would not come home without it.
+            Refusal: no leg is active or held, or the rover could not return without it.
         """
         leg = self.leg
         held = self._idle_phase is MissionPhase.HOLDING
         if leg is None or not (self.is_active or held):
-            raise _refused(topics.MISSION_SKIP, "no leg is under way or held")
+            raise _refused(topics.MISSION_SKIP, "no leg is active or held")
         if leg.kind in _MANDATORY:
-            raise _refused(topics.MISSION_SKIP, f"{leg.name} cannot be left out on the way home")
+            raise _refused(
+                topics.MISSION_SKIP, f"{leg.name} is part of the return and cannot be skipped"
+            )
         if leg.kind is LegKind.RETURN and not self._may_lift():
             far = self.plan.lift.radius
-            text = f"the rover is not known to be within {far:g} m of the plumb line"
-            raise _refused(topics.MISSION_SKIP, f"it swings when it is lifted: {text}")
+            text = f"the rover must be within {far:g} m of the plumb line"
+            raise _refused(topics.MISSION_SKIP, f"{text} to be lifted; otherwise it swings")
         was_active, now = self.is_active, now_ns / _NANO
         self._record_leg(leg, LegResult.ABANDONED, "skipped by the operator")
         self._advance(leg)
         following = self.leg
-        assert following is not None  # as the last legs cannot be skipped
+        assert following is not None  # the last legs cannot be skipped
         if was_active:
             self._begin(now, f"{leg.name} is skipped")
         return f"next is {following.name}"
 
     def abort(self, _now_ns: int) -> str:
-        """Bring all to rest and forget the plan; `go` leads home. Always done."""
+        """Bring everything to rest and discard the plan; `go` leads home. Always accepted."""
         if self._idle_phase is MissionPhase.STANDBY and not self.is_active:
-            return "no mission is under way"
+            return "no mission is active"
         self._stop(MissionPhase.ABORTED, "asked for", Level.WARN)
-        return f"coming to rest; {topics.MISSION_GO} leads home"
+        return f"coming to rest; call {topics.MISSION_GO} to return"
 
     def _check_winch(self, subject: str, now: float) -> None:
         if self.observed.is_stale(topics.WINCH_ESTIMATE, now) or not self.observed.winch:
-            raise Refusal(subject, RefusalCode.STALE, "the winch is not heard")
+            raise Refusal(
+                subject, RefusalCode.STALE, f"{topics.WINCH_ESTIMATE} is missing or stale"
+            )
 
     def _may_lift(self) -> bool:
         return self._is_within(self.plan.lift.radius)
 
     def _is_within(self, radius: float) -> bool:
-        """Whether the rover is known to be so near to the plumb line."""
+        """Whether the rover is known to be within a radius [m] of the plumb line."""
         place = self.observed.place
         return place is not None and math.hypot(place.x, place.y) <= radius
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> tuple[Request, ...]:
-        """Advance to now; returns what is to be asked for."""
+        """Advance to a time [ns] and return the requests to send."""
         now = now_ns / _NANO
         events = self.observed.take_events()
         requests: tuple[Request, ...] = ()
@@ -318,14 +324,14 @@ class Mission:
         limit = limits.of(task.leg.kind)
         why = f", waiting: {self.waiting_on}" if self.waiting_on else ""
         if now - task.started > limit:
-            text = f"not over within {limit:g} s{why}"
+            text = f"not finished within {limit:g} s{why}"
             return LegEnd(LegResult.FAILED, text, is_external=bool(why))
         if isinstance(task, DriveTask) and now - task.jump_started > limits.stuck_jump_timeout:
             return LegEnd(LegResult.FAILED, f"no jump within {limits.stuck_jump_timeout:g} s{why}")
         return None
 
     def _allowed(self, proposal: ProposedRequest, now: float) -> tuple[Request, ...]:
-        """What of a wish may be asked for now: it, what clears its way, or nothing."""
+        """Apply the interlocks: the proposed request, one that clears its interlock, or none."""
         found = violated_interlock(proposal.action, self.observed, now)
         self._publish_waiting("" if found is None else found.value)
         if found is None:
@@ -343,7 +349,7 @@ class Mission:
         if not service:
             return ()
         if service == topics.WINCH_REARM and self._rearms >= self.settings.mission.max_rearms:
-            text = f"{found.value}, and was armed {self._rearms} times in this leg"
+            text = f"{found.value} after {self._rearms} re-arms in this leg"
             self._stop(MissionPhase.HOLDING, text, Level.WARN)
             return ()
         called = self._call(service, now)
@@ -351,7 +357,7 @@ class Mission:
         return called
 
     def _bring_to_rest(self, now: float) -> tuple[Request, ...]:
-        """Bring to rest what moves; from then on it is left alone."""
+        """Stop whatever moves; afterwards send no more requests."""
         if self._is_at_rest:
             return ()
         observed = self.observed
@@ -360,14 +366,14 @@ class Mission:
         if observed.is_driving:
             return self._call(topics.DRIVE_STOP, now)
         aborts = self._idle_phase is MissionPhase.ABORTED
-        # Where the rover still goes to its first stop, it stands by.
+        # A descent that is still on the way to its first stop is in standby.
         if observed.descent_busy or (aborts and observed.descent == "holding"):
             return self._call(topics.DESCENT_ABORT if aborts else topics.DESCENT_HOLD, now)
         if not observed.descent_engaged and observed.winch_moving:
             return self._call(topics.WINCH_HOLD, now)
         if not observed.spring_compressed and not observed.in_flight:
             self._is_at_rest = True
-            self._emit("mission_rests", f"all is at rest, {self._idle_phase}")
+            self._emit("mission_rests", f"at rest, {self._idle_phase}")
         return ()
 
     def _call(self, service: str, now: float) -> tuple[Request, ...]:
@@ -406,7 +412,7 @@ class Mission:
         self._emit("mission_leg", f"{leg.name}: {reason}", values=values)
 
     def _on_leg_end(self, end: LegEnd, now: float) -> None:
-        """A trial has ended: on to the next leg, again, or a hold."""
+        """Handle the end of a trial: next leg, another trial, or hold."""
         leg = self.leg
         assert leg is not None
         if end.result is LegResult.OVERRIDDEN:
@@ -420,9 +426,10 @@ class Mission:
                 "mission_trial_failed", text, Level.WARN, {"failed_trials": self._failed_trials}
             )
             if self._failed_trials < tries:
-                self._begin(now, f"trial {self._failed_trials + 1} of {tries}, as {end.reason}")
+                self._begin(now, f"trial {self._failed_trials + 1} of {tries} after: {end.reason}")
                 p = self.settings.mission
-                # Trials that fail as somebody is gone would be spent before his silence is noticed.
+                # Without the pause, all trials would fail before the timeout of a missing node
+                # expires.
                 pause = p.retry_delay if leg.kind in _HANGING else p.node_timeout
                 self._retry_at = now + pause
                 return
@@ -444,7 +451,7 @@ class Mission:
         self.route.rewind()
         self.reason = end.reason
         missed = [done.leg for done in self.record if done.result is not LegResult.DONE]
-        text = f"{len(self.record)} legs" + (f", without {', '.join(missed)}" if missed else "")
+        text = f"{len(self.record)} legs" + (f", not done: {', '.join(missed)}" if missed else "")
         values = {
             "pictures": self.blackboard.pictures,
             "jumps": self.blackboard.jumps,
@@ -453,13 +460,13 @@ class Mission:
         self._emit("mission_done", text, values=values)
 
     def _recover(self, leg: Leg, end: LegEnd, now: float) -> bool:
-        """Let the winch help a rover that cannot go on; whether it may."""
+        """Start a recovery by the winch; False if none is possible."""
         most, reason = self.plan.recovery.max_count, end.reason
         if most == 0 or not self._is_within(self.plan.recovery.radius):
             return False
         may_try_again = self.plan.landing is not None and self.route.recoveries < most
         if leg.kind is LegKind.RETURN:
-            self._record_leg(leg, LegResult.DONE, f"left to the winch: {reason}")
+            self._record_leg(leg, LegResult.DONE, f"completed by the winch: {reason}")
             self._advance(leg)
         elif leg.kind is LegKind.VISIT and may_try_again and not end.is_external:
             self.route.insert_recovery()
@@ -472,7 +479,7 @@ class Mission:
         return True
 
     def _advance(self, leg: Leg) -> None:
-        """To the next leg; without a landing nothing is done on the floor."""
+        """Go on to the next leg; without a landing, skip the legs on the floor."""
         self.route.advance()
         self._failed_trials = 0
         if leg.kind is LegKind.LAND and self.record[-1].result is not LegResult.DONE:
@@ -494,10 +501,10 @@ class Mission:
         where = f" in {self.leg.name}" if self.leg is not None else ""
         self._emit(f"mission_{still}", f"{reason}{where}", level)
 
-    # --- over a restart --------------------------------------------------------------------------
+    # --- checkpoint ------------------------------------------------------------------------------
 
     def checkpoint(self, now_ns: int) -> dict[str, Any]:
-        """What is to be kept, as JSON values, so that `restore` goes on from here."""
+        """State as JSON values, from which `restore` resumes."""
         blackboard = {name: _to_json(value) for name, value in asdict(self.blackboard).items()}
         place = self.observed.place
         return {
@@ -513,10 +520,10 @@ class Mission:
         }
 
     def restore(self, saved: Mapping[str, Any], now_ns: int) -> None:
-        """Go on from a checkpoint, where it is of this plan and of this run's past."""
+        """Resume from a checkpoint of the same plan and of an earlier time."""
         age = (now_ns - int(saved["stamp_ns"])) / _NANO
         if saved["plan"] != self.plan.digest or age < 0.0:
-            why = "another plan" if age >= 0.0 else "another run, it lies ahead of the clock"
+            why = "another plan" if age >= 0.0 else "another run: it lies ahead of the clock"
             self._emit("mission_forgotten", f"the checkpoint is of {why}", Level.WARN)
             return
         still = MissionPhase(saved["phase"])
@@ -532,17 +539,20 @@ class Mission:
             self.observed.place = Place(*saved["place"])
         now = now_ns / _NANO
         if not saved["is_active"]:
-            self._stop(still, "started again")
+            self._stop(still, "restarted")
         elif age <= self.settings.mission.resume_window:
-            self._begin(now, f"started again {age:.1f} s after its end")
+            self._begin(now, f"restarted after {age:.1f} s")
         else:
-            text = f"started again {age:.0f} s after its end, {topics.MISSION_RESUME} goes on"
+            text = (
+                f"restarted after {age:.0f} s, more than {self.settings.mission.resume_window:g} "
+                f"s; call {topics.MISSION_RESUME} to resume"
+            )
             self._stop(MissionPhase.HOLDING, text, Level.WARN)
 
-    # --- telling ---------------------------------------------------------------------------------
+    # --- events ----------------------------------------------------------------------------------
 
     def _publish_choices(self) -> None:
-        """Between wheels and jump."""
+        """Report the choices between wheels and jump."""
         if not isinstance(self._task, DriveTask):
             return
         for choice in self._task.take_choices():

@@ -1,13 +1,13 @@
-"""What a mission does on the floor: ways that are driven, and jumps. Pure.
+"""Leg tasks on the floor: driving, detours and jumps. Pure.
 
 ======  =====================================================================================
-visit   the rover drives; stuck, it chooses between a way around and slack and a jump, and
-        drives on
-hop     it gets slack and jumps where it stands
-return  as a visit, to below the fairlead
+visit   drives to a waypoint; where stuck, chooses between a detour and a jump on a slack
+        tether, then drives on
+jump    gets slack and jumps in place
+return  drives back below the fairlead, like visit
 ======  =====================================================================================
 
-A rover that lies on its side, or hangs, neither drives nor jumps.
+A rover that has rolled over or hangs neither drives nor jumps.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ from rover_control.mission_route import Leg, LegKind
 from rover_control.observed_state import ObservedState, Place
 
 _SETTLE_TIME = 3.0  # after a jump [s]
-_SLACK_TIME = 15.0  # in which slack is given [s]
-_WINCH_REST_TIME = 1.0  # that a winch rests, before slack is given [s]
-_SLACK_FRACTION = 0.8  # part of the slack asked for that is enough
-_BY_HAND = "asked for"  # as drive_node says it
-_PROGRESS = 0.1  # towards the goal, after which the rover is stuck elsewhere [m]
+_SLACK_TIME = 15.0  # time for giving slack [s]
+_WINCH_REST_TIME = 1.0  # rest time of the winch before slack is requested [s]
+_SLACK_FRACTION = 0.8  # fraction of the requested slack that suffices
+_BY_HAND = "asked for"  # message of drive_node
+_PROGRESS = 0.1  # progress towards the goal that counts as a new place [m]
 _DETOUR_LENGTH, _DETOUR_ANGLE = (
     0.6,
     0.8,
-)  # way of a detour, and how far left of ahead each further one [m], [rad]
+)  # length [m], additional left angle of each further detour [rad]
 
 
 class _State(Enum):
@@ -67,10 +67,10 @@ class _State(Enum):
 
 
 class DriveTask(LegTask):
-    """A way on the floor, driven, with detours and jumps where the rover is stuck.
+    """Drives to a place on the floor, with detours and jumps where the rover is stuck.
 
     Attributes:
-        locomotion: how it chooses between these.
+        locomotion: parameters of the choice between both.
     """
 
     locomotion = LocomotionParameters()
@@ -81,18 +81,18 @@ class DriveTask(LegTask):
         self._state = _State.DRIVE
         self._entered = now
         self._slack_start = math.nan
-        self._jumps = 0  # on this way, all in all
+        self._jumps = 0  # in this task
         self._detours = 0
-        self._stuck = self._jumped = 0  # times at this place, as `locomotion` counts them
+        self._stuck = self._jumped = 0  # at this place, as counted for `locomotion`
         self._stuck_at = math.inf  # distance to the goal [m]
-        self._cannot_turn = False  # where it was stuck last
-        self._straight_detour_from: Place | None = None  # from where, as it could not turn
-        self._last_mode: LocomotionMode | None = None  # last, at this place
+        self._cannot_turn = False  # where it got stuck last
+        self._straight_detour_from: Place | None = None  # start of the last straight detour
+        self._last_mode: LocomotionMode | None = None  # last choice at this place
         self._stroke = plan.jumps.stroke
-        self._detour_goal: Place | None = None  # where a detour leads by
+        self._detour_goal: Place | None = None  # goal of the present detour
         self._choices: list[Choice] = []
         self._left_ground = False
-        self._taken = False  # drive_node was seen doing it
+        self._taken = False  # whether drive_node has reported the drive
 
     @property
     def phase(self) -> MissionPhase:  # type: ignore[override]
@@ -104,22 +104,20 @@ class DriveTask(LegTask):
         return MissionPhase.RETURNING if self._returns else MissionPhase.DRIVING
 
     def on_sent(self, request: Request, now: float) -> None:
-        """Saying where the rover stands is no request to drive."""
+        """A start pose is not a request to drive."""
         if request.name != topics.DRIVE_START:
             super().on_sent(request, now)
 
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Drive; or, stuck, choose: a detour, or slacken, jump and settle."""
+        """Drive; where stuck, choose between a detour and slack, jump and settling."""
         is_jumping = self._state in (_State.JUMP, _State.SETTLE)
         if not is_jumping and observed.on_floor and observed.has_rolled_over(now):
-            text = f"the rover lies on its side, tilted by {math.degrees(observed.slope):.0f} deg"
+            text = f"the rover has rolled over: tilt {math.degrees(observed.slope):.0f} deg"
             return LegEnd(LegResult.ABANDONED, text)
         if not is_jumping and observed.has_hung(now, self._entered):
-            return LegEnd(
-                LegResult.ABANDONED, "the rover hangs: the tether has taken it off the floor"
-            )
+            return LegEnd(LegResult.ABANDONED, "the tether has lifted the rover off the floor")
         if self._state is _State.DRIVE:
             return self._drive(observed, events, now)
         if self._state is _State.PREDICT:
@@ -133,7 +131,7 @@ class DriveTask(LegTask):
         return None
 
     def _settled(self, now: float) -> LegEnd | None:
-        """The jump is over: on by wheels."""
+        """Continue driving after a jump."""
         self._enter(_State.DRIVE, now)
         return None
 
@@ -178,7 +176,7 @@ class DriveTask(LegTask):
         if event.name == "drive_done":
             return LegEnd(LegResult.DONE, event.message)
         if event.name == "drive_stopped" and event.message == _BY_HAND:
-            return LegEnd(LegResult.OVERRIDDEN, "somebody stops the driving")
+            return LegEnd(LegResult.OVERRIDDEN, "another command source stops the drive")
         if event.name == "drive_failed":
             return LegEnd(LegResult.FAILED, event.message)
         if event.name == "drive_stuck":
@@ -209,12 +207,12 @@ class DriveTask(LegTask):
     # --- choosing --------------------------------------------------------------------------------
 
     def take_choices(self) -> list[Choice]:
-        """Return what was chosen since the last call, and forget it."""
+        """Return the choices since the last call and clear them."""
         taken, self._choices = self._choices, []
         return taken
 
     def _count_stuck(self, observed: ObservedState) -> None:
-        """The rover is stuck: here again, or somewhere else."""
+        """Count a wheel failure, at this place or at a new one."""
         self._detour_goal = None
         place = observed.place
         left = math.inf if place is None else math.hypot(place.x - self.leg.x, place.y - self.leg.y)
@@ -244,7 +242,7 @@ class DriveTask(LegTask):
             )
             return ProposedRequest(
                 Action.SLACKEN, request
-            )  # nothing moves, but what stands in its way is the same
+            )  # nothing moves, but the same interlocks apply
         return None
 
     def _choose(
@@ -263,12 +261,13 @@ class DriveTask(LegTask):
             mode = LocomotionMode.WHEELS
         elif mode is LocomotionMode.WHEELS and self._detours >= self.plan.jumps.max_detours:
             mode = LocomotionMode.JUMP
-            if assessment is not None and assessment.refused:
+            if assessment is not None and assessment.rejection:
                 return LegEnd(
-                    LegResult.FAILED, f"no detour is left, and no jump: {assessment.refused}"
+                    LegResult.FAILED,
+                    f"no detour left, and the jump is rejected: {assessment.rejection}",
                 )
         if mode is not choice.mode:
-            text = f"{choice.reason}; but of {choice.mode} none is left"
+            text = f"{choice.reason}; but no {choice.mode} left"
             choice = choice._replace(mode=mode, reason=text)
         self._choices.append(choice)
         self._last_mode = mode
@@ -289,7 +288,7 @@ class DriveTask(LegTask):
         return None
 
     def _may_drive_on(self, place: Place | None) -> bool:
-        """Whether the rover cannot turn here, and has not tried to drive on from here."""
+        """Whether the rover cannot turn here and has not tried a straight detour yet."""
         if place is None or not self._cannot_turn:
             return False
         tried = self._straight_detour_from
@@ -305,7 +304,7 @@ class DriveTask(LegTask):
         refused = refusal_of(events, topics.WINCH_REQUEST)
         if refused:
             return LegEnd(LegResult.FAILED, refused)
-        # Who led the tether still brings it to rest.
+        # The node that controlled the tether may still be stopping the winch.
         since = now - observed.since.get(topics.WINCH_MODE, -math.inf)
         if observed.winch_moving or since < _WINCH_REST_TIME:
             return None
@@ -315,7 +314,7 @@ class DriveTask(LegTask):
         if self.requested_at is not None:
             waits = now - self.requested_at < _SLACK_TIME
             given = observed.length - self._slack_start > _SLACK_FRACTION * slack
-            # A mission that was killed since had it given: the winch counts from the taut length.
+            # After a restart the slack may have been given already: the winch counts it from taut.
             if given or (not waits and observed.winch == "slack"):
                 self._slack_start = math.nan
                 self._enter(_State.JUMP, now)
@@ -339,7 +338,7 @@ class DriveTask(LegTask):
             return LegEnd(LegResult.FAILED, "the jump ended in a fault")
         self._left_ground |= observed.in_flight
         if observed.jump == "letting_down" and self.requested_at is not None:
-            return LegEnd(LegResult.FAILED, "the jump was broken off")
+            return LegEnd(LegResult.FAILED, "the jump was aborted")
         if self._left_ground and observed.jump == "standby":
             self._jumps += 1
             self.blackboard.jumps += 1
@@ -350,23 +349,23 @@ class DriveTask(LegTask):
         return None
 
     def _jump_request(self) -> JointSample:
-        """What is asked of the jump."""
+        """The request for the jump."""
         return joint_request(JUMP_STROKE, self._stroke)
 
     @property
     def jump_started(self) -> float:
-        """When slack and jump began [s]; infinite while it drives."""
+        """Start of the present jump attempt [s]; infinite while driving."""
         return math.inf if self._state is _State.DRIVE else self._entered
 
 
 class JumpTask(DriveTask):
-    """A jump where the rover stands, to see over the rubble."""
+    """Jumps in place, for a view over the rubble."""
 
     def __init__(self, leg: Leg, plan: MissionPlan, blackboard: Blackboard, now: float) -> None:
         super().__init__(leg, plan, blackboard, now)
         self._enter(_State.SLACKEN, now)
 
-    def _settled(self, now: float) -> LegEnd | None:  # noqa: ARG002 - nothing follows
+    def _settled(self, now: float) -> LegEnd | None:  # noqa: ARG002 - no further step
         return LegEnd(LegResult.DONE, "flown")
 
     def _jump_request(self) -> JointSample:

@@ -1,7 +1,7 @@
-"""What must not be while the mission moves something, and what clears it. Pure.
+"""Interlocks of the mission: conditions that forbid an action, and services that clear them. Pure.
 
-The mission asks for nothing that `INTERLOCKS` forbids at the time. Where `remedy` names a service,
-it calls that first; where there is none, it waits, and its leg ends by its time limit.
+The mission sends no request that `INTERLOCKS` forbids at that time. If `remedy` names a service,
+the mission calls it first; otherwise it waits, up to the time limit of the leg.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ from msg_schemas import topics
 from rover_control.observed_state import ObservedState
 
 TAUT = 2.0
-"""Pull [N] of the rover on the tether from which on it does not jump."""
+"""Net tether tension [N] above which the rover does not jump."""
 
 
 class Action(StrEnum):
-    """What the mission asks for."""
+    """Action that a request starts."""
 
-    DESCEND = "descend, ascend or turn, swing and attitude under control"
-    LOWER = "pay out until the floor carries the rover"
-    LIFT = "reel in a rover that stands"
+    DESCEND = "travel or turn under descent control"
+    LOWER = "pay out until touchdown"
+    LIFT = "reel in a standing rover"
     DRIVE = "drive"
     SLACKEN = "give slack"
     JUMP = "jump"
-    STOW = "give the drives back"
+    STOW = "release the actuators at the stow"
 
 
 class Condition(StrEnum):
-    """What may forbid it."""
+    """Condition that forbids an action."""
 
-    WINCH_SILENT = "the winch is not heard"
-    DRIVE_SILENT = "the driving is not heard"
-    STOPPED = "the winch was stopped"
+    WINCH_STALE = "the winch estimate is missing or stale"
+    DRIVE_STALE = "the odometry is missing or stale"
+    STOPPED = "the winch was stopped by an operator"
     FAULT = "the winch is in a fault"
     UNARMED = "the winch is not armed"
-    FLYING = "the rover flies, or comes to rest after a jump"
-    JUMP_FAULT = "the jump is in a fault"
-    COMPRESSED = "the latch may hold the spring"
-    DRIVING = "the rover is driven"
-    DESCENT = "the descent has winch and wheels"
+    FLYING = "a jump is in progress"
+    JUMP_FAULT = "the jump controller is in a fault"
+    COMPRESSED = "the spring may be compressed"
+    DRIVING = "the rover is driving"
+    DESCENT = "the descent controller holds winch and wheels"
     STANDING = "the rover stands on the floor"
     HANGING = "the rover hangs"
-    TAUT = "the tether pulls"
+    TAUT = "the tether is taut"
 
 
 _ALWAYS = (
-    Condition.WINCH_SILENT,
+    Condition.WINCH_STALE,
     Condition.STOPPED,
     Condition.FAULT,
     Condition.UNARMED,
@@ -62,19 +62,19 @@ INTERLOCKS: Mapping[Action, tuple[Condition, ...]] = MappingProxyType(
         Action.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
         Action.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
         Action.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
-        Action.DRIVE: (*_ALWAYS, Condition.DRIVE_SILENT, Condition.DESCENT, Condition.HANGING),
+        Action.DRIVE: (*_ALWAYS, Condition.DRIVE_STALE, Condition.DESCENT, Condition.HANGING),
         Action.SLACKEN: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING),
         Action.JUMP: (
             *_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING, Condition.TAUT,
         ),
-        Action.STOW: (Condition.WINCH_SILENT, Condition.FLYING, Condition.COMPRESSED),
+        Action.STOW: (Condition.WINCH_STALE, Condition.FLYING, Condition.COMPRESSED),
     }
 )  # fmt: skip
-"""What forbids each act; what stands first is cleared first."""
+"""Conditions that forbid each action, in the order in which they are cleared."""
 
 _HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
-    Condition.WINCH_SILENT: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
-    Condition.DRIVE_SILENT: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
+    Condition.WINCH_STALE: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
+    Condition.DRIVE_STALE: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
     Condition.STOPPED: lambda observed, _: observed.winch == "stop",
     Condition.FAULT: lambda observed, _: observed.winch == "fault",
     Condition.UNARMED: lambda observed, _: observed.winch in ("", "disarmed"),
@@ -85,29 +85,29 @@ _HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
     Condition.DESCENT: lambda observed, _: observed.descent_engaged,
     Condition.STANDING: lambda observed, _: observed.on_floor,
     Condition.HANGING: lambda observed, _: not observed.on_floor,
-    # A tension that is not known may be any.
+    # An unknown tension counts as taut.
     Condition.TAUT: lambda observed, _: not observed.net_tension <= TAUT,
 }
 
 
 def applies(condition: Condition, observed: ObservedState, now: float) -> bool:
-    """Whether something is so now [s]."""
+    """Whether a condition applies at a time [s]."""
     return _HOLDS[condition](observed, now)
 
 
 def violated_interlock(action: Action, observed: ObservedState, now: float) -> Condition | None:
-    """The first that forbids an act now [s]; None = it may be."""
+    """The first condition that forbids an action at a time [s]; None = allowed."""
     return next((each for each in INTERLOCKS[action] if applies(each, observed, now)), None)
 
 
 def remedy(condition: Condition, observed: ObservedState) -> str:
-    """The service that clears it; empty = nothing but time, or people, do."""
+    """The service that clears a condition; empty = wait for time or an operator."""
     if condition in (Condition.UNARMED, Condition.FAULT):
         return topics.WINCH_REARM
     if condition is Condition.JUMP_FAULT:
         return topics.JUMP_ABORT
     if condition is Condition.COMPRESSED:
-        # What is being compressed for somebody is his; what is let down takes its time.
+        # Another command source may be compressing the spring; letting it down takes time.
         return "" if observed.jump == "letting_down" else topics.JUMP_ABORT
     if condition is Condition.DRIVING:
         return topics.DRIVE_STOP

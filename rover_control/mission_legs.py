@@ -1,20 +1,20 @@
-"""How the legs of a mission are done: what each asks for, and when it is over. Pure.
+"""Leg tasks of the hanging rover: requests and completion criteria. Pure.
 
-A leg goes by what is seen now, so that it can be begun again at any time: after a hold, after a
-restart of the mission, or because the first trial failed.
+A task depends only on the observed state, so that it can start at any time: after a hold, after a
+restart of the mission, or after a failed trial.
 
 =========  ==================================================================================
-look       a stop of the descent with pictures
-turn       a heading that the descent turns to
-approach   a stop of the descent without pictures
-calm       the same after a rescue, where what is left of the swing is no reason to go on
-land       the winch pays out until the floor carries the rover
+look       stop of the descent controller with pictures
+turn       heading of the descent controller
+approach   stop without pictures
+damp       stop in a recovery; ends after a time limit whatever the residual swing
+land       the winch pays out until touchdown
 lift       the winch reels in until the rover hangs
-ascend     a stop of the descent at the stow
-stow       the descent gives winch and wheels back
+ascend     stop at the stow
+stow       the descent controller releases winch and wheels
 =========  ==================================================================================
 
-What is done on the floor stands in `mission_floor`.
+The tasks on the floor are in `mission_floor`.
 """
 
 from __future__ import annotations
@@ -46,20 +46,18 @@ from rover_control.mission_route import Leg, LegKind
 from rover_control.observed_state import ObservedState
 
 RESPONSE_TIMEOUT = 3.0
-"""In which a node shows that it does what it was asked [s]."""
-_RENEWAL_PERIOD = 0.25  # of a length that is gone to while it is renewed [s]
-_LENGTH_TOLERANCE = 0.03  # at a length [m]
-_LATCH_DELAY = 0.5  # within which the phase is heard of a descent that has ended a stop [s]
-_CONFIRM_TIME = (
-    2.0  # for so long the floor carries the rover, or the tether, before that is believed [s]
-)
-_DEPTH_TOLERANCE = 0.1  # at a depth where what is left of the swing does not keep the mission [m]
+"""Time in which a node must respond to a request [s]."""
+_RENEWAL_PERIOD = 0.25  # of a renewed length request [s]
+_LENGTH_TOLERANCE = 0.03  # [m]
+_LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
+_CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
+_DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
 _DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 240.0}
-"""How long the swing is damped there [s]."""
+"""Time for damping at the depth [s]."""
 
 
 class MissionPhase(StrEnum):
-    """What the mission is doing; words of the contract."""
+    """Phase of the mission, as published."""
 
     STANDBY = "standby"
     LOOKING = "looking"
@@ -95,53 +93,53 @@ class LegLimits:
     stuck_jump_timeout: float = parameter(60.0, "s", "slack and jump where stuck", 5.0, 1e4)
 
     def of(self, kind: LegKind) -> float:
-        """Time limit [s] of a trial of a leg."""
+        """Time limit [s] of a trial."""
         limit: float = getattr(self, f"{kind}_timeout")
         return limit
 
 
 class Request(NamedTuple):
-    """A request on a topic, or the call of a service where it has no sample."""
+    """A request on a topic, or a service call if it has no sample."""
 
     name: str
     sample: Sample | None = None
 
 
 class ProposedRequest(NamedTuple):
-    """What a leg wants to request for, where the interlocks let it."""
+    """A request that a task proposes, subject to the interlocks."""
 
     action: Action
     request: Request
-    pause: float = RESPONSE_TIMEOUT  # before it is asked again [s]
-    moves_winch: bool = False  # the winch moves for it, and is held where that is forbidden
+    pause: float = RESPONSE_TIMEOUT  # before it is repeated [s]
+    moves_winch: bool = False  # the winch moves for it, and is held if the request is forbidden
 
 
 class LegResult(Enum):
-    """How a trial of a leg has ended."""
+    """Result of a trial of a leg."""
 
     DONE = auto()
-    FAILED = auto()  # it may be tried again
-    ABANDONED = auto()  # trying again is of no use
-    OVERRIDDEN = auto()  # somebody else has taken over
+    FAILED = auto()  # another trial is possible
+    ABANDONED = auto()  # another trial is useless
+    OVERRIDDEN = auto()  # another command source has taken over
 
 
 class LegEnd(NamedTuple):
-    """That a trial of a leg is over."""
+    """End of a trial of a leg."""
 
     result: LegResult
     reason: str
-    is_external: bool = False  # refused, or waited for; wherever the rover stands
+    is_external: bool = False  # caused by another node, wherever the rover stands
 
 
 @dataclass
 class Blackboard:
-    """What the legs leave to those after them; kept over a restart.
+    """Data shared between legs; saved in the checkpoint.
 
     Attributes:
-        floor: length at which the floor was touched [m]; NaN = not yet.
-        turned_from: heading of the descent's controller where the mission began [rad].
-        pictures: that were taken.
-        jumps: that were flown.
+        floor_length: tether length at touchdown [m]; NaN = no touchdown yet.
+        initial_heading: heading of the descent controller at the start of the mission [rad].
+        pictures: number taken.
+        jumps: number performed.
     """
 
     floor_length: float = math.nan
@@ -154,10 +152,10 @@ class LegTask(ABC):
     """One trial of a leg.
 
     Args:
-        leg: what is to be done.
-        plan: of the whole mission.
-        notes: of the legs before, and for those after.
-        now: [s].
+        leg: the leg.
+        plan: of the mission.
+        blackboard: data shared between legs.
+        now: time [s].
     """
 
     phase: MissionPhase
@@ -167,10 +165,10 @@ class LegTask(ABC):
         self.plan = plan
         self.blackboard = blackboard
         self.started = now
-        self.requested_at: float | None = None  # when the leg's own request was sent last [s]
+        self.requested_at: float | None = None  # time of the last request of this task [s]
 
     def on_sent(self, request: Request, now: float) -> None:
-        """What was wished has been asked for."""
+        """Record that a request of this task was sent."""
         if request.sample is not None:
             self.requested_at = now
 
@@ -178,23 +176,23 @@ class LegTask(ABC):
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """What is wanted now, or how it has ended; None = nothing but to wait."""
+        """Propose the next request, or report the end; None = wait."""
 
     def _override_of(self, events: Sequence[Status]) -> str:
-        """Who holds the winch that this leg has moved; empty = nobody."""
+        """Who has taken over the winch during this task; empty = nobody."""
         for event in events:
             held = event.name == "winch_hold" and event.message == "asked to hold"
             if held and self.requested_at is not None:
-                return "somebody holds the winch"
+                return "another command source holds the winch"
         return ""
 
     def _is_overdue(self, now: float) -> bool:
-        """Whether what was asked for should have shown by now."""
+        """Whether the response to the last request is overdue."""
         return self.requested_at is not None and now - self.requested_at > RESPONSE_TIMEOUT
 
 
 def refusal_of(events: Sequence[Status], topic: str) -> str:
-    """Why a topic's taker has refused; empty = it did not."""
+    """Reason of a refusal on a topic; empty = none."""
     for status in events:
         if status.name.endswith(f": refused {topic}"):
             return status.message
@@ -202,12 +200,12 @@ def refusal_of(events: Sequence[Status], topic: str) -> str:
 
 
 def joint_request(name: str, position: float, velocity: float = 0.0) -> JointSample:
-    """A request that is about one joint."""
+    """A request for one joint."""
     return JointSample(0, {name: JointValue(position, velocity, 0.0)})
 
 
 def event_value(status: Status, name: str) -> float:
-    """A value of an event; NaN where it has none."""
+    """A value of an event; NaN if missing."""
     try:
         return float(status.values[name])
     except (KeyError, ValueError):
@@ -218,7 +216,7 @@ def event_value(status: Status, name: str) -> float:
 
 
 class StopTask(LegTask):
-    """A depth that the descent goes to, with pictures or without."""
+    """Travels to a depth under descent control, with or without pictures."""
 
     def __init__(self, leg: Leg, plan: MissionPlan, blackboard: Blackboard, now: float) -> None:
         super().__init__(leg, plan, blackboard, now)
@@ -229,16 +227,16 @@ class StopTask(LegTask):
             LegKind.ASCEND: MissionPhase.ASCENDING,
         }[leg.kind]
         self._there_since = math.inf
-        self._is_cleared = False  # of stops that somebody has left
+        self._is_cleared = False  # of stops from an earlier command source
         self._was_interrupted = False
 
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Ask for the stop once, and see that it goes on."""
+        """Request the stop once and monitor it."""
         looks = self.leg.kind is LegKind.LOOK
         if not observed.descent:
-            return None  # what it does is latched, and will be heard
+            return None  # its phase is latched and will arrive
         if math.isnan(self.blackboard.initial_heading) and not math.isnan(observed.heading):
             self.blackboard.initial_heading = observed.heading
         if self.requested_at is not None:
@@ -250,7 +248,7 @@ class StopTask(LegTask):
             if refused and observed.descent in ("released", "standby"):
                 return LegEnd(LegResult.FAILED, refused)
             if refused and observed.descent == "holding":
-                # It was held before it was asked: that is cleared first.
+                # It was holding before the request: clear that first.
                 self.requested_at, self._is_cleared = None, False
         patience = _DAMPING_TIME.get(self.leg.kind, math.inf)
         if patience < math.inf and self.requested_at is not None:
@@ -260,7 +258,7 @@ class StopTask(LegTask):
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
         if observed.descent == "holding" and self.requested_at is not None:
             if not self._was_interrupted:
-                return LegEnd(LegResult.OVERRIDDEN, "somebody holds the descent")
+                return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
             return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_RESUME))
         if not self._is_cleared and self.requested_at is None:
             if observed.descent_busy and now - self.started < _LATCH_DELAY:
@@ -281,7 +279,7 @@ class StopTask(LegTask):
         return None
 
     def _idle_since(self, observed: ObservedState) -> float:
-        # A descent that has just engaged stands by to learn the swing first.
+        # A descent that has just engaged first estimates the swing in standby.
         since = observed.since.get(topics.DESCENT_PHASE, -math.inf)
         return since + (30.0 if observed.descent == "standby" else 0.0)
 
@@ -297,7 +295,7 @@ class StopTask(LegTask):
 
 
 class TurnTask(LegTask):
-    """A heading about the plumb line."""
+    """Turns to a heading about the plumb line."""
 
     phase = MissionPhase.TURNING
 
@@ -305,9 +303,9 @@ class TurnTask(LegTask):
         self,
         observed: ObservedState,
         events: Sequence[Status],
-        now: float,  # noqa: ARG002 - it goes by no time of its own
+        now: float,  # noqa: ARG002 - no time limit of its own
     ) -> ProposedRequest | LegEnd | None:
-        """Ask once: what cannot be reached or held is refused, and then left."""
+        """Request the turn once; abandon it on a refusal."""
         if self.requested_at is None:
             if observed.descent_busy:
                 return None
@@ -323,40 +321,40 @@ class TurnTask(LegTask):
 
 
 class LandTask(LegTask):
-    """The winch pays out until the floor carries the rover."""
+    """Lands: the winch pays out until touchdown."""
 
     phase = MissionPhase.LANDING
 
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Renew the length on the way."""
+        """Renew the length request until touchdown."""
         if observed.on_floor:
             if now - observed.on_floor_since < _CONFIRM_TIME:
                 return None
             self.blackboard.floor_length = observed.length
             observed.set_down(self._heading(observed))
-            return LegEnd(LegResult.DONE, f"the floor carries the rover at {observed.length:.2f} m")
+            return LegEnd(LegResult.DONE, f"touchdown at {observed.length:.2f} m")
         taken = self._override_of(events)
         if taken:
             return LegEnd(LegResult.OVERRIDDEN, taken)
         if observed.length > self.leg.depth - _LENGTH_TOLERANCE and not observed.winch_moving:
-            return LegEnd(LegResult.FAILED, f"no floor down to {observed.length:.2f} m")
-        # Those who had the winch before may still bring it to rest.
+            return LegEnd(LegResult.FAILED, f"no touchdown down to {observed.length:.2f} m")
+        # The previous user of the winch may still be stopping it.
         if self.requested_at is None and observed.winch_moving and not observed.descent_engaged:
             return None
         rate = self.plan.landing.rate if self.plan.landing is not None else 0.0
         return _length(Action.LOWER, self.leg.depth, rate)
 
     def _heading(self, observed: ObservedState) -> float:
-        """In map, as far as the descent's gyro tells."""
+        """Heading in map [rad], from the descent controller's gyro."""
         turned = observed.heading - self.blackboard.initial_heading
         initial = math.radians(self.plan.heading)
         return math.remainder(initial + (0.0 if math.isnan(turned) else turned), math.tau)
 
 
 class LiftTask(LegTask):
-    """The winch reels in until the rover hangs; far from the plumb line it hauls it there first."""
+    """Lifts the rover off the floor; far from the plumb line, hauls it there first."""
 
     phase = MissionPhase.LIFTING
 
@@ -367,7 +365,7 @@ class LiftTask(LegTask):
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Renew the length on the way, which leads from where the floor was touched."""
+        """Renew the length request, up to a height above the touchdown length."""
         if math.isnan(self._goal):
             floor = self.blackboard.floor_length
             self._goal = (observed.length if math.isnan(floor) else floor) - self.plan.lift.height
@@ -376,9 +374,7 @@ class LiftTask(LegTask):
         if there and hangs:
             return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
         if there and now - self.started > 2.0 * _CONFIRM_TIME and observed.on_floor:
-            return LegEnd(
-                LegResult.FAILED, f"the rover is still carried at {observed.length:.2f} m"
-            )
+            return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
         taken = self._override_of(events)
         if taken:
             return LegEnd(LegResult.OVERRIDDEN, taken)
@@ -387,9 +383,10 @@ class LiftTask(LegTask):
             observed.place is None or math.hypot(observed.place.x, observed.place.y) > lift.radius
         )
         for event in events:
-            # The winch holds by itself; what it hauls over rubble comes free again, or in time not.
+            # The winch stops at a snag by itself; hauling over rubble frees it, or the time limit
+            # ends it.
             if event.name == "alarm_snag" and not hauls:
-                return LegEnd(LegResult.FAILED, f"the tether is held: {event.message}")
+                return LegEnd(LegResult.FAILED, f"the tether is snagged: {event.message}")
         if there:
             return None
         rate = min(lift.rate, self.plan.recovery.rate) if hauls else lift.rate
@@ -397,37 +394,37 @@ class LiftTask(LegTask):
 
 
 class WinchAscentTask(LegTask):
-    """An ascent by the winch alone, where the descent cannot: what swings then swings more."""
+    """Ascends by the winch alone where the descent controller cannot; the swing is not damped."""
 
     phase = MissionPhase.ASCENDING
 
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Renew the length on the way."""
+        """Renew the length request."""
         taken = self._override_of(events)
         if taken:
             return LegEnd(LegResult.OVERRIDDEN, taken)
         snag = next((event for event in events if event.name == "alarm_snag"), None)
         if snag is not None and now - self.started > _CONFIRM_TIME:
-            return LegEnd(LegResult.FAILED, f"the tether is held: {snag.message}")
+            return LegEnd(LegResult.FAILED, f"the tether is snagged: {snag.message}")
         if abs(observed.length - self.leg.depth) < _LENGTH_TOLERANCE and not observed.winch_moving:
-            return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, by the winch alone")
+            return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m by the winch alone")
         return _length(Action.LIFT, self.leg.depth, self.plan.lift.rate)
 
 
 class StowTask(LegTask):
-    """The descent gives the drives back."""
+    """Releases the descent controller's actuators."""
 
     phase = MissionPhase.STOWING
 
     def step(
         self,
         observed: ObservedState,
-        events: Sequence[Status],  # noqa: ARG002 - what is engaged says enough
+        events: Sequence[Status],  # noqa: ARG002 - the phase of the descent suffices
         now: float,  # noqa: ARG002
     ) -> ProposedRequest | LegEnd | None:
-        """Release what is engaged."""
+        """Release an engaged descent controller."""
         if not observed.descent_engaged and not observed.winch_moving:
             return LegEnd(LegResult.DONE, f"stowed at {observed.length:.2f} m")
         if not observed.descent_engaged:

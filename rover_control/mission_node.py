@@ -1,4 +1,4 @@
-"""The ``mission_node`` executable: takes the rover through a whole mission, on request."""
+"""``mission_node``: supervises a whole mission, on request."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from rover_control.mission_plan import load_plan
 from rover_control.mission_report import state_sample
 from rover_control.observed_state import OBSERVED_TOPICS
 
-# The controller's parameters are parts of its own, by their name there.
+# Each group of the supervisor's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(MissionSettings(), part.name)) for part in fields(MissionSettings)
 }
-_CHECKPOINT_PERIOD = 1.0  # by the wall clock [s]
+_CHECKPOINT_PERIOD = 1.0  # wall time [s]
 _REQUESTS = (
     topics.WINCH_REQUEST,
     topics.DESCENT_REQUEST,
@@ -66,20 +66,20 @@ class MissionNodeParameters:
 
 
 class MissionNode(ContractNode):
-    """Takes the rover through a mission by asking the other nodes."""
+    """ROS node of the mission supervisor."""
 
     NAME = "mission_node"
     PARAMETERS = (MissionNodeParameters, *_PARTS.values())
 
     def setup(self) -> None:
-        """Read the plan; open topics and services."""
+        """Read the plan; create publishers, subscriptions and services."""
         own = self.parameters_of(MissionNodeParameters)
         self._plan = load_plan(own.plan)
         self._file = self._checkpoint_file(own.checkpoint)
         self._request_publishers = {name: self.publisher(name) for name in _REQUESTS}
         self._phase_publisher = self.publisher(topics.MISSION_PHASE)
         self._state_publisher = self.publisher(topics.MISSION_STATE)
-        self._requesters: dict[str, str] = {}  # by what name each topic's last request is answered
+        self._requesters: dict[str, str] = {}  # sender of the last request on each topic
         self._request_count = 0
         self._begin()
         for name in OBSERVED_TOPICS:
@@ -96,11 +96,11 @@ class MissionNode(ContractNode):
         self.serve(topics.MISSION_ABORT, lambda: self._respond(self._mission.abort(self.now_ns())))
 
     def configuration(self) -> Mapping[str, Any]:
-        """The plan, beside the parameters."""
+        """The plan, in addition to the parameters."""
         return {"mission": to_mapping(self._plan)}
 
     def start(self) -> None:
-        """Go on from where it was kept, where that is of this run; else stand by."""
+        """Resume from a valid checkpoint; otherwise start in standby."""
         self._begin()
         rates = self.parameters_of(MissionNodeParameters)
         self.every(1.0 / rates.supervision_rate, self._step)
@@ -108,23 +108,23 @@ class MissionNode(ContractNode):
         self.every(_CHECKPOINT_PERIOD, self._save_checkpoint, by_wall_clock=True)
 
     def stop(self) -> None:
-        """Bring to rest what the mission has set going; it is resumed by people alone."""
+        """Bring the mission's motions to rest; only an operator resumes it."""
         if self._mission.is_active:
             self._mission.hold(self.now_ns())
             self._step()
         self._save_checkpoint()
 
     def parameters_changed(self) -> None:
-        """Take new patience at once."""
+        """Apply new parameters at once."""
         if self.active:
             self._mission.settings = self._settings()
 
     def clock_jumped(self) -> None:
-        """Start over: what was timed means nothing any more."""
+        """Restart the supervisor: all its times are invalid."""
         if not self.active:
             return
         if self._mission.is_active or self._mission.phase is not MissionPhase.STANDBY:
-            text = f"the clock has jumped in {self._mission.phase}: the mission is over"
+            text = f"the clock jumped in phase {self._mission.phase}; the mission has ended"
             self.event("mission_forgotten", text, Level.WARN)
         previous = self._published_phase
         self._begin()
@@ -133,13 +133,13 @@ class MissionNode(ContractNode):
             self._published_phase = previous
 
     def waiting_for(self) -> tuple[str, ...]:
-        """The winch, without which no mission begins."""
+        """The winch estimate, if stale; no mission begins without it."""
         now = self.now_ns() * 1e-9
         silent = self._mission.observed.is_stale(topics.WINCH_ESTIMATE, now)
         return (topics.WINCH_ESTIMATE,) if silent else ()
 
     def health(self) -> tuple[Status, ...]:
-        """The phase, and what keeps it from going on."""
+        """Phase, and what the mission is waiting for."""
         if not self.active:
             return ()
         mission = self._mission
@@ -167,7 +167,7 @@ class MissionNode(ContractNode):
             self._mission.receive(topics.EVENTS, previous, self.now_ns())
 
     def _on_diagnostics(self, sample: StatusSample) -> None:
-        """Refusals of what the mission has asked for; others' are theirs."""
+        """Process refusals of the mission's own requests."""
         ours = tuple(
             each
             for each in sample.statuses
@@ -189,7 +189,7 @@ class MissionNode(ContractNode):
         last_samples = getattr(self, "_last_samples", {})
         self._mission = Mission(self._plan, self._settings())
         self._last_samples = last_samples
-        # What is latched is not said again.
+        # Latched topics are not sent again.
         for name, sample in last_samples.items():
             if isinstance(sample, TextSample) or name == topics.WINCH_ALARMS:
                 self._mission.receive(name, sample, self.now_ns())
@@ -219,7 +219,7 @@ class MissionNode(ContractNode):
             )
             return
         if isinstance(sample, PoseSample):
-            # In a frame there is no room for a name: it is answered by its stamp.
+            # A pose carries no sender name: its refusal is recognized by the time stamp.
             self._requesters[request.name] = f"{now_ns} ns"
             pose = PoseSample(now_ns, sample.position, sample.orientation)
             self._request_publishers[request.name].send(pose)
@@ -244,7 +244,7 @@ class MissionNode(ContractNode):
     def _publish_state(self) -> None:
         self._state_publisher.send(state_sample(self._mission, self.now_ns()))
 
-    # --- over a restart --------------------------------------------------------------------------
+    # --- checkpoint ------------------------------------------------------------------------------
 
     def _checkpoint_file(self, word: str) -> Path | None:
         if word == "none":
@@ -256,7 +256,7 @@ class MissionNode(ContractNode):
         return home / "mother_rover" / f"{name}.json"
 
     def _save_checkpoint(self) -> None:
-        """Write how far the mission is, so that a kill at any moment leaves the last or this."""
+        """Write the checkpoint atomically: a kill leaves either the old or the new one."""
         if self._file is None or not self._is_restored:
             return
         saved = {**self._mission.checkpoint(self.now_ns()), "wall": time.time()}
@@ -267,22 +267,22 @@ class MissionNode(ContractNode):
             partial.replace(self._file)
         except OSError as error:
             name = f"{self.NAME}: checkpoint"
-            self.report(Status(name, f"not kept: {error}", Level.WARN, self.NAME))
+            self.report(Status(name, f"not written: {error}", Level.WARN, self.NAME))
 
     def _restore(self, now_ns: int) -> None:
-        """Go on from what was kept; what cannot be read is previous and left."""
+        """Resume from the checkpoint file; a file that cannot be read is reported and ignored."""
         if self._file is None or not self._file.exists():
             return
         try:
             saved = json.loads(self._file.read_text(encoding="utf-8"))
-            # Simulated time may have stood still meanwhile, or be another run's.
+            # Simulated time may have stood still during the downtime, or belong to another run.
             age = max(time.time() - float(saved["wall"]), 0.0)
             within = self._mission.settings.mission.resume_window
             if age > within:
                 saved["stamp_ns"] = min(int(saved["stamp_ns"]), now_ns - round(age * 1e9))
             self._mission.restore(saved, now_ns)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            text = f"{self._file} cannot be read, the mission begins anew: {error!r}"
+            text = f"cannot read {self._file}, the mission starts anew: {error!r}"
             self.event("mission_forgotten", text, Level.WARN)
 
 

@@ -1,4 +1,4 @@
-"""What the mission tells of itself, as samples of the contract. Pure."""
+"""Published samples of the mission supervisor. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rover_control.mission import Mission
 
 
 def state_sample(mission: Mission, now_ns: int) -> JointSample:
-    """How far the mission is."""
+    """Progress of the mission."""
     number = mission.route.number
     values = {
         MISSION_LEG: number,

@@ -1,4 +1,4 @@
-"""The legs of a mission: what is made of its plan, and which of them comes next. Pure."""
+"""Route of a mission: the legs derived from its plan, and the present one. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rover_control.mission_plan import MissionPlan
 
 
 class LegKind(StrEnum):
-    """What a leg of the mission does."""
+    """Kind of a leg."""
 
     LOOK = "look"
     TURN = "turn"
@@ -28,7 +28,7 @@ class LegKind(StrEnum):
 
     @property
     def is_on_floor(self) -> bool:
-        """Whether the rover stands when it begins."""
+        """Whether the leg begins on the floor."""
         return self in (LegKind.VISIT, LegKind.JUMP, LegKind.RETURN, LegKind.LIFT)
 
 
@@ -37,9 +37,9 @@ class Leg:
     """One leg of a mission.
 
     Attributes:
-        depth: that it leads to, as length at the drum [m].
-        angle: to turn by [rad].
-        x, y, heading: where it leads to on the floor [m, rad]; a heading of NaN is left open.
+        depth: destination, as tether length at the drum [m].
+        angle: of a turn [rad].
+        x, y, heading: destination on the floor in map [m, rad]; heading NaN = any.
         height: of a jump [m].
     """
 
@@ -54,12 +54,12 @@ class Leg:
 
 
 def itinerary(plan: MissionPlan) -> tuple[Leg, ...]:
-    """The legs of a mission, in their order."""
+    """All legs of a mission, in order."""
     return (*_outbound_legs(plan), *homeward_legs(plan, on_floor=plan.landing is not None))
 
 
 def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
-    """The legs that lead back to the stow, from the floor or from where the rover hangs."""
+    """The legs back to the stow, from the floor or from a hanging position."""
     up = (
         Leg(LegKind.ASCEND, f"ascend to {plan.stow:g} m", depth=plan.stow),
         Leg(LegKind.STOW, "stow"),
@@ -71,11 +71,11 @@ def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
 
 
 def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
-    """The legs that take the rover off the floor and set it down below the fairlead.
+    """The legs that lift the rover off the floor and set it down below the fairlead.
 
     Args:
-        plan: one with a landing.
-        number: of the rescue, from 1.
+        plan: a plan with a landing.
+        number: of the recovery, from 1.
     """
     landing = plan.landing
     assert landing is not None
@@ -113,64 +113,64 @@ def _outbound_legs(plan: MissionPlan) -> Iterator[Leg]:
 
 
 class Route:
-    """The legs of one mission, or of its way home, and how far it is.
+    """Legs of a mission or of its return, and the progress along them.
 
     Args:
         plan: of the mission.
 
     Attributes:
-        legs: all, in their order; recoveries are put in as they become necessary.
+        legs: all legs in order; recoveries are inserted when needed.
     """
 
     def __init__(self, plan: MissionPlan) -> None:
         self.plan = plan
         self.legs = itinerary(plan)
         self._index = 0
-        self._home: bool | None = None  # whether the way home began on the floor; None: no way home
-        self._recoveries: list[int] = []  # where in `legs` they were put in
+        self._home: bool | None = None  # whether the return began on the floor; None: no return
+        self._recoveries: list[int] = []  # their indices in `legs`
 
     @property
     def leg(self) -> Leg | None:
-        """The leg that is done or comes next; None = none is left."""
+        """The active or next leg; None = no leg remains."""
         return self.legs[self._index] if self._index < len(self.legs) else None
 
     @property
     def number(self) -> int:
-        """Of the leg, from 1; 0 where none is left."""
+        """Number of the leg, from 1; 0 = no leg remains."""
         return self._index + 1 if self.leg is not None else 0
 
     @property
     def recoveries(self) -> int:
-        """How many were put in."""
+        """Number of recoveries so far."""
         return len(self._recoveries)
 
     def begin(self, *, on_floor: bool) -> None:
-        """The whole mission; of a rover that stands already from its first leg on the floor."""
+        """Start the whole mission; a standing rover starts with the first leg on the floor."""
         self.legs = itinerary(self.plan)
         floor_legs = [leg.kind.is_on_floor for leg in self.legs]
         self._index = floor_legs.index(True) if on_floor and True in floor_legs else 0
         self._home, self._recoveries = None, []
 
     def begin_home(self, *, on_floor: bool) -> None:
-        """The way home."""
+        """Start the return."""
         self.legs = homeward_legs(self.plan, on_floor=on_floor)
         self._index, self._home, self._recoveries = 0, on_floor, []
 
     def rewind(self) -> None:
-        """The mission is over; what comes next would be its first leg."""
+        """Reset to the first leg after the end of the mission."""
         self._index, self._home = 0, None
 
     def advance(self) -> None:
-        """To the next leg."""
+        """Go on to the next leg."""
         self._index += 1
 
     def leave_floor(self) -> None:
-        """Past all that is done on the floor."""
+        """Skip the legs on the floor."""
         while self.legs[self._index].kind.is_on_floor:
             self._index += 1
 
     def insert_recovery(self) -> None:
-        """Put a rescue before the present leg of a mission that lands."""
+        """Insert a recovery before the present leg of a mission with a landing."""
         self._insert_recovery(self._index)
 
     def _insert_recovery(self, index: int) -> None:
@@ -179,11 +179,11 @@ class Route:
         self.legs = (*self.legs[:index], *legs, *self.legs[index:])
 
     def checkpoint(self) -> dict[str, Any]:
-        """How far it is, as JSON values."""
+        """Progress as JSON values."""
         return {"home": self._home, "recoveries": list(self._recoveries), "leg": self._index}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint of the same plan."""
+        """Resume from a checkpoint of the same plan."""
         if saved["home"] is None:
             self.begin(on_floor=False)
         else:

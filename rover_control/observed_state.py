@@ -1,4 +1,4 @@
-"""What the mission sees: what the nodes that it asks tell of themselves and of the rover. Pure."""
+"""State of rover and nodes as the mission observes it on their topics. Pure."""
 
 from __future__ import annotations
 
@@ -34,13 +34,15 @@ _IN_FLIGHT = frozenset({"releasing", "flight", "landed", "hooking"})
 _IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
 _WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
 NUT_ZERO = 2.0e-3
-"""Compression [m] up to which the nut counts as clear of the spring."""
+"""Compression [m] up to which the spring counts as released."""
 _NO_TOUCHDOWN_MODES = frozenset(
     {"", "disarmed", "fault"}
-)  # modes of a winch that does not feel for the floor
-_HANG_TIME = 15.0  # so long: a winch that was started again has to find that the rover stands [s]
-_ROLLOVER_TIME = 3.0  # so long, before that is believed [s]
-_MAX_STEP, _MAX_TURN = 0.3, 0.3  # between two poses that one odometry tells [m], [rad]
+)  # modes in which the winch does not detect touchdown
+_HANG_TIME = (
+    15.0  # time before a hanging rover counts: a restarted winch must first detect touchdown [s]
+)
+_ROLLOVER_TIME = 3.0  # time before a rollover counts [s]
+_MAX_STEP, _MAX_TURN = 0.3, 0.3  # largest step between two poses of one odometry [m], [rad]
 
 OBSERVED_TOPICS = (
     *_PHASE_TOPICS,
@@ -53,12 +55,12 @@ OBSERVED_TOPICS = (
     topics.EVENTS,
     topics.DIAGNOSTICS,
 )
-"""Topics that the mission must be reported of."""
+"""Topics that the mission subscribes to."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where base_link is on the floor, in map [m, rad]."""
+    """Pose of base_link on the floor, in map [m, rad]."""
 
     x: float
     y: float
@@ -69,41 +71,43 @@ _ORIGIN = Place(0.0, 0.0, 0.0)
 
 
 class ObservedState:
-    """The last that was heard of everybody.
+    """Last values received.
 
     Args:
-        silence: after which a node that tells of itself all the time is lost [s].
+        timeout: age at which a periodic topic is stale [s].
     """
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout
         self.phases: dict[str, str] = {}
-        self.since: dict[str, float] = {}  # when each word was said first [s]
-        self.on_floor = False  # something else than the tether carries most of the rover
+        self.since: dict[str, float] = {}  # time of the last change of each phase [s]
+        self.on_floor = False  # whether the winch reports touchdown
         self.on_floor_since = -math.inf
-        self.length = math.nan  # paid out at the drum [m]
-        self.net_tension = math.nan  # of the rover on the tether, beyond the tether's weight [N]
-        self.nut = math.nan  # compression at which the nut stands [m]
-        self.heading = math.nan  # of the hanging rover since its controller's start [rad]
-        self.slope = math.nan  # of what the rover stands on, by its tilt [rad]
-        self._tilted_since = math.inf  # as if it lay on its side [s]
-        self.drop = math.nan  # of the tether's attachment below the fairlead, on the floor [m]
-        self.place: Place | None = None  # where the rover is, as the mission goes by it
-        self.reported_place: Place | None = None  # where drive_node says it is
+        self.length = math.nan  # paid-out length at the drum [m]
+        self.net_tension = math.nan  # tether tension less the tether's weight [N]
+        self.nut = math.nan  # position of the nut as compression [m]
+        self.heading = (
+            math.nan
+        )  # of the hanging rover since the start of the descent controller [rad]
+        self.slope = math.nan  # inclination of the standing rover [rad]
+        self._tilted_since = math.inf  # start of the present rollover [s]
+        self.drop = math.nan  # depth of the tether attachment below the fairlead, on the floor [m]
+        self.place: Place | None = None  # pose that the mission uses
+        self.reported_place: Place | None = None  # pose from drive_node
         self._received_at: dict[str, float] = {}
         self._events: list[Status] = []
         self._begun_ns: int | None = None
 
-    # --- heard -----------------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def receive(self, topic: str, sample: Sample, now_ns: int) -> None:
-        """Take what was said on one of `HEARD`."""
+        """Process a sample on one of `OBSERVED_TOPICS`."""
         now = now_ns / _NANO
         if self._begun_ns is None:
             self._begun_ns = now_ns
         self._received_at[topic] = now
         if isinstance(sample, StatusSample):
-            # What happened before is reported again to who comes late.
+            # Past events are latched and sent to late subscribers: ignore them.
             if topic != topics.EVENTS or sample.stamp_ns >= self._begun_ns:
                 self._events += sample.statuses
         elif isinstance(sample, TextSample):
@@ -146,7 +150,7 @@ class ObservedState:
         followed = (
             before is not None and self.place is not None and _is_continuous(before, self.place)
         )
-        # An odometry that begins anew leaps to where maps begin; where it was is remembered.
+        # A restarted odometry starts at the origin: keep the last pose.
         begins_anew = (
             before is not None
             and not _is_continuous(before, reported)
@@ -157,27 +161,27 @@ class ObservedState:
 
     @property
     def place_agrees(self) -> bool:
-        """Whether drive_node goes by the place that the mission goes by."""
+        """Whether drive_node uses the pose that the mission uses."""
         reported, place = self.reported_place, self.place
         return reported is not None and place is not None and _is_continuous(reported, place)
 
     def take_events(self) -> list[Status]:
-        """Return the events and refusals that were reported since the last call."""
+        """Return the events and refusals since the last call and clear them."""
         taken, self._events = self._events, []
         return taken
 
-    # --- what it means ---------------------------------------------------------------------------
+    # --- derived state ---------------------------------------------------------------------------
 
     def is_stale(self, topic: str, now: float) -> bool:
-        """Whether a topic that is reported all the time was not heard for too long."""
+        """Whether a periodic topic has not been received within the timeout."""
         return now - self._received_at.get(topic, -math.inf) > self.timeout
 
     def has_rolled_over(self, now: float) -> bool:
-        """Whether the rover lies on its side, or on its back."""
+        """Whether the rover lies on its side or back."""
         return now - self._tilted_since > _ROLLOVER_TIME
 
     def has_hung(self, now: float, begun: float) -> bool:
-        """Whether a rover that should stand since a time [s] has hung for a while."""
+        """Whether a rover that should stand since `begun` [s] has been hanging for a while."""
         if self.on_floor or topics.WINCH_ALARMS not in self._received_at:
             return False
         known = (
@@ -186,66 +190,66 @@ class ObservedState:
         return known and now - max(self.on_floor_since, begun) > _HANG_TIME
 
     def set_down(self, heading: float) -> None:
-        """The rover stands below the fairlead.
+        """Set the pose to that of a rover just landed below the fairlead.
 
         Args:
-            heading: in map, where the odometry has not followed it from a place before [rad].
+            heading: in map [rad], used if the odometry has not tracked it.
         """
         self.place = Place(0.0, 0.0, heading if self.place is None else self.place.heading)
 
     @property
     def winch(self) -> str:
-        """Mode of the winch; empty = never heard."""
+        """Mode of the winch; empty = never received."""
         return self.phases.get(topics.WINCH_MODE, "")
 
     @property
     def descent(self) -> str:
-        """Phase of the descent."""
+        """Phase of the descent controller."""
         return self.phases.get(topics.DESCENT_PHASE, "")
 
     @property
     def drive(self) -> str:
-        """Phase of the driving."""
+        """Phase of the drive controller."""
         return self.phases.get(topics.DRIVE_PHASE, "")
 
     @property
     def jump(self) -> str:
-        """Phase of the jump."""
+        """Phase of the jump controller."""
         return self.phases.get(topics.JUMP_PHASE, "")
 
     @property
     def descent_engaged(self) -> bool:
-        """Whether the descent has winch, wheels and flywheel."""
+        """Whether the descent controller holds winch, wheels and flywheel."""
         return self.descent not in ("", "released")
 
     @property
     def descent_busy(self) -> bool:
-        """Whether it is on its way to something."""
+        """Whether the descent controller is moving the rover."""
         return self.descent not in _IDLE_DESCENT
 
     @property
     def is_driving(self) -> bool:
-        """Whether the rover is driven."""
+        """Whether the rover is driving."""
         return self.drive in _DRIVES
 
     @property
     def spring_compressed(self) -> bool:
-        """Whether the latch holds the spring, or the nut stands where it may."""
+        """Whether the latch holds the spring, or the nut's position allows it."""
         prepares = self.jump not in _NO_JUMP and not self.in_flight
         return prepares or self.nut > NUT_ZERO
 
     @property
     def in_flight(self) -> bool:
-        """Whether a jump is on its way from the release to the latch that is hooked again."""
+        """Whether a jump is in progress, from release until the latch is hooked again."""
         return self.jump in _IN_FLIGHT
 
     @property
     def winch_moving(self) -> bool:
-        """Whether somebody moves the tether."""
+        """Whether the winch moves the tether."""
         return self.winch in _WINCH_MOVES
 
 
 def _is_continuous(one: Place, other: Place) -> bool:
-    """Whether two places may be one after the other of one odometry."""
+    """Whether two poses can be consecutive poses of one odometry."""
     turned = abs(math.remainder(one.heading - other.heading, math.tau))
     return math.hypot(one.x - other.x, one.y - other.y) < _MAX_STEP and turned < _MAX_TURN

@@ -83,9 +83,9 @@ def test_a_hanging_leg_is_tried_again_after_a_pause():
 def test_a_winch_that_is_gone_for_a_while_costs_one_trial_at_most():
     machine = start_mission(MissionPhase.DRIVING)
     machine.silent.add(topics.WINCH_ESTIMATE)
-    machine.refuses[topics.DRIVE_GOAL] = "winch/estimate not heard"
+    machine.refuses[topics.DRIVE_GOAL] = "winch/estimate missing or stale"
     machine.drive = "failed"
-    machine.emit("drive_node", "drive_failed", "winch/estimate not heard")
+    machine.emit("drive_node", "drive_failed", "winch/estimate missing or stale")
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert machine.mission.phase is MissionPhase.DRIVING
@@ -108,7 +108,7 @@ def test_a_choice_is_told_with_its_reason_and_its_risks():
 
 
 @pytest.mark.parametrize(
-    ("upright", "advice"), [(0.5, ""), (1.0, "better not: the tether would be jerked")]
+    ("upright", "advice"), [(0.5, ""), (1.0, "jump rejected: the tether tension would be too high")]
 )
 def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: str):
     machine = start_mission(MissionPhase.DRIVING)
@@ -248,7 +248,7 @@ def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
     machine = start_mission(MissionPhase.DRIVING)
     assert "waypoint 2" in machine.mission.skip(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
-    with pytest.raises(Refusal, match="way home"):
+    with pytest.raises(Refusal, match="part of the return"):
         machine.mission.skip(machine.now_ns)
     assert finished(machine)
 
@@ -287,17 +287,17 @@ def test_an_aborted_mission_rests_and_comes_home_on_command(phase: MissionPhase)
 def test_what_is_not_under_way_is_refused():
     machine = MissionMachine()
     mission, now = machine.mission, machine.now_ns
-    with pytest.raises(Refusal, match="not heard"):
+    with pytest.raises(Refusal, match="missing or stale"):
         mission.go(now)
     for request in (mission.hold, mission.resume, mission.skip):
         with pytest.raises(Refusal):
             request(now)
-    assert mission.abort(now) == "no mission is under way"
+    assert mission.abort(now) == "no mission is active"
     machine.publish()
     mission.go(now)
     with pytest.raises(Refusal, match="looking"):
         mission.go(now)
-    with pytest.raises(Refusal, match="nothing is held"):
+    with pytest.raises(Refusal, match="no leg is held"):
         mission.resume(now)
 
 
@@ -331,7 +331,7 @@ def test_what_others_hold_is_not_taken_from_them():
     machine.emit("winch_node", "winch_hold", "asked to hold")
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
-    assert "somebody holds the winch" in machine.mission.reason
+    assert "another command source holds the winch" in machine.mission.reason
 
 
 def test_a_hold_that_was_told_before_the_leg_moved_anything_is_nobody_s():
@@ -363,7 +363,7 @@ def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.run(200.0)
     assert machine.mission.phase is MissionPhase.HOLDING
-    assert "the winch is not heard" in machine.mission.reason
+    assert "the winch estimate is missing or stale" in machine.mission.reason
     assert machine.events.count("mission_trial_failed") == MissionParameters().max_trials
     machine.silent.clear()
     machine.publish()

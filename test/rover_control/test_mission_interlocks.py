@@ -26,8 +26,8 @@ NOW_NS = round(NOW * 1e9)
 
 # Rows: conditions; columns: descend, lower, lift, drive, slacken, jump. x = it must not be.
 TABLE = """
-WINCH_SILENT  x x x x x x
-DRIVE_SILENT  . . . x . .
+WINCH_STALE   x x x x x x
+DRIVE_STALE   . . . x . .
 STOPPED       x x x x x x
 FAULT         x x x x x x
 UNARMED       x x x x x x
@@ -83,8 +83,8 @@ def observed(
 
 
 SEEN: dict[Condition, dict[str, object]] = {
-    Condition.WINCH_SILENT: {"fresh": False},
-    Condition.DRIVE_SILENT: {"fresh": False},
+    Condition.WINCH_STALE: {"fresh": False},
+    Condition.DRIVE_STALE: {"fresh": False},
     Condition.STOPPED: {"winch": "stop"},
     Condition.FAULT: {"winch": "fault"},
     Condition.UNARMED: {"winch": "disarmed"},

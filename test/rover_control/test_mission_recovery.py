@@ -80,7 +80,7 @@ def test_a_way_home_that_does_not_go_is_left_to_the_winch():
     assert finished(machine)
     assert missed(machine) == []
     (back,) = [done for done in machine.mission.record if done.leg == "return"]
-    assert "left to the winch" in back.reason
+    assert "completed by the winch" in back.reason
     assert "mission_rescue" not in machine.events
 
 
