@@ -1,9 +1,9 @@
-"""The offset of a device's clock from the bridge's, from exchanges over the link.
+"""Offset of a device's clock from the bridge's, estimated from exchanges as in NTP.
 
-As NTP does: an exchange is sent at t1 and answered at t4 by the bridge's clock, taken at t2 and
-answered at t3 by the device's. The offset lies within [t3 - t4, t2 - t1], whatever the ways took;
-the middle is the estimate, half the width its uncertainty. Of the last exchanges the narrowest one
-counts, widened by what the clocks may have drifted apart since (RFC 5905, sections 8 and 10).
+An exchange is sent at t1 and its answer received at t4 by the bridge's clock; it is received at t2
+and answered at t3 by the device's. The offset lies within [t3 - t4, t2 - t1] for any transit times;
+the middle is the estimate, half the width its uncertainty. The narrowest of the last exchanges
+counts, widened by the possible drift since then (RFC 5905, sections 8 and 10).
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-_DRIFT = 100e-6  # two quartzes may run apart so fast [s/s]
+_DRIFT = 100e-6  # between two quartz clocks [s/s]
 _KEPT = 64  # exchanges
 
 
 class Offset(NamedTuple):
-    """An estimate: the device's clock less the bridge's."""
+    """Estimated offset: device's clock minus bridge's clock."""
 
     value: float  # [s]
     uncertainty: float  # largest error [s]
@@ -29,24 +29,24 @@ class _Exchange(NamedTuple):
 
 
 class ClockOffset:
-    """The offset as it is known now."""
+    """Estimator of the offset."""
 
     def __init__(self) -> None:
         self._exchanges: deque[_Exchange] = deque(maxlen=_KEPT)
 
     def reset(self) -> None:
-        """Forget all: the device's clock began anew."""
+        """Forget all exchanges, after the device's clock restarted."""
         self._exchanges.clear()
 
-    def add(self, sent_ns: int, taken_ns: int, answered_ns: int, received_ns: int) -> bool:
-        """Take an exchange: t1 to t4 [ns]; returns whether it can be so.
+    def add(self, sent_ns: int, arrived_ns: int, answered_ns: int, received_ns: int) -> bool:
+        """Add an exchange, t1 to t4 [ns]; returns whether it is consistent.
 
-        An exchange of negative length is none: a frame of another exchange was taken for its own.
+        A negative transit time means that a frame of another exchange was taken for this one.
         """
-        width = (received_ns - sent_ns) - (answered_ns - taken_ns)
-        if width < 0 or answered_ns < taken_ns:
+        width = (received_ns - sent_ns) - (answered_ns - arrived_ns)
+        if width < 0 or answered_ns < arrived_ns:
             return False
-        middle = ((taken_ns - sent_ns) + (answered_ns - received_ns)) / 2.0
+        middle = ((arrived_ns - sent_ns) + (answered_ns - received_ns)) / 2.0
         self._exchanges.append(_Exchange(received_ns, middle * 1e-9, width * 0.5e-9))
         return True
 

@@ -1,9 +1,9 @@
 """The five devices on the link, object by object: three CiA 402 drives, the IMU, the load cell.
 
-A *command set* is all RPDOs of a drive with the same sequence number. Each also says, by the
-drive's own clock, which sample it was given upon: a drive executes complete sets alone, newer than
-the last one, upon samples that are not old. Lost, repeated, late and reordered frames are harmless
-by that, whichever way they came to be so, and no clocks need to agree for it.
+A *command set* consists of all RPDOs of a drive with the same sequence number. It includes the
+reference time: the sample time, by the drive's clock, of the newest sample that the sender had. A
+drive executes only complete sets that are newer than the last one and whose reference time is not
+old. So lost, repeated, late and reordered frames have no effect, and clocks need not agree.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from rover_hil.objects import Device, Entry, Kind, Pdo
 SYNC_RATE = 200.0  # [Hz]
 SYNC_PERIOD = 1.0 / SYNC_RATE  # [s]
 BRIDGE_NODE = 127
-"""The bridge's node, for its heartbeat; it has no dictionary."""
+"""The bridge's node identifier, for its heartbeat; it has no object dictionary."""
 VENDOR = 0x0000_0000
-"""No vendor's number of CiA: the interface is open."""
+"""Not a vendor number assigned by CiA."""
 REVISION = 0x0001_0000
 CYCLE_OVER_ID = 0x7F0
-"""In lockstep, the devices' end says by it that it has sent all that it will upon a SYNC."""
-HEARTBEAT = 0.1  # of every device and of the bridge [s]
-HEARTBEAT_LIMIT = 0.5  # of silence [s]
-UNHEARD_LIMIT = 0.2  # of a drive that does something: its brake still stops the drum in 0.5 s [s]
+"""In lockstep, the devices' end reports by it that it has sent all answers to a SYNC."""
+HEARTBEAT_PERIOD = 0.1  # of every device and of the bridge [s]
+HEARTBEAT_TIMEOUT = 0.5  # of heartbeats [s]
+ANSWER_TIMEOUT = 0.2  # of an active drive: its brake still stops the drum within 0.5 s [s]
 
 
-def upon_count(time_ns: int) -> int:
+def reference_count(time_ns: int) -> int:
     """Bits 10 to 25 of a device's time in microseconds, which wraps at 32."""
     return (time_ns // 1000 >> 10) & 0xFFFF
 
 
-# What the scales below are made of.
+# Scales of the objects below.
 SCREW_LEAD = 2.0e-3  # of the jump motor's ball screw [m]
 SHAFT_COUNT = math.tau / 4096.0  # of the jump motor's encoder [rad]
 WHEEL_COUNT = math.tau / 16384.0  # of the wheels' encoders [rad]
-DRUM_RADIUS = 0.05  # that tensions are counted by [m]
+DRUM_RADIUS = 0.05  # at which torque is converted to tension [m]
 _NUT_COUNT = SCREW_LEAD / 4096.0  # [m]
 _SHAFT_TORQUE = 5.0e-5  # 1/1000 of the jump motor's rated torque [N m]
 _NUT_FORCE = _SHAFT_TORQUE * math.tau / SCREW_LEAD  # the same, along the screw [N]
@@ -72,36 +72,48 @@ _U8, _U16, _U32, _I8, _I16, _I32 = Kind.U8, Kind.U16, Kind.U32, Kind.I8, Kind.I1
 
 _SEQUENCE = Entry(
     "sequence", 0x2010, 1, "Sequence number", _U16, "rw",
-    about="of a command set, the same in all its RPDOs; counts up, wraps",
+    about="of a command set, the same in all its RPDOs; increments, wraps",
 )  # fmt: skip
-_UPON = Entry(
-    "upon", 0x2010, 2, "Given upon", _U16, "rw", scale=1.024e-3, unit="s",
+_REFERENCE_TIME = Entry(
+    "reference_time", 0x2010, 2, "Reference time", _U16, "rw", scale=1.024e-3, unit="s",
     about="sample time of the newest sample that the sender had: bits 10 to 25 of its count",
 )  # fmt: skip
 _SWITCHES = Entry(
     "switches", 0x2010, 3, "Switches", _U8, "rw",
     about="bit 0: release the brake (winch), trip the latch at the target (jump); bits 1 to 7: "
-    "number of the command, which repetitions of it keep",
+    "command number, kept by repetitions",
 )  # fmt: skip
-_SAMPLED = Entry(
-    "sampled", 0x2011, 1, "Sample time", _U32, scale=1e-6, unit="s",
-    about="of the last SYNC, when everything sampled was; by the device's clock, wraps",
+_SAMPLE_TIME = Entry(
+    "sample_time", 0x2011, 1, "Sample time", _U32, scale=1e-6, unit="s",
+    about="time of the last SYNC, at which all values are sampled; by the device's clock, wraps",
 )  # fmt: skip
-_REPLIED = Entry(
-    "replied", 0x2011, 2, "Reply delay", _U8, scale=2e-5, unit="s",
-    about="from the SYNC to the sending of this, rounded down; saturates",
+_REPLY_DELAY = Entry(
+    "reply_delay", 0x2011, 2, "Reply delay", _U8, scale=2e-5, unit="s",
+    about="from the SYNC to the sending of this PDO, rounded down; saturates",
 )  # fmt: skip
-_EXECUTED = Entry(
-    "executed", 0x2011, 3, "Executed sequence", _U16, about="of the last command set executed"
+_EXECUTED_SEQUENCE = Entry(
+    "executed_sequence",
+    0x2011,
+    3,
+    "Executed sequence",
+    _U16,
+    about="of the last command set executed",
 )
-_SINCE = Entry(
-    "since", 0x2011, 4, "Time since execution", _U16, scale=1e-5, unit="s",
-    about="from the execution of that set to the sample; saturates",
+_EXECUTION_AGE = Entry(
+    "execution_age", 0x2011, 4, "Time since execution", _U16, scale=1e-5, unit="s",
+    about="from the execution of the last set to the sample; saturates",
 )  # fmt: skip
-_REJECTED = Entry(
-    "rejected", 0x2011, 5, "Rejected sets", _U8, about="stale or older than executed ones; wraps"
+_REJECTED_SETS = Entry(
+    "rejected_sets",
+    0x2011,
+    5,
+    "Rejected sets",
+    _U8,
+    about="stale or older than executed ones; wraps",
 )
-_CYCLE = Entry("cycle", 0x2011, 6, "SYNC counter", _U8, about="of the SYNC that it answers")
+_SYNC_COUNTER = Entry(
+    "sync_counter", 0x2011, 6, "SYNC counter", _U8, about="counter of the answered SYNC"
+)
 
 _CONTROL = Entry("controlword", 0x6040, 0, "Controlword", _U16, "rw")
 _STATUS = Entry("statusword", 0x6041, 0, "Statusword", _U16)
@@ -110,7 +122,7 @@ _MODE_SHOWN = Entry("mode_shown", 0x6061, 0, "Modes of operation display", _I8)
 _ERROR_CODE = Entry("error_code", 0x603F, 0, "Error code", _U16)
 _QUICK_STOP = Entry(
     "quick_stop", 0x605A, 0, "Quick stop option code", _I16, "rw", 2,
-    about="2: slow down, then switch on disabled; others are not supported",
+    about="2: slow down, then switch on disabled; other values are not supported",
 )  # fmt: skip
 _CURRENT = Entry("current", 0x6078, 0, "Current actual value", _I16, scale=1e-3, unit="A")
 
@@ -121,7 +133,7 @@ def _modes(*modes: int) -> Entry:
 
 
 def _clock_pdo(number: int, last: Entry) -> Pdo:
-    return Pdo(number, True, (_SAMPLED, _REPLIED, _CYCLE, last))
+    return Pdo(number, True, (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, last))
 
 
 def _drive(
@@ -140,22 +152,22 @@ def _drive(
     torque_object: tuple[int, str],
     second: tuple[Entry, ...] = (),
 ) -> Device:
-    """A drive: all three have the same objects, PDOs and rules, in units of their own.
+    """A drive: all three have the same objects and PDOs, in different units.
 
     Args:
         name: see `Device`.
         node_id: see `Device`.
         product: see `Device`.
         on_rover: see `Device.is_on_rover`.
-        modes: that it supports.
-        position: size of a count, unit, and what it is.
+        modes: supported modes of operation.
+        position: size of a count, unit, and meaning.
         velocity: size of a count, and unit.
         torque: the same of the commanded torque.
-        force: the same of its limit and of the torque that it tells.
+        force: the same of its limit and of the actual torque.
         rated_torque: object 6076h [mN m].
-        velocity_object: where commands for the velocity go, and its name.
-        torque_object: where commands for the torque go, and its name.
-        second: angle and rate of a second encoder.
+        velocity_object: index and name of the target velocity.
+        torque_object: index and name of the target torque.
+        second: angle and rate of a second encoder; empty: none.
     """
     p_scale, p_unit, p_about = position
     v_scale, v_unit = velocity
@@ -198,19 +210,20 @@ def _drive(
     pdos = (
         Pdo(1, False, (_CONTROL, control["velocity"], _SEQUENCE)),
         Pdo(2, False, (control["torque"], control["limit"], _SWITCHES, _MODE, _SEQUENCE)),
-        Pdo(3, False, (control["position"], _UPON, _SEQUENCE)),
-        Pdo(1, True, (_STATUS, position_actual, inputs, _CYCLE)),
-        Pdo(2, True, (*rates, _MODE_SHOWN, _CYCLE)),
-        _clock_pdo(3, _EXECUTED),
+        Pdo(3, False, (control["position"], _REFERENCE_TIME, _SEQUENCE)),
+        Pdo(1, True, (_STATUS, position_actual, inputs, _SYNC_COUNTER)),
+        Pdo(2, True, (*rates, _MODE_SHOWN, _SYNC_COUNTER)),
+        _clock_pdo(3, _EXECUTED_SEQUENCE),
         Pdo(
             4, True,
-            (second[0], _SINCE, _REJECTED, _CYCLE)
+            (second[0], _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER)
             if second
-            else (torque_actual, _SINCE, _REJECTED, _CYCLE),
+            else (torque_actual, _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER),
         ),
     )  # fmt: skip
     entries = (
-        _SEQUENCE, _UPON, _SWITCHES, _SAMPLED, _REPLIED, _EXECUTED, _SINCE, _REJECTED, _CYCLE,
+        _SEQUENCE, _REFERENCE_TIME, _SWITCHES, _SAMPLE_TIME, _REPLY_DELAY, _EXECUTED_SEQUENCE,
+        _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER,
         *second, inputs, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP, _MODE, _MODE_SHOWN,
         position_actual, velocity_actual, control["torque"], control["limit"], rated, torque_actual,
         _CURRENT, control["position"], control["velocity"], _modes(*modes),
@@ -221,7 +234,7 @@ def _drive(
 JUMP = _drive(
     "jump", 1, "Jump motor drive: ball screw and flywheel", on_rover=True,
     modes=(POSITION_MODE, TORQUE_MODE),
-    position=(_NUT_COUNT, "m", "compression by the nut; 4096 counts a turn of the shaft"),
+    position=(_NUT_COUNT, "m", "compression by the nut; 4096 counts per turn of the shaft"),
     velocity=(_NUT_SPEED, "m/s"), torque=(_SHAFT_TORQUE, "N m"), force=(_NUT_FORCE, "N"),
     rated_torque=50, velocity_object=(0x6081, "Profile velocity"),
     torque_object=(0x6071, "Target torque"),
@@ -247,7 +260,7 @@ WHEEL = _drive(
 
 WINCH = _drive(
     "winch", 3, "Winch drive: drum and holding brake", on_rover=False, modes=(VELOCITY_MODE,),
-    position=(1e-6, "m", "length paid out; as a target it is for who watches"),
+    position=(1e-6, "m", "length paid out; as a target for information only"),
     velocity=(1e-6, "m/s"), torque=(_TENSION, "N"), force=(_TENSION, "N"), rated_torque=5000,
     velocity_object=(0x60FF, "Target velocity"), torque_object=(0x60B2, "Torque offset"),
 )  # fmt: skip
@@ -268,26 +281,26 @@ _SWITCH_INPUTS = Entry(
 )  # fmt: skip
 _ROVER_TENSION = Entry(
     "rover_tension", 0x7132, 1, "Tension at the rover", _I16, scale=0.02, unit="N",
-    about="of the rover's load cell, an analogue input here",
+    about="of the rover's load cell, an analogue input of this device",
 )  # fmt: skip
 IMU = Device(
     "imu", 4, "Rover sensors: IMU, contact switches, load cell", 4, 0x0008_0191,
-    (_SAMPLED, _REPLIED, _CYCLE, _SWITCH_INPUTS, *_GYRO, *_FORCE, _ROVER_TENSION),
+    (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, _SWITCH_INPUTS, *_GYRO, *_FORCE, _ROVER_TENSION),
     (
-        Pdo(1, True, (*_GYRO, _SWITCH_INPUTS, _CYCLE)),
-        Pdo(2, True, (*_FORCE, _CYCLE)),
+        Pdo(1, True, (*_GYRO, _SWITCH_INPUTS, _SYNC_COUNTER)),
+        Pdo(2, True, (*_FORCE, _SYNC_COUNTER)),
         _clock_pdo(3, _ROVER_TENSION),
     ),
     is_drive=False, is_on_rover=True,
 )  # fmt: skip
 
-_TENSION_READ = Entry(
+_TENSION_ENTRY = Entry(
     "tension", 0x7130, 1, "Tension at the fairlead", _I16, scale=0.02, unit="N"
 )  # fmt: skip
 LOAD_CELL = Device(
     "load_cell", 5, "Load cell at the fairlead", 5, 0x0002_0194,
-    (_SAMPLED, _REPLIED, _CYCLE, _TENSION_READ),
-    (_clock_pdo(1, _TENSION_READ),),
+    (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, _TENSION_ENTRY),
+    (_clock_pdo(1, _TENSION_ENTRY),),
     is_drive=False, is_on_rover=False,
 )  # fmt: skip
 

@@ -1,7 +1,7 @@
-"""The devices' object dictionaries as the `canopen` library has them, and their EDS files.
+"""Object dictionaries of the devices for the `canopen` library, and their EDS files.
 
 ``mother_rover hil dictionary`` writes ``rover_hil/eds/<device>.eds`` and the table of objects in
-``docs/hil.md``; with ``--compare`` it holds another EDS file to a device.
+``docs/hil.md``; with ``--compare`` it compares another EDS file with a device.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from rover_hil.devices import (
     BRIDGE_NODE,
     BY_NAME,
     DEVICES,
-    HEARTBEAT,
-    HEARTBEAT_LIMIT,
+    HEARTBEAT_PERIOD,
+    HEARTBEAT_TIMEOUT,
     REVISION,
     SYNC_PERIOD,
     VENDOR,
@@ -44,7 +44,7 @@ _GROUP_NAMES = {
     0x7132: "Analogue inputs",
     0x7133: "Angular rates",
 }
-# The library writes the time of writing; files that are generated again stay the same without.
+# Fixed times, so that generated files do not change with each run.
 _FILE_INFO = {
     "FileVersion": 1,
     "FileRevision": 0,
@@ -57,15 +57,15 @@ _FILE_INFO = {
 
 
 def object_dictionary(device: Device) -> canopen.ObjectDictionary:
-    """A device's dictionary, with CiA 301's objects for heartbeat, SYNC, identity and PDOs."""
+    """Dictionary of a device, with CiA 301's objects for heartbeat, SYNC, identity and PDOs."""
     made = canopen.ObjectDictionary()
     made.node_id = device.node_id
     made.bitrate = 1_000_000
-    info: Any = made.device_information  # whose annotations are not what an EDS file holds
+    info: Any = made.device_information  # the library's annotations are wrong
     info.vendor_name, info.vendor_number = "mother_rover", VENDOR
     info.product_name, info.product_number = device.product, device.product_code
     info.revision_number = REVISION
-    info.nr_of_RXPDO, info.nr_of_TXPDO = len(device.hears), len(device.tells)
+    info.nr_of_RXPDO, info.nr_of_TXPDO = len(device.rpdos), len(device.tpdos)
     info.granularity = 8
     info.allowed_baudrates = {1_000_000}
     for plain in _communication(device):
@@ -90,9 +90,9 @@ def object_dictionary(device: Device) -> canopen.ObjectDictionary:
 
 
 def export(device: Device) -> str:
-    """The text of a device's EDS file."""
+    """Text of a device's EDS file."""
     text = io.StringIO()
-    # The library keeps what it is given, so each device gets a mapping of its own.
+    # The library keeps the mapping: each device needs its own.
     eds.export_eds(
         object_dictionary(device), text, {**_FILE_INFO, "FileName": f"{device.name}.eds"}
     )
@@ -100,7 +100,7 @@ def export(device: Device) -> str:
 
 
 def differences(device: Device, other: canopen.ObjectDictionary) -> list[str]:
-    """What another dictionary, such as that of a vendor's EDS file, has otherwise or not at all."""
+    """Differences of another dictionary, such as a vendor's EDS file, from a device's."""
     found = []
     for mine in variables(object_dictionary(device)):
         where = f"{mine.index:04X}h:{mine.subindex:02X} {mine.name}"
@@ -110,13 +110,13 @@ def differences(device: Device, other: canopen.ObjectDictionary) -> list[str]:
         except KeyError:
             found.append(f"{where} is missing")
             continue
-        for what, wanted, given in (
+        for attribute, expected, actual in (
             ("data type", mine.data_type, theirs.data_type),
             ("access", mine.access_type, theirs.access_type),
             ("default", mine.default, theirs.default),
         ):
-            if wanted != given:
-                found.append(f"{where}: {what} is {given!r}, should be {wanted!r}")
+            if expected != actual:
+                found.append(f"{where}: {attribute} is {actual!r}, should be {expected!r}")
         if mine.factor != theirs.factor or mine.unit != theirs.unit:
             found.append(
                 f"{where}: a count is {theirs.factor:g} {theirs.unit}, should be {mine.factor:g} "
@@ -157,7 +157,7 @@ def _variable(entry: Entry) -> ODVariable:
 def _communication(device: Device) -> Iterator[ODVariable | ODRecord | ODArray]:
     def plain(index: int, name: str, kind: int, access: str, default: int | str) -> ODVariable:
         made = _number(index, 0, name, kind, access)
-        made.default = default  # type: ignore[assignment]  # the library's own of strings too
+        made.default = default  # type: ignore[assignment]  # also strings, unlike the annotation
         return made
 
     u8, u16, u32 = datatypes.UNSIGNED8, datatypes.UNSIGNED16, datatypes.UNSIGNED32
@@ -171,16 +171,16 @@ def _communication(device: Device) -> Iterator[ODVariable | ODRecord | ODArray]:
     yield plain(0x1014, "COB-ID EMCY", u32, "ro", 0x80 + device.node_id)
     yield _record(
         ODArray("Consumer heartbeat time", 0x1016),
-        ("Bridge", u32, "rw", (BRIDGE_NODE << 16) | round(HEARTBEAT_LIMIT * 1e3)),
+        ("Bridge", u32, "rw", (BRIDGE_NODE << 16) | round(HEARTBEAT_TIMEOUT * 1e3)),
     )
-    yield plain(0x1017, "Producer heartbeat time", u16, "rw", round(HEARTBEAT * 1e3))
+    yield plain(0x1017, "Producer heartbeat time", u16, "rw", round(HEARTBEAT_PERIOD * 1e3))
     yield _record(
         ODRecord("Identity object", 0x1018),
         ("Vendor-ID", u32, "ro", VENDOR),
         ("Product code", u32, "ro", device.product_code),
         ("Revision number", u32, "ro", REVISION),
     )
-    # SYNC carries a counter from 1 to this.
+    # The SYNC counter runs from 1 to this value.
     yield plain(0x1019, "Synchronous counter overflow value", u8, "rw", 240)
 
 
@@ -218,7 +218,7 @@ def _pdo_records(device: Device, pdo: Pdo) -> tuple[ODRecord | ODArray, ODRecord
 
 
 def table() -> str:
-    """The objects and PDOs of all devices, in Markdown."""
+    """Markdown tables of the objects and PDOs of all devices."""
     lines: list[str] = []
     for device in DEVICES:
         lines += [
@@ -231,7 +231,7 @@ def table() -> str:
                 f"`rover_hil/eds/{device.name}.eds`."
             ),
             "",
-            "| object | name | type | access | one count is | meaning |",
+            "| object | name | type | access | unit of a count | meaning |",
             "|---|---|---|---|---|---|",
         ]
         for entry in sorted(device.entries, key=lambda each: (each.index, each.subindex)):
@@ -250,14 +250,14 @@ def table() -> str:
 
 
 def with_table(document: str) -> str:
-    """The document with its table written anew."""
+    """The document with its tables regenerated."""
     begin, end = _MARKS
     pattern = re.compile(re.escape(begin) + ".*" + re.escape(end), re.DOTALL)
     return pattern.sub(lambda _: f"{begin}\n\n{table()}\n\n{end}", document)
 
 
 def write_all() -> None:
-    """Write the EDS files and the table of the document."""
+    """Write the EDS files and the tables of the document."""
     EDS_FOLDER.mkdir(exist_ok=True)
     for device in DEVICES:
         (EDS_FOLDER / f"{device.name}.eds").write_text(export(device), encoding="utf-8")
@@ -286,7 +286,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     name, path = compared
     if name not in BY_NAME:
-        print(f"{name!r} is no device: should be of {', '.join(BY_NAME)}", file=sys.stderr)
+        print(f"{name!r} is no device: should be one of {', '.join(BY_NAME)}", file=sys.stderr)
         return 2
     try:
         other = canopen.import_od(path)

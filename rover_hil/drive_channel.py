@@ -1,4 +1,4 @@
-"""One drive as the bridge sees it: its state by CiA 402, and the command sets that go to it."""
+"""Command channel of one drive: its CiA 402 state, and the command sets sent to it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 from canopen.profiles.p402 import State402
 
 from msg_schemas.table import TOPICS
-from rover_hil.devices import NUMBER_SHIFT, NUMBERS, SYNC_PERIOD, upon_count
+from rover_hil.devices import NUMBER_SHIFT, NUMBERS, SYNC_PERIOD, reference_count
 from rover_hil.link import pack
 from rover_hil.objects import Device
 from rover_hil.wiring import AT_REST, Values
@@ -17,21 +17,21 @@ from rover_hil.wiring import AT_REST, Values
 UNKNOWN = ""
 DISABLED, READY, SWITCHED_ON = "SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON"
 ENABLED, FAULT = "OPERATION ENABLED", "FAULT"
-_REPEATED = 0.02  # commands are, so that the drive's own watchdog is fed [s]
-_REMEMBERED = 256  # sent sets
-_STANDING = 1e-3  # rate that counts as standing, of the winch [m/s]
-# Controlword that keeps a state.
-_KEEPS = {
+_REPEAT_PERIOD = 0.02  # of commands, which feeds the drive's watchdog [s]
+_KEPT_SETS = 256  # command sets
+_STANDSTILL_RATE = 1e-3  # of the winch [m/s]
+# Controlword that holds a state.
+_HOLD_WORDS = {
     DISABLED: State402.CW_DISABLE_VOLTAGE,
     READY: State402.CW_SHUTDOWN,
     SWITCHED_ON: State402.CW_SWITCH_ON,
     ENABLED: State402.CW_OPERATION_ENABLED,
 }
-_LADDER = (DISABLED, READY, SWITCHED_ON, ENABLED)
+_STATE_SEQUENCE = (DISABLED, READY, SWITCHED_ON, ENABLED)
 
 
 def state_of(statusword: int) -> str:
-    """The state that a statusword tells, by `canopen`'s names and masks."""
+    """The state in a statusword, by the names and masks of `canopen`."""
     for name, (mask, bits) in State402.SW_MASK.items():
         if statusword & mask == bits:
             return str(name)
@@ -39,49 +39,49 @@ def state_of(statusword: int) -> str:
 
 
 def controlword(state: str, target: str) -> int:
-    """What brings a drive one transition nearer to a state, or keeps it there.
+    """The controlword for the next transition towards a state, or to stay in it.
 
     Args:
-        state: present one.
-        target: one of disabled, switched on and enabled.
+        state: present state.
+        target: disabled, switched on or enabled.
     """
     if state == target:
-        return _KEEPS[target]
-    if state not in _LADDER or target == DISABLED:
+        return _HOLD_WORDS[target]
+    if state not in _STATE_SEQUENCE or target == DISABLED:
         return int(State402.CW_DISABLE_VOLTAGE)
-    at, to = _LADDER.index(state), _LADDER.index(target)
-    further = _LADDER[at + 1] if to > at else target
-    return int(State402.TRANSITIONTABLE[state, further])
+    index, target_index = _STATE_SEQUENCE.index(state), _STATE_SEQUENCE.index(target)
+    next_state = _STATE_SEQUENCE[index + 1] if target_index > index else target
+    return int(State402.TRANSITIONTABLE[state, next_state])
 
 
-class Sent(NamedTuple):
-    """A command set on its way."""
+class SentCommandSet(NamedTuple):
+    """A command set that has been sent."""
 
     command_ns: int  # stamp of the contract's command; 0: none, or a repetition
-    taken_ns: int  # when the bridge took it, by its own clock
+    sent_ns: int  # when it was sent, by the bridge's clock
 
 
 class DriveChannel:
-    """One drive.
+    """Command channel of one drive.
 
     Args:
-        device: which one.
+        device: the drive.
         send: puts a frame on the link.
 
     Attributes:
-        state: told by its last statusword, empty before.
+        state: from its last statusword; empty: unknown.
         armed: whether it may be enabled.
-        resets: whether a fault is to be reset once, as it was armed while in one.
-        setpoint: what its controller wants, None when nothing.
-        topic: that the set-point came by.
-        commanded_ns: when it came, by the bridge's clock.
+        resets_fault: whether to reset a fault once, because it was armed in fault.
+        setpoint: of its controller; None: none.
+        topic: topic of the setpoint.
+        commanded_ns: reception of the setpoint, by the bridge's clock.
     """
 
     def __init__(self, device: Device, send: Callable[[int, bytes], None]) -> None:
         self.device = device
         self.state = UNKNOWN
         self.armed = False
-        self.resets = False
+        self.resets_fault = False
         self.setpoint: Values | None = None
         self.topic = ""
         self.commanded_ns = 0
@@ -89,45 +89,45 @@ class DriveChannel:
         self._sequence = 0
         self._number = 0
         self._sent_ns: int | None = None
-        self._sent: OrderedDict[int, Sent] = OrderedDict()
-        self._answered: int | None = None
+        self._sent: OrderedDict[int, SentCommandSet] = OrderedDict()
+        self._last_executed: int | None = None
 
     @property
     def target(self) -> str:
-        """The state that it should be in."""
+        """The required state."""
         if not self.armed:
             return DISABLED
         return ENABLED if self.setpoint is not None else SWITCHED_ON
 
     def disarm(self) -> None:
-        """Nothing moves until it is armed again."""
-        self.armed = self.resets = False
+        """Drop the setpoint, and refuse commands until it is armed again."""
+        self.armed = self.resets_fault = False
         self.setpoint = None
 
     def restarted(self) -> None:
-        """The drive began anew: its sequence too."""
+        """Forget the state and sequence of a drive that restarted."""
         self.disarm()
         self.state = UNKNOWN
         self._sent.clear()
-        self._answered = None
+        self._last_executed = None
 
     def command(self, topic: str, setpoint: Values, now_ns: int) -> None:
-        """Take a new set-point."""
+        """Take a new setpoint."""
         self.setpoint, self.topic, self.commanded_ns = setpoint, topic, now_ns
         self._number = (self._number + 1) % NUMBERS
 
-    def ceased(self, velocity: float, now_ns: int) -> float | None:
-        """Forget a set-point that was not renewed in time; returns its age [s].
+    def expire_setpoint(self, velocity: float, now_ns: int) -> float | None:
+        """Drop a setpoint that was not renewed in time; returns its age [s], or None.
 
         Args:
-            velocity: that the drive tells, in its unit.
+            velocity: reported by the drive, in its unit.
             now_ns: bridge's clock.
         """
         if self.setpoint is None:
             return None
         stale = TOPICS[self.topic].stale
-        moves = abs(velocity) > _STANDING or self.setpoint["target_velocity"] != 0.0
-        limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
+        is_moving = abs(velocity) > _STANDSTILL_RATE or self.setpoint["target_velocity"] != 0.0
+        limit = min(stale.timeout, stale.timeout_moving) if is_moving else stale.timeout
         age = (now_ns - self.commanded_ns) * 1e-9
         if age < limit:
             return None
@@ -135,30 +135,30 @@ class DriveChannel:
         return age
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether a set should be sent though no command has come."""
+        """Whether to send a command set without a new command."""
         if self.state == UNKNOWN:
             return False
         if self.state != self.target:
-            wait = SYNC_PERIOD
+            period = SYNC_PERIOD
         elif self.target != DISABLED:
-            wait = _REPEATED
+            period = _REPEAT_PERIOD
         else:
             return False
-        # A little less: cycles are not of one length to the nanosecond.
-        return self._sent_ns is None or now_ns - self._sent_ns >= (wait - 0.5 * SYNC_PERIOD) * 1e9
+        # Half a cycle of tolerance: cycles vary in length.
+        return self._sent_ns is None or now_ns - self._sent_ns >= (period - 0.5 * SYNC_PERIOD) * 1e9
 
-    def send(self, upon_ns: int, now_ns: int, command_ns: int = 0) -> None:
+    def send(self, sample_time_ns: int, now_ns: int, command_ns: int = 0) -> None:
         """Send a command set.
 
         Args:
-            upon_ns: sample time of the newest sample heard, by the drive's clock.
+            sample_time_ns: time of the newest received sample, by the drive's clock.
             now_ns: bridge's clock.
-            command_ns: stamp of the contract's command that it carries for the first time.
+            command_ns: stamp of the command, if it is sent for the first time; else 0.
         """
         word = controlword(self.state, self.target)
-        if self.state == FAULT and self.armed and self.resets:
+        if self.state == FAULT and self.armed and self.resets_fault:
             word = State402.CW_SWITCH_ON_DISABLED
-            self.resets = False
+            self.resets_fault = False
         values = self.setpoint if self.setpoint is not None else AT_REST
         entries = self.device.by_key
         counts = {key: entries[key].counts(value) for key, value in values.items()}
@@ -166,28 +166,28 @@ class DriveChannel:
         counts |= {
             "controlword": word,
             "sequence": self._sequence,
-            "upon": upon_count(upon_ns),
+            "reference_time": reference_count(sample_time_ns),
             "switches": counts["switches"] | (self._number << NUMBER_SHIFT),
         }
-        self._sent[self._sequence] = Sent(command_ns, now_ns)
-        while len(self._sent) > _REMEMBERED:
+        self._sent[self._sequence] = SentCommandSet(command_ns, now_ns)
+        while len(self._sent) > _KEPT_SETS:
             self._sent.popitem(last=False)
         self._sent_ns = now_ns
-        for pdo in self.device.hears:
+        for pdo in self.device.rpdos:
             self._send(pdo.can_id(self.device.node_id), pack(pdo, counts))
 
-    def executed(self, sequence: int) -> Sent | None:
-        """The set that the drive says it has executed, the first time that it says so."""
-        if self._answered is None:
-            # Sets go on from where the drive stands, as it executes newer ones alone.
+    def on_executed(self, sequence: int) -> SentCommandSet | None:
+        """The command set that a drive has executed, at its first report; else None."""
+        if self._last_executed is None:
+            # The drive only executes newer sets: continue from its sequence number.
             self._sequence = sequence
-        if sequence == self._answered:
+        if sequence == self._last_executed:
             return None
-        self._answered = sequence
+        self._last_executed = sequence
         return self._sent.get(sequence)
 
 
 def in_units(device: Device, counts: Mapping[str, int]) -> dict[str, float]:
-    """Values in the units of a device's entries."""
+    """Values in the units of the device's entries, by their keys."""
     entries = device.by_key
     return {key: entries[key].value(count) for key, count in counts.items() if key in entries}

@@ -1,9 +1,8 @@
-"""CAN frames on a serial line: Consistent Overhead Byte Stuffing, closed by a CRC and a zero byte.
+"""CAN frames on a serial line: COBS (Consistent Overhead Byte Stuffing) with a CRC.
 
 A frame is [identifier, 4 bytes, big-endian, flags in the upper 3 bits][data, 0 to 8 bytes][CRC-32],
-stuffed so that it holds no zero, and ended by one. A receiver that joins late, or loses its place
-by an error, finds it again at the next zero. Errors that leave the stuffing whole meet CRC-32 (of
-Ethernet), which lets one in 4e9 through.
+stuffed so that it contains no zero byte, and terminated by one. A receiver resynchronises at the
+next zero byte. The CRC-32 of Ethernet misses one in 4e9 of the errors that keep the stuffing valid.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _EXTENDED, _REMOTE, _ERROR = 1 << 31, 1 << 30, 1 << 29
 _FLAGS = _EXTENDED | _REMOTE | _ERROR
 _MOST_DATA = 8
 _SHORTEST = _ID.size + _CRC.size
-# Stuffed: one byte more.
+# Stuffing adds one byte.
 _LONGEST = _SHORTEST + _MOST_DATA + 1
 
 
@@ -44,13 +43,13 @@ class Frame:
 
 @dataclass
 class LineErrors:
-    """What was thrown away since the start.
+    """Counts of dropped frames.
 
     Attributes:
-        stuffing: frames that are not stuffed rightly.
+        stuffing: frames with invalid stuffing.
         length: frames that are too short or too long.
         checksum: frames with a wrong CRC.
-        content: frames whose CRC is right and that are no CAN frames all the same.
+        content: frames with a valid CRC that are not CAN frames.
     """
 
     stuffing: int = 0
@@ -60,12 +59,12 @@ class LineErrors:
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Sum of all counts."""
         return self.stuffing + self.length + self.checksum + self.content
 
 
 def encode(frame: Frame) -> bytes:
-    """The bytes of a frame, its closing zero included.
+    """Encode a frame, including the terminating zero byte.
 
     Raises:
         ValueError: the identifier or the data are too long.
@@ -82,11 +81,11 @@ def encode(frame: Frame) -> bytes:
 
 
 class Decoder:
-    """Finds frames in a stream of bytes, however it is cut into pieces.
+    """Decodes a stream of bytes, in pieces of any length.
 
     Attributes:
-        errors: what was thrown away.
-        resynchronised: how often the place was lost and found again.
+        errors: counts of dropped frames.
+        resynchronised: number of resynchronisations after an error.
     """
 
     def __init__(self) -> None:
@@ -107,7 +106,7 @@ class Decoder:
         self._take(rest)
 
     def _take(self, piece: bytes) -> None:
-        # A line that babbles without a zero fills no memory.
+        # Bound the memory for a line without zero bytes.
         room = _LONGEST + 1 - len(self._pending)
         self._overflown |= len(piece) > room
         self._pending += piece[: max(room, 0)]
@@ -116,7 +115,7 @@ class Decoder:
         stuffed, overflown = bytes(self._pending), self._overflown
         self._pending.clear()
         self._overflown = False
-        if not stuffed:  # zeros in a row say nothing; a sender may begin with one
+        if not stuffed:  # consecutive zeros are allowed
             return None
         frame = None if overflown else self._decoded(stuffed)
         self.errors.length += overflown

@@ -1,10 +1,9 @@
-"""What can be wrong with a link, its devices and processes: one impairment, and a list as YAML.
+"""Impairments of the link, its devices and processes, and their list as YAML.
 
-    - {what: loss, on: rover, strength: 0.3, at: 5.0, duration: 10.0, seed: 7}
-    - {what: drive_fault, on: winch, cause: overtemperature}
+    - {kind: loss, target: rover, magnitude: 0.3, start: 5.0, duration: 10.0, seed: 7}
+    - {kind: drive_fault, target: winch, cause: overtemperature}
 
-Here is only what may be asked for; who emulates the devices carries it out. Who writes procedures
-reads the same texts by `read_impairments`.
+This module only defines them: the emulator applies them, and procedures contain the same texts.
 """
 
 from __future__ import annotations
@@ -33,161 +32,174 @@ CAUSES = {
     "overtemperature": OVERTEMPERATURE,
     "encoder": ENCODER_FAULT,
 }
-"""Causes of a drive's fault, with their error codes."""
+"""Causes of a drive fault, with their error codes."""
 
 ALL, ROVER, MOTHER = "all", "rover", "mother"
 BOTH, TO_DEVICES, TO_BRIDGE = "both", "to_devices", "to_bridge"
 
 
-class Place(enum.Enum):
-    """What suffers."""
+class Scope(enum.Enum):
+    """What an impairment acts on."""
 
-    LINE = "frames between the bus and a device"
-    DEVICE = "a device itself"
-    PROCESS = "a whole process"
+    CHANNEL = "frames between the bus and a device"
+    DEVICE = "a device"
+    PROCESS = "a process"
 
 
 @dataclass(frozen=True)
-class Kind:
-    """One kind of impairment.
+class ImpairmentKind:
+    """Definition of one kind of impairment.
 
     Attributes:
-        place: what suffers.
-        about: what happens.
-        strength: what the strength is; empty: there is none.
-        unit: of the strength.
-        smallest, largest: strengths.
-        devices: that it can be on.
+        scope: what it acts on.
+        description: what happens.
+        magnitude: meaning of the magnitude; empty: it has none.
+        unit: of the magnitude.
+        minimum, maximum: range of the magnitude.
+        devices: possible targets.
     """
 
-    place: Place
-    about: str
-    strength: str = ""
+    scope: Scope
+    description: str
+    magnitude: str = ""
     unit: str = "-"
-    smallest: float = 0.0
-    largest: float = 0.0
+    minimum: float = 0.0
+    maximum: float = 0.0
     devices: tuple[Device, ...] = DEVICES
 
 
-KINDS: Mapping[str, Kind] = {
-    "delay": Kind(Place.LINE, "frames come later, in their order", "delay", "s", 0.0, 10.0),
-    "jitter": Kind(
-        Place.LINE, "frames come later by a random time, in their order", "longest", "s", 0.0, 10.0
+_FRAMES = "fraction of frames"
+KINDS: Mapping[str, ImpairmentKind] = {
+    "delay": ImpairmentKind(
+        Scope.CHANNEL, "frames arrive later, in order", "delay", "s", 0.0, 10.0
     ),
-    "loss": Kind(Place.LINE, "frames get lost", "share of frames", "-", 0.0, 1.0),
-    "duplication": Kind(Place.LINE, "frames come twice", "share of frames", "-", 0.0, 1.0),
-    "reorder": Kind(
-        Place.LINE, "1 to 5 later frames overtake a frame", "share of frames", "-", 0.0, 1.0
+    "jitter": ImpairmentKind(
+        Scope.CHANNEL, "frames arrive later by a random time, in order", "maximum", "s", 0.0, 10.0
     ),
-    "bit_errors": Kind(
-        Place.LINE,
-        "bits of frames flip, as on a serial line with its checksum",
-        "share of bits",
+    "loss": ImpairmentKind(Scope.CHANNEL, "frames are lost", _FRAMES, "-", 0.0, 1.0),
+    "duplication": ImpairmentKind(Scope.CHANNEL, "frames arrive twice", _FRAMES, "-", 0.0, 1.0),
+    "reorder": ImpairmentKind(
+        Scope.CHANNEL, "1 to 5 later frames overtake a frame", _FRAMES, "-", 0.0, 1.0
+    ),
+    "bit_errors": ImpairmentKind(
+        Scope.CHANNEL,
+        "bits of frames flip, as on a serial line with a checksum",
+        "fraction of bits",
         "-",
         0.0,
         0.1,
     ),
-    "cut": Kind(Place.LINE, "no frame gets through"),
-    "bus_off": Kind(
-        Place.DEVICE, "the device's controller leaves the bus; it stops its motor and knows why"
+    "cut": ImpairmentKind(Scope.CHANNEL, "no frame passes"),
+    "bus_off": ImpairmentKind(
+        Scope.DEVICE, "the CAN controller goes bus-off; the device detects it and stops its motor"
     ),
-    "stale_stamps": Kind(
-        Place.DEVICE, "samples bear times that are too old", "by how much", "s", 0.0, 3600.0
+    "stale_stamps": ImpairmentKind(
+        Scope.DEVICE, "sample times are too old", "age", "s", 0.0, 3600.0
     ),
-    "frozen_encoder": Kind(
-        Place.DEVICE, "the encoder stands still, whatever the motor does", devices=DRIVES
+    "frozen_encoder": ImpairmentKind(
+        Scope.DEVICE, "the encoder reading does not change while the motor turns", devices=DRIVES
     ),
-    "drifted_load_cell": Kind(
-        Place.DEVICE, "the reading drifts away", "rate", "N/s", -100.0, 100.0, (IMU, LOAD_CELL)
+    "drifted_load_cell": ImpairmentKind(
+        Scope.DEVICE, "the reading drifts", "rate", "N/s", -100.0, 100.0, (IMU, LOAD_CELL)
     ),
-    "brown_out": Kind(
-        Place.DEVICE, "the supply fails: silent, motor off, brake closed; then it begins anew"
+    "brown_out": ImpairmentKind(
+        Scope.DEVICE, "the supply fails: motor off, brake closed; then the device restarts"
     ),
-    "drive_fault": Kind(Place.DEVICE, "a cause of a fault, which stays", devices=DRIVES),
-    "emulator_kill": Kind(Place.PROCESS, "the emulator is killed", devices=()),
-    "bridge_kill": Kind(
-        Place.PROCESS, "the bridge is killed, where it runs on the same machine", devices=()
+    "drive_fault": ImpairmentKind(
+        Scope.DEVICE, "a persistent cause of a drive fault", devices=DRIVES
+    ),
+    "emulator_kill": ImpairmentKind(Scope.PROCESS, "the emulator is killed", devices=()),
+    "bridge_kill": ImpairmentKind(
+        Scope.PROCESS, "the bridge is killed, if it runs on the same computer", devices=()
     ),
 }
 
 
 @dataclass(frozen=True)
 class Impairment:
-    """What is wrong, with whom, from when, how long, how much."""
+    """One impairment: kind, target, start, duration and magnitude."""
 
-    what: str = parameter("loss", "-", "kind", choices=tuple(KINDS))
-    on: str = parameter(
+    kind: str = parameter("loss", "-", "kind", choices=tuple(KINDS))
+    target: str = parameter(
         ALL,
         "-",
-        "the devices: one by its name, those on the rover or on the mother machine, or all",
+        "one device by name, those on the rover or on the mother machine, or all",
         choices=(ALL, ROVER, MOTHER, *(device.name for device in DEVICES)),
     )
-    way: str = parameter(
-        BOTH, "-", "of frames, where frames suffer", choices=(BOTH, TO_DEVICES, TO_BRIDGE)
+    direction: str = parameter(
+        BOTH, "-", "of the impaired frames", choices=(BOTH, TO_DEVICES, TO_BRIDGE)
     )
-    at: float = parameter(0.0, "s", "begins so long after it was asked for", 0.0, 1e6)
+    start: float = parameter(0.0, "s", "time from the request to the start", 0.0, 1e6)
     duration: float = parameter(
-        0.0, "s", "ends by itself after so long; 0 = when it is no longer asked for", 0.0, 1e6
+        0.0, "s", "time from start to end; 0 = until it is removed from the list", 0.0, 1e6
     )
-    strength: float = parameter(0.0, "-", "how much, in the unit of its kind", -1e6, 1e6)
-    cause: str = parameter("", "-", "of a drive's fault", choices=("", *CAUSES))
-    seed: int = parameter(1, "-", "of what is random in it", 0, 2**31 - 1)
+    magnitude: float = parameter(0.0, "-", "in the unit of its kind", -1e6, 1e6)
+    cause: str = parameter("", "-", "of a drive fault", choices=("", *CAUSES))
+    seed: int = parameter(1, "-", "of the random numbers", 0, 2**31 - 1)
 
     @property
-    def kind(self) -> Kind:
-        """What is known of its kind."""
-        return KINDS[self.what]
+    def definition(self) -> ImpairmentKind:
+        """Definition of its kind."""
+        return KINDS[self.kind]
 
     @property
     def devices(self) -> tuple[Device, ...]:
-        """The devices that it is on."""
-        return tuple(device for device in self.kind.devices if self._is_on(device))
+        """The targeted devices."""
+        return tuple(device for device in self.definition.devices if self._targets(device))
 
-    def _is_on(self, device: Device) -> bool:
-        if self.on in (ROVER, MOTHER):
-            return device.is_on_rover is (self.on == ROVER)
-        return self.on in (ALL, device.name)
+    def _targets(self, device: Device) -> bool:
+        if self.target in (ROVER, MOTHER):
+            return device.is_on_rover is (self.target == ROVER)
+        return self.target in (ALL, device.name)
 
-    def said(self) -> dict[str, object]:
-        """What is said of it: all that matters to its kind, by the fields' names."""
-        kind = self.kind
-        found: dict[str, object] = {"what": self.what}
-        if kind.devices:
-            found["on"] = self.on
-        if kind.place is Place.LINE:
-            found |= {"way": self.way, "seed": self.seed}
-        if kind.strength:
-            found["strength"] = self.strength
+    def as_mapping(self) -> dict[str, object]:
+        """The fields that apply to its kind, by name."""
+        definition = self.definition
+        found: dict[str, object] = {"kind": self.kind}
+        if definition.devices:
+            found["target"] = self.target
+        if definition.scope is Scope.CHANNEL:
+            found |= {"direction": self.direction, "seed": self.seed}
+        if definition.magnitude:
+            found["magnitude"] = self.magnitude
         if self.cause:
             found["cause"] = self.cause
-        found |= {key: value for key in ("at", "duration") if (value := getattr(self, key))}
+        found |= {key: value for key in ("start", "duration") if (value := getattr(self, key))}
         return found
 
     def __str__(self) -> str:
-        """As YAML, in one line."""
-        return "{" + ", ".join(f"{key}: {value!r}" for key, value in self.said().items()) + "}"
+        """The impairment as one line of YAML."""
+        return (
+            "{" + ", ".join(f"{key}: {value!r}" for key, value in self.as_mapping().items()) + "}"
+        )
 
 
 def _checked(impairment: Impairment, where: str) -> Impairment:
-    """Refuse what does not go together."""
-    kind, what = impairment.kind, impairment.what
-    if kind.devices and not impairment.devices:
-        names = ", ".join(device.name for device in kind.devices)
-        raise ParameterError(f"{where}on = {impairment.on!r}: {what} should be on {names}")
-    if not kind.strength and impairment.strength:
-        raise ParameterError(f"{where}strength = {impairment.strength:g}: {what} has none")
-    if kind.strength and not (
-        kind.smallest <= impairment.strength <= kind.largest and impairment.strength
+    """Refuse fields that do not apply to the kind."""
+    definition, kind = impairment.definition, impairment.kind
+    if definition.devices and not impairment.devices:
+        names = ", ".join(device.name for device in definition.devices)
+        raise ParameterError(
+            f"{where}target = {impairment.target!r}: {kind} should target one of {names}"
+        )
+    if not definition.magnitude and impairment.magnitude:
+        raise ParameterError(
+            f"{where}magnitude = {impairment.magnitude:g}: {kind} has no magnitude"
+        )
+    if definition.magnitude and not (
+        definition.minimum <= impairment.magnitude <= definition.maximum and impairment.magnitude
     ):
         raise ParameterError(
-            f"{where}strength = {impairment.strength:g}: of {what} ({kind.strength}) it should be "
-            f"from {kind.smallest:g} to {kind.largest:g} {kind.unit}, and not 0"
+            f"{where}magnitude = {impairment.magnitude:g}: {kind} ({definition.magnitude}) should "
+            f"be from {definition.minimum:g} to {definition.maximum:g} {definition.unit}, and not 0"
         )
-    if (what == "drive_fault") != bool(impairment.cause):
-        right = f"should be one of {', '.join(CAUSES)}" if not impairment.cause else "has no cause"
-        raise ParameterError(f"{where}cause = {impairment.cause!r}: {what} {right}")
-    if impairment.way != BOTH and kind.place is not Place.LINE:
-        raise ParameterError(f"{where}way = {impairment.way!r}: {what} has none")
+    if (kind == "drive_fault") != bool(impairment.cause):
+        expected = "has no cause" if impairment.cause else f"should be one of {', '.join(CAUSES)}"
+        raise ParameterError(f"{where}cause = {impairment.cause!r}: {kind} {expected}")
+    if impairment.direction != BOTH and definition.scope is not Scope.CHANNEL:
+        raise ParameterError(
+            f"{where}direction = {impairment.direction!r}: {kind} has no direction"
+        )
     return impairment
 
 
@@ -195,14 +207,14 @@ def impairment_from(mapping: object, where: str = "") -> Impairment:
     """One impairment from names and values.
 
     Raises:
-        ParameterError: a name or value is wrong; with what would be right.
+        ParameterError: a name or value is invalid; the text gives the expected one.
     """
     if not isinstance(mapping, Mapping):
         raise ParameterError(
-            f"{where}{mapping!r}: should be names and values, as {{what: loss, strength: 0.3}}"
+            f"{where}{mapping!r}: should be names and values, as {{kind: loss, magnitude: 0.3}}"
         )
-    if "what" not in mapping:
-        raise ParameterError(f"{where}should say what: one of {', '.join(KINDS)}")
+    if "kind" not in mapping:
+        raise ParameterError(f"{where}kind is missing: should be one of {', '.join(KINDS)}")
     return _checked(from_mapping(Impairment, mapping, where), where)
 
 
@@ -210,7 +222,7 @@ def read_impairments(text: str) -> tuple[Impairment, ...]:
     """Impairments from YAML, or from the file that a text ending in .yaml names; empty: none.
 
     Raises:
-        ParameterError: the file cannot be read, or holds something else; with what would be right.
+        ParameterError: the file cannot be read, or its content is invalid.
     """
     name = text.strip()
     try:

@@ -1,7 +1,7 @@
-"""One end of the link: a bus with the `canopen` network on it, read frame by frame.
+"""One end of the link: a bus with a `canopen` network, read frame by frame.
 
-Nothing here runs by itself: who owns the end reads it, so that tests step both ends one after the
-other, and a process that hangs sends nothing, its heartbeat included.
+It has no thread: its owner reads it. Tests can step both ends in turn, and a process that hangs
+sends nothing, not even its heartbeat.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rover_hil.objects import Pdo
 from rover_hil.serial_bus import CobsSerialBus
 
 SYNC_ID = 0x80
-_MOST_AT_ONCE = 500
+_MOST_PENDING = 500
 HEARTBEAT_ID = 0x700
 
 
@@ -26,12 +26,12 @@ class Link:
     """An end of the link.
 
     Args:
-        bus: that carries it; closed with the link.
+        bus: closed with the link.
 
     Attributes:
         network: of the `canopen` library, for nodes, SDO, NMT, emergencies.
         sent, received: frames since the start.
-        failed: frames that the bus did not take, and readings that it gave up.
+        failed: failed writes and reads of the bus.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -42,7 +42,7 @@ class Link:
         self.failed = 0
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame; one that the bus does not take is counted, and lost as on any bus."""
+        """Send a frame; a failure is counted, and the frame is lost."""
         try:
             self.network.send_message(can_id, data)
             self.sent += 1
@@ -58,11 +58,11 @@ class Link:
         self.send(HEARTBEAT_ID + node_id, bytes([state]))
 
     def receive(self, timeout: float) -> can.Message | None:
-        """Wait at most so long [s] for a frame."""
+        """Wait for a frame, for a timeout [s] at most."""
         try:
             frame = self.bus.recv(timeout)
         except (can.CanError, OSError, ValueError):
-            # Not a frame, or a bus in trouble: whoever waits for frames will miss them.
+            # An invalid frame or a bus error: the timeouts of the receivers act.
             self.failed += 1
             return None
         if frame is not None and not (
@@ -72,35 +72,35 @@ class Link:
             return frame
         return None
 
-    def hand_on(self, frame: can.Message) -> None:
-        """Give a frame to the network's nodes and to who else has subscribed."""
+    def dispatch(self, frame: can.Message) -> None:
+        """Pass a frame to the network's nodes and subscribers."""
         try:
             self.network.notify(frame.arbitration_id, frame.data, frame.timestamp)
         except (struct.error, ValueError, IndexError):
-            # The library takes a node's frames as long as they should be.
+            # The library assumes frames of the right length.
             self.failed += 1
 
     def poll(self, timeout: float) -> bool:
-        """Wait at most so long [s] for a frame and hand it on; returns whether there was one."""
+        """Receive and dispatch a frame within a timeout [s]; returns whether there was one."""
         frame = self.receive(timeout)
         if frame is not None:
-            self.hand_on(frame)
+            self.dispatch(frame)
         return frame is not None
 
-    def waiting(self, first: can.Message) -> list[can.Message]:
-        """A frame and all that wait behind it, without the SYNCs that another one follows.
+    def pending_frames(self, first: can.Message) -> list[can.Message]:
+        """A frame and all that wait behind it, with only the newest SYNC.
 
-        Who has fallen behind would answer ever older ones otherwise, and never catch up.
+        A device that has fallen behind would never catch up if it answered every SYNC.
         """
         frames = [first]
-        while len(frames) < _MOST_AT_ONCE and (frame := self.receive(0.0)) is not None:
+        while len(frames) < _MOST_PENDING and (frame := self.receive(0.0)) is not None:
             frames.append(frame)
         syncs = [frame for frame in frames if frame.arbitration_id == SYNC_ID]
         old = set(map(id, syncs[:-1]))
         return [frame for frame in frames if id(frame) not in old]
 
-    def drain(self) -> int:
-        """Hand on all frames that wait; returns how many."""
+    def dispatch_pending(self) -> int:
+        """Dispatch all waiting frames; returns their number."""
         count = 0
         while self.poll(0.0):
             count += 1
@@ -108,7 +108,7 @@ class Link:
 
     @property
     def line_errors(self) -> int:
-        """Frames that came damaged over a serial line and were thrown away."""
+        """Corrupted frames dropped from a serial line."""
         return self.bus.decoder.errors.total if isinstance(self.bus, CobsSerialBus) else 0
 
     def close(self) -> None:
@@ -116,24 +116,24 @@ class Link:
         self.bus.shutdown()
 
 
-def waited_ns(frame: can.Message) -> int:
-    """How long ago a frame has come by the bus [ns], by the system's stamp, where it bears one.
+def frame_age_ns(frame: can.Message) -> int:
+    """Time since a frame arrived [ns], by the system's stamp; 0 without a stamp.
 
-    No longer than a period of SYNC: an end that hangs has not taken it.
+    At most a period of SYNC: an end that hangs did not receive the frame in time.
     """
     if not frame.timestamp:
         return 0
-    waited = time.time_ns() - round(frame.timestamp * 1e9)
-    return min(max(waited, 0), round(SYNC_PERIOD * 1e9))
+    age = time.time_ns() - round(frame.timestamp * 1e9)
+    return min(max(age, 0), round(SYNC_PERIOD * 1e9))
 
 
 def pack(pdo: Pdo, counts: Mapping[str, int]) -> bytes:
-    """The bytes of a PDO, from counts by the keys of its entries."""
+    """Encode a PDO, from counts by the keys of its entries."""
     return pdo.layout.pack(*(counts[key] for key in pdo.keys))
 
 
 def unpack(pdo: Pdo, data: bytes) -> dict[str, int] | None:
-    """Counts by keys; None: the frame has another length than the PDO, and is none of it."""
+    """Decode a PDO to counts by keys; None: the frame has another length."""
     layout = pdo.layout
     return (
         dict(zip(pdo.keys, layout.unpack(data), strict=True)) if len(data) == layout.size else None

@@ -1,4 +1,4 @@
-"""The bridge's figures as statuses: numbers are written with full precision, times in s."""
+"""Metrics of the bridge as diagnostic statuses: numbers in full precision, times in s."""
 
 from __future__ import annotations
 
@@ -11,33 +11,37 @@ from rover_hil.statistics import Window
 
 
 def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
-    """How the loop goes: round trips, deadlines, frames."""
+    """Status of the link: round trips, deadlines, frames."""
     values = {
         "cycles": str(bridge.cycles),
         "sync_rate": repr(SYNC_RATE),
-        "late_cycles": str(bridge.late),
-        "incomplete_cycles": str(bridge.incomplete),
-        "overdue_round_trips": str(bridge.overdue),
-        "missed_deadlines": str(bridge.late + bridge.incomplete + bridge.overdue),
+        "late_cycles": str(bridge.late_cycles),
+        "incomplete_cycles": str(bridge.incomplete_cycles),
+        "overdue_round_trips": str(bridge.overdue_round_trips),
+        "missed_deadlines": str(
+            bridge.late_cycles + bridge.incomplete_cycles + bridge.overdue_round_trips
+        ),
         "frames_sent": str(link.sent),
         "frames_received": str(link.received),
         "frames_lost": str(sum(each.lost for each in bridge.stations.values())),
         "frames_stale": str(sum(each.stale for each in bridge.stations.values())),
-        "frames_strange": str(sum(each.strange for each in bridge.stations.values())),
+        "frames_invalid": str(sum(each.invalid for each in bridge.stations.values())),
         "frames_damaged": str(link.line_errors),
         "frames_failed": str(link.failed),
         **_window("round_trip", bridge.round_trip),
         **_window("command_time", bridge.command_time),
         **_window("answer_time", bridge.answer_time),
     }
-    silent = bridge.silent(now_ns)
-    if silent:
-        return Status(f"{node}: link", f"not heard: {', '.join(silent)}", Level.ERROR, node, values)
+    missing = bridge.missing_devices(now_ns)
+    if missing:
+        return Status(
+            f"{node}: link", f"no answer: {', '.join(missing)}", Level.ERROR, node, values
+        )
     return Status(f"{node}: link", "all devices answer", Level.OK, node, values)
 
 
 def device_status(node: str, bridge: Bridge, name: str, now_ns: int) -> Status:
-    """One device: state, clock, what it missed."""
+    """Status of one device: state, clock offset, frames."""
     station, channel = bridge.stations[name], bridge.channels.get(name)
     offset = station.clock.now(now_ns)
     values = {
@@ -47,18 +51,18 @@ def device_status(node: str, bridge: Bridge, name: str, now_ns: int) -> Status:
         "clock_uncertainty": "" if offset is None else repr(offset.uncertainty),
         "frames_lost": str(station.lost),
         "frames_stale": str(station.stale),
-        "frames_strange": str(station.strange),
+        "frames_invalid": str(station.invalid),
     }
-    heard = station.is_heard(now_ns)
-    level, message = (Level.OK, "answers") if heard else (Level.ERROR, "silent")
+    alive = station.is_alive(now_ns)
+    level, message = (Level.OK, "answers") if alive else (Level.ERROR, "no answer")
     if station.mismatch:
-        level, message = Level.ERROR, f"not what it should be: {station.mismatch}"
-    elif heard and channel is not None:
+        level, message = Level.ERROR, f"not the expected device: {station.mismatch}"
+    elif alive and channel is not None:
         message = channel.state.lower() or "state unknown"
         level = Level.ERROR if channel.state == FAULT else Level.OK
         values |= {
             "armed": str(channel.armed).lower(),
-            "rejected_sets": str(station.counts.get("rejected", 0)),
+            "rejected_sets": str(station.counts.get("rejected_sets", 0)),
         }
     return Status(f"{node}: {name}", message, level, node, values)
 

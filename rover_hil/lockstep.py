@@ -1,44 +1,44 @@
-"""Whom the next SYNC waits for in lockstep: time goes on when all who keep up have done so."""
+"""Lockstep: the next SYNC waits until devices and command sources have finished the cycle."""
 
 from __future__ import annotations
 
 from rover_hil.devices import SYNC_PERIOD
 
 
-class Lockstep:
-    """Who keeps up with the cycles of SYNC.
+class LockstepBarrier:
+    """Decides when the next cycle of SYNC may start.
 
-    Whoever was heard once is awaited from then on: a device in each cycle, a commander in one of
-    every few. Who is not heard for the patience is awaited no more until heard again, so that
-    one that has gone costs its patience once. While nobody is awaited, cycles go by the wall clock.
+    Every participant that made progress once is awaited from then on: a device in each cycle, a
+    command source in one of every few. A participant that makes none within the timeout is not
+    awaited until it makes progress again. Without participants, cycles follow the wall clock.
 
     Args:
-        patience: wall time for which one waits [s].
+        timeout: longest wall time to wait for a participant [s].
     """
 
-    def __init__(self, patience: float) -> None:
-        self.patience = patience
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
         self._latest: dict[str, tuple[int, int]] = {}
 
-    def heard(self, name: str, cycle: int, within: int = 1) -> None:
-        """Somebody has kept up.
+    def on_progress(self, name: str, cycle: int, within: int = 1) -> None:
+        """Note the progress of a participant.
 
         Args:
-            name: who.
-            cycle: in which.
-            within: cycles in one of which it will be awaited again.
+            name: device or topic.
+            cycle: number of the cycle.
+            within: cycles within which its next progress is awaited.
         """
         self._latest[name] = (cycle, within)
 
     def may_go_on(self, cycle: int, waited: float) -> bool:
-        """Whether the cycle may end.
+        """Whether the next cycle may start.
 
         Args:
-            cycle: number of the present one.
+            cycle: number of the present cycle.
             waited: wall time since it began [s].
         """
         late = [name for name, (at, within) in self._latest.items() if at <= cycle - within]
-        if late and waited > self.patience:
+        if late and waited > self.timeout:
             for name in late:
                 del self._latest[name]
             late = []

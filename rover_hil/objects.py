@@ -1,4 +1,4 @@
-"""What an object of a device's dictionary is: index, type, access, and the unit of one count."""
+"""Objects, PDOs and devices of CANopen, with the unit of one count."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Kind(Enum):
         code: of the data type.
         letter: for `struct`.
         bits: length.
-        smallest, largest: values.
+        smallest, largest: range.
     """
 
     I8 = (datatypes.INTEGER8, "b")
@@ -42,15 +42,15 @@ class Entry:
     """One object of a device.
 
     Attributes:
-        key: short name by which the suite calls it.
+        key: short name within the suite.
         index, subindex: address in the dictionary.
-        name: as CiA 301, 402 or the device calls it.
+        name: in CiA 301, CiA 402 or the device profile.
         kind: integer type.
         access: ro, rw or const.
         default: value at power-on, in counts.
-        scale: of one count, in `unit`.
+        scale: value of one count, in `unit`.
         unit: SI unit, or ``-``.
-        about: what it means, where the name does not say it all.
+        about: meaning, if the name is not enough.
     """
 
     key: str
@@ -78,7 +78,7 @@ class Entry:
         """The nearest whole number of counts to a value in the unit.
 
         Raises:
-            ValueError: it is not finite, or the type does not hold it.
+            ValueError: it is not finite, or beyond the type's range.
         """
         if not math.isfinite(value):
             raise ValueError(f"{self.key} = {value}: should be a finite number")
@@ -92,7 +92,7 @@ class Entry:
         return counts
 
     def saturated(self, value: float) -> int:
-        """As `counts`, with a value beyond the type's range held at its end."""
+        """Like `counts`, saturated to the type's range."""
         return self.counts(min(max(value, self.smallest), self.largest))
 
     def value(self, counts: int) -> float:
@@ -102,7 +102,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Pdo:
-    """A process data object: entries that travel in one frame of at most 8 bytes.
+    """A process data object: entries in one frame of at most 8 bytes.
 
     Attributes:
         number: from 1.
@@ -115,7 +115,7 @@ class Pdo:
     entries: tuple[Entry, ...]
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit into a frame."""
+        """Refuse entries that exceed a frame."""
         if self.layout.size > 8:
             raise ValueError(f"{self.name} has {self.layout.size} bytes: should be at most 8")
 
@@ -126,7 +126,7 @@ class Pdo:
 
     @cached_property
     def layout(self) -> struct.Struct:
-        """How its bytes are packed."""
+        """Layout of its bytes."""
         return struct.Struct("<" + "".join(entry.kind.letter for entry in self.entries))
 
     @cached_property
@@ -146,12 +146,12 @@ class Device:
     Attributes:
         name: jump, wheel, winch, imu or load_cell.
         node_id: its CANopen node.
-        product: what it is.
+        product: description.
         product_code, device_type: objects 1018h:02 and 1000h.
         entries: of the profile and of the manufacturer.
-        pdos: what travels without being asked for.
-        is_drive: whether it obeys CiA 402.
-        is_on_rover: whether it runs by the rover's clock, not the mother's.
+        pdos: TPDOs and RPDOs.
+        is_drive: whether it is a CiA 402 drive.
+        is_on_rover: whether it has the rover's clock, not the mother machine's.
     """
 
     name: str
@@ -170,11 +170,11 @@ class Device:
         return {entry.key: entry for entry in self.entries}
 
     @property
-    def tells(self) -> tuple[Pdo, ...]:
+    def tpdos(self) -> tuple[Pdo, ...]:
         """Its TPDOs."""
         return tuple(pdo for pdo in self.pdos if pdo.sent_by_device)
 
     @property
-    def hears(self) -> tuple[Pdo, ...]:
+    def rpdos(self) -> tuple[Pdo, ...]:
         """Its RPDOs."""
         return tuple(pdo for pdo in self.pdos if not pdo.sent_by_device)

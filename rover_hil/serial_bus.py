@@ -1,6 +1,6 @@
-"""A serial line as a CAN bus of `python-can`: interface `cobs_serial`, see `framing`.
+"""A serial line as a bus of `python-can`: interface `cobs_serial`, see `framing`.
 
-The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`. The line joins two ends.
+The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class CobsSerialBus(can.BusABC):
         baudrate: of the line [bit/s].
 
     Attributes:
-        decoder: with what it has thrown away.
+        decoder: with counts of dropped frames.
 
     Raises:
         can.CanInitializationError: the port cannot be opened.
@@ -33,7 +33,7 @@ class CobsSerialBus(can.BusABC):
 
     def __init__(self, channel: str, baudrate: int = 3_000_000, **kwargs: Any) -> None:
         try:
-            # Exclusively: two that read from one line take each other's bytes.
+            # Exclusive: two readers of one line would take each other's bytes.
             self._port = serial.Serial(
                 channel, baudrate, timeout=0.0, write_timeout=1.0, exclusive=True
             )
@@ -49,11 +49,11 @@ class CobsSerialBus(can.BusABC):
         """Write a frame to the line.
 
         Raises:
-            can.CanOperationError: it is no classic CAN frame, or the line is gone or full.
+            can.CanOperationError: not a classic CAN frame, or the line is gone or full.
         """
         del timeout  # the port's own
         if msg.is_fd:
-            raise can.CanOperationError("a CAN FD frame: this line carries classic CAN alone")
+            raise can.CanOperationError("a CAN FD frame: this line carries classic CAN only")
         frame = Frame(
             msg.arbitration_id,
             b"" if msg.is_remote_frame else bytes(msg.data),

@@ -1,4 +1,4 @@
-"""Percentiles of what is measured again and again, over a window of the last ones."""
+"""Percentiles of a measured quantity over a window of the last values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Percentiles(NamedTuple):
-    """Of a window of values, all in the values' unit."""
+    """Percentiles of a window, in the unit of the values."""
 
     number: int
     p50: float
@@ -18,10 +18,10 @@ class Percentiles(NamedTuple):
 
 
 class Window:
-    """The last values, and the largest of all.
+    """Window of the last values.
 
     Args:
-        size: how many are kept.
+        size: number of values kept.
     """
 
     def __init__(self, size: int = 20_000) -> None:
@@ -31,15 +31,15 @@ class Window:
         return len(self._values)
 
     def add(self, value: float) -> None:
-        """Take a value."""
+        """Add a value."""
         self._values.append(value)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all values."""
         self._values.clear()
 
     def percentiles(self) -> Percentiles | None:
-        """Of what is kept; None without a value."""
+        """Percentiles of the window; None: it is empty."""
         if not self._values:
             return None
         values = np.array(self._values)

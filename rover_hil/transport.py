@@ -1,9 +1,9 @@
-"""Which bus carries the link: one text says it, so that swapping it changes one parameter.
+"""Transports of the link, selected by one text.
 
 socketcan:can0                  a CAN interface of Linux
-udp_multicast:239.74.163.2      where there is no CAN: all on this machine or network
+udp_multicast:239.74.163.2      without CAN: on this computer or network
 udp_multicast:239.74.163.2:43200
-virtual:bench                   inside one process
+virtual:bench                   within one process
 serial:/dev/ttyUSB0             a serial line or pseudo-terminal
 serial:/dev/ttyUSB0:921600
 """
@@ -34,7 +34,7 @@ def _socketcan(channel: str, number: int | None) -> can.BusABC:
 
 def _udp_multicast(channel: str, number: int | None) -> can.BusABC:
     port = _DEFAULT_PORT if number is None else number
-    # One hop: this network alone.
+    # One hop: this network only.
     return UdpBus(channel, port, hop_limit=1)
 
 
@@ -56,10 +56,10 @@ _OPENERS: dict[str, Callable[[str, int | None], can.BusABC]] = {
 
 
 def open_bus(link: str) -> can.BusABC:
-    """Open what a text such as `socketcan:can0` names.
+    """Open the bus of a text such as `socketcan:can0`.
 
     Raises:
-        TransportError: it names nothing known, or cannot be opened here; with what would be right.
+        TransportError: the text is invalid, or the bus cannot be opened.
     """
     interface, _, rest = link.partition(":")
     channel, _, last = rest.rpartition(":")

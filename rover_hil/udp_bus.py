@@ -1,9 +1,8 @@
-"""python-can's bus over UDP multicast, without the frames that oneself has sent.
+"""python-can's bus over UDP multicast, without reception of own frames.
 
-python-can sends from the socket that it receives with, so that each end takes its own frames back
-in and cannot tell them from others': at 200 cycles a second that is a tenth of a core. This bus
-sends from a port of its own, and has the kernel leave out what comes from there (Linux' classic BPF
-on the socket; elsewhere it hears itself, as python-can's does).
+python-can sends from the socket that it receives with, so that each end receives its own frames,
+which costs a tenth of a core at 200 cycles per second. This bus sends from another port, whose
+datagrams the kernel filters out (Linux' classic BPF; elsewhere it receives its own frames, too).
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ _WHOLE = 0xFFFF
 
 
 class UdpBus(UdpMulticastBus):
-    """A bus over UDP multicast that does not hear itself.
+    """A bus over UDP multicast that does not receive its own frames.
 
     Args:
         channel: IPv4 address of the group.
         port: of the group.
-        hop_limit: how many networks a frame may cross.
+        hop_limit: largest number of network hops.
 
     Raises:
         can.CanInitializationError: there is no network for that group.
@@ -47,13 +46,13 @@ class UdpBus(UdpMulticastBus):
             self._out.bind(("", 0))
             if sys.platform == "linux":
                 with socket.socket(fileno=os.dup(self.fileno())) as receiving:
-                    _leave_out(receiving, self._own_address(), self._out.getsockname()[1])
+                    _filter_out(receiving, self._own_address(), self._out.getsockname()[1])
         except OSError as error:
             self.shutdown()
             raise can.CanInitializationError(f"{channel}:{port}: {error}") from error
 
     def _own_address(self) -> str:
-        """From which frames to the group set out."""
+        """Source address of frames to the group."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect(self._group)
             return str(probe.getsockname()[0])
@@ -62,11 +61,11 @@ class UdpBus(UdpMulticastBus):
         """Send a frame to all in the group.
 
         Raises:
-            can.CanOperationError: it is no classic CAN frame, or the network does not take it.
+            can.CanOperationError: not a classic CAN frame, or a network error.
         """
-        del timeout  # a datagram is taken at once, or not at all
+        del timeout  # a datagram is sent at once, or not at all
         if msg.is_fd:
-            raise can.CanOperationError("a CAN FD frame: this bus carries classic CAN alone")
+            raise can.CanOperationError("a CAN FD frame: this bus carries classic CAN only")
         try:
             self._out.sendto(pack_message(msg), self._group)
         except OSError as error:
@@ -78,8 +77,8 @@ class UdpBus(UdpMulticastBus):
         self._out.close()
 
 
-def _leave_out(receiving: socket.socket, address: str, port: int) -> None:
-    """Have a UDP socket take nothing that comes from an IPv4 address and port."""
+def _filter_out(receiving: socket.socket, address: str, port: int) -> None:
+    """Filter datagrams from an IPv4 address and port out of a UDP socket."""
     (number,) = struct.unpack("!I", socket.inet_aton(address))
     program = b"".join(
         struct.pack("HBBI", code, if_true, if_false, operand)
@@ -93,6 +92,6 @@ def _leave_out(receiving: socket.socket, address: str, port: int) -> None:
         )
     )
     code = ctypes.create_string_buffer(program, len(program))
-    # A struct sock_fprog: how many instructions, and where they stand.
+    # A struct sock_fprog: number and address of the instructions.
     where = struct.pack("HP", len(program) // 8, ctypes.addressof(code))
     receiving.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, where)

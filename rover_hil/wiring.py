@@ -1,8 +1,7 @@
-"""How contract and objects correspond: commands to set-points, values of devices to samples.
+"""Mapping between contract and objects: commands to setpoints, device values to samples.
 
-Both ways stand here side by side: the bridge goes from the contract to the link and back, an
-emulator the other way round. Values are in the units of `devices`; only `objects.Entry` knows of
-counts.
+The bridge and the emulator use opposite directions of the same mapping. Values are in the units of
+`devices`; only `objects.Entry` converts counts.
 """
 
 from __future__ import annotations
@@ -65,9 +64,9 @@ COMMANDED: Mapping[str, Device] = {
     topics.WHEEL_TORQUE_COMMAND: WHEEL,
     topics.WINCH_COMMAND: WINCH,
 }
-"""Which drive obeys which topic."""
+"""Drive of each command topic."""
 
-TOLD: Mapping[str, tuple[Device, ...]] = {
+PUBLISHED: Mapping[str, tuple[Device, ...]] = {
     topics.IMU: (IMU,),
     topics.CONTACT: (IMU,),
     topics.ROVER_LOAD_CELL: (IMU,),
@@ -78,7 +77,7 @@ TOLD: Mapping[str, tuple[Device, ...]] = {
     topics.WINCH_STATE: (WINCH,),
     topics.MOTOR_CURRENTS: (JUMP, WHEEL, WINCH),
 }
-"""Which devices' values a topic is made of."""
+"""Devices whose values each published topic contains."""
 
 AT_REST: Values = {
     "mode": 0,
@@ -88,37 +87,37 @@ AT_REST: Values = {
     "target_position": 0.0,
     "switches": 0,
 }
-"""The set-point that asks for nothing."""
+"""The setpoint without motion."""
 
-_PITCH = SCREW_LEAD / math.tau  # of the screw [m/rad]
+_SCREW_PITCH = SCREW_LEAD / math.tau  # of the screw [m/rad]
 
 
 # ---------------------------------------------------------------------------------------- commands
 
 
 def setpoint_of(topic: str, sample: JointSample) -> Values:
-    """What a command of the contract asks of its drive.
+    """The setpoint of a command of the contract.
 
     Raises:
-        Refusal: a switch is neither 0 nor 1, or a number is beyond what the objects can hold.
+        Refusal: a switch is neither 0 nor 1, or a value is beyond the range of its object.
     """
-    setpoint = {**AT_REST, **_asked(topic, sample)}
+    setpoint = {**AT_REST, **_requested(topic, sample)}
     entries = COMMANDED[topic].by_key
     for key, value in setpoint.items():
         try:
             entries[key].counts(value)
         except ValueError as error:
             raise Refusal(topic, RefusalCode.OUT_OF_LIMITS, str(error)) from None
-    # A limit that rounds to nothing would be none.
+    # A limit that rounds to 0 would mean no limit.
     setpoint["max_torque"] = max(setpoint["max_torque"], entries["max_torque"].scale)
     return setpoint
 
 
-def _asked(topic: str, sample: JointSample) -> Values:
+def _requested(topic: str, sample: JointSample) -> Values:
     joints = sample.joints
     if topic == topics.WINCH_COMMAND:
         length, rate, tension = joints[WINCH_DRUM]
-        released = _switch(topic, WINCH_BRAKE, joints[WINCH_BRAKE].position)
+        released = _switch_value(topic, WINCH_BRAKE, joints[WINCH_BRAKE].position)
         return {
             "mode": VELOCITY_MODE,
             "target_velocity": rate,
@@ -129,7 +128,7 @@ def _asked(topic: str, sample: JointSample) -> Values:
         }
     if topic == topics.JUMP_MOTOR_COMMAND:
         compression, speed, force = joints[JUMP_SCREW]
-        trips = _switch(topic, JUMP_LATCH, joints.get(JUMP_LATCH, JointValue(1.0)).position)
+        trips = _switch_value(topic, JUMP_LATCH, joints.get(JUMP_LATCH, JointValue(1.0)).position)
         return {
             "mode": POSITION_MODE,
             "target_velocity": speed,
@@ -145,7 +144,7 @@ def _asked(topic: str, sample: JointSample) -> Values:
     return {"mode": VELOCITY_MODE, "target_velocity": rate, "max_torque": torque}
 
 
-def _switch(topic: str, joint: str, position: float) -> bool:
+def _switch_value(topic: str, joint: str, position: float) -> bool:
     if position not in (0.0, 1.0):
         raise Refusal(
             topic,
@@ -155,8 +154,8 @@ def _switch(topic: str, joint: str, position: float) -> bool:
     return position == 1.0
 
 
-def asks_for_rest(topic: str, setpoint: Values) -> bool:
-    """Whether a set-point leaves its drive as it is without power: nothing is to be refused."""
+def requests_rest(topic: str, setpoint: Values) -> bool:
+    """Whether a setpoint equals the drive's state without power: it need not be refused."""
     return (
         topic == topics.WINCH_COMMAND
         and not setpoint["switches"]
@@ -165,7 +164,7 @@ def asks_for_rest(topic: str, setpoint: Values) -> bool:
 
 
 def command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointValue]] | None:
-    """The contract's command that a set-point came from; None: a mode that the drive lacks."""
+    """The command of the contract for a setpoint; None: an unsupported mode."""
     mode = round(setpoint["mode"])
     velocity, torque = setpoint["target_velocity"], setpoint["target_torque"]
     limit, position = setpoint["max_torque"], setpoint["target_position"]
@@ -194,7 +193,7 @@ def command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointVa
 
 
 def sample_of(topic: str, stamp_ns: int, values: Mapping[str, Values]) -> Sample:
-    """A sample of a topic of `TOLD`, from the values of its devices by their names."""
+    """A sample of a topic in `PUBLISHED`, from the values of its devices by name."""
     if topic in {topics.IMU, topics.CONTACT, topics.ROVER_LOAD_CELL}:
         return _rover_sample(topic, stamp_ns, values[IMU.name])
     if topic == topics.LOAD_CELL:
@@ -205,7 +204,7 @@ def sample_of(topic: str, stamp_ns: int, values: Mapping[str, Values]) -> Sample
             stamp_ns,
             {name: JointValue(0.0, 0.0, values[device.name]["current"]) for name, device in motors},
         )
-    read = values[TOLD[topic][0].name]
+    read = values[PUBLISHED[topic][0].name]
     if topic == topics.WHEEL_STATE:
         joints = {
             WHEEL_LEFT: JointValue(read["position"], read["velocity"]),
@@ -219,9 +218,9 @@ def sample_of(topic: str, stamp_ns: int, values: Mapping[str, Values]) -> Sample
     elif topic == topics.JUMP_MOTOR_STATE:
         joints = {JUMP_SCREW: JointValue(read["position"], read["velocity"], read["torque"])}
     else:
-        turned = JointValue(read["position"] / _PITCH, read["velocity"] / _PITCH)
-        joints = {FLYWHEEL: turned}
-    # Counts are rounded, and may lie half of one beyond what the contract knows.
+        angle = JointValue(read["position"] / _SCREW_PITCH, read["velocity"] / _SCREW_PITCH)
+        joints = {FLYWHEEL: angle}
+    # Rounding to counts may exceed the contract's limit by half a count.
     return TOPICS[topic].saturated(stamp_ns, joints)
 
 
@@ -245,13 +244,13 @@ def _rover_sample(topic: str, stamp_ns: int, read: Values) -> Sample:
 
 
 def values_of(samples: Mapping[str, Sample]) -> dict[str, dict[str, float]]:
-    """What devices tell where the contract's samples are these, by topic; the inverse of the above.
+    """Values of the devices from samples by topic; the inverse of `sample_of`.
 
     Raises:
-        KeyError: a topic of `TOLD` is missing.
-        TypeError: a sample is of another type than its topic's.
+        KeyError: a topic of `PUBLISHED` is missing.
+        TypeError: a sample has the wrong type.
     """
-    joints = {topic: _joints(samples[topic]) for topic in TOLD if topic not in _NO_JOINTS}
+    joints = {topic: _joints(samples[topic]) for topic in PUBLISHED if topic not in _NOT_JOINTS}
     imu, cell = samples[topics.IMU], samples[topics.LOAD_CELL]
     rover_cell = samples[topics.ROVER_LOAD_CELL]
     if not (
@@ -259,7 +258,7 @@ def values_of(samples: Mapping[str, Sample]) -> dict[str, dict[str, float]]:
         and isinstance(cell, WrenchSample)
         and isinstance(rover_cell, WrenchSample)
     ):
-        raise TypeError("samples of sensors should be of their topics' types")
+        raise TypeError("samples of sensors should have their topics' types")
     currents, touched = joints[topics.MOTOR_CURRENTS], joints[topics.CONTACT]
     nut = joints[topics.JUMP_MOTOR_STATE][JUMP_SCREW]
     wheels, winch = joints[topics.WHEEL_STATE], joints[topics.WINCH_STATE]
@@ -294,10 +293,10 @@ def _of_drive(joint: JointValue, current: JointValue) -> dict[str, float]:
     }
 
 
-_NO_JOINTS = (topics.IMU, topics.LOAD_CELL, topics.ROVER_LOAD_CELL)
+_NOT_JOINTS = (topics.IMU, topics.LOAD_CELL, topics.ROVER_LOAD_CELL)
 
 
 def _joints(sample: Sample) -> Mapping[str, JointValue]:
     if not isinstance(sample, JointSample):
-        raise TypeError(f"a sample of joints is needed, this is {type(sample).__name__}")
+        raise TypeError(f"should be a JointSample, is {type(sample).__name__}")
     return sample.joints

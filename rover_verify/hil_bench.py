@@ -1,6 +1,6 @@
-"""Bridge and emulated machine on one link in one process, cycle by cycle: no ROS, no waiting.
+"""Test bench: bridge and emulated machine on one link in one process, without ROS and threads.
 
-Time is the plant's: a cycle is one period of SYNC, and nothing depends on how fast the machine is.
+Time is the plant's: a cycle is one period of SYNC, whatever the speed of the computer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
 from msg_schemas.transition import Transition
 from rover_hil.bridge import Bridge
-from rover_hil.devices import BRIDGE_NODE, DEVICES, HEARTBEAT, SYNC_PERIOD
+from rover_hil.devices import BRIDGE_NODE, DEVICES, HEARTBEAT_PERIOD, SYNC_PERIOD
 from rover_hil.emulator.machine import EmulatedMachine
 from rover_hil.impairment import read_impairments
 from rover_hil.link import HEARTBEAT_ID, Link
@@ -28,24 +28,24 @@ PERIOD_NS = round(SYNC_PERIOD * 1e9)
 Controller = Callable[[], Mapping[str, JointSample]]
 _COUNTERS = 240
 _EMERGENCY_ID = 0x80
-_BEAT = round(HEARTBEAT / SYNC_PERIOD)  # cycles
+_HEARTBEAT_CYCLES = round(HEARTBEAT_PERIOD / SYNC_PERIOD)  # cycles
 _OPERATIONAL = 5
 
 
 class HilBench:
-    """Both ends of a link.
+    """Bridge and emulated machine on one link.
 
     Args:
-        simulation: of a plant with rover and winch, with a tick of a SYNC period.
+        simulation: of a plant with rover and winch; its tick is a SYNC period.
         rover_offset: of the rover's clock [s].
         command_delay: see `EmulatedMachine`.
 
     Attributes:
-        bridge: one end.
-        machine: the other.
-        told: what the bridge tells, by topic: the last sample of each.
-        changes: what has changed at both ends, in order, with the time of each [s].
-        driven: drives that were to do something during the last cycle's tick.
+        bridge: the bridge.
+        machine: the emulated machine.
+        published: last sample of each topic published by the bridge.
+        changes: transitions of both, in order, with their times [s].
+        driven: drives with a setpoint during the last tick.
         bridge_is_on: whether the bridge sends anything; False: as if it were dead.
     """
 
@@ -53,16 +53,16 @@ class HilBench:
         self, simulation: Simulation[Any], rover_offset: float = 0.0, command_delay: float = 0.0
     ) -> None:
         channel = f"virtual:{uuid4()}"
-        self._near, self._far = Link(open_bus(channel)), Link(open_bus(channel))
+        self._bridge_link, self._device_link = Link(open_bus(channel)), Link(open_bus(channel))
         self.simulation = simulation
         self.machine = EmulatedMachine(
-            self._far,
+            self._device_link,
             simulation,
             self._now_ns,
             lambda: self._now_ns() + round(rover_offset * 1e9),
             command_delay,
         )
-        self.told: dict[str, Sample] = {}
+        self.published: dict[str, Sample] = {}
         self.changes: list[tuple[float, Transition]] = []
         self.driven: frozenset[str] = frozenset()
         self.bridge_is_on = True
@@ -72,24 +72,24 @@ class HilBench:
 
     def _make_bridge(self) -> Bridge:
         bridge = Bridge(self._send, self._start)
-        network = self._near.network
+        network = self._bridge_link.network
         for can_id in bridge.can_ids:
-            network.subscribe(can_id, partial(self._hear, bridge))
+            network.subscribe(can_id, partial(self._on_tpdo, bridge))
         for device in DEVICES:
-            beat, emergency = HEARTBEAT_ID + device.node_id, _EMERGENCY_ID + device.node_id
-            network.subscribe(beat, partial(self._beat, bridge, device))
-            network.subscribe(emergency, partial(self._emergency, bridge, device))
-            bridge.checked(device, "")
+            heartbeat, emergency = HEARTBEAT_ID + device.node_id, _EMERGENCY_ID + device.node_id
+            network.subscribe(heartbeat, partial(self._on_heartbeat, bridge, device))
+            network.subscribe(emergency, partial(self._on_emergency, bridge, device))
+            bridge.on_device_checked(device, "")
         return bridge
 
     def close(self) -> None:
         """Close the link."""
-        self._near.close()
-        self._far.close()
+        self._bridge_link.close()
+        self._device_link.close()
 
     def restart_bridge(self) -> None:
-        """The bridge dies and is started again: it knows nothing of what was."""
-        self._near.network.subscribers.clear()
+        """Replace the bridge by a new one without any state."""
+        self._bridge_link.network.subscribers.clear()
         self.bridge = self._make_bridge()
 
     # --- time ------------------------------------------------------------------------------------
@@ -107,30 +107,30 @@ class HilBench:
         commands: Mapping[str, JointSample] | Controller | None = None,
         refused: list[Refusal] | None = None,
     ) -> Any:
-        """One period: SYNC, answers, commands upon them, and the plant's tick, which is returned.
+        """One period: SYNC, answers, commands, and the plant's tick, which is returned.
 
         Args:
-            commands: by topic; or who makes them of what is told by then.
-            refused: takes refusals.
+            commands: by topic; or a function that computes them after the answers.
+            refused: collects refusals.
 
         Raises:
-            Refusal: a command was refused, and nothing takes it; the tick is not made then.
+            Refusal: a command was refused and `refused` is None; no tick is made.
         """
         self._cycles += 1
         if self.bridge_is_on:
             now_ns = self._now_ns()
             counter = self._cycles % _COUNTERS + 1
             self.bridge.begin_cycle(counter, now_ns, now_ns)
-            self._near.sync(counter)
-            if self._cycles % _BEAT == 1:
-                self._near.heartbeat(BRIDGE_NODE, _OPERATIONAL)
+            self._bridge_link.sync(counter)
+            if self._cycles % _HEARTBEAT_CYCLES == 1:
+                self._bridge_link.heartbeat(BRIDGE_NODE, _OPERATIONAL)
             self.settle()
-            self.told |= dict(self.bridge.samples())
+            self.published |= dict(self.bridge.samples())
             self.bridge.supervise(now_ns)
-            given = commands() if callable(commands) else commands or {}
-            for topic, sample in given.items():
+            stamped_commands = commands() if callable(commands) else commands or {}
+            for topic, sample in stamped_commands.items():
                 try:
-                    self.bridge.take(topic, sample, now_ns)
+                    self.bridge.on_command(topic, sample, now_ns)
                 except Refusal as refusal:
                     if refused is None:
                         raise
@@ -140,8 +140,8 @@ class HilBench:
         self.driven = frozenset(name for name, drive in drives if drive.setpoint is not None)
         tick = self.machine.tick()
         self.settle()
-        found = (*self.bridge.take_transitions(), *self.machine.take_transitions())
-        self.changes += [(self.time, change) for change in found]
+        transitions = (*self.bridge.take_transitions(), *self.machine.take_transitions())
+        self.changes += [(self.time, change) for change in transitions]
         return tick
 
     def cycles(
@@ -150,7 +150,7 @@ class HilBench:
         commands: Mapping[str, JointSample] | None = None,
         refused: list[Refusal] | None = None,
     ) -> None:
-        """Cycles for so long [s], with the same commands in each, stamped anew."""
+        """Run cycles for a time [s], with the same commands and new stamps in each."""
         for _ in range(round(seconds / SYNC_PERIOD)):
             stamped = {
                 topic: JointSample(self._now_ns(), sample.joints)
@@ -159,55 +159,55 @@ class HilBench:
             self.cycle(stamped, refused)
 
     def put_on_bus(self, can_id: int, data: bytes) -> None:
-        """A frame that is neither end's comes to both."""
-        self._near.send(can_id, data)
-        self._far.send(can_id, data)
+        """Deliver a foreign frame to both ends."""
+        self._bridge_link.send(can_id, data)
+        self._device_link.send(can_id, data)
         self.settle()
 
     def settle(self) -> None:
-        """Hand on all frames, and what they bring about."""
-        while self._on_far() + self._near.drain():
+        """Deliver all frames, including those sent in response."""
+        while self._deliver_to_devices() + self._bridge_link.dispatch_pending():
             pass
 
-    def _on_far(self) -> int:
+    def _deliver_to_devices(self) -> int:
         frames: list[can.Message] = []
-        while (frame := self._far.receive(0.0)) is not None:
+        while (frame := self._device_link.receive(0.0)) is not None:
             frames.append(frame)
-        self.machine.hear(frames)
+        self.machine.receive(frames)
         return len(frames)
 
     def arm(self) -> None:
-        """Let the devices be heard, arm the drives, and wait until they are switched on."""
+        """Wait for the devices, arm the drives, and wait until they are switched on."""
         self.cycles(0.05)
         self.bridge.arm(self._now_ns())
         self.cycles(0.05)
 
     def impair(self, text: str) -> None:
-        """Have these impairments and no others, from now on."""
+        """Replace the impairments."""
         self.machine.impair(read_impairments(text))
 
-    def happened(self, name: str) -> bool:
-        """Whether something of this name has changed."""
+    def has_event(self, name: str) -> bool:
+        """Whether a transition of this name has occurred."""
         return any(change.name == name for _, change in self.changes)
 
-    # --- the bridge's end ------------------------------------------------------------------------
+    # --- bridge ----------------------------------------------------------------------------------
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self.bridge_is_on:
-            self._near.send(can_id, data)
+            self._bridge_link.send(can_id, data)
 
     def _start(self, device: Device) -> None:
         self._send(0, bytes([1, device.node_id]))
 
-    def _hear(self, bridge: Bridge, can_id: int, data: bytearray, _timestamp: float) -> None:
-        bridge.heard(can_id, bytes(data), self._now_ns())
+    def _on_tpdo(self, bridge: Bridge, can_id: int, data: bytearray, _timestamp: float) -> None:
+        bridge.on_tpdo(can_id, bytes(data), self._now_ns())
 
-    def _beat(
+    def _on_heartbeat(
         self, bridge: Bridge, device: Device, _can_id: int, data: bytearray, _timestamp: float
     ) -> None:
-        bridge.heartbeat(device, data[0], self._now_ns())
+        bridge.on_heartbeat(device, data[0], self._now_ns())
 
-    def _emergency(
+    def _on_emergency(
         self, bridge: Bridge, device: Device, _can_id: int, data: bytearray, _timestamp: float
     ) -> None:
-        bridge.emergency(device, data[0] | data[1] << 8)
+        bridge.on_emergency(device, data[0] | data[1] << 8)

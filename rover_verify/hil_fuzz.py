@@ -161,7 +161,7 @@ def _fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
     data = generator.bytes(int(generator.integers(0, 9)))
     if kind < 0.7:
         drive = DRIVES[int(generator.integers(len(DRIVES)))]
-        pdo = drive.hears[int(generator.integers(len(drive.hears)))]
+        pdo = drive.rpdos[int(generator.integers(len(drive.rpdos)))]
         return pdo.can_id(drive.node_id), data if generator.random() < 0.3 else generator.bytes(8)
     if kind < 0.8:
         drive = DRIVES[int(generator.integers(len(DRIVES)))]

@@ -78,7 +78,7 @@ def test_the_own_load_cell_answers_as_the_bridge_requires(ends: list[canopen.Net
     bridges.add_node(node)
     assert mismatch(node, LOAD_CELL) == ""
 
-    (pdo,) = LOAD_CELL.tells
+    (pdo,) = LOAD_CELL.tpdos
     answers: list[dict[str, int] | None] = []
     answered = threading.Event()
 
@@ -96,7 +96,7 @@ def test_the_own_load_cell_answers_as_the_bridge_requires(ends: list[canopen.Net
     counts = answers[0]
     assert counts is not None
     assert LOAD_CELL.by_key["tension"].value(counts["tension"]) == pytest.approx(PULL)
-    assert counts["cycle"] <= counter
+    assert counts["sync_counter"] <= counter
 
 
 @pytest.mark.usefixtures("compiled_in_space")
@@ -109,7 +109,7 @@ def test_a_device_that_is_there_itself_is_not_played():
     finally:
         link.close()
     assert machine.devices.keys() == {each.name for each in DEVICES} - {"load_cell"}
-    assert machine.lines.keys() == machine.devices.keys()
+    assert machine.channels.keys() == machine.devices.keys()
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_device_that_is_there_itself_is_not_played():
     [
         ({"real_devices": "camera"}, "'camera' is no device: should be of jump, wheel"),
         (
-            {"real_devices": "imu, load_cell", "impairments": "{what: cut, on: load_cell}"},
+            {"real_devices": "imu, load_cell", "impairments": "{kind: cut, target: load_cell}"},
             "is on load_cell, which is one of the real_devices",
         ),
     ],
@@ -136,5 +136,5 @@ def test_a_procedure_is_as_it_should_be(name: str):
 
 
 def test_the_storm_is_one():
-    kinds = [each.what for each in read_impairments(str(TUTORIALS / "storm.yaml"))]
+    kinds = [each.kind for each in read_impairments(str(TUTORIALS / "storm.yaml"))]
     assert kinds == ["loss", "jitter", "cut"]

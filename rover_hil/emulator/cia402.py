@@ -1,7 +1,7 @@
-"""The automaton of a drive by CiA 402, on the drive's side: states, commands, transitions.
+"""CiA 402 state machine of a drive: states, commands, transitions.
 
-The transitions bear the standard's numbers. The quick stop option code is 2: a quick stop slows
-down and then switches on disabled (12), so that transition 16 does not exist.
+Transitions are numbered as in the standard. The quick stop option code is 2: the drive slows down
+and goes to switch on disabled (transition 12), so transition 16 does not exist.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import enum
 
 
 class DriveState(enum.StrEnum):
-    """States by the names that `canopen.profiles.p402` has for them."""
+    """States, named as in `canopen.profiles.p402`."""
 
     NOT_READY = "NOT READY TO SWITCH ON"
     DISABLED = "SWITCH ON DISABLED"
@@ -18,12 +18,12 @@ class DriveState(enum.StrEnum):
     SWITCHED_ON = "SWITCHED ON"
     ENABLED = "OPERATION ENABLED"
     QUICK_STOP = "QUICK STOP ACTIVE"
-    REACTING = "FAULT REACTION ACTIVE"
+    FAULT_REACTION = "FAULT REACTION ACTIVE"
     FAULT = "FAULT"
 
 
-class Order(enum.Enum):
-    """What a controlword asks for."""
+class DriveCommand(enum.Enum):
+    """Command in a controlword."""
 
     SHUTDOWN = "shutdown"
     SWITCH_ON = "switch on"  # in OPERATION ENABLED: disable operation
@@ -41,55 +41,55 @@ _STATUS = {
     DriveState.SWITCHED_ON: 0x23,
     DriveState.ENABLED: 0x27,
     DriveState.QUICK_STOP: 0x07,
-    DriveState.REACTING: 0x0F,
+    DriveState.FAULT_REACTION: 0x0F,
     DriveState.FAULT: 0x08,
 }
 _VOLTAGE, _REMOTE = 0x10, 0x200
 _TRANSITIONS = {
-    (DriveState.DISABLED, Order.SHUTDOWN): DriveState.READY,  # 2
-    (DriveState.READY, Order.SWITCH_ON): DriveState.SWITCHED_ON,  # 3
-    (DriveState.READY, Order.ENABLE): DriveState.ENABLED,  # 3 and 4 in one
-    (DriveState.SWITCHED_ON, Order.ENABLE): DriveState.ENABLED,  # 4
-    (DriveState.ENABLED, Order.SWITCH_ON): DriveState.SWITCHED_ON,  # 5
-    (DriveState.SWITCHED_ON, Order.SHUTDOWN): DriveState.READY,  # 6
-    (DriveState.READY, Order.DISABLE_VOLTAGE): DriveState.DISABLED,  # 7
-    (DriveState.READY, Order.QUICK_STOP): DriveState.DISABLED,  # 7
-    (DriveState.ENABLED, Order.SHUTDOWN): DriveState.READY,  # 8
-    (DriveState.ENABLED, Order.DISABLE_VOLTAGE): DriveState.DISABLED,  # 9
-    (DriveState.SWITCHED_ON, Order.DISABLE_VOLTAGE): DriveState.DISABLED,  # 10
-    (DriveState.SWITCHED_ON, Order.QUICK_STOP): DriveState.DISABLED,  # 10
-    (DriveState.ENABLED, Order.QUICK_STOP): DriveState.QUICK_STOP,  # 11
-    (DriveState.QUICK_STOP, Order.DISABLE_VOLTAGE): DriveState.DISABLED,  # 12
-    (DriveState.FAULT, Order.FAULT_RESET): DriveState.DISABLED,  # 15
+    (DriveState.DISABLED, DriveCommand.SHUTDOWN): DriveState.READY,  # 2
+    (DriveState.READY, DriveCommand.SWITCH_ON): DriveState.SWITCHED_ON,  # 3
+    (DriveState.READY, DriveCommand.ENABLE): DriveState.ENABLED,  # 3 and 4 in one
+    (DriveState.SWITCHED_ON, DriveCommand.ENABLE): DriveState.ENABLED,  # 4
+    (DriveState.ENABLED, DriveCommand.SWITCH_ON): DriveState.SWITCHED_ON,  # 5
+    (DriveState.SWITCHED_ON, DriveCommand.SHUTDOWN): DriveState.READY,  # 6
+    (DriveState.READY, DriveCommand.DISABLE_VOLTAGE): DriveState.DISABLED,  # 7
+    (DriveState.READY, DriveCommand.QUICK_STOP): DriveState.DISABLED,  # 7
+    (DriveState.ENABLED, DriveCommand.SHUTDOWN): DriveState.READY,  # 8
+    (DriveState.ENABLED, DriveCommand.DISABLE_VOLTAGE): DriveState.DISABLED,  # 9
+    (DriveState.SWITCHED_ON, DriveCommand.DISABLE_VOLTAGE): DriveState.DISABLED,  # 10
+    (DriveState.SWITCHED_ON, DriveCommand.QUICK_STOP): DriveState.DISABLED,  # 10
+    (DriveState.ENABLED, DriveCommand.QUICK_STOP): DriveState.QUICK_STOP,  # 11
+    (DriveState.QUICK_STOP, DriveCommand.DISABLE_VOLTAGE): DriveState.DISABLED,  # 12
+    (DriveState.FAULT, DriveCommand.FAULT_RESET): DriveState.DISABLED,  # 15
 }
 
 
-def order_of(controlword: int, before: int) -> Order | None:
-    """What a controlword asks for; None: nothing that the standard knows.
+def decode_controlword(controlword: int, before: int) -> DriveCommand | None:
+    """The command in a controlword; None: none defined by the standard.
 
     Args:
         controlword: object 6040h.
-        before: the one before it; a fault is reset by the edge of bit 7, not by its level.
+        before: the previous one; a rising edge of bit 7 resets a fault.
     """
     if controlword & _RESET_BIT and not before & _RESET_BIT:
-        return Order.FAULT_RESET
+        return DriveCommand.FAULT_RESET
     if controlword & _RESET_BIT:
         return None
     if not controlword & 0x2:
-        return Order.DISABLE_VOLTAGE
+        return DriveCommand.DISABLE_VOLTAGE
     if not controlword & 0x4:
-        return Order.QUICK_STOP
+        return DriveCommand.QUICK_STOP
     if not controlword & 0x1:
-        return Order.SHUTDOWN
-    return Order.ENABLE if controlword & 0x8 else Order.SWITCH_ON
+        return DriveCommand.SHUTDOWN
+    return DriveCommand.ENABLE if controlword & 0x8 else DriveCommand.SWITCH_ON
 
 
 class Automaton:
-    """One drive's state.
+    """State of one drive.
 
     Attributes:
         state: present state.
-        error_code: object 603Fh: of the last fault, 0 without one.
+        error_code: object 603Fh, of the last fault; 0: none.
     """
 
     def __init__(self) -> None:
@@ -98,47 +98,47 @@ class Automaton:
         self._controlword = 0
 
     def power_on(self) -> None:
-        """Begin anew, and test itself: transitions 0 and 1."""
+        """Restart and self-test: transitions 0 and 1."""
         self.state = DriveState.DISABLED
         self.error_code = 0
         self._controlword = 0
 
     def power_off(self) -> None:
-        """Lose the supply, and with it everything."""
+        """Lose the supply and all state."""
         self.state = DriveState.NOT_READY
         self.error_code = 0
 
     def command(self, controlword: int) -> None:
-        """Take a controlword; what is not allowed in the present state changes nothing."""
-        order = order_of(controlword, self._controlword)
+        """Process a controlword; ignore a command that the present state does not allow."""
+        requested = decode_controlword(controlword, self._controlword)
         self._controlword = controlword
-        if order is None:
+        if requested is None:
             return
-        after = _TRANSITIONS.get((self.state, order))
+        after = _TRANSITIONS.get((self.state, requested))
         if after is None:
             return
-        if order is Order.FAULT_RESET:
+        if requested is DriveCommand.FAULT_RESET:
             self.error_code = 0
         self.state = after
 
     def fail(self, error_code: int) -> bool:
-        """A fault occurs: transition 13; returns whether it is a new one."""
-        if self.state in {DriveState.REACTING, DriveState.FAULT}:
+        """Enter the fault reaction: transition 13; returns whether the fault is new."""
+        if self.state in {DriveState.FAULT_REACTION, DriveState.FAULT}:
             return False
-        self.state = DriveState.REACTING
+        self.state = DriveState.FAULT_REACTION
         self.error_code = error_code
         return True
 
-    def come_to_rest(self) -> None:
-        """The drive stands, its reaction or quick stop is over: transitions 12 and 14."""
-        if self.state is DriveState.REACTING:
+    def on_standstill(self) -> None:
+        """End a quick stop or fault reaction at standstill: transitions 12 and 14."""
+        if self.state is DriveState.FAULT_REACTION:
             self.state = DriveState.FAULT
         elif self.state is DriveState.QUICK_STOP:
             self.state = DriveState.DISABLED
 
     @property
     def enabled(self) -> bool:
-        """Whether set-points are followed."""
+        """Whether the drive follows setpoints."""
         return self.state is DriveState.ENABLED
 
     @property

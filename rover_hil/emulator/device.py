@@ -1,6 +1,6 @@
-"""A device on the link that is not there: CANopen node, answers to SYNC, heartbeat, emergencies.
+"""An emulated CANopen device: answers to SYNC, heartbeat, emergencies.
 
-It runs by nothing of its own: it is stepped, and reads its clock where it needs the time.
+It has no thread: its owner steps it, and it reads the time from its clock.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 import canopen
 from canopen.nmt import NmtSlave
 
-from rover_hil.devices import BUS_OFF, HEARTBEAT, IMU
+from rover_hil.devices import BUS_OFF, HEARTBEAT_PERIOD, IMU
 from rover_hil.dictionary import object_dictionary
-from rover_hil.emulator.line import Line
+from rover_hil.emulator.channel import Channel
 from rover_hil.impairment import Impairment
 from rover_hil.link import SYNC_ID, pack
 from rover_hil.objects import Device, Entry
@@ -22,17 +22,17 @@ _INITIALISING, _OPERATIONAL = 0, 5
 _PRE_OPERATIONAL = 128  # command of NMT
 _ANGLES, _RATES = ("position", "right_position"), ("velocity", "right_velocity")
 _TENSIONS = ("tension", "rover_tension")
-_REPLY_COUNT = IMU.by_key["replied"].scale  # the same in all devices [s]
+_REPLY_COUNT = IMU.by_key["reply_delay"].scale  # the same in all devices [s]
 
 
 class _SteppedSlave(NmtSlave):
-    """The NMT state of a device whose heartbeat its own steps send, and no thread beside it."""
+    """NMT state of a device whose `step` sends the heartbeat, instead of a thread."""
 
     def start_heartbeat(self, heartbeat_time_ms: int) -> None:
         self._heartbeat_time_ms = heartbeat_time_ms
 
     def update_heartbeat(self) -> None:
-        """The next heartbeat tells the state."""
+        """The next heartbeat carries the state."""
 
     @property
     def code(self) -> int:
@@ -51,14 +51,14 @@ class EmulatedDevice:
     """One device.
 
     Args:
-        device: which one.
-        line: by which it is on the link.
-        clock: the device's own clock [ns]; may be set wrongly and run fast.
+        device: its definition.
+        channel: its connection to the bus.
+        clock: the device's own clock [ns]; may have offset and drift.
     """
 
-    def __init__(self, device: Device, line: Line, clock: Callable[[], int]) -> None:
+    def __init__(self, device: Device, channel: Channel, clock: Callable[[], int]) -> None:
         self.device = device
-        self._line = line
+        self._channel = channel
         self._clock = clock
         self.values: dict[str, float] = {}
         self._counts: dict[str, int] = {entry.key: entry.default for entry in device.entries}
@@ -66,16 +66,16 @@ class EmulatedDevice:
             (entry.index, entry.subindex): entry for entry in device.entries
         }
         self._sampled_ns = 0
-        self._beat_ns: int | None = None
-        self._suffers: list[tuple[Impairment, int]] = []  # and since when, by its clock
+        self._heartbeat_ns: int | None = None
+        self._impairments: list[tuple[Impairment, int]] = []  # with their start by its clock
         self.node = _SteppedNode(device)
         self.node.add_read_callback(self._read)  # type: ignore[no-untyped-call]
-        line.network.add_node(self.node)
-        line.network.subscribe(SYNC_ID, self._on_sync)
+        channel.network.add_node(self.node)
+        channel.network.subscribe(SYNC_ID, self._on_sync)
 
     @property
-    def operational(self) -> bool:
-        """Whether PDOs travel."""
+    def is_operational(self) -> bool:
+        """Whether it sends and receives PDOs."""
         return self.is_on and self.node.slave.code == _OPERATIONAL
 
     @property
@@ -84,90 +84,90 @@ class EmulatedDevice:
         return not self._has("brown_out")
 
     def power_on(self) -> None:
-        """Begin anew, with the boot-up message."""
+        """Restart, with the boot-up message."""
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
-        self._beat_ns = None
+        self._heartbeat_ns = None
 
     def step(self) -> None:
-        """Do what is due: a reset that was asked for, the heartbeat."""
+        """Do what is due: a requested reset, the heartbeat."""
         if not self.is_on:
             return
         if self.node.slave.code == _INITIALISING:
             self.power_on()
         now_ns = self._clock()
-        if self._beat_ns is None or now_ns - self._beat_ns >= HEARTBEAT * 1e9:
-            self._beat_ns = now_ns
-            self._line.heartbeat(self.device.node_id, self.node.slave.code)
+        if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= HEARTBEAT_PERIOD * 1e9:
+            self._heartbeat_ns = now_ns
+            self._channel.heartbeat(self.device.node_id, self.node.slave.code)
 
     def synchronise(self, counter: int) -> None:
-        """SYNC has come: sample, and send every TPDO."""
-        if not self.operational:
+        """Answer a SYNC: sample, and send every TPDO."""
+        if not self.is_operational:
             return
         self._sampled_ns = self._clock()
         self.sample()
-        self._counts["cycle"] = counter
-        lag_ns = sum(round(each.strength * 1e9) for each in self._all("stale_stamps"))
-        self._counts["sampled"] = ((self._sampled_ns - lag_ns) // 1000) & 0xFFFF_FFFF
-        for pdo in self.device.tells:
-            if "replied" in pdo.keys:
+        self._counts["sync_counter"] = counter
+        sample_age_ns = sum(round(each.magnitude * 1e9) for each in self._active("stale_stamps"))
+        self._counts["sample_time"] = ((self._sampled_ns - sample_age_ns) // 1000) & 0xFFFF_FFFF
+        for pdo in self.device.tpdos:
+            if "reply_delay" in pdo.keys:
                 delay = (self._clock() - self._sampled_ns) * 1e-9
-                self._counts["replied"] = min(int(delay / _REPLY_COUNT), 0xFF)
-            self._line.send(pdo.can_id(self.device.node_id), pack(pdo, self._counts))
+                self._counts["reply_delay"] = min(int(delay / _REPLY_COUNT), 0xFF)
+            self._channel.send(pdo.can_id(self.device.node_id), pack(pdo, self._counts))
 
     def sample(self) -> None:
-        """Take over the values as counts; what the range does not hold stays at its end."""
+        """Convert the values to counts, saturated to their range."""
         entries = self.device.by_key
         for key, value in self.values.items():
             self._counts[key] = entries[key].saturated(value)
 
-    def show(self, values: Mapping[str, float]) -> None:
-        """Take what there is to measure now, in the units of the entries."""
+    def set_measurements(self, values: Mapping[str, float]) -> None:
+        """Set the true values to measure, in the units of the entries."""
         measured = dict(values)
         if self._has("frozen_encoder"):
             measured |= {key: self.values[key] for key in _ANGLES if key in self.values}
             measured |= {key: 0.0 for key in _RATES if key in measured}
-        for impairment, since_ns in self._suffers:
-            if impairment.what == "drifted_load_cell":
-                drift = impairment.strength * (self._clock() - since_ns) * 1e-9
+        for impairment, since_ns in self._impairments:
+            if impairment.kind == "drifted_load_cell":
+                drift = impairment.magnitude * (self._clock() - since_ns) * 1e-9
                 measured |= {key: measured[key] + drift for key in _TENSIONS if key in measured}
         self.values.update(measured)
 
     def emergency(self, code: int) -> None:
-        """Send an emergency; code 0 tells that the fault is gone."""
+        """Send an emergency; code 0 reports that the fault is gone."""
         self.node.emcy.send(code, 0x01 if code else 0x00)
 
-    # --- what is wrong with it -------------------------------------------------------------------
+    # --- impairments -----------------------------------------------------------------------------
 
-    def suffer(self, impairment: Impairment) -> None:
-        """Something is wrong from now on."""
-        self._suffers.append((impairment, self._clock()))
-        if impairment.what == "bus_off":
+    def begin_impairment(self, impairment: Impairment) -> None:
+        """Apply an impairment from now on."""
+        self._impairments.append((impairment, self._clock()))
+        if impairment.kind == "bus_off":
             self.leave_bus()
-        elif impairment.what == "brown_out":
+        elif impairment.kind == "brown_out":
             self.power_off()
 
-    def recover(self, impairment: Impairment) -> None:
-        """It no longer is."""
-        index = next(i for i, (each, _) in enumerate(self._suffers) if each is impairment)
-        del self._suffers[index]
-        if impairment.what == "bus_off" and not self._has("bus_off"):
+    def end_impairment(self, impairment: Impairment) -> None:
+        """End an impairment."""
+        index = next(i for i, (each, _) in enumerate(self._impairments) if each is impairment)
+        del self._impairments[index]
+        if impairment.kind == "bus_off" and not self._has("bus_off"):
             self.emergency(BUS_OFF)  # CiA 301: recovered from bus off
-        elif impairment.what == "brown_out" and self.is_on:
+        elif impairment.kind == "brown_out" and self.is_on:
             self.power_on()
 
     def leave_bus(self) -> None:
-        """The bus controller gives up: no longer operational (1029h: pre-operational)."""
+        """Go bus-off: no longer operational (1029h: pre-operational)."""
         self.node.slave.send_command(_PRE_OPERATIONAL)
 
     def power_off(self) -> None:
-        """The supply is gone."""
+        """Lose the supply."""
 
-    def _all(self, what: str) -> list[Impairment]:
-        return [impairment for impairment, _ in self._suffers if impairment.what == what]
+    def _active(self, kind: str) -> list[Impairment]:
+        return [impairment for impairment, _ in self._impairments if impairment.kind == kind]
 
-    def _has(self, what: str) -> bool:
-        return bool(self._all(what))
+    def _has(self, kind: str) -> bool:
+        return bool(self._active(kind))
 
     def _on_sync(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
         self.synchronise(data[0] if len(data) == 1 else 0)

@@ -1,10 +1,9 @@
-"""The emulated machine: five devices on one end of the link, played against a simulation.
+"""The emulated machine: five devices on one end of the link, connected to a simulated plant.
 
-All of it is stepped: `hear` takes the frames that come, `tick` lets the plant go on by one tick
-under what the drives were told. Each device has a line of its own to the bus, which may be
-impaired, as the device may. The plant's own drives are those of a direct run, so that torque-speed
-curves, brake, friction and the sensors' errors are the same; here come the link, its counts, its
-rates and its rules.
+The owner steps it: `receive` processes frames, `tick` advances the plant by one tick with the
+drives' setpoints. Each device has its own channel to the bus; channels and devices can be impaired.
+Motors, brake, friction and sensor errors are those of the plant's own drives; this module adds
+devices, counts, rates and rules of the link.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Level, Sample
 from msg_schemas.transition import Transition
 from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH
+from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import DriveState
 from rover_hil.emulator.device import EmulatedDevice
 from rover_hil.emulator.drive import EmulatedDrive, Setpoint
-from rover_hil.emulator.impairer import Impairer
-from rover_hil.emulator.line import Line
+from rover_hil.emulator.impairment_schedule import ImpairmentSchedule
 from rover_hil.impairment import Impairment
 from rover_hil.link import SYNC_ID, Link
 from rover_hil.objects import Device
-from rover_hil.wiring import COMMANDED, TOLD, command_of, values_of
+from rover_hil.wiring import COMMANDED, PUBLISHED, command_of, values_of
 from rover_sim import Simulation, SpatialScenario
 
 _LATCH_RELEASED = "latch_released"
 
 
-def played_beside(real: Collection[str]) -> tuple[Device, ...]:
-    """The devices that are left to be played beside those that are there.
+def emulated_devices(real: Collection[str]) -> tuple[Device, ...]:
+    """The devices to emulate beside the real ones.
 
     Raises:
-        ParameterError: there is no device of a name.
+        ParameterError: there is no device of that name.
     """
     names = [device.name for device in DEVICES]
     for name in real:
         if name not in names:
-            raise ParameterError(f"{name!r} is no device: should be of {', '.join(names)}")
+            raise ParameterError(f"{name!r} is no device: should be one of {', '.join(names)}")
     return tuple(device for device in DEVICES if device.name not in real)
 
 
@@ -53,17 +52,17 @@ class EmulatedMachine:
     """The devices and the plant behind them.
 
     Args:
-        link: the devices' end; whoever owns it receives from it, and hands on by `hear`.
+        link: the devices' end; its owner passes the frames to `receive`.
         simulation: of a plant with a rover and a winch.
-        clock: steady time [ns], by which mother's devices go.
-        rover_clock: the rover's.
-        command_delay: from a set's execution to its effect [s].
-        real: names of devices that are on the link themselves, and are not played.
+        clock: steady time [ns], clock of the mother machine's devices.
+        rover_clock: clock of the rover's devices [ns].
+        command_delay: from the execution of a command set to its effect [s].
+        real: names of devices that are real and not emulated.
 
     Attributes:
-        on_sync: called when a SYNC has come by the bus, before the devices hear it.
-        synchronised: how many SYNCs have come.
-        lock: held while frames are handed on; a tick takes it where devices are touched.
+        on_sync: called when a SYNC has arrived, before the devices receive it.
+        sync_count: number of received SYNCs.
+        lock: held while frames or devices are processed.
 
     Raises:
         ValueError: the plant has no rover or no winch, or there is no device of that name.
@@ -78,14 +77,14 @@ class EmulatedMachine:
         command_delay: float = 0.0,
         real: Collection[str] = (),
     ) -> None:
-        played = played_beside(real)
-        missing = [topic for topic in TOLD if topic not in simulation.interface.topics]
+        emulated = emulated_devices(real)
+        missing = [topic for topic in PUBLISHED if topic not in simulation.interface.topics]
         scenario = simulation.plant.scenario
-        held = simulation.interface.equipment.fixed_length is not None
-        if missing or held or not isinstance(scenario, SpatialScenario) or scenario.rover is None:
+        fixed = simulation.interface.equipment.fixed_length is not None
+        if missing or fixed or not isinstance(scenario, SpatialScenario) or scenario.rover is None:
             raise ValueError(
-                f"the scenario {scenario.name} lacks what the devices tell "
-                f"({', '.join(missing) or 'a winch'}): should be a spatial one with rover and winch"
+                f"the scenario {scenario.name} lacks {', '.join(missing) or 'a winch'}: should be "
+                "a spatial one with rover and winch"
             )
         self.simulation = simulation
         wheel = scenario.rover.wheel_drive
@@ -94,11 +93,11 @@ class EmulatedMachine:
         self.on_sync: Callable[[], None] = lambda: None
         self._delay_ns = round(command_delay * 1e9)
         self._transitions: list[Transition] = []
-        self._past: dict[str, deque[tuple[int, Setpoint | None]]] = {
+        self._setpoint_history: dict[str, deque[tuple[int, Setpoint | None]]] = {
             device.name: deque([(0, None)]) for device in DRIVES
         }
-        self._let_go: dict[str, bool] = {device.name: True for device in DRIVES}
-        self._told: dict[str, DriveState] = {}
+        self._released: dict[str, bool] = {device.name: True for device in DRIVES}
+        self._reported_states: dict[str, DriveState] = {}
 
         def clock_of(device: Device) -> Callable[[], int]:
             return rover_clock if device.is_on_rover else clock
@@ -106,102 +105,106 @@ class EmulatedMachine:
         def plant_ns() -> int:
             return simulation.stamp_ns
 
-        # They hear in this order: the winch first, whose loop is the tightest.
-        self.lines = {
-            device.name: Line(device, link.send, clock)
-            for device in sorted(played, key=lambda device: device is not WINCH)
+        # They receive in this order: the winch first, because its loop is the fastest.
+        self.channels = {
+            device.name: Channel(device, link.send, clock)
+            for device in sorted(emulated, key=lambda device: device is not WINCH)
         }
         self.drives = {
-            device.name: EmulatedDrive(device, self.lines[device.name], clock_of(device), plant_ns)
-            for device in played
+            device.name: EmulatedDrive(
+                device, self.channels[device.name], clock_of(device), plant_ns
+            )
+            for device in emulated
             if device.is_drive
         }
         others = {
-            device.name: EmulatedDevice(device, self.lines[device.name], clock_of(device))
-            for device in played
+            device.name: EmulatedDevice(device, self.channels[device.name], clock_of(device))
+            for device in emulated
             if not device.is_drive
         }
         self.devices: Mapping[str, EmulatedDevice] = {**self.drives, **others}
-        self._impairer = Impairer(self.lines, self.devices)
+        self._schedule = ImpairmentSchedule(self.channels, self.devices)
         self._clock = clock
-        self.synchronised = 0
+        self.sync_count = 0
 
     def power_on(self) -> None:
-        """Switch all devices on: they do so in the first tick, which gives them what to measure."""
+        """Switch all devices on: in the first tick, which provides their measurements."""
         self.tick()
 
     def tick(self) -> Any:
-        """Let the plant go on by one tick; returns it."""
+        """Advance the plant by one tick; returns it."""
         with self.lock:
-            self._impairer.step(self.simulation.stamp_ns)
+            self._schedule.step(self.simulation.stamp_ns)
             for name, drive in self.drives.items():
                 self._drive(name, drive)
         tick = self.simulation.tick()
-        samples: dict[str, Sample] = dict(self.simulation.interface.samples(TOLD))
+        samples: dict[str, Sample] = dict(self.simulation.interface.samples(PUBLISHED))
         values = values_of(samples)
-        # The contract has no topic for it.
+        # No topic of the contract carries it.
         values[WHEEL.name]["torque"] = self._wheel_torque * values[WHEEL.name]["current"]
         with self.lock:
-            tripped = any(happening.name == _LATCH_RELEASED for happening in tick.event_reports)
-            if tripped and JUMP.name in self.drives:
-                self.drives[JUMP.name].finish()
+            latch_released = any(report.name == _LATCH_RELEASED for report in tick.event_reports)
+            if latch_released and JUMP.name in self.drives:
+                self.drives[JUMP.name].complete()
             for name, device in self.devices.items():
-                device.show(values[name])
+                device.set_measurements(values[name])
                 device.step()
             self._publish_states()
-        self.let_go_frames()
+        self.release_due_frames()
         return tick
 
-    def hear(
+    def receive(
         self,
         frames: Iterable[can.Message],
-        waited_ns: Callable[[can.Message], int] = lambda _: 0,
+        frame_age_ns: Callable[[can.Message], int] = lambda _: 0,
     ) -> None:
-        """Take frames that have come by the bus.
+        """Process frames from the bus.
 
         Args:
             frames: in their order.
-            waited_ns: how long ago each has come [ns].
+            frame_age_ns: time since the arrival of each [ns].
         """
         with self.lock:
             for frame in frames:
-                waited = waited_ns(frame)
+                frame_age = frame_age_ns(frame)
                 if frame.arbitration_id == SYNC_ID:
-                    self.synchronised += 1
+                    self.sync_count += 1
                     self.on_sync()
                 data = bytes(frame.data)
-                for line in self.lines.values():
-                    line.hear(frame.arbitration_id, data, waited)
+                for channel in self.channels.values():
+                    channel.receive(frame.arbitration_id, data, frame_age)
 
-    def let_go_frames(self) -> None:
-        """Hand on what impaired lines have held back, and is due."""
+    def release_due_frames(self) -> None:
+        """Deliver delayed frames of impaired channels that are due."""
         with self.lock:
-            for line in self.lines.values():
-                line.step()
+            for channel in self.channels.values():
+                channel.step()
 
-    def wait(self) -> float:
-        """How long it is until a line has something to hand on [s]; inf: nothing is held back."""
+    def time_to_next_frame(self) -> float:
+        """Time until a delayed frame is due [s]; inf: none is delayed."""
         with self.lock:
-            due = [line.due_ns for line in self.lines.values() if line.due_ns is not None]
+            due = [
+                channel.due_ns for channel in self.channels.values() if channel.due_ns is not None
+            ]
         return max(min(due) - self._clock(), 0) * 1e-9 if due else math.inf
 
-    def impair(self, wanted: Sequence[Impairment]) -> None:
-        """Have these impairments and no others; see `Impairer.want`."""
+    def impair(self, requested: Sequence[Impairment]) -> None:
+        """Replace the impairments; see `ImpairmentSchedule.set`."""
         with self.lock:
-            self._impairer.want(wanted, self.simulation.stamp_ns)
+            self._schedule.set(requested, self.simulation.stamp_ns)
 
     @property
     def impairments(self) -> tuple[Impairment, ...]:
-        """Those that are at work."""
-        return self._impairer.at_work
+        """Active impairments."""
+        return self._schedule.active
 
     def restart(self) -> None:
-        """The plant was put back to its start: the devices are switched on anew."""
+        """Restart the devices after a reset of the plant."""
         with self.lock:
-            self._impairer.restart(self.simulation.stamp_ns)
-        for past in self._past.values():
-            past.clear()
-            past.append((self.simulation.stamp_ns, None))
+            self._schedule.restart(self.simulation.stamp_ns)
+        for history in self._setpoint_history.values():
+            history.clear()
+            history.append((self.simulation.stamp_ns, None))
         self.tick()
         with self.lock:
             for device in self.devices.values():
@@ -209,45 +212,45 @@ class EmulatedMachine:
                     device.power_on()
 
     def take_transitions(self) -> tuple[Transition, ...]:
-        """What has changed since the last call."""
+        """Transitions since the last call."""
         with self.lock:
-            taken = (*self._impairer.take_transitions(), *self._transitions)
+            taken = (*self._schedule.take_transitions(), *self._transitions)
             self._transitions.clear()
         return taken
 
     def take_kills(self) -> tuple[str, ...]:
-        """Kinds of processes that impairments kill, since the last call."""
+        """Process kills requested since the last call."""
         with self.lock:
-            return self._impairer.take_kills()
+            return self._schedule.take_kills()
 
     def _drive(self, name: str, drive: EmulatedDrive) -> None:
-        """Have the plant's drive do what the device was told so long ago as its delay is."""
-        now_ns, past = self.simulation.stamp_ns, self._past[name]
-        past.append((now_ns, drive.setpoint))
-        while len(past) > 1 and past[1][0] <= now_ns - self._delay_ns:
-            past.popleft()
-        setpoint = past[0][1]
+        """Apply the device's setpoint to the plant's drive, with the command delay."""
+        now_ns, history = self.simulation.stamp_ns, self._setpoint_history[name]
+        history.append((now_ns, drive.setpoint))
+        while len(history) > 1 and history[1][0] <= now_ns - self._delay_ns:
+            history.popleft()
+        setpoint = history[0][1]
         command = None if setpoint is None else command_of(drive.device, setpoint.values)
         if setpoint is None or command is None:
-            if not self._let_go[name]:
+            if not self._released[name]:
                 topic = next(t for t, device in COMMANDED.items() if device is drive.device)
                 self.simulation.stop_drive(topic)
-                self._let_go[name] = True
+                self._released[name] = True
             return
         topic, joints = command
         try:
-            self.simulation.accept_command(topic, JointSample(setpoint.taken_ns, joints))
-            self._let_go[name] = False
+            self.simulation.accept_command(topic, JointSample(setpoint.received_ns, joints))
+            self._released[name] = False
         except Refusal as refusal:
-            drive.refuse()
+            drive.reject()
             self._transitions.append(Transition(f"{name}_drive_refuses", str(refusal), Level.WARN))
 
     def _publish_states(self) -> None:
         for name, drive in self.drives.items():
             state = drive.automaton.state
-            if state is self._told.get(name):
+            if state is self._reported_states.get(name):
                 continue
-            self._told[name] = state
+            self._reported_states[name] = state
             code = drive.automaton.error_code
             reason = f"{state.value.lower()}" + (f", error {code:04X}h" if code else "")
             level = Level.ERROR if code else Level.OK

@@ -1,4 +1,4 @@
-"""What a step may do, each kind with its keys. What is done is done by `conduct`."""
+"""Kinds of actions of a step, with their keys; `procedure_runner` carries them out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.impairment import Impairment, impairment_from
 
 COMMANDS = tuple(name for name, row in TOPICS.items() if row.intent is Intent.COMMAND)
-"""Topics that a procedure may publish: what moves a machine, and what asks for it."""
+"""Topics that a procedure may publish: commands to drives and requests to controllers."""
 
 _LONGEST = 3600.0  # [s]
 _DEFAULT_RATE = 10.0  # where the contract gives none [Hz]
@@ -36,57 +36,59 @@ PARTS = ("position", "velocity", "effort")
 
 @dataclass(frozen=True, kw_only=True)
 class Action(Configuration):
-    """What all kinds have."""
+    """Base class of all actions."""
 
     @property
-    def duration(self) -> float:
-        """How long it takes at least [s]."""
+    def minimum_duration(self) -> float:
+        """Shortest time that it takes [s]."""
         return 0.0
 
     @property
     def may_move(self) -> bool:
-        """Whether a machine, right or wrong, could move by it."""
+        """Whether it could move a machine, correct or faulty."""
         return False
 
     @property
-    def heard_on(self) -> tuple[str, ...]:
-        """Topics that must be listened to for it."""
+    def subscribed_topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to."""
         return ()
 
     @property
-    def judges(self) -> bool:
-        """Whether it is judged by itself."""
+    def is_evaluated(self) -> bool:
+        """Whether it has a result of its own."""
         return False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wait(Action):
-    """Wait."""
+    """Wait for a time."""
 
-    time: float = quantity("s", "how long", minimum=0.0, maximum=_LONGEST)
+    duration: float = quantity("s", "how long", minimum=0.0, maximum=_LONGEST)
 
     @property
-    def duration(self) -> float:
-        """How long it takes at least [s]."""
-        return self.time
+    def minimum_duration(self) -> float:
+        """Shortest time that it takes [s]."""
+        return self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark(Action):
-    """Note the time: what says ``counts_from: mark`` counts from here."""
+    """Note the time: expectations with ``since: mark`` count from here."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reading(Configuration):
-    """A value that the machine tells when the step begins: times x value + plus."""
+    """A value published by the machine when the action begins: scale x value + offset."""
 
-    topic: str = choice(tuple(n for n, row in TOPICS.items() if row.fields), "topic with numbers")
-    field: str = text("which number, as the contract names it: force.z")
-    times: float = quantity("-", "factor", 1.0)
-    plus: float = quantity("-", "added", 0.0)
+    topic: str = choice(
+        tuple(n for n, row in TOPICS.items() if row.fields), "topic with numeric fields"
+    )
+    field: str = text("path of the field in the contract: force.z")
+    scale: float = quantity("-", "factor", 1.0)
+    offset: float = quantity("-", "added", 0.0)
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
+        """Refuse contradictory keys."""
         fields = TOPICS[self.topic].by_path
         if self.field not in fields:
             expected = f"{self.topic} has no such field{not_known(self.field, fields)}"
@@ -94,7 +96,7 @@ class Reading(Configuration):
 
 
 Amount = float | Reading
-"""A number, or where to read it."""
+"""A number, or the field to read it from."""
 
 
 def _read_amount(value: object, path: str) -> Amount:
@@ -104,7 +106,7 @@ def _read_amount(value: object, path: str) -> Amount:
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}.{error.path}", error.value, error.expected) from None
         except TypeError:
-            expected = "should be a mapping of topic, field, times, plus"
+            expected = "should be a mapping of topic, field, scale, offset"
             raise ConfigurationError(path, value, expected) from None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(path, value, "should be a number, or a mapping of topic and field")
@@ -113,7 +115,7 @@ def _read_amount(value: object, path: str) -> Amount:
 
 @dataclass(frozen=True, kw_only=True)
 class JointAmounts(Configuration):
-    """What one joint is told; what is not given is 0."""
+    """Command values of one joint; 0 where not given."""
 
     position: Amount = read_by(_read_amount, (float, Reading), "a number", 0.0)  # noqa: RUF009
     velocity: Amount = read_by(_read_amount, (float, Reading), "a number", 0.0)  # noqa: RUF009
@@ -126,45 +128,47 @@ class JointAmounts(Configuration):
 
 @dataclass(frozen=True, kw_only=True)
 class Publish(Action):
-    """Send a command or request, once or for a time.
+    """Publish a command or request, once or for a time.
 
-    Unless ``forbidden`` is true, what is sent must keep the contract: a slip of the pen is found
-    before anything runs.
+    Unless ``invalid`` is true, the message must conform to the contract, which is checked before
+    the procedure runs.
     """
 
     topic: str = choice(COMMANDS, "command or request of the contract")
     joints: Mapping[str, JointAmounts] = sections(
         JointAmounts, "a mapping of joints to position, velocity, effort", keyed=True
     )
-    time: float = quantity("s", "for how long; 0: once", 0.0, minimum=0.0, maximum=_LONGEST)
+    duration: float = quantity(
+        "s", "for how long; 0: one message", 0.0, minimum=0.0, maximum=_LONGEST
+    )
     rate: float | None = quantity(
-        "Hz", "how often; null: as the contract says", None, above=0.0, maximum=1000.0,
+        "Hz", "rate; null: the contract's", None, above=0.0, maximum=1000.0,
         optional=True,
     )  # fmt: skip
-    throughout: bool = flag("goes on until the step's last action has ended, beside the others")
-    age: float = quantity("s", "by which the stamp lies before the sending; negative: ahead", 0.0)
+    throughout: bool = flag("publish until the step's last action has ended")
+    age: float = quantity("s", "age of the stamp when it is sent; negative: in the future", 0.0)
     unstamped: bool = flag("the stamp is zero")
-    omit: str | None = choice(PARTS, "array of the message that is left out", None, optional=True)
-    forbidden: bool = flag("breaks the contract on purpose")
+    omit: str | None = choice(PARTS, "array of the message that stays empty", None, optional=True)
+    invalid: bool = flag("the message deliberately violates the contract")
 
     @property
     def period(self) -> float:
-        """Between two messages [s]."""
+        """Time between two messages [s]."""
         return 1.0 / (self.rate or TOPICS[self.topic].rate or _DEFAULT_RATE)
 
     @property
-    def duration(self) -> float:
-        """How long it takes at least [s]."""
-        return 0.0 if self.throughout else self.time
+    def minimum_duration(self) -> float:
+        """Shortest time that it takes [s]."""
+        return 0.0 if self.throughout else self.duration
 
     @property
     def may_move(self) -> bool:
-        """Whether a machine could move by it."""
+        """Whether it could move a machine."""
         return True
 
     @property
-    def heard_on(self) -> tuple[str, ...]:
-        """Topics that must be listened to."""
+    def subscribed_topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to."""
         readings = [
             amount
             for joint in self.joints.values()
@@ -174,29 +178,34 @@ class Publish(Action):
         return tuple(each.topic for each in readings)
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
-        if self.throughout and self.time:
-            raise ConfigurationError("time", self.time, "should be left out of what is throughout")
-        if self.forbidden:
+        """Refuse contradictory keys."""
+        if self.throughout and self.duration:
+            raise ConfigurationError(
+                "duration", self.duration, "should be left out where throughout is true"
+            )
+        if self.invalid:
             return
         try:
             check(
-                TOPICS[self.topic], JointSample(0, {n: _trial(j) for n, j in self.joints.items()})
+                TOPICS[self.topic],
+                JointSample(0, {n: _assumed(j) for n, j in self.joints.items()}),
             )
         except Refusal as refusal:
             given = sorted(self.joints)
-            expected = f"{refusal.reason} (or say forbidden: true)"
+            expected = f"{refusal.reason} (or set invalid: true)"
             raise ConfigurationError("joints", given, expected) from None
         if self.unstamped or self.omit or self.age:
             policy = TOPICS[self.topic].stale
             if self.omit or not -policy.max_lead <= self.age <= policy.max_age or self.unstamped:
                 raise ConfigurationError(
-                    "forbidden", False, "should be true of what breaks the contract on purpose"
+                    "invalid",
+                    False,
+                    "should be true for a deliberately invalid message",
                 )
 
 
-def _trial(joint: JointAmounts) -> JointValue:
-    # What will be read cannot be judged yet; it stands for whatever is allowed least.
+def _assumed(joint: JointAmounts) -> JointValue:
+    # A reading is not known yet: 0 stands for it.
     return JointValue(*(0.0 if isinstance(a, Reading) else a for a in joint.amounts()))
 
 
@@ -212,40 +221,40 @@ def _read_scalar(value: object, path: str) -> object:
 
 @dataclass(frozen=True, kw_only=True)
 class BeyondLimits(Action):
-    """Send, for each number of a topic, one message just beyond each of its limits.
+    """Publish, for each field of a topic, one message just beyond each of its limits.
 
-    It is judged by itself: each must be refused as out of its limits, with the number's name.
+    It passes if each is refused as out_of_limits, with the name of the field.
     """
 
     topic: str = choice(COMMANDS, "command or request of the contract")
     pause: float = quantity(
-        "s", "between two messages: refusals of one topic are told ten times a second", 0.12,
+        "s", "between two messages; refusals of a topic are published at 10 Hz at most", 0.12,
         minimum=0.1, maximum=10.0,
     )  # fmt: skip
-    within: float = quantity("s", "time for each refusal", 2.0, above=0.0, maximum=60.0)
+    timeout: float = quantity("s", "longest time until the refusals", 2.0, above=0.0, maximum=60.0)
 
     @property
-    def duration(self) -> float:
-        """How long it takes at least [s]."""
+    def minimum_duration(self) -> float:
+        """Shortest time that it takes [s]."""
         return self.pause
 
     @property
     def may_move(self) -> bool:
-        """Whether a machine could move by it."""
+        """Whether it could move a machine."""
         return True
 
     @property
-    def heard_on(self) -> tuple[str, ...]:
-        """Topics that must be listened to."""
+    def subscribed_topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to."""
         return (topics.DIAGNOSTICS,)
 
     @property
-    def judges(self) -> bool:
-        """It is judged by itself."""
+    def is_evaluated(self) -> bool:
+        """It has a result of its own."""
         return True
 
     def messages(self) -> list[tuple[str, dict[str, JointValue]]]:
-        """Field and joints of each message that is sent."""
+        """Field and joints of each message."""
         row = TOPICS[self.topic]
         made = []
         for field in row.fields:
@@ -262,7 +271,7 @@ class BeyondLimits(Action):
 
 
 def _allowed(topic: str, joint: str) -> JointValue:
-    """Values of a joint that its limits allow, as near to nothing as they let."""
+    """Values of a joint within its limits, as close to 0 as possible."""
     rows = TOPICS[topic].by_path
     fields = [rows[f"{joint}.{part}"] for part in PARTS]
     return JointValue(*(min(max(0.0, field.minimum), field.maximum) for field in fields))
@@ -270,42 +279,42 @@ def _allowed(topic: str, joint: str) -> JointValue:
 
 @dataclass(frozen=True, kw_only=True)
 class Call(Action):
-    """Call a service of the contract; it is judged by itself: whether it answers as wanted."""
+    """Call a service of the contract; passes if the response is `success`."""
 
     service: str = choice(tuple(SERVICES), "service of the contract")
     data: bool | None = read_by(_read_data, (bool, type(None)), "true or false", None)
-    success: bool = flag("what it should answer", True)
-    within: float = quantity("s", "time for the answer", 5.0, above=0.0, maximum=60.0)
+    success: bool = flag("expected response", True)
+    timeout: float = quantity("s", "longest time until the response", 5.0, above=0.0, maximum=60.0)
 
     @property
     def may_move(self) -> bool:
-        """Whether a machine could move by it."""
+        """Whether it could move a machine."""
         return self.service == topics.DRIVES_ARM and self.data is True
 
     @property
-    def judges(self) -> bool:
-        """It is judged by itself."""
+    def is_evaluated(self) -> bool:
+        """It has a result of its own."""
         return True
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
+        """Refuse contradictory keys."""
         takes_data = SERVICES[self.service].service.endswith("SetBool")
         if takes_data and self.data is None:
             raise ConfigurationError("data", None, f"missing; {self.service} takes true or false")
         if not takes_data and self.data is not None:
-            raise ConfigurationError("data", self.data, f"{self.service} takes none")
+            raise ConfigurationError("data", self.data, f"{self.service} takes no data")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetParameter(Action):
-    """Set a parameter of a node; it is put back when the step is over."""
+    """Set a parameter of a node; it is restored after the step."""
 
-    node: str = text("the node: drive_emulator")
-    parameter: str = text("its parameter")
+    node: str = text("name of the node: drive_emulator")
+    parameter: str = text("name of the parameter")
     value: str | float | int | bool = read_by(
         _read_scalar, (str, float, int, bool), "a single value"
     )
-    keep: bool = flag("it stays set when the step is over")
+    keep: bool = flag("do not restore it after the step")
 
 
 def _read_impairments(value: object, path: str) -> tuple[Impairment, ...]:
@@ -315,7 +324,7 @@ def _read_impairments(value: object, path: str) -> tuple[Impairment, ...]:
     for index, each in enumerate(value):
         if not isinstance(each, Mapping):
             raise ConfigurationError(
-                f"{path}[{index}]", each, "should be a mapping of what, on ..."
+                f"{path}[{index}]", each, "should be a mapping of kind, target ..."
             )
         try:
             made.append(impairment_from(each))
@@ -326,36 +335,36 @@ def _read_impairments(value: object, path: str) -> tuple[Impairment, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Impair(Action):
-    """Impair the link, devices or processes of an emulated machine, until the step is over."""
+    """Impair the link, devices or processes of an emulated machine until the end of the step."""
 
-    these: tuple[Impairment, ...] = read_by(
-        _read_impairments, (tuple,), "a list of impairments, as docs/hil.md has them"
+    impairments: tuple[Impairment, ...] = read_by(
+        _read_impairments, (tuple,), "a list of impairments, see docs/hil.md"
     )
 
     @property
     def text(self) -> str:
-        """As the emulator's parameter takes it."""
-        return f"[{', '.join(map(str, self.these))}]"
+        """Value of the emulator's parameter `impairments`."""
+        return f"[{', '.join(map(str, self.impairments))}]"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ask(Action):
-    """Have the operator do something by hand; what cannot be done leaves the step not run."""
+class Prompt(Action):
+    """Have the operator carry out an instruction; if impossible, the step is NOT RUN."""
 
-    key: str = text("one word for it, for a program that acts as the operator's hands")
-    what: str = text("what is to be done, as the operator reads it")
+    key: str = text("one word, for a program in the operator's place")
+    instruction: str = text("instruction to the operator")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look(Action):
-    """Have the operator judge something; it is judged by the answer."""
+class Inspection(Action):
+    """Have the operator inspect something; passes if the answer is yes."""
 
-    key: str = text("one word for it, for a program that acts as the operator's hands")
-    question: str = text("what is right if it is answered with yes")
+    key: str = text("one word, for a program in the operator's place")
+    question: str = text("question that is answered with yes where all is right")
 
     @property
-    def judges(self) -> bool:
-        """It is judged by itself."""
+    def is_evaluated(self) -> bool:
+        """It has a result of its own."""
         return True
 
 
@@ -367,7 +376,7 @@ ACTIONS: Mapping[str, type[Action]] = {
     "call": Call,
     "set": SetParameter,
     "impair": Impair,
-    "ask": Ask,
-    "look": Look,
+    "prompt": Prompt,
+    "inspect": Inspection,
 }
-"""What may stand under `do`, by its word."""
+"""Kinds of actions under a step's `do`, by their keys."""

@@ -1,22 +1,22 @@
-"""What may stand under a step's `expect`, by its word."""
+"""Kinds of expectations under a step's `expect`, by their keys."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rover_hil.rehearsal.event_expectations import Event, Figure, Refused, Value, Word
+from rover_hil.rehearsal.event_expectations import Event, Metric, RefusalExpectation, Text, Value
 from rover_hil.rehearsal.expectation import Expectation
-from rover_hil.rehearsal.streams import Age, Gap, Obeys, Rate, Silent
+from rover_hil.rehearsal.stream_expectations import Age, Conforms, Gap, NoMessages, Rate
 
 EXPECTATIONS: Mapping[str, type[Expectation]] = {
     "rate": Rate,
     "gap": Gap,
     "age": Age,
-    "obeys": Obeys,
-    "silent": Silent,
+    "conforms": Conforms,
+    "no_messages": NoMessages,
     "value": Value,
-    "word": Word,
+    "text": Text,
     "event": Event,
-    "refused": Refused,
-    "figure": Figure,
+    "refusal": RefusalExpectation,
+    "metric": Metric,
 }

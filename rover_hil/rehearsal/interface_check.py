@@ -14,9 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rehearsal_node.add_run_arguments(parser)
     parser.set_defaults(procedure=_PROCEDURE)
     parser.description = (
-        "Run the package's interface check against the machine behind hil_bridge: signals, units, "
-        "limits and safe reactions, with a record for signature. Nothing moves before motion is "
-        "confirmed."
+        "Run the package's interface check against the machine behind hil_bridge (rates, latency, "
+        "limits, safe reactions) and write a record for sign-off. No step that may move the "
+        "machine runs before the operator confirms motion."
     )
     parser.epilog = rehearsal_node.EXIT_CODES
 

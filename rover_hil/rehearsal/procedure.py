@@ -1,4 +1,4 @@
-"""A written procedure: its steps, read from YAML and judged before anything runs."""
+"""Test procedures: read from YAML and validated before anything runs."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from msg_schemas.shipped import ShippedError, names_in, read_named
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, Action, Mark, Publish
 from rover_hil.rehearsal.expectation import Expectation
+from rover_hil.rehearsal.expectation_result import Rule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
-from rover_hil.rehearsal.finding import Rule
 
 SHIPPED = Path(__file__).parents[1] / "procedures"
-"""Where the procedures of the package lie."""
+"""Folder of the package's procedures."""
 
 
 class ProcedureError(ValueError):
-    """A procedure that cannot be run: which file, step, key and value, and what would be right."""
+    """An invalid procedure: file, step, key and value, and what is expected there."""
 
 
 def _read_names(value: object, path: str) -> tuple[str, ...]:
@@ -47,76 +47,76 @@ def _names(about: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Step(Configuration):
-    """One step: it does something, and expects something of it."""
+    """One step: actions, and what is expected of them."""
 
-    rule: str = choice(tuple(Rule), "interface rule of the contract that it tests")
-    title: str = text("what it shows, in one sentence")
-    moves: bool = flag("the machine may move; the operator confirms before the first such step")
-    needs: tuple[str, ...] = _names("topics and services that somebody must offer")
+    rule: str = choice(tuple(Rule), "interface rule of the contract under test")
+    title: str = text("the tested property, in one sentence")
+    moves: bool = flag("the machine may move: the operator confirms before the first such step")
+    needs: tuple[str, ...] = _names("topics and services that must be available")
     after: tuple[str, ...] = _names("earlier steps that must have passed")
     attempts: int | None = quantity(
-        "-", "how often it is tried where the test itself was disturbed", None, kind=int,
+        "-", "attempts, where one is invalid; null: as the procedure", None, kind=int,
         minimum=1, maximum=20, optional=True,
     )  # fmt: skip
     do: tuple[Action, ...] = sections(ACTIONS, "a list of actions", ())
     expect: tuple[Expectation, ...] = sections(EXPECTATIONS, "a list of expectations", ())
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
+        """Refuse contradictory keys."""
         for index, name in enumerate(self.needs):
             if name not in TOPICS and name not in SERVICES:
                 expected = f"no such topic or service{not_known(name, (*TOPICS, *SERVICES))}"
                 raise ConfigurationError(f"needs[{index}]", name, expected)
-        if not self.expect and not any(action.judges for action in self.do):
+        if not self.expect and not any(action.is_evaluated for action in self.do):
             raise ConfigurationError(
-                "expect", None, "missing; a step that expects nothing could not fail"
+                "expect", None, "missing; a step without expectations cannot fail"
             )
         moving = [action for action in self.do if action.may_move]
         if moving and not self.moves:
             raise ConfigurationError(
-                "moves", False, "should be true of a step that commands, asks for motion or arms"
+                "moves", False, "should be true for a step that commands, requests motion or arms"
             )
-        takes = sum(action.duration for action in self.do)
+        duration = sum(action.minimum_duration for action in self.do)
         has_mark = any(isinstance(action, Mark) for action in self.do)
         for index, expectation in enumerate(self.expect):
-            if getattr(expectation, "counts_from", "") == "mark" and not has_mark:
+            if getattr(expectation, "since", "") == "mark" and not has_mark:
                 raise ConfigurationError(
-                    f"expect[{index}].counts_from", "mark", "the step's actions hold no mark"
+                    f"expect[{index}].since", "mark", "the step has no mark action"
                 )
-            if expectation.needs_time and takes <= 0.0:
+            if expectation.needs_time and duration <= 0.0:
                 raise ConfigurationError(
                     f"expect[{index}]", type(expectation).__name__.lower(),
-                    "is judged while the actions go on, which take no time: should have a wait",
+                    "covers the time of the actions, which is zero: add a wait",
                 )  # fmt: skip
 
     @property
-    def heard_on(self) -> tuple[str, ...]:
-        """Topics that it must listen to."""
-        of_actions = (name for action in self.do for name in action.heard_on)
-        of_expectations = (name for each in self.expect for name in each.heard_on)
+    def subscribed_topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to."""
+        of_actions = (name for action in self.do for name in action.subscribed_topics)
+        of_expectations = (name for each in self.expect for name in each.subscribed_topics)
         return tuple(dict.fromkeys((*of_actions, *of_expectations)))
 
     @property
     def published(self) -> tuple[str, ...]:
-        """Topics on which it commands."""
+        """Topics that it publishes."""
         return tuple(dict.fromkeys(each.topic for each in self.do if isinstance(each, Publish)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Procedure(Configuration):
-    """A whole procedure."""
+    """A sequence of steps."""
 
-    about: str = text("what it is for, in a sentence or two")
+    about: str = text("its purpose, in a sentence or two")
     attempts: int = quantity(
-        "-", "how often a step is tried where the test itself was disturbed", 3, kind=int,
+        "-", "attempts at a step, where one is invalid", 3, kind=int,
         minimum=1, maximum=20,
     )  # fmt: skip
     steps: Mapping[str, Step] = sections(Step, "a mapping of step names to steps", keyed=True)
 
     def check(self) -> None:
-        """Refuse what no single key can show."""
+        """Refuse contradictory keys."""
         if not self.steps:
-            raise ConfigurationError("steps", {}, "should hold at least one step")
+            raise ConfigurationError("steps", {}, "should have at least one step")
         before: list[str] = []
         for name, step in self.steps.items():
             for other in step.after:
@@ -127,18 +127,20 @@ class Procedure(Configuration):
             before.append(name)
 
     @property
-    def heard_on(self) -> tuple[str, ...]:
-        """Topics that it must listen to."""
-        return tuple(dict.fromkeys(name for step in self.steps.values() for name in step.heard_on))
+    def subscribed_topics(self) -> tuple[str, ...]:
+        """Topics to subscribe to."""
+        return tuple(
+            dict.fromkeys(name for step in self.steps.values() for name in step.subscribed_topics)
+        )
 
 
 @dataclass(frozen=True)
-class Written:
-    """A procedure with the file that it stands in.
+class LoadedProcedure:
+    """A procedure and the file it was read from.
 
     Attributes:
-        name: of the file, without its ending.
-        path: where it was read.
+        name: of the file, without suffix.
+        path: of the file.
         digest: SHA-256 of the file's bytes.
     """
 
@@ -153,14 +155,16 @@ def shipped() -> list[str]:
     return names_in(SHIPPED)
 
 
-def load_procedure(name_or_path: str) -> Written:
-    """Read a procedure: one of the package by its name, or a file by its path.
+def load_procedure(name_or_path: str) -> LoadedProcedure:
+    """Read a procedure of the package by name, or a file by path.
 
     Raises:
-        ProcedureError: it cannot be read, or something in it is not as it should be.
+        ProcedureError: it cannot be read, or is invalid.
     """
     try:
         path, procedure = read_named(Procedure, name_or_path, SHIPPED, "procedure")
     except ShippedError as error:
         raise ProcedureError(str(error)) from None
-    return Written(path.stem, path, hashlib.sha256(path.read_bytes()).hexdigest(), procedure)
+    return LoadedProcedure(
+        path.stem, path, hashlib.sha256(path.read_bytes()).hexdigest(), procedure
+    )

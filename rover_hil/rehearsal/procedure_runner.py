@@ -1,8 +1,8 @@
-"""Runs a procedure step by step: acts, listens, judges.
+"""Runs a procedure step by step: performs its actions and evaluates its expectations.
 
-A step that fails, or that measures times, says something of the machine only if the test itself was
-sound. Where the rehearsal was held up, its commands came late, or an emulated machine did not keep
-time, the attempt says nothing: it is repeated, and at last not run, with the reason.
+An attempt at a step that fails or measures times is valid only if the test itself kept its times.
+If the rehearsal stalled, published a command late, or the emulated machine lost real time, the
+attempt is invalid: it is repeated, and in the end reported as NOT RUN with the reason.
 """
 
 from __future__ import annotations
@@ -18,448 +18,461 @@ from msg_schemas.samples import JointValue, Level
 from rover_hil.rehearsal.actions import (
     Action,
     Amount,
-    Ask,
     BeyondLimits,
     Call,
     Impair,
-    Look,
+    Inspection,
     Mark,
+    Prompt,
     Publish,
     Reading,
     SetParameter,
     Wait,
 )
-from rover_hil.rehearsal.disturbance import disturbance
+from rover_hil.rehearsal.environment import (
+    OutgoingMessage,
+    PeriodicPublisher,
+    PreconditionError,
+    ProcedureEnvironment,
+)
 from rover_hil.rehearsal.event_expectations import is_refusal
-from rover_hil.rehearsal.finding import TIMED, Finding, Rule, Verdict
-from rover_hil.rehearsal.history import Window
-from rover_hil.rehearsal.outcome import StepOutcome
+from rover_hil.rehearsal.expectation_result import TIMED, ExpectationResult, Result, Rule
+from rover_hil.rehearsal.message_history import Window
 from rover_hil.rehearsal.procedure import Procedure, Step
-from rover_hil.rehearsal.stand import CannotDoError, Outgoing, Sending, Stand
+from rover_hil.rehearsal.procedure_result import StepResult
+from rover_hil.rehearsal.timing_validity import timing_fault
 
 EMULATOR = "drive_emulator"
-"""The node that impairs the machine that it emulates."""
+"""The node with the parameter `impairments`."""
 
-_LOOK = 0.05  # how often it is looked whether what is awaited has come [s]
-_STATUS = 1.5  # wall time within which the machine tells how it kept time [s]
-_LATE = 0.05  # of a command, beyond its period: the machine is not to be blamed [s]
+_POLL_PERIOD = 0.05  # of conditions that are awaited [s]
+_STATUS_TIMEOUT = 1.5  # for the next reports on real time [s]
+_JITTER_LIMIT = 0.05  # a longer stall or delay of a command makes an attempt invalid [s]
 
 
-class RehearsalEnded(Exception):
-    """The operator has ended the rehearsal."""
+class RehearsalStoppedError(Exception):
+    """The operator has stopped the rehearsal."""
 
 
 @dataclass
 class _Attempt:
-    """One attempt at a step, as it goes."""
+    """State of one attempt at a step."""
 
     begin_ns: int
     steady_ns: int
     end_ns: int | None = None
     mark_ns: int = -1
-    findings: list[Finding] = field(default_factory=list)
-    sendings: list[tuple[Sending, float]] = field(default_factory=list)
-    going_on: list[Sending] = field(default_factory=list)
-    to_put_back: list[tuple[str, str, object]] = field(default_factory=list)
+    results: list[ExpectationResult] = field(default_factory=list)
+    publishers: list[tuple[PeriodicPublisher, float]] = field(default_factory=list)
+    active_publishers: list[PeriodicPublisher] = field(default_factory=list)
+    to_restore: list[tuple[str, str, object]] = field(default_factory=list)
 
 
 class ProcedureRunner:
     """Runs one procedure.
 
     Args:
-        stand: where it runs.
-        attempts: how often a step is tried at most; 0: as the procedure says.
-        patience: wall time for which something is awaited beyond its own time [s].
-        confirmed: motion is confirmed already.
-        is_over: whether the operator has ended the rehearsal.
+        environment: what it runs against.
+        attempts: largest number of attempts at a step; 0: as the procedure defines.
+        timeout_margin: wall time added to each timeout [s].
+        confirmed: whether motion is confirmed already.
+        is_stopped: whether the operator has stopped the rehearsal.
     """
 
     def __init__(
         self,
-        stand: Stand,
+        environment: ProcedureEnvironment,
         *,
         attempts: int = 0,
-        patience: float = 3.0,
+        timeout_margin: float = 3.0,
         confirmed: bool = False,
-        is_over: Callable[[], bool] = lambda: False,
+        is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._stand = stand
+        self._environment = environment
         self._attempts = attempts
-        self._patience = patience
-        self._motion: bool | None = True if confirmed else None
-        self._is_over = is_over
-        self._has_armed = False
-        self._outcomes: dict[str, StepOutcome] = {}
+        self._timeout_margin = timeout_margin
+        self._motion_confirmed: bool | None = True if confirmed else None
+        self._is_stopped = is_stopped
+        self._armed = False
+        self._step_results: dict[str, StepResult] = {}
 
-    def run(self, procedure: Procedure) -> tuple[tuple[StepOutcome, ...], bool]:
-        """Run all steps, and take the power away at the end if it was given.
+    def run(self, procedure: Procedure) -> tuple[tuple[StepResult, ...], bool]:
+        """Run all steps; disarm the drives at the end if a step armed them.
 
         Returns:
-            What came of each step, and whether all had their turn.
+            The result of each step, and whether all steps had their turn.
         """
         completed = False
         try:
             for number, (name, step) in enumerate(procedure.steps.items(), 1):
-                self._stand.tell(f"[{number}/{len(procedure.steps)}] {name}: {step.title}")
+                self._environment.report_progress(
+                    f"[{number}/{len(procedure.steps)}] {name}: {step.title}"
+                )
                 attempts = self._attempts or step.attempts or procedure.attempts
-                outcome = self._run_step(name, step, attempts)
-                self._outcomes[name] = outcome
-                self._tell(outcome)
+                step_result = self._run_step(name, step, attempts)
+                self._step_results[name] = step_result
+                self._report_result(step_result)
             completed = True
-        except RehearsalEnded:
-            self._stand.tell("ended by the operator")
+        except RehearsalStoppedError:
+            self._environment.report_progress("stopped by the operator")
         finally:
             self._disarm()
         for name, step in procedure.steps.items():
-            self._outcomes.setdefault(name, _not_run(name, step, "the rehearsal ended before it"))
-        return tuple(self._outcomes[name] for name in procedure.steps), completed
+            self._step_results.setdefault(
+                name, _step_not_run(name, step, "the rehearsal was stopped before this step")
+            )
+        return tuple(self._step_results[name] for name in procedure.steps), completed
 
     # --- one step --------------------------------------------------------------------------------
 
-    def _run_step(self, name: str, step: Step, attempts: int) -> StepOutcome:
-        stand = self._stand
-        disturbances: list[str] = []
+    def _run_step(self, name: str, step: Step, attempts: int) -> StepResult:
+        environment = self._environment
+        invalid_attempts: list[str] = []
         try:
-            self._check_before(step)
-            self._listen(step.heard_on)
+            self._check_preconditions(step)
+            self._listen(step.subscribed_topics)
             while True:
-                stand.history.forget_old()
-                wall_ns = stand.wall_ns()
+                environment.history.discard_old()
+                wall_ns = environment.wall_ns()
                 attempt = self._attempt(step)
-                failed = any(each.verdict is Verdict.FAIL for each in attempt.findings)
+                failed = any(each.result is Result.FAIL for each in attempt.results)
                 if failed:
-                    self._check_alone(step, attempt)
-                judged = failed or Rule(step.rule) in TIMED
-                why = self._disturbance(attempt) if judged else ""
+                    self._check_command_source(step, attempt)
+                depends_on_time = failed or Rule(step.rule) in TIMED
+                why = self._invalidity(attempt) if depends_on_time else ""
                 if why:
-                    disturbances.append(why)
-                    if len(disturbances) < attempts:
-                        stand.tell(f"    again: {why}")
+                    invalid_attempts.append(why)
+                    if len(invalid_attempts) < attempts:
+                        environment.report_progress(f"    repeated: {why}")
                         continue
-                return StepOutcome(
+                return StepResult(
                     name,
                     step.title,
                     Rule(step.rule),
-                    f"disturbed {len(disturbances)} times, at last: {why}" if why else "",
-                    _void(attempt.findings) if why else tuple(attempt.findings),
-                    tuple(disturbances),
+                    f"{len(invalid_attempts)} invalid attempts, last: {why}" if why else "",
+                    _invalidated(attempt.results) if why else tuple(attempt.results),
+                    tuple(invalid_attempts),
                     attempt.begin_ns,
-                    max([stand.now_ns(), *(each.end_ns for each in attempt.findings)]),
+                    max([environment.now_ns(), *(each.end_ns for each in attempt.results)]),
                     wall_ns,
-                    stand.wall_ns(),
+                    environment.wall_ns(),
                 )
-        except CannotDoError as error:
-            return _not_run(name, step, str(error))
+        except PreconditionError as error:
+            return _step_not_run(name, step, str(error))
 
     def _listen(self, names: tuple[str, ...]) -> None:
-        """Hear what a step needs, before it begins."""
-        stand = self._stand
-        stand.listen(names)
+        """Subscribe to the topics of a step, and wait for a message on each available one."""
+        environment = self._environment
+        environment.listen(names)
         self._wait_for(
-            lambda: all(stand.history.of(name) or not stand.is_offered(name) for name in names)
+            lambda: all(
+                environment.history.of(name) or not environment.is_available(name) for name in names
+            )
         )
 
-    def _check_before(self, step: Step) -> None:
+    def _check_preconditions(self, step: Step) -> None:
         for name in step.after:
-            if self._outcomes[name].verdict is not Verdict.PASS:
-                raise CannotDoError(f"step {name} has not passed")
+            if self._step_results[name].result is not Result.PASS:
+                raise PreconditionError(f"step {name} has not passed")
         for name in step.needs:
-            if not self._wait_for(lambda name=name: self._stand.is_offered(name)):  # type: ignore[misc]
-                raise CannotDoError(f"nobody offers {name}")
-        if step.moves and self._motion is None:
+            if not self._wait_for(lambda name=name: self._environment.is_available(name)):  # type: ignore[misc]
+                raise PreconditionError(f"{name} is not available")
+        if step.moves and self._motion_confirmed is None:
             try:
-                self._motion = self._stand.question(
+                self._motion_confirmed = self._environment.request_answer(
                     "confirm_motion",
-                    "From here on the machine may move. Is the area clear, and may it move?",
+                    "The following steps may move the machine. Is the area clear, and may it move?",
                 )
-            except CannotDoError:
-                self._motion = False
-        if step.moves and not self._motion:
-            raise CannotDoError("motion was not confirmed")
+            except PreconditionError:
+                self._motion_confirmed = False
+        if step.moves and not self._motion_confirmed:
+            raise PreconditionError("motion was not confirmed")
 
-    def _check_alone(self, step: Step, attempt: _Attempt) -> None:
-        """What failed says nothing where somebody else had the topic that it commands on."""
-        window = Window(self._stand.history, attempt.begin_ns)
+    def _check_command_source(self, step: Step, attempt: _Attempt) -> None:
+        """A failure is invalid where another command source owns a commanded topic."""
+        window = Window(self._environment.history, attempt.begin_ns)
         for topic in step.published:
             owned = partial(is_refusal, subject=topic, code=RefusalCode.OWNED)
-            told = next(window.statuses(topics.DIAGNOSTICS, attempt.begin_ns, owned), None)
-            if told is not None:
-                raise CannotDoError(f"another commander should be ended first: {told[1].message}")
+            refusal = next(window.statuses(topics.DIAGNOSTICS, attempt.begin_ns, owned), None)
+            if refusal is not None:
+                raise PreconditionError(
+                    f"stop the other command source first: {refusal[1].message}"
+                )
 
     def _attempt(self, step: Step) -> _Attempt:
-        stand = self._stand
-        attempt = _Attempt(stand.now_ns(), stand.steady_ns())
+        environment = self._environment
+        attempt = _Attempt(environment.now_ns(), environment.steady_ns())
         with contextlib.ExitStack() as afterwards:
-            afterwards.callback(self._put_back, attempt)
-            afterwards.callback(self._fall_silent, attempt)
+            afterwards.callback(self._restore, attempt)
+            afterwards.callback(self._stop_publishers, attempt)
             for action in step.do:
                 attempt.end_ns = None
-                self._act(action, attempt)
-            self._fall_silent(attempt)
-            end_ns = stand.now_ns() if attempt.end_ns is None else attempt.end_ns
-            window = Window(stand.history, attempt.begin_ns, end_ns, attempt.mark_ns)
+                self._perform(action, attempt)
+            self._stop_publishers(attempt)
+            end_ns = environment.now_ns() if attempt.end_ns is None else attempt.end_ns
+            window = Window(environment.history, attempt.begin_ns, end_ns, attempt.mark_ns)
             self._wait_for(
-                lambda: all(each.is_decided(window, stand.now_ns()) for each in step.expect),
-                self._longest(step),
+                lambda: all(each.is_decided(window, environment.now_ns()) for each in step.expect),
+                self._longest_wait(step),
             )
             for expectation in step.expect:
-                attempt.findings += expectation.judge(window)
+                attempt.results += expectation.evaluate(window)
         return attempt
 
-    def _longest(self, step: Step) -> float:
-        """How long may be waited for what a step expects [s]."""
+    def _longest_wait(self, step: Step) -> float:
+        """Longest wait for the expectations of a step [s]."""
         within = [getattr(each, "within", 0.0) for each in step.expect]
-        return max([0.0, *within]) + self._patience
+        return max([0.0, *within]) + self._timeout_margin
 
     def _wait_for(self, condition: Callable[[], bool], timeout: float | None = None) -> bool:
-        """Wait until something is so; returns whether it came to be."""
-        limit = self._patience if timeout is None else timeout
-        since_ns = self._stand.steady_ns()
+        """Wait for a condition; returns whether it was met in time."""
+        limit = self._timeout_margin if timeout is None else timeout
+        since_ns = self._environment.steady_ns()
         while not condition():
-            self._go_on()
-            if (self._stand.steady_ns() - since_ns) * 1e-9 > limit:
+            self._check_stopped()
+            if (self._environment.steady_ns() - since_ns) * 1e-9 > limit:
                 return False
-            self._stand.wait(_LOOK)
+            self._environment.wait(_POLL_PERIOD)
         return True
 
-    def _go_on(self) -> None:
-        if self._is_over():
-            raise RehearsalEnded
+    def _check_stopped(self) -> None:
+        if self._is_stopped():
+            raise RehearsalStoppedError
 
-    def _pause(self, time: float) -> None:
-        """Let so much time of the machine pass [s]; where its clock stands, by the steady one."""
-        stand = self._stand
-        end_ns, since_ns = stand.now_ns() + round(time * 1e9), stand.steady_ns()
-        while (left := (end_ns - stand.now_ns()) * 1e-9) > 0.0:
-            self._go_on()
-            if (stand.steady_ns() - since_ns) * 1e-9 > time + self._patience:
+    def _wait(self, time: float) -> None:
+        """Wait for a time of the machine's clock [s], bounded by the steady clock."""
+        environment = self._environment
+        end_ns, since_ns = environment.now_ns() + round(time * 1e9), environment.steady_ns()
+        while (left := (end_ns - environment.now_ns()) * 1e-9) > 0.0:
+            self._check_stopped()
+            if (environment.steady_ns() - since_ns) * 1e-9 > time + self._timeout_margin:
                 return
-            stand.wait(min(left, _LOOK))
+            environment.wait(min(left, _POLL_PERIOD))
 
-    # --- what is done ----------------------------------------------------------------------------
+    # --- actions ---------------------------------------------------------------------------------
 
-    def _act(self, action: Action, attempt: _Attempt) -> None:
-        self._go_on()
+    def _perform(self, action: Action, attempt: _Attempt) -> None:
+        self._check_stopped()
         if isinstance(action, Wait):
-            self._pause(action.time)
+            self._wait(action.duration)
         elif isinstance(action, Mark):
-            attempt.mark_ns = self._stand.now_ns()
+            attempt.mark_ns = self._environment.now_ns()
         elif isinstance(action, Publish):
             self._publish(action, attempt)
         elif isinstance(action, BeyondLimits):
-            attempt.findings.append(self._go_beyond_limits(action))
+            attempt.results.append(self._test_limits(action))
         elif isinstance(action, Call):
-            attempt.findings.append(self._call(action))
+            attempt.results.append(self._call(action))
         elif isinstance(action, SetParameter):
             self._set(action.node, action.parameter, action.value, attempt, keep=action.keep)
         elif isinstance(action, Impair):
             self._set(EMULATOR, "impairments", action.text, attempt)
-        elif isinstance(action, Ask):
-            self._stand.ask(action.key, action.what)
-        elif isinstance(action, Look):
-            attempt.findings.append(self._look(action))
+        elif isinstance(action, Prompt):
+            self._environment.request_action(action.key, action.instruction)
+        elif isinstance(action, Inspection):
+            attempt.results.append(self._inspect(action))
 
     def _set(
         self, node: str, name: str, value: object, attempt: _Attempt, *, keep: bool = False
     ) -> None:
-        before = self._stand.parameter(node, name)
+        before = self._environment.parameter(node, name)
         if not keep:
-            attempt.to_put_back.append((node, name, before))
-        self._stand.set_parameter(node, name, value)
+            attempt.to_restore.append((node, name, before))
+        self._environment.set_parameter(node, name, value)
 
     def _publish(self, action: Publish, attempt: _Attempt) -> None:
-        stand = self._stand
-        if not self._wait_for(lambda: stand.is_heard(action.topic)):
-            raise CannotDoError(f"nobody listens to {action.topic}")
+        environment = self._environment
+        if not self._wait_for(lambda: environment.has_subscriber(action.topic)):
+            raise PreconditionError(f"{action.topic} has no subscriber")
         joints = {
             name: JointValue(*(self._value(amount) for amount in joint.amounts()))
             for name, joint in action.joints.items()
         }
 
-        def make(now_ns: int) -> Outgoing:
+        def make(now_ns: int) -> OutgoingMessage:
             stamp_ns = 0 if action.unstamped else max(1, now_ns - round(action.age * 1e9))
-            return Outgoing(stamp_ns, joints, action.omit)
+            return OutgoingMessage(stamp_ns, joints, action.omit)
 
-        if not action.time and not action.throughout:
-            now_ns = stand.now_ns()
-            stand.send(action.topic, make(now_ns))
+        if not action.duration and not action.throughout:
+            now_ns = environment.now_ns()
+            environment.send(action.topic, make(now_ns))
             attempt.end_ns = now_ns
             return
-        sending = stand.send_steadily(action.topic, make, action.period)
-        attempt.sendings.append((sending, action.period))
-        attempt.going_on.append(sending)
+        publisher = environment.send_periodically(action.topic, make, action.period)
+        attempt.publishers.append((publisher, action.period))
+        attempt.active_publishers.append(publisher)
         if not action.throughout:
-            self._pause(action.time)
-            sending.stop()
-            attempt.going_on.remove(sending)
-            attempt.end_ns = sending.last_ns
+            self._wait(action.duration)
+            publisher.stop()
+            attempt.active_publishers.remove(publisher)
+            attempt.end_ns = publisher.last_stamp_ns
 
     def _value(self, amount: Amount) -> float:
         if not isinstance(amount, Reading):
             return amount
-        if not self._wait_for(lambda: self._stand.history.last(amount.topic) is not None):
-            raise CannotDoError(f"nothing came on {amount.topic}, of which {amount.field} is used")
-        heard = self._stand.history.last(amount.topic)
-        if heard is None:
-            raise AssertionError("it was there just now")
-        told: float = dict(heard.sample.scalars())[amount.field]
-        return amount.times * told + amount.plus
+        if not self._wait_for(lambda: self._environment.history.last(amount.topic) is not None):
+            raise PreconditionError(f"no message on {amount.topic}, whose {amount.field} is used")
+        message = self._environment.history.last(amount.topic)
+        if message is None:
+            raise AssertionError("the message was received before")
+        value: float = dict(message.sample.scalars())[amount.field]
+        return amount.scale * value + amount.offset
 
-    def _go_beyond_limits(self, action: BeyondLimits) -> Finding:
-        stand, topic = self._stand, action.topic
-        if not self._wait_for(lambda: stand.is_heard(topic)):
-            raise CannotDoError(f"nobody listens to {topic}")
-        begin_ns = stand.now_ns()
+    def _test_limits(self, action: BeyondLimits) -> ExpectationResult:
+        environment, topic = self._environment, action.topic
+        if not self._wait_for(lambda: environment.has_subscriber(topic)):
+            raise PreconditionError(f"{topic} has no subscriber")
+        begin_ns = environment.now_ns()
         sent = action.messages()
         for _, joints in sent:
-            stand.send(topic, Outgoing(stand.now_ns(), joints))
-            self._pause(action.pause)
+            environment.send(topic, OutgoingMessage(environment.now_ns(), joints))
+            self._wait(action.pause)
 
         def refused() -> list[str]:
-            window = Window(stand.history, begin_ns)
-            told = window.statuses(
+            window = Window(environment.history, begin_ns)
+            reports = window.statuses(
                 topics.DIAGNOSTICS, begin_ns, lambda s: is_refusal(s, topic, "out_of_limits")
             )
-            return [status.message for _, status in told]
+            return [status.message for _, status in reports]
 
         def missing() -> list[str]:
-            told = refused()
+            refusals = refused()
             left = []
             for path, joints in sent:
                 name, _, part = path.partition(".")
                 value = getattr(joints[name], part)
-                if not any(f"{path} is {value!r}" in message for message in told):
+                if not any(f"{path} is {value!r}" in message for message in refusals):
                     left.append(f"{path} {value:g}")
             return left
 
-        self._wait_for(lambda: not missing(), action.within + self._patience)
+        self._wait_for(lambda: not missing(), action.timeout + self._timeout_margin)
         left = missing()
         measured = f"{len(sent) - len(left)} of {len(sent)}"
         if left:
-            measured += f"; not {', '.join(left)}"
-        return Finding(
-            Verdict.FAIL if left else Verdict.PASS,
-            f"values of {topic} just beyond each limit of the contract that are refused",
-            "all, with the field's name and out_of_limits",
+            measured += f"; not refused: {', '.join(left)}"
+        return ExpectationResult(
+            Result.FAIL if left else Result.PASS,
+            f"refused values of {topic} just beyond each limit of the contract",
+            "all, as out_of_limits with the name of the field",
             measured,
             (topic, topics.DIAGNOSTICS),
             begin_ns,
-            stand.now_ns(),
+            environment.now_ns(),
         )
 
-    def _call(self, action: Call) -> Finding:
-        stand = self._stand
-        begin_ns = stand.now_ns()
+    def _call(self, action: Call) -> ExpectationResult:
+        environment = self._environment
+        begin_ns = environment.now_ns()
         if action.service == topics.DRIVES_ARM and action.data:
-            self._has_armed = True
-        answer = stand.call(action.service, action.data, action.within + self._patience)
-        right = answer.success is action.success
+            self._armed = True
+        answer = environment.call(
+            action.service, action.data, action.timeout + self._timeout_margin
+        )
+        passed = answer.success is action.success
         given = "" if action.data is None else f"({str(action.data).lower()})"
-        return Finding(
-            Verdict.PASS if right else Verdict.FAIL,
-            f"answer of {action.service}{given}",
-            "done" if action.success else "refused",
-            f"{'done' if answer.success else 'refused'}: {answer.message}",
+        return ExpectationResult(
+            Result.PASS if passed else Result.FAIL,
+            f"response of {action.service}{given}",
+            "accepted" if action.success else "refused",
+            f"{'accepted' if answer.success else 'refused'}: {answer.message}",
             (topics.EVENTS, topics.DIAGNOSTICS),
             begin_ns,
-            stand.now_ns(),
+            environment.now_ns(),
         )
 
-    def _look(self, action: Look) -> Finding:
-        begin_ns = self._stand.now_ns()
-        right = self._stand.question(action.key, action.question)
-        return Finding(
-            Verdict.PASS if right else Verdict.FAIL,
+    def _inspect(self, action: Inspection) -> ExpectationResult:
+        begin_ns = self._environment.now_ns()
+        passed = self._environment.request_answer(action.key, action.question)
+        return ExpectationResult(
+            Result.PASS if passed else Result.FAIL,
             action.question,
-            "yes, by the operator",
-            "yes" if right else "no",
+            "yes (operator)",
+            "yes" if passed else "no",
             (),
             begin_ns,
-            self._stand.now_ns(),
+            self._environment.now_ns(),
         )
 
-    def _fall_silent(self, attempt: _Attempt) -> None:
-        for sending in attempt.going_on:
-            sending.stop()
-        attempt.going_on.clear()
+    def _stop_publishers(self, attempt: _Attempt) -> None:
+        for publisher in attempt.active_publishers:
+            publisher.stop()
+        attempt.active_publishers.clear()
 
-    def _put_back(self, attempt: _Attempt) -> None:
-        for node, name, before in reversed(attempt.to_put_back):
+    def _restore(self, attempt: _Attempt) -> None:
+        for node, name, before in reversed(attempt.to_restore):
             try:
-                self._stand.set_parameter(node, name, before)
-            except CannotDoError as error:
-                self._stand.tell(f"    {node} {name} was not put back: {error}")
-        if attempt.to_put_back:
-            self._let_recover()
-        attempt.to_put_back.clear()
+                self._environment.set_parameter(node, name, before)
+            except PreconditionError as error:
+                self._environment.report_progress(f"    {node} {name} was not restored: {error}")
+        if attempt.to_restore:
+            self._wait_for_recovery()
+        attempt.to_restore.clear()
 
-    def _let_recover(self) -> None:
-        """Wait until the link's devices answer again, where somebody tells of them.
+    def _wait_for_recovery(self) -> None:
+        """Wait until all devices on the link answer again, so that the next step finds them so."""
+        history, since_ns = self._environment.history, self._environment.steady_ns()
 
-        What follows would else meet a machine that still suffers from what was taken away.
-        """
-        history, since_ns = self._stand.history, self._stand.steady_ns()
-
-        def is_well() -> bool:
+        def is_recovered() -> bool:
             last = history.last(topics.LINK_STATUS)
             if last is None or last.sample is None:
                 return True
             links = [each for each in last.sample.statuses if each.name.endswith(": link")]
             return last.steady_ns > since_ns and all(each.level is Level.OK for each in links)
 
-        self._wait_for(is_well)
+        self._wait_for(is_recovered)
 
     def _disarm(self) -> None:
-        """Take the power away, if it was given: no rehearsal leaves a machine that may move."""
-        if not self._has_armed:
+        """Disarm the drives if a step armed them: a rehearsal leaves no armed machine."""
+        if not self._armed:
             return
         try:
-            answer = self._stand.call(topics.DRIVES_ARM, False, self._patience)
-        except CannotDoError as error:
-            self._stand.tell(f"NOT DISARMED: {error}")
+            answer = self._environment.call(topics.DRIVES_ARM, False, self._timeout_margin)
+        except PreconditionError as error:
+            self._environment.report_progress(f"NOT DISARMED: {error}")
             return
         done = "disarmed" if answer.success else f"NOT DISARMED: {answer.message}"
-        self._stand.tell(f"at the end: {done}")
+        self._environment.report_progress(f"after the last step: {done}")
 
-    # --- whether the test was sound --------------------------------------------------------------
+    # --- validity of an attempt ------------------------------------------------------------------
 
-    def _disturbance(self, attempt: _Attempt) -> str:
-        """Why an attempt says nothing of the machine; empty: it does."""
-        stand = self._stand
-        held_up = stand.held_up(attempt.steady_ns)
-        for sending, period in attempt.sendings:
-            late = sending.longest - period
-            if late > _LATE:
-                return f"a command was sent {late:.2g} s late by the rehearsal itself"
-        if held_up > _LATE:
-            return f"the rehearsal itself was held up for {held_up:.2g} s"
-        last = stand.history.last(topics.SIM_STATUS)
+    def _invalidity(self, attempt: _Attempt) -> str:
+        """Why an attempt is invalid; empty: it is valid."""
+        environment = self._environment
+        longest_stall = environment.longest_stall(attempt.steady_ns)
+        for publisher, period in attempt.publishers:
+            late = publisher.longest_interval - period
+            if late > _JITTER_LIMIT:
+                return f"the rehearsal published a command {late:.2g} s late"
+        if longest_stall > _JITTER_LIMIT:
+            return f"the rehearsal stalled for {longest_stall:.2g} s"
+        last = environment.history.last(topics.SIM_STATUS)
         if last is None:
             return ""
-        end_ns = stand.steady_ns()
+        end_ns = environment.steady_ns()
 
-        def told() -> bool:
-            reports = (stand.history.last(name) for name in (topics.SIM_STATUS, topics.LINK_STATUS))
+        def are_reported() -> bool:
+            reports = (
+                environment.history.last(name) for name in (topics.SIM_STATUS, topics.LINK_STATUS)
+            )
             return all(each is not None and each.steady_ns > end_ns for each in reports)
 
-        self._wait_for(told, _STATUS)
-        return disturbance(stand.history, attempt.steady_ns)
+        self._wait_for(are_reported, _STATUS_TIMEOUT)
+        return timing_fault(environment.history, attempt.steady_ns)
 
-    def _tell(self, outcome: StepOutcome) -> None:
-        verdict = outcome.verdict
-        why = f": {outcome.reason}" if outcome.reason else ""
-        self._stand.tell(f"    {verdict.value}{why}")
-        for finding in outcome.findings:
-            if finding.verdict is Verdict.FAIL:
-                self._stand.tell(
-                    f"      {finding.what}: {finding.measured} (required: {finding.required})"
+    def _report_result(self, step_result: StepResult) -> None:
+        why = f": {step_result.reason}" if step_result.reason else ""
+        self._environment.report_progress(f"    {step_result.result.value}{why}")
+        for result in step_result.results:
+            if result.result is Result.FAIL:
+                self._environment.report_progress(
+                    f"      {result.description}: {result.measured} (expected: {result.expected})"
                 )
 
 
-def _void(findings: list[Finding]) -> tuple[Finding, ...]:
-    """What a disturbed attempt found, which says nothing."""
-    return tuple(replace(finding, verdict=Verdict.NOT_RUN) for finding in findings)
+def _invalidated(results: list[ExpectationResult]) -> tuple[ExpectationResult, ...]:
+    """Results of an invalid attempt: all NOT RUN."""
+    return tuple(replace(result, result=Result.NOT_RUN) for result in results)
 
 
-def _not_run(name: str, step: Step, reason: str) -> StepOutcome:
-    return StepOutcome(name, step.title, Rule(step.rule), reason)
+def _step_not_run(name: str, step: Step, reason: str) -> StepResult:
+    return StepResult(name, step.title, Rule(step.rule), reason)

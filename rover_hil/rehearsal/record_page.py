@@ -1,4 +1,4 @@
-"""The record of a rehearsal as one page that needs nothing else, to be read, printed and signed."""
+"""The record of a rehearsal as one self-contained HTML page, to be read, printed and signed."""
 
 from __future__ import annotations
 
@@ -64,19 +64,19 @@ _WIDE = ("procedure", "procedure SHA-256", "configuration SHA-256")
 
 
 def page(record: Mapping[str, Any]) -> str:
-    """The page of a record, as `write_record.as_mapping` makes it."""
-    name, verdict = record["procedure"], record["verdict"]
+    """The page of a record made by `write_record.as_mapping`."""
+    name, result = record["procedure"], record["result"]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>Rehearsal record: {_text(name)}, {_text(verdict)}</title>"
+        f"<title>Rehearsal record: {_text(name)}, {_text(result)}</title>"
         f"<style>{_STYLE}</style></head><body><main>"
         f"<header><div><h1>Rehearsal record: {_text(name)}</h1>"
         f'<p class="dim">{_text(record["about"])}</p></div>'
-        f'<div class="stamp {_kind(verdict)}">{_text(verdict)}</div></header>'
+        f'<div class="stamp {_kind(result)}">{_text(result)}</div></header>'
         f"{_facts(record)}{_summary(record)}{_rules(record['rules'])}"
         f"<h2>Steps</h2>{''.join(_step(step) for step in record['steps'])}"
-        f"{_machine(record['machine'])}{_configurations(record['configurations'])}"
+        f"{_devices(record['devices'])}{_configurations(record['configurations'])}"
         f"{_sign_off(record)}</main></body></html>\n"
     )
 
@@ -98,15 +98,15 @@ def _fact(key: str, value: str, kind: str = "") -> str:
 
 
 def _summary(record: Mapping[str, Any]) -> str:
-    """What did not pass, so that nobody must look for it."""
+    """Failed and not run steps, with their reasons."""
     parts = []
     if not record["completed"]:
         parts.append('<div class="open">This rehearsal was not completed.</div>')
-    for verdict, kind, words in (
+    for result, kind, words in (
         ("FAIL", "trouble", "Failed"),
         ("NOT RUN", "open", "Not run"),
     ):
-        steps = [step for step in record["steps"] if step["verdict"] == verdict]
+        steps = [step for step in record["steps"] if step["result"] == result]
         items = [
             f'<li><a href="#{_text(step["name"])}">{_text(step["title"])}</a>: '
             f"{_text(step['reason'] or _first_failure(step))}</li>"
@@ -115,7 +115,7 @@ def _summary(record: Mapping[str, Any]) -> str:
         items += [
             f"<li>Rule {_words(rule['rule'])}: {_text(rule['reason'])}</li>"
             for rule in record["rules"]
-            if verdict == "NOT RUN" and not rule["steps"]
+            if result == "NOT RUN" and not rule["steps"]
         ]
         if items:
             parts.append(f'<div class="{kind}">{words}:<ul>{"".join(items)}</ul></div>')
@@ -123,20 +123,24 @@ def _summary(record: Mapping[str, Any]) -> str:
 
 
 def _first_failure(step: Mapping[str, Any]) -> str:
-    failed = [each for each in step["findings"] if each["verdict"] == "FAIL"]
+    failed = [each for each in step["results"] if each["result"] == "FAIL"]
     more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-    return f"{failed[0]['what']}: {failed[0]['measured']}{more}" if failed else "nothing was judged"
+    return (
+        f"{failed[0]['description']}: {failed[0]['measured']}{more}"
+        if failed
+        else "nothing was evaluated"
+    )
 
 
 def _rules(rules: Iterable[Mapping[str, Any]]) -> str:
     body = "".join(
-        f"<tr><td>{_badge(rule['verdict'])}</td><td><b>{_words(rule['rule'])}</b></td>"
+        f"<tr><td>{_badge(rule['result'])}</td><td><b>{_words(rule['rule'])}</b></td>"
         f"<td>{_text(rule['about'])}</td><td>{_links(rule)}</td></tr>"
         for rule in rules
     )
     return (
-        "<h2>Interface rules of the contract</h2><table><tr><th style='width:92px'>verdict</th>"
-        "<th style='width:110px'>rule</th><th>what it asks for</th>"
+        "<h2>Interface rules of the contract</h2><table><tr><th style='width:92px'>result</th>"
+        "<th style='width:110px'>rule</th><th>requirement</th>"
         f"<th style='width:40%'>tested by</th></tr>{body}</table>"
     )
 
@@ -152,20 +156,20 @@ def _links(rule: Mapping[str, Any]) -> str:
 def _step(step: Mapping[str, Any]) -> str:
     notes = [f"Not run: {step['reason']}"] if step["reason"] else []
     notes += [
-        f"Attempt {number} said nothing of the machine: {why}"
-        for number, why in enumerate(step["disturbances"], 1)
+        f"Attempt {number} is invalid: {why}"
+        for number, why in enumerate(step["invalid_attempts"], 1)
     ]
     begin, end = step["logged"]
     if begin:
-        notes.append(f"In the bag's log time {begin} to {end[11:]}.")
-    body = "".join(_finding(each) for each in step["findings"])
+        notes.append(f"Log time in the bag: {begin} to {end[11:]}.")
+    body = "".join(_result(each) for each in step["results"])
     table = (
-        "<table><tr><th>verdict</th><th>what</th><th>required</th><th>measured</th>"
+        "<table><tr><th>result</th><th>quantity</th><th>expected</th><th>measured</th>"
         f"<th>in the bag: topic, stamps [s]</th></tr>{body}</table>"
     )
     return (
-        f'<section class="step {_kind(step["verdict"])}" id="{_text(step["name"])}">'
-        f"<div>{_badge(step['verdict'])}<b>{_text(step['title'])}</b>"
+        f'<section class="step {_kind(step["result"])}" id="{_text(step["name"])}">'
+        f"<div>{_badge(step['result'])}<b>{_text(step['title'])}</b>"
         f'<span class="name">{_words(step["rule"])} &middot; {_text(step["name"])}</span></div>'
         + "".join(f'<p class="dim">{_text(note)}</p>' for note in notes)
         + (table if body else "")
@@ -173,20 +177,20 @@ def _step(step: Mapping[str, Any]) -> str:
     )
 
 
-def _finding(finding: Mapping[str, Any]) -> str:
-    bag = finding["bag"]
+def _result(result: Mapping[str, Any]) -> str:
+    bag = result["bag"]
     begin, end = bag["stamps"]
     where = "<br>".join(_text(topic) for topic in bag["topics"])
-    bad = ' class="bad"' if finding["verdict"] == "FAIL" else ""
+    bad = ' class="bad"' if result["result"] == "FAIL" else ""
     return (
-        f"<tr{bad}><td>{_badge(finding['verdict'])}</td><td>{_text(finding['what'])}</td>"
-        f"<td>{_text(finding['required'])}</td>"
-        f'<td class="num">{_text(finding["measured"])}</td>'
+        f"<tr{bad}><td>{_badge(result['result'])}</td><td>{_text(result['description'])}</td>"
+        f"<td>{_text(result['expected'])}</td>"
+        f'<td class="num">{_text(result["measured"])}</td>'
         f'<td class="num">{where}<br>{begin:.3f} to {end:.3f}</td></tr>'
     )
 
 
-def _machine(devices: Sequence[Mapping[str, str]]) -> str:
+def _devices(devices: Sequence[Mapping[str, str]]) -> str:
     if not devices:
         return ""
     body = "".join(
@@ -196,7 +200,8 @@ def _machine(devices: Sequence[Mapping[str, str]]) -> str:
         for each in devices
     )
     return (
-        "<h2>The link and its devices at the end</h2><table><tr><th style='width:110px'>device</th>"
+        "<h2>Link and devices after the last step</h2><table><tr>"
+        "<th style='width:110px'>device</th>"
         f"<th style='width:190px'>state</th><th>values</th></tr>{body}</table>"
     )
 
@@ -226,22 +231,23 @@ def _configurations(configurations: Mapping[str, Mapping[str, Any]]) -> str:
 def _sign_off(record: Mapping[str, Any]) -> str:
     operator = record["run"].get("operator", "")
     lines = "<i>name</i><i>signature</i><i>date</i>"
-    conducted = f"<b>Conducted by</b>{_text(operator) or '&nbsp;'}<i>signature</i><i>date</i>"
+    conducted_by = f"<b>Conducted by</b>{_text(operator) or '&nbsp;'}<i>signature</i><i>date</i>"
     return (
-        "<h2>Sign-off</h2><p>The undersigned have read this record. A rule that was not run is not "
-        'proven.</p><p class="boxes"><span>&#9744; accepted</span><span>&#9744; accepted with '
+        "<h2>Sign-off</h2><p>The undersigned have read this record. A rule with the result NOT RUN "
+        'is not verified.</p><p class="boxes"><span>&#9744; accepted</span>'
+        "<span>&#9744; accepted with "
         "the exceptions noted</span><span>&#9744; rejected</span></p>"
-        f'<div class="sign"><div>{conducted}</div><div><b>Witnessed by</b>{lines}</div>'
+        f'<div class="sign"><div>{conducted_by}</div><div><b>Witnessed by</b>{lines}</div>'
         f"<div><b>For the hardware team</b>{lines}</div></div>"
     )
 
 
-def _badge(verdict: str) -> str:
-    return f'<span class="v {_kind(verdict)}">{_text(verdict)}</span>'
+def _badge(result: str) -> str:
+    return f'<span class="v {_kind(result)}">{_text(result)}</span>'
 
 
-def _kind(verdict: str) -> str:
-    return verdict.replace(" ", "-")
+def _kind(result: str) -> str:
+    return result.replace(" ", "-")
 
 
 def _words(name: str) -> str:

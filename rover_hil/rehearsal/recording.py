@@ -1,4 +1,4 @@
-"""The recorder beside a rehearsal: the suite's own executable, a process of its own."""
+"""Recorder of a rehearsal: the suite's `bag_record` in a child process."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import sys
 from pathlib import Path
 
 RECORDER = "rover_bags.record"
-"""Started as a module, so that it runs from an installation and from the bare tree."""
-_ENDING = 60.0  # longest that closing the bag may take [s]
+"""Started as a module: it runs from an installation and from a checkout."""
+_CLOSE_TIMEOUT = 60.0  # to close the bag [s]
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
-def _end_with_the_rehearsal() -> None:
-    """Have the kernel end the recorder cleanly where the rehearsal is killed."""
+def _interrupt_with_parent() -> None:
+    """Have the kernel interrupt the recorder if the rehearsal is killed."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
 
 
 class Recording:
-    """One bag.
+    """Recording of one bag.
 
     Args:
-        folder: where it and the recorder's own words go.
-        namespace: of the nodes that are recorded.
+        folder: for the bag and the log of the recorder.
+        namespace: of the recorded nodes.
     """
 
     def __init__(self, folder: Path, namespace: str) -> None:
@@ -39,8 +39,8 @@ class Recording:
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True,  # a Ctrl-C at the terminal is for the rehearsal first
-                preexec_fn=_end_with_the_rehearsal,  # noqa: PLW1509 - one system call, no lock
+                start_new_session=True,  # Ctrl-C reaches the rehearsal first
+                preexec_fn=_interrupt_with_parent,  # noqa: PLW1509 - one system call, no lock
             )  # fmt: skip
 
     @property
@@ -49,22 +49,22 @@ class Recording:
         return self._process.poll() is None
 
     def close(self) -> str:
-        """End it; returns what it says of the bag.
+        """Stop the recorder; returns its summary of the bag.
 
         Raises:
-            OSError: the bag is not whole.
+            OSError: the bag is incomplete.
         """
         if self.is_running:
             self._process.send_signal(signal.SIGINT)
         try:
-            code = self._process.wait(_ENDING)
+            code = self._process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            raise OSError(f"the recorder did not end within {_ENDING:g} s") from None
-        said = self._log.read_text(encoding="utf-8", errors="replace")
-        found = re.search(r"^recorded (.*) into .*$", said, re.MULTILINE)
+            raise OSError(f"the recorder did not stop within {_CLOSE_TIMEOUT:g} s") from None
+        output = self._log.read_text(encoding="utf-8", errors="replace")
+        found = re.search(r"^recorded (.*) into .*$", output, re.MULTILINE)
         if code != 0 or found is None:
-            last = said.strip().splitlines()[-1:] or ["it said nothing"]
-            raise OSError(f"the recorder ended with exit code {code}: {last[0]}")
+            last = output.strip().splitlines()[-1:] or ["no output"]
+            raise OSError(f"the recorder stopped with exit code {code}: {last[0]}")
         return found[1]

@@ -1,4 +1,4 @@
-"""The record of a rehearsal as files: for machines (JSON, JUnit XML) and for people (a page)."""
+"""The record of a rehearsal as JSON, JUnit XML and an HTML page."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rover_hil.rehearsal.finding import ABOUT_RULES, Finding, Rule, Verdict
-from rover_hil.rehearsal.outcome import Outcome, StepOutcome
+from rover_hil.rehearsal.expectation_result import ABOUT_RULES, ExpectationResult, Result, Rule
+from rover_hil.rehearsal.procedure_result import ProcedureResult, StepResult
 from rover_hil.rehearsal.record_page import page
 
 UNTESTED = "no step of this procedure tests it"
-_OF_THE_RUN = frozenset({"process", "host"})
-"""What a node's configuration says of its run, not of its settings."""
+_RUN_KEYS = frozenset({"process", "host"})
+"""Keys of a node's configuration that describe its process, not its settings."""
 
 
-def write_record(outcome: Outcome, folder: Path) -> list[Path]:
+def write_record(procedure_result: ProcedureResult, folder: Path) -> list[Path]:
     """Write ``record.json``, ``junit.xml`` and ``record.html``; returns their paths."""
-    mapping = as_mapping(outcome)
+    mapping = as_mapping(procedure_result)
     texts = {
         "record.json": json.dumps(mapping, indent=2) + "\n",
-        "junit.xml": as_junit(outcome, mapping),
+        "junit.xml": as_junit(procedure_result, mapping),
         "record.html": page(mapping),
     }
     for name, text in texts.items():
@@ -35,66 +35,68 @@ def write_record(outcome: Outcome, folder: Path) -> list[Path]:
 def configuration_digest(configurations: Mapping[str, Mapping[str, Any]]) -> str:
     """SHA-256 of all nodes' settings; the same settings give the same digest."""
     settings = {
-        node: {key: value for key, value in content.items() if key not in _OF_THE_RUN}
+        node: {key: value for key, value in content.items() if key not in _RUN_KEYS}
         for node, content in configurations.items()
     }
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
-def as_mapping(outcome: Outcome) -> dict[str, Any]:
+def as_mapping(procedure_result: ProcedureResult) -> dict[str, Any]:
     """The whole record as JSON values."""
-    written = outcome.written
+    loaded = procedure_result.loaded
     return {
-        "procedure": written.name,
-        "about": written.procedure.about,
-        "verdict": outcome.verdict.value,
-        "completed": outcome.completed,
+        "procedure": loaded.name,
+        "about": loaded.procedure.about,
+        "result": procedure_result.result.value,
+        "completed": procedure_result.completed,
         "run": {
-            **outcome.about,
-            "procedure SHA-256": written.digest,
-            "configuration SHA-256": configuration_digest(outcome.configurations),
+            **procedure_result.about,
+            "procedure SHA-256": loaded.digest,
+            "configuration SHA-256": configuration_digest(procedure_result.configurations),
         },
-        "bag": {"path": outcome.bag, "recorder": outcome.bag_note},
+        "bag": {"path": procedure_result.bag, "recorder": procedure_result.bag_note},
         "rules": [
             {
                 "rule": rule.value,
                 "about": ABOUT_RULES[rule],
-                "verdict": outcome.rule_verdict(rule).value,
-                "steps": [step.name for step in outcome.of_rule(rule)],
-                "reason": "" if outcome.of_rule(rule) else UNTESTED,
+                "result": procedure_result.rule_result(rule).value,
+                "steps": [step.name for step in procedure_result.steps_of(rule)],
+                "reason": "" if procedure_result.steps_of(rule) else UNTESTED,
             }
             for rule in Rule
         ],
-        "steps": [_step(step, outcome.bag) for step in outcome.steps],
-        "machine": [dict(each) for each in outcome.machine],
-        "configurations": {node: dict(each) for node, each in outcome.configurations.items()},
+        "steps": [_step(step, procedure_result.bag) for step in procedure_result.steps],
+        "devices": [dict(each) for each in procedure_result.devices],
+        "configurations": {
+            node: dict(each) for node, each in procedure_result.configurations.items()
+        },
     }
 
 
-def _step(step: StepOutcome, bag: str) -> dict[str, Any]:
+def _step(step: StepResult, bag: str) -> dict[str, Any]:
     return {
         "name": step.name,
         "title": step.title,
         "rule": step.rule.value,
-        "verdict": step.verdict.value,
+        "result": step.result.value,
         "reason": step.reason,
-        "disturbances": list(step.disturbances),
+        "invalid_attempts": list(step.invalid_attempts),
         "duration": (step.wall_end_ns - step.wall_begin_ns) * 1e-9,
         "logged": [_time_of_day(step.wall_begin_ns), _time_of_day(step.wall_end_ns)],
-        "findings": [_finding(finding, bag) for finding in step.findings],
+        "results": [_result(result, bag) for result in step.results],
     }
 
 
-def _finding(finding: Finding, bag: str) -> dict[str, Any]:
+def _result(result: ExpectationResult, bag: str) -> dict[str, Any]:
     return {
-        "verdict": finding.verdict.value,
-        "what": finding.what,
-        "required": finding.required,
-        "measured": finding.measured,
+        "result": result.result.value,
+        "description": result.description,
+        "expected": result.expected,
+        "measured": result.measured,
         "bag": {
             "path": bag,
-            "topics": list(finding.topics),
-            "stamps": [finding.begin_ns / 1e9, finding.end_ns / 1e9],
+            "topics": list(result.topics),
+            "stamps": [result.begin_ns / 1e9, result.end_ns / 1e9],
         },
     }
 
@@ -108,17 +110,17 @@ def _time_of_day(time_ns: int) -> str:
 # ---------------------------------------------------------------------------------------- JUnit XML
 
 
-def as_junit(outcome: Outcome, mapping: Mapping[str, Any]) -> str:
+def as_junit(procedure_result: ProcedureResult, mapping: Mapping[str, Any]) -> str:
     """The record as JUnit XML: a suite for each rule, a case for each step."""
-    name = outcome.written.name
+    name = procedure_result.loaded.name
     root = ET.Element("testsuites", name=f"rehearsal {name}")
     sums = {"tests": 0, "failures": 0, "errors": 0, "skipped": 0}
     total = 0.0
     for rule in Rule:
-        steps = outcome.of_rule(rule)
+        steps = procedure_result.steps_of(rule)
         suite = ET.SubElement(root, "testsuite", name=f"{name}.{rule.value}")
         properties = ET.SubElement(suite, "properties")
-        for key, value in {**mapping["run"], "bag": outcome.bag}.items():
+        for key, value in {**mapping["run"], "bag": procedure_result.bag}.items():
             ET.SubElement(properties, "property", name=_printable(key), value=_printable(value))
         counts = dict.fromkeys(sums, 0)
         spent = 0.0
@@ -128,10 +130,10 @@ def as_junit(outcome: Outcome, mapping: Mapping[str, Any]) -> str:
                 suite, "testcase", classname=f"{name}.{rule.value}", name=step.name,
                 time=f"{duration:.3f}",
             )  # fmt: skip
-            _judge_case(case, step)
+            _add_outcome(case, step)
             counts["tests"] += 1
-            counts["failures"] += step.verdict is Verdict.FAIL
-            counts["skipped"] += step.verdict is Verdict.NOT_RUN
+            counts["failures"] += step.result is Result.FAIL
+            counts["skipped"] += step.result is Result.NOT_RUN
             spent += duration
         if not steps:
             case = ET.SubElement(
@@ -140,7 +142,7 @@ def as_junit(outcome: Outcome, mapping: Mapping[str, Any]) -> str:
             ET.SubElement(case, "skipped", message=f"NOT RUN: {UNTESTED}")
             counts["tests"] = counts["skipped"] = 1
         _sum_up(suite, counts, spent)
-        suite.set("timestamp", str(outcome.about.get("began", "")))
+        suite.set("timestamp", str(procedure_result.about.get("began", "")))
         for key, count in counts.items():
             sums[key] += count
         total += spent
@@ -155,33 +157,35 @@ def _sum_up(element: ET.Element, counts: Mapping[str, int], spent: float) -> Non
     element.set("time", f"{spent:.3f}")
 
 
-def _judge_case(case: ET.Element, step: StepOutcome) -> None:
-    failed = [each for each in step.findings if each.verdict is Verdict.FAIL]
-    if step.verdict is Verdict.NOT_RUN:
-        reason = step.reason or "nothing was judged"
+def _add_outcome(case: ET.Element, step: StepResult) -> None:
+    failed = [each for each in step.results if each.result is Result.FAIL]
+    if step.result is Result.NOT_RUN:
+        reason = step.reason or "nothing was evaluated"
         ET.SubElement(case, "skipped", message=_printable(f"NOT RUN: {reason}"))
     elif failed:
         first = failed[0]
         failure = ET.SubElement(
             case, "failure", type=step.rule.value,
-            message=_printable(f"{first.what}: {first.measured}, required: {first.required}"),
+            message=_printable(
+                f"{first.description}: {first.measured}, expected: {first.expected}"
+            ),
         )  # fmt: skip
         failure.text = _printable("\n".join(_line(each) for each in failed))
-    told = ET.SubElement(case, "system-out")
-    told.text = _printable("\n".join([step.title, *(_line(each) for each in step.findings)]))
+    output = ET.SubElement(case, "system-out")
+    output.text = _printable("\n".join([step.title, *(_line(each) for each in step.results)]))
 
 
-def _line(finding: Finding) -> str:
-    where = ", ".join(finding.topics)
-    span = f"{finding.begin_ns * 1e-9:.3f} to {finding.end_ns * 1e-9:.3f} s"
+def _line(result: ExpectationResult) -> str:
+    where = ", ".join(result.topics)
+    span = f"{result.begin_ns * 1e-9:.3f} to {result.end_ns * 1e-9:.3f} s"
     return (
-        f"{finding.verdict.value}: {finding.what}: {finding.measured} "
-        f"(required: {finding.required}; bag: {where}, stamps {span})"
+        f"{result.result.value}: {result.description}: {result.measured} "
+        f"(expected: {result.expected}; bag: {where}, stamps {span})"
     )
 
 
 def _printable(text: object) -> str:
-    """What XML 1.0 can hold."""
+    """Text with characters that XML 1.0 cannot hold replaced by ?."""
     return "".join(
         char if char in "\t\n" or (char >= " " and not "\ud800" <= char <= "\udfff") else "?"
         for char in str(text)

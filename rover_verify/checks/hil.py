@@ -37,7 +37,7 @@ class _Flight:
         self._winch = Winch(WinchParameters())
         self._goal, self._rate = goal, rate
         self._begun_ns: int | None = None
-        self._asked = False
+        self._requested = False
 
     def commands(self, samples: Mapping[str, Sample], stamp_ns: int) -> Mapping[str, JointSample]:
         """What the winch tells its drive upon what is told at a time."""
@@ -54,11 +54,11 @@ class _Flight:
         winch.on_currents(currents, stamp_ns)
         order = winch.step(stamp_ns)
         self._begun_ns = stamp_ns if self._begun_ns is None else self._begun_ns
-        if not self._asked and stamp_ns - self._begun_ns >= _SETTLING * 1e9:
+        if not self._requested and stamp_ns - self._begun_ns >= _SETTLING * 1e9:
             winch.rearm(stamp_ns)
             goal = {WINCH_TO_LENGTH: JointValue(self._goal, self._rate, 0.0)}
             winch.request(JointSample(stamp_ns, goal), stamp_ns)
-            self._asked = True
+            self._requested = True
         if order is None:
             return {}
         joints = {
@@ -73,7 +73,7 @@ class _Flight:
         """Whether it holds again; RuntimeError after a fault."""
         if self._winch.mode is Mode.FAULT:
             raise RuntimeError(f"the winch is in fault: {self._winch.fault_reason}")
-        return self._asked and self._winch.mode is Mode.HOLD
+        return self._requested and self._winch.mode is Mode.HOLD
 
 
 def _simulation(length: float, seed: int) -> Simulation[Any]:
@@ -117,7 +117,7 @@ def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Flo
         bench.arm()
 
         def cycle() -> None:
-            bench.cycle(lambda: flight.commands(bench.told, simulation.stamp_ns))
+            bench.cycle(lambda: flight.commands(bench.published, simulation.stamp_ns))
 
         return np.array(list(_flown(simulation, flight, cycle)))
     finally:

@@ -41,7 +41,7 @@ from rover_verify.harness.lockstep import Lockstep
 from rover_verify.harness.recording import recorded_topics
 
 _CONFIG = Path(__file__).resolve().parents[2] / "config"
-_PATIENCE = 3600.0  # by the wall clock [s]
+_TIMEOUT = 3600.0  # by the wall clock [s]
 _LONGEST = 600.0  # of a descent or a jump, in simulated time [s]
 _TOP, _STOP = 3.0, 5.0  # [m]
 _HEIGHT = 0.2  # of the jump [m]
@@ -158,7 +158,7 @@ class _Linked:
     """`hil_bridge` and `drive_emulator`, in lockstep."""
 
     def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
-        lockstep = {"link": harness.link, "lockstep": True, "lockstep_patience": 30.0}
+        lockstep = {"link": harness.link, "lockstep": True, "lockstep_timeout": 30.0}
         given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
         harness.processes.start(
             "rover_hil.emulator.emulator_node",
@@ -176,7 +176,7 @@ class _Linked:
             raise RuntimeError(f"the drives cannot be armed: {answer.message}")
 
     def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
-        observer.listen(topics.EVENTS).wait(ends, since, _PATIENCE)
+        observer.listen(topics.EVENTS).wait(ends, since, _TIMEOUT)
         observer.wait_for_time(observer.time_ns() + _REST_NS)
 
 

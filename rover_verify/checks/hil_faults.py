@@ -35,7 +35,7 @@ def fault_table(batch: Batch) -> Measured:
         if any(case.find(what) is not None for what in ("failure", "error", "skipped"))
     ]
     source = _TESTS.read_text(encoding="utf-8")
-    missing = sorted(KINDS.keys() - set(re.findall(r"what: (\w+)", source)))
+    missing = sorted(KINDS.keys() - set(re.findall(r"kind: (\w+)", source)))
     return Measured(
         len(failed) + len(missing),
         f"{len(cases)} tests, {len(KINDS)} kinds of faults; failed: {', '.join(failed) or 'none'}; "

@@ -51,7 +51,7 @@ def fuzz_messages(seed: int, number: int) -> Measured:
             before = _of_bridge(bench)
             try:
                 sample = admission.admit(TOPICS[topic], message, now_ns)
-                bench.bridge.take(topic, sample, now_ns)
+                bench.bridge.on_command(topic, sample, now_ns)
             except Refusal as refusal:
                 codes[refusal.code.value] = codes.get(refusal.code.value, 0) + 1
             else:
@@ -95,8 +95,8 @@ def fuzz_frames(seed: int, number: int) -> Measured:
                 for old, new in zip(before, after, strict=True)
             )
         at_work = sum(drive.setpoint is not None for drive in bench.machine.drives.values())
-        lines = bench.machine.lines.values()
-        strange = sum(line.strange for line in lines)
+        lines = bench.machine.channels.values()
+        strange = sum(line.invalid for line in lines)
     details: dict[str, float | str] = {"not understood": strange}
     return Measured(float(bad + at_work), f"{number} frames", details)
 
@@ -104,7 +104,7 @@ def fuzz_frames(seed: int, number: int) -> Measured:
 def _of_drives(bench: HilBench) -> list[tuple[object, ...]]:
     """What a frame would change: the set-point, and what feeds the watchdogs."""
     return [
-        (drive.setpoint, drive._fed_ns, drive._heard_bridge_ns)
+        (drive.setpoint, drive._watchdog_fed_ns, drive._bridge_heartbeat_ns)
         for drive in bench.machine.drives.values()
     ]
 
@@ -125,5 +125,5 @@ def _listen(bench: HilBench, seen: deque[Frame]) -> None:
 
 def _rearm(bench: HilBench) -> None:
     bench.cycles(0.2)
-    if not bench.bridge.silent(bench.simulation.stamp_ns):
+    if not bench.bridge.missing_devices(bench.simulation.stamp_ns):
         bench.bridge.arm(bench.simulation.stamp_ns)

@@ -33,7 +33,7 @@ _CARRIED = 16.2  # by the winch's motor [N]
 _LARGEST_RATE = 0.3  # of the winch [m/s]
 _MOST_RUNS = 10
 _STOPPED = 0.5  # after the last command: what moves after it is unsafe [s]
-_STOPPING = 0.15  # way of the winch while its brake stops it [m]
+_STOPPING = 0.15  # payout while the brake stops the winch [m]
 _OLDEST = 0.5  # command that a drive may execute [s]
 _GIVE_UP_NS = 3_000_000_000
 _COUNT = 1e-6  # of the winch's rate [m/s]
@@ -89,9 +89,9 @@ def _end_of(hop: str, bench: HilBench, commands: Commands) -> Commands:
     if hop == "bridge to drive":
         bench.bridge_is_on = False
     elif hop == "drive to bridge":
-        bench.impair("{what: cut, way: to_bridge}")
+        bench.impair("{kind: cut, direction: to_bridge}")
     else:
-        bench.impair("{what: cut}")
+        bench.impair("{kind: cut}")
     return commands
 
 
@@ -162,13 +162,15 @@ def stale(batch: Batch) -> Measured:
 def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
     seed = int(generator.integers(1, 2**31))
     delay, jitter = float(generator.uniform(0.005, 0.6)), float(generator.uniform(0.005, 0.6))
-    way = "to_devices"  # so that the bridge goes on: what it sends is what comes late
+    direction = "to_devices"  # so that the bridge goes on: what it sends is what comes late
     disorder = (
-        f"[{{what: reorder, way: {way}, strength: 0.3, seed: {seed}}}, "
-        f"{{what: duplication, way: {way}, strength: 0.3, seed: {seed}}}, "
-        f"{{what: loss, way: {way}, strength: 0.1, seed: {seed}}}, "
-        f"{{what: jitter, on: winch, way: {way}, strength: {jitter!r}, seed: {seed}, at: 1.0}}, "
-        f"{{what: delay, on: winch, way: {way}, strength: {delay!r}, at: 1.5, duration: 1.0}}]"
+        f"[{{kind: reorder, direction: {direction}, magnitude: 0.3, seed: {seed}}}, "
+        f"{{kind: duplication, direction: {direction}, magnitude: 0.3, seed: {seed}}}, "
+        f"{{kind: loss, direction: {direction}, magnitude: 0.1, seed: {seed}}}, "
+        f"{{kind: jitter, target: winch, direction: {direction}, "
+        f"magnitude: {jitter!r}, seed: {seed}, start: 1.0}}, "
+        f"{{kind: delay, target: winch, direction: {direction}, "
+        f"magnitude: {delay!r}, start: 1.5, duration: 1.0}}]"
     )
     with open_bench() as bench:
         bench.arm()
@@ -176,7 +178,7 @@ def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
         drive = bench.machine.drives["winch"]
         given: dict[int, float] = {}
         found: list[tuple[int, float]] = []
-        take = drive._take
+        take = drive._execute
 
         def watched(counts: dict[str, int]) -> None:
             before = drive.setpoint
@@ -184,12 +186,12 @@ def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
             if drive.setpoint is not None and drive.setpoint is not before:
                 found.append((counts["target_velocity"], bench.time))
 
-        drive._take = watched  # type: ignore[method-assign]
+        drive._execute = watched  # type: ignore[method-assign]
         for k in range(round(4.0 / SYNC_PERIOD)):
             number = 1000 + k
             given[number] = bench.time
             bench.cycles(SYNC_PERIOD, winch(number * _COUNT), [])
-            if not bench.bridge.channels["winch"].armed and not bench.bridge.silent(
+            if not bench.bridge.channels["winch"].armed and not bench.bridge.missing_devices(
                 bench.simulation.stamp_ns
             ):
                 bench.bridge.arm(bench.simulation.stamp_ns)
@@ -205,7 +207,7 @@ def _admitted_through_disorder(generator: Generator) -> int:
     sent = [k * 20_000_000 + 1_000_000_000 for k in range(500)]
     ways = generator.uniform(0.0, 1.0, len(sent)) ** 3
     arrivals = sorted(
-        (stamp + round(way * 1e9), stamp) for stamp, way in zip(sent, ways, strict=True)
+        (stamp + round(delay * 1e9), stamp) for stamp, delay in zip(sent, ways, strict=True)
     )
     admission, wrong, last = Admission(), 0, 0
     for now_ns, stamp in arrivals:
@@ -237,17 +239,17 @@ def _bridge_restarts_late(bench: HilBench) -> None:
 
 
 def _drive_restarts(bench: HilBench) -> None:
-    bench.impair("{what: brown_out, on: winch, duration: 0.05}")
+    bench.impair("{kind: brown_out, target: winch, duration: 0.05}")
     bench.cycles(0.1, None, [])
 
 
 def _all_restart(bench: HilBench) -> None:
-    bench.impair("{what: brown_out, duration: 1.0}")
+    bench.impair("{kind: brown_out, duration: 1.0}")
     bench.cycles(1.1, None, [])
 
 
 def _leaves_the_bus(bench: HilBench) -> None:
-    bench.impair("{what: bus_off, duration: 0.3}")
+    bench.impair("{kind: bus_off, duration: 0.3}")
     bench.cycles(0.4, None, [])
 
 
@@ -281,7 +283,7 @@ def rearm(batch: Batch) -> Measured:
                 found = _moved_before_armed(bench, commands, ["winch"] if "winch" in name else None)
                 motions += found
                 where = name if found else where
-                if not bench.bridge.silent(bench.simulation.stamp_ns):
+                if not bench.bridge.missing_devices(bench.simulation.stamp_ns):
                     bench.arm()
                     bench.cycles(0.1, commands)
                     motions += "winch" not in works(bench)  # armed, it has to work again
@@ -329,7 +331,7 @@ def owner(batch: Batch) -> Measured:
                 cases += 1
                 try:
                     sample = admission.admit(row, message, now_ns)
-                    bench.bridge.take(row.name, sample, now_ns)
+                    bench.bridge.on_command(row.name, sample, now_ns)
                 except Refusal as refusal:
                     told = refusal.code is RefusalCode.OWNED and names[mine] in refusal.reason
                     wrong += who == mine or free or not told
@@ -353,9 +355,9 @@ def lossy(batch: Batch) -> Measured:
     runs = min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(runs):
         for delay in (0.5, float(generator.uniform(0.0, 0.5))):
-            bad, way = _flown_with_loss(generator, delay)
+            bad, distance = _flown_with_loss(generator, delay)
             unsafe += bad
-            farthest = max(farthest, way)
+            farthest = max(farthest, distance)
     details: dict[str, float | str] = {"farthest after it began [m]": farthest}
     return Measured(float(unsafe), f"{2 * runs} runs, half of them with 500 ms", details)
 
@@ -370,8 +372,8 @@ def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
         bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
         begun = bench.simulation.interface.drive_feedback(bench.simulation.state).length
         bench.impair(
-            f"[{{what: loss, strength: 0.3, seed: {seed}}}, "
-            f"{{what: delay, strength: {max(delay, SYNC_PERIOD)!r}}}]"
+            f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, "
+            f"{{kind: delay, magnitude: {max(delay, SYNC_PERIOD)!r}}}]"
         )
         unsafe = False
         for k in range(round(4.0 / SYNC_PERIOD)):
@@ -381,5 +383,5 @@ def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
             if k * SYNC_PERIOD > _STOPPED:
                 unsafe |= payout_rate(bench) != 0.0 or bool(works(bench))
         end = bench.simulation.interface.drive_feedback(bench.simulation.state).length
-    way = end - begun
-    return unsafe or way > rate * _STOPPED + _STOPPING, way
+    distance = end - begun
+    return unsafe or distance > rate * _STOPPED + _STOPPING, distance

@@ -25,7 +25,7 @@ from rover_hil.devices import SYNC_PERIOD, WINCH
 from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
 from rover_hil.link import unpack
 from rover_hil.objects import Pdo
-from rover_hil.wiring import TOLD
+from rover_hil.wiring import PUBLISHED
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.hil_bench import HilBench
 
@@ -57,13 +57,13 @@ def winch(rate: float = RATE, brake: float = 1.0) -> dict[str, JointSample]:
 
 
 def drum(bench: HilBench) -> JointValue:
-    sample = bench.told[topics.WINCH_STATE]
+    sample = bench.published[topics.WINCH_STATE]
     assert isinstance(sample, JointSample)
     return sample.joints[WINCH_DRUM]
 
 
 def brake_is_open(bench: HilBench) -> bool:
-    sample = bench.told[topics.WINCH_STATE]
+    sample = bench.published[topics.WINCH_STATE]
     assert isinstance(sample, JointSample)
     return sample.joints[WINCH_BRAKE].position == 1.0
 
@@ -88,10 +88,10 @@ def assert_it_stops(bench: HilBench, within: float) -> None:
 
 def test_all_sensors_and_drives_are_told_as_the_simulator_tells_them(bench: HilBench):
     bench.cycles(0.1)
-    assert set(bench.told) == set(TOLD)
+    assert set(bench.published) == set(PUBLISHED)
     stamp_ns = bench.simulation.stamp_ns - round(SYNC_PERIOD * 1e9)
-    direct = dict(bench.simulation.interface.samples(TOLD))
-    for topic, sample in bench.told.items():
+    direct = dict(bench.simulation.interface.samples(PUBLISHED))
+    for topic, sample in bench.published.items():
         mine = dict(sample.scalars())
         assert getattr(sample, "stamp_ns") == stamp_ns  # noqa: B009 - all samples here have one
         for path, value in direct[topic].scalars():
@@ -126,7 +126,7 @@ def test_it_is_not_armed_while_a_drive_is_silent_or_another_one_than_it_should_b
     with pytest.raises(Refusal, match="not heard on the link: jump, wheel, winch"):
         bench.bridge.arm(0)
     bench.cycles(0.1)
-    bench.bridge.checked(WINCH, "1018h:03 Revision number is 1, should be 65536")
+    bench.bridge.on_device_checked(WINCH, "1018h:03 Revision number is 1, should be 65536")
     with pytest.raises(Refusal, match="winch: 1018h:03 Revision"):
         bench.bridge.arm(bench.simulation.stamp_ns)
     assert not any(channel.armed for channel in bench.bridge.channels.values())
@@ -137,10 +137,10 @@ def test_a_drive_that_beats_but_has_not_told_its_state_still_counts_as_not_heard
 ):
     now_ns = bench.simulation.stamp_ns
     for station in bench.bridge.stations.values():
-        bench.bridge.heartbeat(station.device, PRE_OPERATIONAL, now_ns)
-    assert bench.bridge.silent(now_ns) == ("jump", "wheel", "winch")
+        bench.bridge.on_heartbeat(station.device, PRE_OPERATIONAL, now_ns)
+    assert bench.bridge.missing_devices(now_ns) == ("jump", "wheel", "winch")
     bench.cycles(0.1)
-    assert bench.bridge.silent(bench.simulation.stamp_ns) == ()
+    assert bench.bridge.missing_devices(bench.simulation.stamp_ns) == ()
 
 
 def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: HilBench):
@@ -185,14 +185,14 @@ def test_each_motor_turns_as_it_is_told(
     bench: HilBench, topic: str, joints: dict[str, JointValue], told: str, joint: str
 ):
     bench.arm()
-    before = bench.told[told]
+    before = bench.published[told]
     bench.cycles(0.5, {topic: JointSample(0, joints)})
-    after = bench.told[told]
+    after = bench.published[told]
     assert isinstance(before, JointSample)
     assert isinstance(after, JointSample)
     way = after.joints[joint].position - before.joints[joint].position
     assert abs(way) > 1e-3
-    assert not bench.happened("jump_drive_refuses")
+    assert not bench.has_event("jump_drive_refuses")
 
 
 def test_the_wheel_drive_tells_the_torque_that_its_current_makes(bench: HilBench):
@@ -213,7 +213,7 @@ def test_a_controller_that_falls_silent_stops_its_drive_and_another_command_star
 ):
     paying_out(bench)
     assert_it_stops(bench, STOP)
-    assert bench.happened("winch_commands_ceased")
+    assert bench.has_event("winch_commands_ceased")
     assert bench.bridge.channels["winch"].state == SWITCHED_ON
     assert not brake_is_open(bench)
     bench.cycles(0.5, winch())
@@ -251,8 +251,8 @@ def test_a_drive_that_begins_anew_is_disarmed_and_the_others_are_not(bench: HilB
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
     assert_it_stops(bench, STOP)
-    assert bench.happened("winch_restarted")
-    assert bench.happened("winch_disarmed")
+    assert bench.has_event("winch_restarted")
+    assert bench.has_event("winch_disarmed")
     assert not bench.bridge.channels["winch"].armed
     assert bench.bridge.channels["wheel"].armed
 
@@ -261,7 +261,7 @@ def test_a_fault_brakes_is_told_with_its_code_and_is_reset_only_when_its_cause_i
     bench: HilBench,
 ):
     paying_out(bench)
-    bench.impair("{what: drive_fault, on: winch, cause: overtemperature}")
+    bench.impair("{kind: drive_fault, target: winch, cause: overtemperature}")
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
     assert_it_stops(bench, STOP)
@@ -286,8 +286,8 @@ def test_what_a_drive_cannot_do_is_told_and_it_lets_go(bench: HilBench):
     bench.arm()
     joints = {JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
     bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
-    assert bench.happened("jump_drive_refuses")
-    assert bench.happened("jump_refuses")
+    assert bench.has_event("jump_drive_refuses")
+    assert bench.has_event("jump_refuses")
 
 
 # ------------------------------------------------------------------- what the link does to command
@@ -298,7 +298,7 @@ class Recorder:
 
     def __init__(self, bench: HilBench) -> None:
         self.sets: list[list[tuple[int, bytes]]] = []
-        self._ids = [pdo.can_id(WINCH.node_id) for pdo in WINCH.hears]
+        self._ids = [pdo.can_id(WINCH.node_id) for pdo in WINCH.rpdos]
         self._near = bench.bridge.channels["winch"]._send
         bench.bridge.channels["winch"]._send = self._send
 
@@ -311,12 +311,12 @@ class Recorder:
 
 def deliver(bench: HilBench, frames: list[tuple[int, bytes]]) -> None:
     for can_id, data in frames:
-        bench._near.send(can_id, data)
+        bench._bridge_link.send(can_id, data)
     bench.settle()
 
 
 def rejected(bench: HilBench) -> int:
-    return bench.machine.drives["winch"]._counts["rejected"]
+    return bench.machine.drives["winch"]._counts["rejected_sets"]
 
 
 def test_repeated_and_reordered_sets_are_never_executed(bench: HilBench):
@@ -347,7 +347,7 @@ def test_a_set_with_a_frame_missing_is_never_executed(bench: HilBench):
             into.append((can_id, data))
 
         channel._send = keep
-        bench.bridge.take(
+        bench.bridge.on_command(
             topics.WINCH_COMMAND,
             JointSample(bench.simulation.stamp_ns, winch()[topics.WINCH_COMMAND].joints),
             bench.simulation.stamp_ns,
@@ -365,7 +365,7 @@ def test_a_set_that_comes_late_is_never_executed_however_new_its_number_is(bench
     whole = channel._send
     channel._send = lambda can_id, data: frames.append((can_id, data))
     now_ns = bench.simulation.stamp_ns
-    bench.bridge.take(
+    bench.bridge.on_command(
         topics.WINCH_COMMAND, JointSample(now_ns, winch()[topics.WINCH_COMMAND].joints), now_ns
     )
     bench.bridge_is_on = False
@@ -379,7 +379,7 @@ def test_a_set_that_comes_late_is_never_executed_however_new_its_number_is(bench
 
 def test_a_half_open_link_stops_the_drive_though_commands_reach_it(bench: HilBench):
     paying_out(bench)
-    network = bench._near.network
+    network = bench._bridge_link.network
     answers = {can_id: network.subscribers.pop(can_id) for can_id in bench.bridge.can_ids}
     with pytest.raises(Refusal, match=r"not heard|not armed"):
         bench.cycles(2.0, winch())
@@ -390,26 +390,26 @@ def test_a_half_open_link_stops_the_drive_though_commands_reach_it(bench: HilBen
 def test_a_lost_answer_is_counted_and_its_topics_are_not_told(bench: HilBench):
     bench.cycles(0.1)
     station = bench.bridge.stations["winch"]
-    pdo = WINCH.tells[1]
+    pdo = WINCH.tpdos[1]
     can_id = pdo.can_id(WINCH.node_id)
-    network = bench._near.network
+    network = bench._bridge_link.network
     kept = network.subscribers.pop(can_id)
-    bench.told.clear()
+    bench.published.clear()
     bench.cycle()
     network.subscribers[can_id] = kept
-    assert set(bench.told) == set(TOLD) - {topics.WINCH_STATE, topics.MOTOR_CURRENTS}
+    assert set(bench.published) == set(PUBLISHED) - {topics.WINCH_STATE, topics.MOTOR_CURRENTS}
     bench.cycle()
     assert station.lost == 1
-    assert bench.bridge.incomplete == 1
-    assert topics.WINCH_STATE in bench.told
+    assert bench.bridge.incomplete_cycles == 1
+    assert topics.WINCH_STATE in bench.published
 
 
 def test_frames_that_are_none_are_counted_and_do_nothing(bench: HilBench):
     bench.cycles(0.1)
-    can_id = WINCH.tells[0].can_id(WINCH.node_id)
+    can_id = WINCH.tpdos[0].can_id(WINCH.node_id)
     for data in (b"", b"\x00", bytes(7)):
-        bench.bridge.heard(can_id, data, bench.simulation.stamp_ns)
-    assert bench.bridge.stations["winch"].strange == 3
+        bench.bridge.on_tpdo(can_id, data, bench.simulation.stamp_ns)
+    assert bench.bridge.stations["winch"].invalid == 3
 
 
 def test_a_command_is_executed_within_its_cycle_and_the_round_trip_says_so(bench: HilBench):
@@ -419,7 +419,7 @@ def test_a_command_is_executed_within_its_cycle_and_the_round_trip_says_so(bench
     assert found is not None
     assert found.number >= 90
     assert found.largest == 0.0  # nothing takes time here but the plant
-    assert bench.bridge.overdue == bench.bridge.late == 0
+    assert bench.bridge.overdue_round_trips == bench.bridge.late_cycles == 0
 
 
 def test_a_set_that_waited_for_the_plant_was_executed_when_it_came(bench: HilBench):
@@ -427,14 +427,14 @@ def test_a_set_that_waited_for_the_plant_was_executed_when_it_came(bench: HilBen
     bench.cycles(0.1, winch(rate=0.0))
     # Upon the last state, but heard after the tick only.
     (joints,) = (sample.joints for sample in winch(rate=0.0).values())
-    told = bench.told[topics.WINCH_STATE]
+    told = bench.published[topics.WINCH_STATE]
     assert isinstance(told, JointSample)
     command = JointSample(told.stamp_ns, joints)
-    bench.bridge.take(topics.WINCH_COMMAND, command, bench.simulation.stamp_ns)
-    at_once = bench.machine.hear
-    bench.machine.hear = partial(at_once, waited_ns=lambda _: 2_000_000)  # type: ignore[method-assign]
+    bench.bridge.on_command(topics.WINCH_COMMAND, command, bench.simulation.stamp_ns)
+    at_once = bench.machine.receive
+    bench.machine.receive = partial(at_once, frame_age_ns=lambda _: 2_000_000)  # type: ignore[method-assign]
     bench.settle()
-    bench.machine.hear = at_once  # type: ignore[method-assign]
+    bench.machine.receive = at_once  # type: ignore[method-assign]
     bench.cycle()
     found = bench.bridge.round_trip.percentiles()
     assert found is not None
@@ -459,7 +459,7 @@ def test_single_commands_by_sdo_are_refused(bench: HilBench):
     drive = bench.machine.drives["winch"]
     request = struct.pack("<BHB4s", 0x2B, 0x6040, 0, b"\x0f\x00\x00\x00")
     answers: list[bytes] = []
-    bench._near.network.subscribe(0x583, lambda _id, data, _t: answers.append(bytes(data)))
+    bench._bridge_link.network.subscribe(0x583, lambda _id, data, _t: answers.append(bytes(data)))
     deliver(bench, [(0x603, request)])
     assert answers[0][0] == 0x80  # abort
     assert struct.unpack_from("<I", answers[0], 4) == (0x0800_0022,)
@@ -467,7 +467,7 @@ def test_single_commands_by_sdo_are_refused(bench: HilBench):
 
 
 def test_counts_of_pdos_travel_as_they_are():
-    pdo: Pdo = WINCH.tells[0]
-    counts = {"statusword": 0x0237, "position": -5, "inputs": 1, "cycle": 240}
+    pdo: Pdo = WINCH.tpdos[0]
+    counts = {"statusword": 0x0237, "position": -5, "inputs": 1, "sync_counter": 240}
     assert unpack(pdo, pdo.layout.pack(*counts.values())) == counts
     assert math.isclose(WINCH.by_key["position"].value(-5), -5e-6)

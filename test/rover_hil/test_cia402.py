@@ -10,40 +10,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, controlword, state_of
-from rover_hil.emulator.cia402 import Automaton, DriveState, Order, order_of
+from rover_hil.emulator.cia402 import Automaton, DriveCommand, DriveState, decode_controlword
 
 WORDS = {
-    Order.SHUTDOWN: 0x06,
-    Order.SWITCH_ON: 0x07,
-    Order.ENABLE: 0x0F,
-    Order.DISABLE_VOLTAGE: 0x00,
-    Order.QUICK_STOP: 0x02,
-    Order.FAULT_RESET: 0x80,
+    DriveCommand.SHUTDOWN: 0x06,
+    DriveCommand.SWITCH_ON: 0x07,
+    DriveCommand.ENABLE: 0x0F,
+    DriveCommand.DISABLE_VOLTAGE: 0x00,
+    DriveCommand.QUICK_STOP: 0x02,
+    DriveCommand.FAULT_RESET: 0x80,
 }
 # CiA 402, figure of the state machine: what each order leads to; what is not there does nothing.
 TABLE = {
-    DriveState.DISABLED: {Order.SHUTDOWN: DriveState.READY},
+    DriveState.DISABLED: {DriveCommand.SHUTDOWN: DriveState.READY},
     DriveState.READY: {
-        Order.SWITCH_ON: DriveState.SWITCHED_ON,
-        Order.ENABLE: DriveState.ENABLED,
-        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
-        Order.QUICK_STOP: DriveState.DISABLED,
+        DriveCommand.SWITCH_ON: DriveState.SWITCHED_ON,
+        DriveCommand.ENABLE: DriveState.ENABLED,
+        DriveCommand.DISABLE_VOLTAGE: DriveState.DISABLED,
+        DriveCommand.QUICK_STOP: DriveState.DISABLED,
     },
     DriveState.SWITCHED_ON: {
-        Order.ENABLE: DriveState.ENABLED,
-        Order.SHUTDOWN: DriveState.READY,
-        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
-        Order.QUICK_STOP: DriveState.DISABLED,
+        DriveCommand.ENABLE: DriveState.ENABLED,
+        DriveCommand.SHUTDOWN: DriveState.READY,
+        DriveCommand.DISABLE_VOLTAGE: DriveState.DISABLED,
+        DriveCommand.QUICK_STOP: DriveState.DISABLED,
     },
     DriveState.ENABLED: {
-        Order.SWITCH_ON: DriveState.SWITCHED_ON,
-        Order.SHUTDOWN: DriveState.READY,
-        Order.DISABLE_VOLTAGE: DriveState.DISABLED,
-        Order.QUICK_STOP: DriveState.QUICK_STOP,
+        DriveCommand.SWITCH_ON: DriveState.SWITCHED_ON,
+        DriveCommand.SHUTDOWN: DriveState.READY,
+        DriveCommand.DISABLE_VOLTAGE: DriveState.DISABLED,
+        DriveCommand.QUICK_STOP: DriveState.QUICK_STOP,
     },
-    DriveState.QUICK_STOP: {Order.DISABLE_VOLTAGE: DriveState.DISABLED},
-    DriveState.FAULT: {Order.FAULT_RESET: DriveState.DISABLED},
-    DriveState.REACTING: {},
+    DriveState.QUICK_STOP: {DriveCommand.DISABLE_VOLTAGE: DriveState.DISABLED},
+    DriveState.FAULT: {DriveCommand.FAULT_RESET: DriveState.DISABLED},
+    DriveState.FAULT_REACTION: {},
     DriveState.NOT_READY: {},
 }
 
@@ -62,16 +62,16 @@ def brought_to(state: DriveState) -> Automaton:
     }
     for word in ways.get(state, ()):
         made.command(word)
-    if state in {DriveState.REACTING, DriveState.FAULT}:
+    if state in {DriveState.FAULT_REACTION, DriveState.FAULT}:
         made.fail(0x4310)
     if state is DriveState.FAULT:
-        made.come_to_rest()
+        made.on_standstill()
     assert made.state is state
     return made
 
 
-@pytest.mark.parametrize(("state", "order"), list(itertools.product(DriveState, Order)))
-def test_each_order_leads_where_the_standard_says(state: DriveState, order: Order):
+@pytest.mark.parametrize(("state", "order"), list(itertools.product(DriveState, DriveCommand)))
+def test_each_order_leads_where_the_standard_says(state: DriveState, order: DriveCommand):
     drive = brought_to(state)
     drive.command(WORDS[order])
     assert drive.state is TABLE[state].get(order, state)
@@ -85,10 +85,10 @@ def test_the_statusword_is_what_the_library_reads(state: DriveState):
 @pytest.mark.parametrize("state", DriveState)
 def test_a_fault_comes_from_every_state_and_keeps_the_first_code(state: DriveState):
     drive = brought_to(state)
-    was_in_fault = state in {DriveState.REACTING, DriveState.FAULT}
+    was_in_fault = state in {DriveState.FAULT_REACTION, DriveState.FAULT}
     assert drive.fail(0x3220) is not was_in_fault
     assert drive.error_code == (0x4310 if was_in_fault else 0x3220)
-    drive.come_to_rest()
+    drive.on_standstill()
     assert drive.state is DriveState.FAULT
     assert not drive.enabled
 
@@ -99,7 +99,7 @@ def test_a_fault_is_reset_by_the_edge_of_its_bit_alone():
     assert state_of(drive.statusword) == DISABLED
     assert drive.error_code == 0
     drive.fail(0x3220)
-    drive.come_to_rest()
+    drive.on_standstill()
     drive.command(0x80)  # the bit was set already
     assert state_of(drive.statusword) == FAULT
     drive.command(0x00)
@@ -112,7 +112,7 @@ def test_a_quick_stop_ends_switched_on_disabled_when_the_drive_stands():
     drive.command(0x0F)  # transition 16 does not exist here
     assert not drive.enabled
     assert state_of(drive.statusword) == DriveState.QUICK_STOP.value
-    drive.come_to_rest()
+    drive.on_standstill()
     assert state_of(drive.statusword) == DISABLED
 
 
@@ -120,10 +120,10 @@ def test_a_quick_stop_ends_switched_on_disabled_when_the_drive_stands():
 def test_no_sequence_of_controlwords_enables_without_shutdown_before(words: list[int]):
     drive = Automaton()
     drive.power_on()
-    ordered = [order_of(word, before) for before, word in itertools.pairwise([0, *words])]
+    ordered = [decode_controlword(word, before) for before, word in itertools.pairwise([0, *words])]
     for word in words:
         drive.command(word)
-    assert not drive.enabled or Order.SHUTDOWN in ordered
+    assert not drive.enabled or DriveCommand.SHUTDOWN in ordered
 
 
 @pytest.mark.parametrize("state", [s for s in DriveState if s is not DriveState.NOT_READY])
@@ -131,9 +131,9 @@ def test_no_sequence_of_controlwords_enables_without_shutdown_before(words: list
 def test_the_bridge_s_controlwords_bring_a_drive_where_it_should_be(state: DriveState, target: str):
     drive = brought_to(state)
     for _ in range(4):
-        drive.come_to_rest()
+        drive.on_standstill()
         drive.command(controlword(state_of(drive.statusword), target))
-    stays = {DriveState.REACTING, DriveState.FAULT}  # until it is armed, which resets it
+    stays = {DriveState.FAULT_REACTION, DriveState.FAULT}  # until it is armed, which resets it
     assert drive.state.value == (DriveState.FAULT if state in stays else target)
 
 

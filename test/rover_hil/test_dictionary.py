@@ -101,7 +101,7 @@ def test_a_pdo_s_bytes_are_those_that_the_library_packs(item: tuple[Device, Pdo]
 
 
 def test_a_frame_of_another_length_is_none_of_a_pdo():
-    pdo = WINCH.hears[0]
+    pdo = WINCH.rpdos[0]
     assert unpack(pdo, bytes(pdo.layout.size - 1)) is None
     assert unpack(pdo, b"") is None
 
@@ -148,7 +148,7 @@ def test_a_vendor_s_file_is_held_to_a_device_by_command(
 @pytest.mark.parametrize(
     ("given", "complaint"),
     [
-        (("camera", "some.eds"), "'camera' is no device: should be of jump, wheel"),
+        (("camera", "some.eds"), "'camera' is no device: should be one of jump, wheel"),
         (("winch", "there_is_none.eds"), "there_is_none.eds cannot be read"),
     ],
 )

@@ -75,7 +75,7 @@ class Rig:
     def start_emulator(self) -> Process:
         # What nobody looks at here is told seldom.
         seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
-        given = {"scenario": "free_hang", "lockstep": True, "lockstep_patience": STARVED}
+        given = {"scenario": "free_hang", "lockstep": True, "lockstep_timeout": STARVED}
         return self._processes.start(EMULATOR, {"link": self._link, **given, **seldom})
 
     def start_bridge(self) -> Process:
@@ -84,7 +84,7 @@ class Rig:
             "use_sim_time": True,
             "lockstep": True,
             "lockstep_commands": topics.WINCH_COMMAND,
-            "lockstep_patience": STARVED,
+            "lockstep_timeout": STARVED,
         }
         return self._processes.start(BRIDGE, given)
 
@@ -191,13 +191,13 @@ def rig(shared_harness: NodeHarness, compiled_in_space: None) -> Iterator[Rig]:
 @pytest.mark.parametrize(
     "impairment",
     [
-        "{what: loss, strength: 0.1}",
-        "{what: duplication, strength: 0.5}",
-        "{what: reorder, strength: 0.3}",
-        "{what: bit_errors, strength: 2.0e-4}",
-        "{what: stale_stamps, strength: 0.05}",
-        "{what: drifted_load_cell, strength: 1.0}",
-        "{what: bus_off, on: imu}",
+        "{kind: loss, magnitude: 0.1}",
+        "{kind: duplication, magnitude: 0.5}",
+        "{kind: reorder, magnitude: 0.3}",
+        "{kind: bit_errors, magnitude: 2.0e-4}",
+        "{kind: stale_stamps, magnitude: 0.05}",
+        "{kind: drifted_load_cell, magnitude: 1.0}",
+        "{kind: bus_off, target: imu}",
     ],
 )
 def test_the_winch_goes_on(rig: Rig, impairment: str):
@@ -209,27 +209,27 @@ def test_the_winch_goes_on(rig: Rig, impairment: str):
     assert is_open(state)
     assert state.joints[WINCH_DRUM].velocity > 0.8 * RATE
     ended = rig.event("impairment_ended", since)
-    assert ended.statuses[0].values["what"] in impairment
+    assert ended.statuses[0].values["kind"] in impairment
 
 
 @pytest.mark.parametrize(
     ("impairment", "tells", "reason"),
     [
-        ("{what: cut}", "winch_silent", ""),
-        ("{what: cut, on: winch, way: to_devices}", "winch_emergency", "8250h"),
-        ("{what: cut, on: winch, way: to_bridge}", "winch_unheard", ""),
-        ("{what: delay, strength: 0.5}", "winch_silent", ""),
-        ("{what: jitter, strength: 1.0}", "winch_silent", ""),
+        ("{kind: cut}", "winch_silent", ""),
+        ("{kind: cut, target: winch, direction: to_devices}", "winch_emergency", "8250h"),
+        ("{kind: cut, target: winch, direction: to_bridge}", "winch_unheard", ""),
+        ("{kind: delay, magnitude: 0.5}", "winch_silent", ""),
+        ("{kind: jitter, magnitude: 1.0}", "winch_silent", ""),
         (
-            "[{what: loss, strength: 0.3}, {what: delay, strength: 0.5}]",
+            "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
             "winch_silent",
             "",
         ),
-        ("{what: bit_errors, strength: 0.05}", "winch_silent", ""),
-        ("{what: stale_stamps, on: winch, strength: 5.0}", "winch_silent", ""),
-        ("{what: bus_off, on: winch}", "winch_silent", ""),
-        ("{what: brown_out, on: winch}", "winch_drive", "not ready"),
-        ("{what: drive_fault, on: winch, cause: overtemperature}", "winch_emergency", "4310h"),
+        ("{kind: bit_errors, magnitude: 0.05}", "winch_silent", ""),
+        ("{kind: stale_stamps, target: winch, magnitude: 5.0}", "winch_silent", ""),
+        ("{kind: bus_off, target: winch}", "winch_silent", ""),
+        ("{kind: brown_out, target: winch}", "winch_drive", "not ready"),
+        ("{kind: drive_fault, target: winch, cause: overtemperature}", "winch_emergency", "4310h"),
     ],
 )
 def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
@@ -256,7 +256,7 @@ def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
 
 def test_a_frozen_encoder_is_told_as_it_stands_and_the_drive_goes_on(rig: Rig):
     rig.pay_out()
-    begun_ns = rig.begin("{what: frozen_encoder, on: winch}")
+    begun_ns = rig.begin("{kind: frozen_encoder, target: winch}")
     first, later = (rig.state(begun_ns + after) for after in (50_000_000, 450_000_000))
     rig.impair("")
     # Its own stamp, and so the first state after the thaw, is later than the answer to the order.
@@ -273,7 +273,7 @@ def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
     wheels = rig.observer.listen(topics.WHEEL_STATE)
     wheels.wait(lambda s: max(v.velocity for v in s.joints.values()) > 0.5, len(wheels))
     since = len(rig.events)
-    begun_ns = rig.begin("{what: cut, on: rover, duration: 30.0}")
+    begun_ns = rig.begin("{kind: cut, target: rover, duration: 30.0}")
     rig.event("wheel_disarmed", since)
     rig.event("imu_silent", since)
     ended = rig.events.wait(
@@ -328,7 +328,7 @@ def test_fuzzed_messages_do_nothing_and_the_bridge_lives_on(rig: Rig):
 
 
 def test_a_wrong_impairment_is_refused_with_what_would_be_right(rig: Rig):
-    answer = rig.observer.set_parameter("drive_emulator", "impairments", "{what: lost}")
+    answer = rig.observer.set_parameter("drive_emulator", "impairments", "{kind: lost}")
     assert not answer.successful
     assert "should be one of delay, jitter, loss" in answer.reason
 
@@ -336,7 +336,7 @@ def test_a_wrong_impairment_is_refused_with_what_would_be_right(rig: Rig):
 def test_a_killed_bridge_brakes_and_its_successor_moves_nothing_until_it_is_armed(rig: Rig):
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
-    rig.impair("{what: bridge_kill}")
+    rig.impair("{kind: bridge_kill}")
     assert rig.bridge.wait() == -signal.SIGKILL
 
     def tells_a_watchdog(sample: StatusSample) -> bool:
@@ -357,7 +357,7 @@ def test_a_killed_emulator_is_missed_and_its_successor_stays_braked_until_it_is_
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
     # Not before the order is answered.
-    rig.impair("{what: emulator_kill, at: 0.5}")
+    rig.impair("{kind: emulator_kill, start: 0.5}")
     assert rig.emulator.wait() == -signal.SIGKILL
     rig.event("winch_silent", since)
     rig.event("winch_disarmed", since)

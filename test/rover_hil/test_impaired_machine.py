@@ -13,7 +13,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from rover_hil.devices import SYNC_PERIOD
 from rover_hil.drive_channel import ENABLED
-from rover_hil.wiring import TOLD
+from rover_hil.wiring import PUBLISHED
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.hil_bench import HilBench
 
@@ -59,14 +59,14 @@ def told(bench: HilBench, name: str) -> list[str]:
 @pytest.mark.parametrize(
     "impairment",
     [
-        "{what: loss, strength: 0.1}",
-        "{what: duplication, strength: 0.5}",
-        "{what: reorder, strength: 0.3}",
-        "{what: bit_errors, strength: 2.0e-4}",
-        "{what: stale_stamps, strength: 0.05}",
-        "{what: cut, on: rover}",
-        "{what: brown_out, on: imu}",
-        "{what: bus_off, on: load_cell}",
+        "{kind: loss, magnitude: 0.1}",
+        "{kind: duplication, magnitude: 0.5}",
+        "{kind: reorder, magnitude: 0.3}",
+        "{kind: bit_errors, magnitude: 2.0e-4}",
+        "{kind: stale_stamps, magnitude: 0.05}",
+        "{kind: cut, target: rover}",
+        "{kind: brown_out, target: imu}",
+        "{kind: bus_off, target: load_cell}",
     ],
 )
 def test_what_the_link_can_bear_does_not_stop_the_winch(bench: HilBench, impairment: str):
@@ -80,22 +80,22 @@ def test_what_the_link_can_bear_does_not_stop_the_winch(bench: HilBench, impairm
 @pytest.mark.parametrize(
     "impairment",
     [
-        "{what: cut}",
-        "{what: cut, on: winch, way: to_devices}",
-        "{what: cut, on: winch, way: to_bridge}",
-        "{what: cut, on: mother}",
-        "{what: loss, strength: 1.0}",
-        "{what: delay, strength: 0.5}",
-        "{what: jitter, strength: 1.0}",
-        "[{what: loss, strength: 0.3}, {what: delay, strength: 0.5}]",
-        "{what: bit_errors, strength: 0.05}",
-        "{what: stale_stamps, on: winch, strength: 5.0}",
-        "{what: bus_off, on: winch}",
-        "{what: brown_out, on: winch}",
-        "{what: brown_out}",
-        "{what: drive_fault, on: winch, cause: undervoltage}",
-        "{what: drive_fault, on: winch, cause: overtemperature}",
-        "{what: drive_fault, on: winch, cause: encoder}",
+        "{kind: cut}",
+        "{kind: cut, target: winch, direction: to_devices}",
+        "{kind: cut, target: winch, direction: to_bridge}",
+        "{kind: cut, target: mother}",
+        "{kind: loss, magnitude: 1.0}",
+        "{kind: delay, magnitude: 0.5}",
+        "{kind: jitter, magnitude: 1.0}",
+        "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
+        "{kind: bit_errors, magnitude: 0.05}",
+        "{kind: stale_stamps, target: winch, magnitude: 5.0}",
+        "{kind: bus_off, target: winch}",
+        "{kind: brown_out, target: winch}",
+        "{kind: brown_out}",
+        "{kind: drive_fault, target: winch, cause: undervoltage}",
+        "{kind: drive_fault, target: winch, cause: overtemperature}",
+        "{kind: drive_fault, target: winch, cause: encoder}",
     ],
 )
 def test_what_it_cannot_bear_stops_the_winch_which_is_not_moved_again_before_it_is_armed(
@@ -115,7 +115,7 @@ def test_what_it_cannot_bear_stops_the_winch_which_is_not_moved_again_before_it_
         RefusalCode.NOT_ARMED,
     }
     assert refused[-1].code is RefusalCode.NOT_ARMED
-    assert len(told(bench, "impairment_ended")) == impairment.count("what")
+    assert len(told(bench, "impairment_ended")) == impairment.count("kind")
     bench.arm()
     bench.cycles(0.5, PAY_OUT)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
@@ -125,35 +125,35 @@ def test_the_cut_to_the_rover_ends_what_is_done_there_and_all_is_told_afterwards
     bench.cycles(0.3, ROLL)
     wheel = bench.machine.drives["wheel"]
     assert wheel.setpoint is not None
-    bench.impair("{what: cut, on: rover, duration: 2.0}")
+    bench.impair("{kind: cut, target: rover, duration: 2.0}")
     refused: list[Refusal] = []
     bench.cycles(WITHIN, ROLL, refused)
     assert wheel.setpoint is None
     assert not wheel.automaton.enabled
     bench.cycles(1.0, ROLL, refused)
-    bench.told.clear()
+    bench.published.clear()
     bench.cycles(0.3, ROLL, refused)
-    assert set(bench.told) == {topics.WINCH_STATE, topics.LOAD_CELL}
+    assert set(bench.published) == {topics.WINCH_STATE, topics.LOAD_CELL}
     bench.cycles(0.5, ROLL, refused)
-    assert set(bench.told) == set(TOLD)
+    assert set(bench.published) == set(PUBLISHED)
     assert wheel.setpoint is None
     assert "not armed" in refused[-1].reason
 
 
 def test_samples_with_old_stamps_are_not_told_as_new_ones(bench: HilBench):
-    bench.impair("{what: stale_stamps, on: imu, strength: 2.0}")
-    bench.told.clear()
+    bench.impair("{kind: stale_stamps, target: imu, magnitude: 2.0}")
+    bench.published.clear()
     bench.cycles(1.0, PAY_OUT)
-    assert topics.IMU not in bench.told
-    assert topics.WINCH_STATE in bench.told
-    assert bench.happened("imu_silent")
+    assert topics.IMU not in bench.published
+    assert topics.WINCH_STATE in bench.published
+    assert bench.has_event("imu_silent")
 
 
 def test_an_encoder_that_stands_still_tells_the_same_place_while_the_drum_turns(bench: HilBench):
-    before = bench.told[topics.WINCH_STATE]
-    bench.impair("{what: frozen_encoder, on: winch}")
+    before = bench.published[topics.WINCH_STATE]
+    bench.impair("{kind: frozen_encoder, target: winch}")
     bench.cycles(0.5, PAY_OUT)
-    after = bench.told[topics.WINCH_STATE]
+    after = bench.published[topics.WINCH_STATE]
     assert isinstance(before, JointSample)
     assert isinstance(after, JointSample)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
@@ -161,7 +161,7 @@ def test_an_encoder_that_stands_still_tells_the_same_place_while_the_drum_turns(
     assert after.joints[WINCH_DRUM].position - before.joints[WINCH_DRUM].position < 0.01
     bench.impair("")
     bench.cycles(0.01, PAY_OUT)
-    again = bench.told[topics.WINCH_STATE]
+    again = bench.published[topics.WINCH_STATE]
     assert isinstance(again, JointSample)
     assert again.joints[WINCH_DRUM].velocity == pytest.approx(RATE, rel=0.2)
 
@@ -176,13 +176,13 @@ def test_a_load_cell_drifts_by_its_rate_and_is_right_again_afterwards(
     def error() -> float:
         """Of what is told against what a sensor that is well would."""
         right = dict(bench.simulation.interface.samples((topic,)))[topic]
-        told = bench.told[topic]
+        told = bench.published[topic]
         assert isinstance(right, WrenchSample)
         assert isinstance(told, WrenchSample)
         return axis * (told.force[2] - right.force[2])
 
     assert error() == pytest.approx(0.0, abs=2.0)
-    bench.impair(f"{{what: drifted_load_cell, on: {on}, strength: 20.0}}")
+    bench.impair(f"{{kind: drifted_load_cell, target: {on}, strength: 20.0}}")
     bench.cycles(1.0, PAY_OUT)
     assert error() == pytest.approx(20.0, abs=2.0)
     bench.impair("")
@@ -192,7 +192,7 @@ def test_a_load_cell_drifts_by_its_rate_and_is_right_again_afterwards(
 
 def test_impairments_begin_and_end_when_they_are_to_and_tell_what_they_did(bench: HilBench):
     asked = bench.time
-    bench.impair("[{what: loss, on: load_cell, strength: 0.5, at: 0.2, duration: 0.3}]")
+    bench.impair("[{kind: loss, target: load_cell, magnitude: 0.5, start: 0.2, duration: 0.3}]")
     bench.cycles(1.0, PAY_OUT)
     began, ended = (
         [(time, change) for time, change in bench.changes if change.name == f"impairment_{what}"]
@@ -202,10 +202,10 @@ def test_impairments_begin_and_end_when_they_are_to_and_tell_what_they_did(bench
     ((end, counts),) = ended
     assert begin - asked == pytest.approx(0.2, abs=SYNC_PERIOD + 1e-9)
     assert end - begin == pytest.approx(0.3, abs=1e-9)
-    assert what.values["strength"] == 0.5
+    assert what.values["magnitude"] == 0.5
     assert what.values["unit"] == "-"
     # Of each cycle a SYNC and an answer, if the SYNC has come; heartbeats besides.
-    frames, hit = counts.values["frames"], counts.values["frames_hit"]
+    frames, hit = counts.values["frames"], counts.values["frames_affected"]
     assert isinstance(frames, int)
     assert isinstance(hit, int)
     assert 80 <= frames <= 110
@@ -213,16 +213,16 @@ def test_impairments_begin_and_end_when_they_are_to_and_tell_what_they_did(bench
 
 
 def test_what_stands_goes_on_while_another_one_comes_and_goes(bench: HilBench):
-    bench.impair("{what: drifted_load_cell, strength: 1.0}")
+    bench.impair("{kind: drifted_load_cell, magnitude: 1.0}")
     bench.cycles(0.1, PAY_OUT)
-    bench.impair("[{what: drifted_load_cell, strength: 1.0}, {what: loss, strength: 0.1}]")
+    bench.impair("[{kind: drifted_load_cell, magnitude: 1.0}, {kind: loss, magnitude: 0.1}]")
     bench.cycles(0.1, PAY_OUT)
-    bench.impair("{what: drifted_load_cell, strength: 1.0}")
+    bench.impair("{kind: drifted_load_cell, magnitude: 1.0}")
     bench.cycles(0.1, PAY_OUT)
     assert len(told(bench, "impairment_began")) == 2
     (ended,) = told(bench, "impairment_ended")
     assert "loss" in ended
-    assert [each.what for each in bench.machine.impairments] == ["drifted_load_cell"]
+    assert [each.kind for each in bench.machine.impairments] == ["drifted_load_cell"]
 
 
 def test_the_same_seed_makes_the_same_run_and_another_one_another(compiled_in_space: None):
@@ -231,12 +231,12 @@ def test_the_same_seed_makes_the_same_run_and_another_one_another(compiled_in_sp
         try:
             made.arm()
             made.impair(
-                f"[{{what: loss, strength: 0.3, seed: {seed}}}, {{what: reorder, strength: 0.2}}]"
+                f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, {{kind: reorder, magnitude: 0.2}}]"
             )
             made.cycles(0.5, PAY_OUT, [])
             lost = [station.lost for station in made.bridge.stations.values()]
             stale = [station.stale for station in made.bridge.stations.values()]
-            return [lost, stale, made.told, made.changes, made.simulation.state.time]
+            return [lost, stale, made.published, made.changes, made.simulation.state.time]
         finally:
             made.close()
 
@@ -246,7 +246,7 @@ def test_the_same_seed_makes_the_same_run_and_another_one_another(compiled_in_sp
 
 
 def test_a_put_back_plant_begins_its_impairments_anew(bench: HilBench):
-    bench.impair("{what: loss, strength: 0.1, at: 0.1, duration: 0.2}")
+    bench.impair("{kind: loss, magnitude: 0.1, start: 0.1, duration: 0.2}")
     bench.cycles(0.5, PAY_OUT)
     bench.simulation.reset_plant()
     bench.machine.restart()
@@ -256,7 +256,7 @@ def test_a_put_back_plant_begins_its_impairments_anew(bench: HilBench):
 
 
 def test_a_kill_is_left_to_who_has_the_processes(bench: HilBench):
-    bench.impair("[{what: bridge_kill, at: 0.1}, {what: emulator_kill, at: 0.2}]")
+    bench.impair("[{kind: bridge_kill, start: 0.1}, {kind: emulator_kill, start: 0.2}]")
     bench.cycles(0.15, PAY_OUT)
     assert bench.machine.take_kills() == ("bridge_kill",)
     bench.cycles(0.1, PAY_OUT)

@@ -19,9 +19,9 @@ from rover_hil.devices import BY_NAME, DEVICES, JUMP, WINCH
 from rover_hil.wiring import (
     AT_REST,
     COMMANDED,
-    TOLD,
-    asks_for_rest,
+    PUBLISHED,
     command_of,
+    requests_rest,
     sample_of,
     setpoint_of,
     values_of,
@@ -67,7 +67,7 @@ def test_a_command_comes_back_from_its_set_point_to_a_count(item: tuple[str, Joi
 @given(st.data())
 def test_what_devices_tell_is_what_the_contract_s_samples_say(data: st.DataObject):
     told: dict[str, Sample] = {}
-    for topic in TOLD:
+    for topic in PUBLISHED:
         narrow = samples_of(TOPICS[topic])
         told[topic] = data.draw(narrow)
     told |= dict(physical(told))
@@ -79,12 +79,12 @@ def test_what_devices_tell_is_what_the_contract_s_samples_say(data: st.DataObjec
         }
         for name, each in values.items()
     }
-    back = values_of({topic: sample_of(topic, 1, counted) for topic in TOLD})
+    back = values_of({topic: sample_of(topic, 1, counted) for topic in PUBLISHED})
     for name, each in counted.items():
         for key, value in each.items():
             entry = BY_NAME[name].by_key[key]
             assert abs(back[name][key] - value) <= 1.01 * entry.scale, (name, key)
-    for topic in TOLD:
+    for topic in PUBLISHED:
         encode(topic, sample_of(topic, 1, counted))  # within the contract's limits
 
 
@@ -105,12 +105,12 @@ def physical(told: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
 
 
 def test_every_topic_that_a_bridge_should_tell_or_obey_is_wired():
-    wired = {*TOLD, *COMMANDED}
+    wired = {*PUBLISHED, *COMMANDED}
     not_on_the_link = {topics.CAMERA}  # it has a computer of its own
     for name, row in TOPICS.items():
         if row.publisher == "sim_node or hardware bridge":
             assert name in wired | not_on_the_link
-    assert {device.name for devices in TOLD.values() for device in devices} == {
+    assert {device.name for devices in PUBLISHED.values() for device in devices} == {
         device.name for device in DEVICES
     }
 
@@ -140,9 +140,9 @@ def test_a_limit_smaller_than_a_count_stays_a_limit():
 
 def test_a_closed_brake_at_no_rate_asks_for_rest_and_nothing_else_does():
     topic = topics.WINCH_COMMAND
-    assert asks_for_rest(topic, setpoint_of(topic, winch()))
-    assert not asks_for_rest(topic, setpoint_of(topic, winch(brake=1.0)))
-    assert not asks_for_rest(topic, setpoint_of(topic, winch(rate=0.1)))
+    assert requests_rest(topic, setpoint_of(topic, winch()))
+    assert not requests_rest(topic, setpoint_of(topic, winch(brake=1.0)))
+    assert not requests_rest(topic, setpoint_of(topic, winch(rate=0.1)))
 
 
 def test_a_mode_that_a_drive_lacks_is_no_command():

@@ -1,4 +1,4 @@
-"""Procedures are read, and malformed ones refused by file, step, key, value and what is right."""
+"""Procedures are read; an invalid one is refused with file, step, key, value and expectation."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from msg_schemas import topics
 from msg_schemas.configuration import read
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, BeyondLimits, Publish
+from rover_hil.rehearsal.expectation_result import Rule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
-from rover_hil.rehearsal.finding import Rule
 from rover_hil.rehearsal.procedure import ProcedureError, load_procedure, shipped
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "hil.md"
-HEAD = "about: a trial\nsteps:\n  first:\n    rule: rate\n    title: it comes\n"
+HEAD = "about: a trial\nsteps:\n  first:\n    rule: rate\n    title: the rate is kept\n"
 
 
 def doing(action: str) -> str:
@@ -29,14 +29,14 @@ def expecting(expectation: str) -> str:
     return f"{HEAD}    expect: [{{{expectation}}}]\n"
 
 
-def written(folder: Path, text: str) -> str:
+def loaded(folder: Path, text: str) -> str:
     path = folder / "mine.yaml"
     path.write_text(text, encoding="utf-8")
     return str(path)
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_the_package_s_own_procedures_can_be_run(name: str):
+def test_the_package_s_procedures_are_valid(name: str):
     found = load_procedure(name)
     assert found.name == name
     assert found.procedure.steps
@@ -48,7 +48,7 @@ def test_the_interface_check_tests_every_rule_of_the_contract():
     assert {step.rule for step in steps} == set(Rule)
 
 
-def test_the_interface_check_begins_with_what_cannot_move_and_disarms_before_it_commands():
+def test_the_interface_check_starts_without_motion_and_disarms_before_it_commands():
     steps = list(load_procedure("interface_check").procedure.steps.items())
     still = [name for name, step in steps if not step.moves]
     assert [name for name, _ in steps][: len(still)] == still
@@ -63,22 +63,25 @@ def test_the_interface_check_begins_with_what_cannot_move_and_disarms_before_it_
         ("about: nothing\n", "steps = null: missing"),
         (HEAD.replace("rate\n", "speed\n"), "steps.first.rule = 'speed': should be one of rate"),
         (HEAD + "    dos: []\n", "steps.first.dos = []: no such key; did you mean 'do'?"),
-        (HEAD, "steps.first.expect = null: missing; a step that expects nothing could not fail"),
-        (doing("wait: {tiem: 1}"), "steps.first.do[0].wait.tiem = 1: no such key"),
-        (doing("wait: {time: -1}"), "wait.time = -1: should be a number at least 0"),
-        (doing("wiat: {time: 1}"), "do[0].wiat = {'time': 1}: no such key; did you mean 'wait'?"),
-        (doing("wait: {time: 1}, call: {}"), "should be a mapping of one of wait"),
+        (HEAD, "steps.first.expect = null: missing; a step without expectations cannot fail"),
+        (doing("wait: {duratoin: 1}"), "steps.first.do[0].wait.duratoin = 1: no such key"),
+        (doing("wait: {duration: -1}"), "wait.duration = -1: should be a number at least 0"),
+        (
+            doing("wiat: {duration: 1}"),
+            "do[0].wiat = {'duration': 1}: no such key; did you mean 'wait'?",
+        ),
+        (doing("wait: {duration: 1}, call: {}"), "should be a mapping of one of wait"),
         (
             expecting("rate: {topics: winch/stat, minimum: 1}"),
             "expect[0].rate.topics = 'winch/stat': no such topic; did you mean 'winch/state'?",
         ),
         (
             expecting("rate: {topics: winch/state, minimum: 1}"),
-            "is judged while the actions go on, which take no time: should have a wait",
+            "covers the time of the actions, which is zero: add a wait",
         ),
         (
             expecting("rate: {topics: winch/state}"),
-            "rate.minimum = null: missing; minimum, maximum or both",
+            "rate.minimum = null: missing; give minimum, maximum or both",
         ),
         (
             expecting("value: {topic: winch/state, field: drum.velocity, minimum: 0}"),
@@ -90,12 +93,12 @@ def test_the_interface_check_begins_with_what_cannot_move_and_disarms_before_it_
             "value.minimum = 2.0: should be at most the maximum, 1",
         ),
         (
-            expecting("word: {topic: winch/mode, words: holding}"),
-            "word.words = 'holding': should be one of disarmed, hold",
+            expecting("text: {topic: winch/mode, one_of: holding}"),
+            "text.one_of = 'holding': should be one of disarmed, hold",
         ),
         (
-            expecting("event: {name: x, counts_from: mark}"),
-            "expect[0].counts_from = 'mark': the step's actions hold no mark",
+            expecting("event: {name: x, since: mark}"),
+            "expect[0].since = 'mark': the step has no mark action",
         ),
         (
             HEAD + "    after: [zero]\n    expect: [{event: {name: x}}]\n",
@@ -103,20 +106,23 @@ def test_the_interface_check_begins_with_what_cannot_move_and_disarms_before_it_
         ),
         (
             doing("call: {service: drives/arm, data: true}"),
-            "steps.first.moves = False: should be true of a step that commands",
+            "steps.first.moves = False: should be true for a step that commands",
         ),
         (doing("call: {service: drives/arm}"), "call.data = null: missing"),
         (
             doing("publish: {topic: winch/command, joints: {winch_drum: {velocity: 9}, "
                   "winch_brake: {}, winch_limit: {effort: 1}}}"),
-            "velocity is 9.0 m/s, it must lie in -0.5 .. 0.5 m/s (or say forbidden: true)",
+            "velocity is 9.0 m/s, it must lie in -0.5 .. 0.5 m/s (or set invalid: true)",
         ),
         (
             doing("publish: {topic: wheel_motor/torque_command, unstamped: true, "
                   "joints: {wheel_drive: {}}}"),
-            "publish.forbidden = False: should be true of what breaks the contract on purpose",
+            "publish.invalid = False: should be true for a deliberately invalid message",
         ),
-        (doing("impair: {these: [{what: rain}]}"), "impair.these[0] = {'what': 'rain'}:"),
+        (
+            doing("impair: {impairments: [{kind: rain}]}"),
+            "impair.impairments[0] = {'kind': 'rain'}:",
+        ),
         (
             doing("set: {node: a, parameter: b, value: [1]}"),
             "set.value = [1]: should be a number, a text, true or false",
@@ -128,7 +134,7 @@ def test_the_interface_check_begins_with_what_cannot_move_and_disarms_before_it_
     ],
 )  # fmt: skip
 def test_a_malformed_procedure_is_refused(tmp_path: Path, text: str, complaint: str):
-    path = written(tmp_path, text)
+    path = loaded(tmp_path, text)
     with pytest.raises(ProcedureError) as caught:
         load_procedure(path)
     assert str(caught.value).startswith(path)
@@ -136,7 +142,7 @@ def test_a_malformed_procedure_is_refused(tmp_path: Path, text: str, complaint: 
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_procedure_is_said_with_those_that_there_are(tmp_path: Path):
+def test_an_unknown_procedure_is_refused_with_the_known_ones(tmp_path: Path):
     with pytest.raises(ProcedureError, match="one of faults, interface_check, restart, watchdogs"):
         load_procedure("interface_chekc")
     with pytest.raises(ProcedureError, match="cannot be read"):
@@ -147,7 +153,7 @@ def test_what_is_no_procedure_is_said_with_those_that_there_are(tmp_path: Path):
     "topic",
     [topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND, topics.WINCH_REQUEST],
 )
-def test_beyond_limits_breaks_one_limit_in_each_message_and_leaves_none_out(topic: str):
+def test_beyond_limits_exceeds_one_limit_in_each_message_and_covers_all(topic: str):
     row = TOPICS[topic]
     sent = BeyondLimits(topic=topic).messages()
     ends = [
@@ -169,13 +175,13 @@ def test_beyond_limits_breaks_one_limit_in_each_message_and_leaves_none_out(topi
         assert abs(wrong[0][1] - limit) <= 0.011 * max(1.0, abs(limit))
 
 
-def test_a_command_goes_out_as_often_as_the_contract_says_unless_told_otherwise():
+def test_a_command_is_published_at_the_contract_s_rate_by_default():
     given = {"topic": topics.WHEEL_TORQUE_COMMAND, "joints": {"wheel_drive": {}}}
     assert read(Publish, given).period == pytest.approx(0.02)
     assert read(Publish, {**given, "rate": 5.0}).period == 0.2
 
 
-def test_the_document_describes_every_word_of_a_procedure():
+def test_the_document_describes_every_key_of_a_procedure():
     text = DOCUMENT.read_text(encoding="utf-8")
     missing = [word for word in (*ACTIONS, *EXPECTATIONS, *Rule) if f"`{word}`" not in text]
     assert not missing

@@ -1,4 +1,4 @@
-"""The record: every verdict with what was measured and where, in JSON, JUnit XML and on a page."""
+"""The record: every result with its measurement and place, in JSON, JUnit XML and on a page."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from msg_schemas import topics
-from rover_hil.rehearsal.finding import Finding, Rule, Verdict
-from rover_hil.rehearsal.outcome import Outcome, StepOutcome
+from rover_hil.rehearsal.expectation_result import ExpectationResult, Result, Rule
 from rover_hil.rehearsal.procedure import load_procedure
+from rover_hil.rehearsal.procedure_result import ProcedureResult, StepResult
 from rover_hil.rehearsal.write_record import (
     UNTESTED,
     as_junit,
@@ -22,33 +22,33 @@ from rover_hil.rehearsal.write_record import (
 )
 
 SECOND = 1_000_000_000
-ODD = "it says '<b>\x00&\ud800'"
+ODD = "it is '<b>\x00&\ud800'"
 
 
-def finding(verdict: Verdict, measured: str = "200 Hz") -> Finding:
-    return Finding(
-        verdict, "rate of the winch", "190 to 210 Hz", measured, (topics.WINCH_STATE,),
+def result(result: Result, measured: str = "200 Hz") -> ExpectationResult:
+    return ExpectationResult(
+        result, "rate of the winch", "190 to 210 Hz", measured, (topics.WINCH_STATE,),
         12 * SECOND, 15 * SECOND,
     )  # fmt: skip
 
 
-def step(name: str, rule: Rule, *findings: Finding, reason: str = "") -> StepOutcome:
+def step(name: str, rule: Rule, *results: ExpectationResult, reason: str = "") -> StepResult:
     wall = 1_700_000_000 * SECOND
-    return StepOutcome(
-        name, f"the title of {name}", rule, reason, findings, (), 12 * SECOND, 15 * SECOND,
+    return StepResult(
+        name, f"the title of {name}", rule, reason, results, (), 12 * SECOND, 15 * SECOND,
         wall, wall + 3 * SECOND,
     )  # fmt: skip
 
 
 @pytest.fixture
-def outcome() -> Outcome:
-    return Outcome(
+def outcome() -> ProcedureResult:
+    return ProcedureResult(
         load_procedure("interface_check"),
         (
-            step("good", Rule.RATE, finding(Verdict.PASS)),
-            step("bad", Rule.RATE, finding(Verdict.PASS), finding(Verdict.FAIL, ODD)),
-            step("undone", Rule.WATCHDOG, reason="nobody listens"),
-            step("fine", Rule.LATENCY, finding(Verdict.PASS)),
+            step("good", Rule.RATE, result(Result.PASS)),
+            step("bad", Rule.RATE, result(Result.PASS), result(Result.FAIL, ODD)),
+            step("undone", Rule.WATCHDOG, reason="no subscriber"),
+            step("fine", Rule.LATENCY, result(Result.PASS)),
         ),
         True,
         {"operator": "A. Name & Co", "began": "2026-01-02T03:04:05+00:00"},
@@ -59,28 +59,28 @@ def outcome() -> Outcome:
     )
 
 
-def test_a_rule_is_as_good_as_its_worst_step(outcome: Outcome):
+def test_a_rule_is_as_good_as_its_worst_step(outcome: ProcedureResult):
     rules = {each["rule"]: each for each in as_mapping(outcome)["rules"]}
     assert set(rules) == set(Rule)
-    assert rules["rate"]["verdict"] == "FAIL"
-    assert rules["latency"]["verdict"] == "PASS"
-    assert rules["watchdog"]["verdict"] == rules["restart"]["verdict"] == "NOT RUN"
+    assert rules["rate"]["result"] == "FAIL"
+    assert rules["latency"]["result"] == "PASS"
+    assert rules["watchdog"]["result"] == rules["restart"]["result"] == "NOT RUN"
     assert rules["restart"]["reason"] == UNTESTED
-    assert outcome.verdict is Verdict.FAIL
+    assert outcome.result is Result.FAIL
 
 
-def test_nothing_passes_that_was_not_run_or_not_completed(outcome: Outcome):
-    fine = tuple(each for each in outcome.steps if each.verdict is Verdict.PASS)
-    assert replace(outcome, steps=fine).verdict is Verdict.PASS
-    assert replace(outcome, steps=fine, completed=False).verdict is Verdict.NOT_RUN
+def test_an_incomplete_procedure_does_not_pass(outcome: ProcedureResult):
+    fine = tuple(each for each in outcome.steps if each.result is Result.PASS)
+    assert replace(outcome, steps=fine).result is Result.PASS
+    assert replace(outcome, steps=fine, completed=False).result is Result.NOT_RUN
     undone = (*fine, step("undone", Rule.LATENCY, reason="x"))
-    assert replace(outcome, steps=undone).verdict is Verdict.NOT_RUN
-    assert step("empty", Rule.LATENCY).verdict is Verdict.NOT_RUN
+    assert replace(outcome, steps=undone).result is Result.NOT_RUN
+    assert step("empty", Rule.LATENCY).result is Result.NOT_RUN
 
 
-def test_every_finding_says_where_it_is_in_the_bag(outcome: Outcome):
+def test_every_result_has_its_place_in_the_bag(outcome: ProcedureResult):
     for each in as_mapping(outcome)["steps"]:
-        for found in each["findings"]:
+        for found in each["results"]:
             assert found["bag"] == {
                 "path": "bag",
                 "topics": [topics.WINCH_STATE],
@@ -88,7 +88,7 @@ def test_every_finding_says_where_it_is_in_the_bag(outcome: Outcome):
             }
 
 
-def test_another_reader_counts_the_same(outcome: Outcome, tmp_path: Path):
+def test_junitparser_counts_the_same(outcome: ProcedureResult, tmp_path: Path):
     path = tmp_path / "junit.xml"
     path.write_text(as_junit(outcome, as_mapping(outcome)), encoding="utf-8")
     reader = pytest.importorskip("junitparser")
@@ -107,7 +107,7 @@ def test_another_reader_counts_the_same(outcome: Outcome, tmp_path: Path):
     assert stated == (4 + len(untested), 1, 0, 1 + len(untested))
     assert cases["bad"].classname == "interface_check.rate"
     assert cases["bad"].time == pytest.approx(3.0)
-    assert "required: 190 to 210 Hz" in cases["bad"].result[0].message
+    assert "expected: 190 to 210 Hz" in cases["bad"].result[0].message
 
 
 class Page(HTMLParser):
@@ -137,7 +137,7 @@ class Page(HTMLParser):
         self.text += data
 
 
-def test_the_page_stands_alone_and_says_it_all(outcome: Outcome, tmp_path: Path):
+def test_the_page_is_self_contained_and_complete(outcome: ProcedureResult, tmp_path: Path):
     write_record(outcome, tmp_path)
     page = Page((tmp_path / "record.html").read_text(encoding="utf-8", errors="replace"))
     assert not page.open
@@ -149,15 +149,15 @@ def test_the_page_stands_alone_and_says_it_all(outcome: Outcome, tmp_path: Path)
         "A. Name & Co",
         "Sign-off",
         "Witnessed by",
-        "nobody listens",
+        "no subscriber",
         UNTESTED,
         "99 messages",
     ):
         assert text in page.text
-    assert json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))["verdict"] == "FAIL"
+    assert json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))["result"] == "FAIL"
 
 
-def test_the_same_settings_have_the_same_digest_whatever_the_process():
+def test_equal_settings_have_equal_digests_in_any_process():
     one = {"/a": {"parameters": {"x": 1}, "process": 1, "host": "here"}}
     other = {"/a": {"process": 2, "host": "there", "parameters": {"x": 1}}}
     changed = {"/a": {"parameters": {"x": 2}, "process": 1, "host": "here"}}

@@ -7,7 +7,7 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.parameters import ParameterError
 from rover_hil.bridge_node import awaited_topics
-from rover_hil.emulator.pace import SyncPace
+from rover_hil.emulator.tick_scheduler import TickScheduler
 
 PERIOD = 0.005
 
@@ -16,7 +16,7 @@ class World:
     """A wall clock, and a machine that computes a tick in some time."""
 
     def __init__(self, cost: float) -> None:
-        self.pace = SyncPace(PERIOD)
+        self.pace = TickScheduler(PERIOD)
         self.wall = 100.0
         self.ticks: list[float] = []
         self._cost = cost
@@ -69,7 +69,7 @@ def test_a_machine_that_is_too_slow_says_so_and_counts_what_it_gave_up():
 
 
 def test_nothing_is_claimed_before_it_is_known():
-    pace = SyncPace(PERIOD)
+    pace = TickScheduler(PERIOD)
     pace.synchronise(0.0)
     assert pace.due(0.004)
     assert not pace.is_real_time(0.004)

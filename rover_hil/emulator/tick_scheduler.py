@@ -1,9 +1,8 @@
-"""How an emulated machine keeps pace with the world: one tick for each period of SYNC.
+"""Real-time schedule of the emulated plant: one tick for each period of SYNC.
 
-The plant makes its tick some time after each SYNC, when the answers are sent and the commands that
-they bring about have come. The world does not wait for a bus master: where no SYNC comes, ticks go
-on by the wall clock. Whether a machine is fast enough is measured, and what could not be caught up
-is counted.
+A tick follows its SYNC after a delay, in which answers are sent and commands arrive. Without SYNC,
+ticks follow the wall clock. The scheduler measures the real-time factor and counts the wall time
+that was skipped because it could not be caught up.
 """
 
 from __future__ import annotations
@@ -11,23 +10,23 @@ from __future__ import annotations
 import math
 from collections import deque
 
-_CATCH_UP = 0.2  # longest delay that is caught up [s]
-_AFTER = 0.6  # of a period between SYNC and tick
-_LOCKING = 0.05  # of the phase's error that is taken away at each SYNC
+_CATCH_UP = 0.2  # longest delay to catch up [s]
+_TICK_DELAY = 0.6  # from SYNC to tick, as a fraction of the period
+_LOCKING = 0.05  # fraction of the phase error corrected at each SYNC
 _ROUNDING = 1e-6  # of a period
 _WINDOW = 2.0  # of the measured factor [s]
-_REAL_TIME = 0.99  # factor from which it may be called so
+_REAL_TIME = 0.99  # smallest real-time factor
 
 
-class SyncPace:
-    """Which ticks are due.
+class TickScheduler:
+    """Decides which ticks are due.
 
     Args:
         period: of SYNC and of ticks [s].
 
     Attributes:
-        given_up: wall time that could not be caught up [s].
-        measured: simulated per wall seconds over the last two wall seconds; None: not yet known.
+        given_up: skipped wall time [s].
+        measured: real-time factor over the last two seconds of wall time; None: unknown.
     """
 
     def __init__(self, period: float) -> None:
@@ -41,7 +40,7 @@ class SyncPace:
         self._given_up_at = -math.inf
 
     def synchronise(self, wall: float) -> None:
-        """A SYNC has come at a steady time [s]: ticks are counted around it."""
+        """Lock the phase of the ticks to a SYNC at a steady time [s]."""
         if self._anchor is None:
             self._anchor = wall
             return
@@ -49,10 +48,10 @@ class SyncPace:
         self._anchor += _LOCKING * (phase - round(phase)) * self._period
 
     def due(self, wall: float) -> int:
-        """How many ticks are to be made now, 0 or 1; it counts as made."""
+        """Number of ticks due now, 0 or 1; the caller makes it."""
         if self._anchor is None:
             self._anchor = wall
-        periods = (wall - self._anchor) / self._period - _AFTER
+        periods = (wall - self._anchor) / self._period - _TICK_DELAY
         behind = math.floor(periods + _ROUNDING) + 1 - self._done
         if behind * self._period > _CATCH_UP:
             self.given_up += (behind - 1) * self._period
@@ -65,13 +64,13 @@ class SyncPace:
         return ticks
 
     def wait(self, wall: float) -> float:
-        """How long it is until the next tick [s]."""
+        """Time until the next tick [s]."""
         if self._anchor is None:
             return self._period
-        return max(self._anchor + (self._done + _AFTER) * self._period - wall, 0.0)
+        return max(self._anchor + (self._done + _TICK_DELAY) * self._period - wall, 0.0)
 
     def is_real_time(self, wall: float) -> bool:
-        """Whether the plant keeps pace with the wall clock, and nothing was given up lately."""
+        """Whether the plant keeps real time and skipped no wall time lately."""
         kept = wall - self._given_up_at > _WINDOW
         return kept and self.measured is not None and self.measured >= _REAL_TIME
 

@@ -1,0 +1,70 @@
+"""Result of one evaluated expectation: expected and measured value, and their place in the bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Result(StrEnum):
+    """Result of an expectation, a step, a rule, or a whole procedure."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    NOT_RUN = "NOT RUN"
+
+
+class Rule(StrEnum):
+    """The interface rules of the contract: each step tests one."""
+
+    RATE = "rate"
+    LATENCY = "latency"
+    LIMITS = "limits"
+    WATCHDOG = "watchdog"
+    REFUSAL = "refusal"
+    RESTART = "restart"
+    SAFE_STATE = "safe_state"
+
+
+TIMED = frozenset({Rule.RATE, Rule.LATENCY, Rule.WATCHDOG, Rule.RESTART, Rule.SAFE_STATE})
+"""Rules that measure times: while simulated time stands still, they seem to be kept."""
+
+ABOUT_RULES: dict[Rule, str] = {
+    Rule.RATE: "states and measurements are published at the contract's rate, without gaps",
+    Rule.LATENCY: "published samples are fresh, and commands are executed in time",
+    Rule.LIMITS: "published and accepted values lie within the contract's limits",
+    Rule.WATCHDOG: "a timeout on any hop stops motion in time",
+    Rule.REFUSAL: "an invalid or unsafe request is refused with its reason",
+    Rule.RESTART: "nothing moves after a restart until the drives are armed again",
+    Rule.SAFE_STATE: "off means motors without power and the brake closed",
+}
+
+
+@dataclass(frozen=True)
+class ExpectationResult:
+    """One evaluated expectation or action.
+
+    Attributes:
+        description: the quantity or condition that was tested.
+        expected: the value or range that passes.
+        measured: the value that was found; empty: none.
+        topics: topics of the bag that show it.
+        begin_ns, end_ns: interval by the rehearsal's clock, which the messages' stamps follow.
+    """
+
+    result: Result
+    description: str
+    expected: str
+    measured: str
+    topics: tuple[str, ...] = ()
+    begin_ns: int = 0
+    end_ns: int = 0
+
+
+def worst(results: Iterable[Result]) -> Result:
+    """FAIL before NOT RUN before PASS; NOT RUN for an empty sequence."""
+    found = set(results)
+    if Result.FAIL in found:
+        return Result.FAIL
+    return Result.PASS if found == {Result.PASS} else Result.NOT_RUN
