@@ -77,12 +77,12 @@ def bending_matrix(bending_stiffness: float, length: float) -> Array:
 
 
 def load_vector(line_density: float, length: float) -> Array:
-    """Weight per gravity: int rhoA S dx, (4,) [kg, kg m, ...]; times gravity it is a force."""
+    """Load vector int rhoA S dx, (4,) [kg, kg m, ...]; times gravity it is the nodal force."""
     return line_density * length * np.array([0.5, length / 12.0, 0.5, -length / 12.0])
 
 
 def element_coordinates(nodes: Array) -> Array:
-    """Nodes (n + 1, 2, dim) as the elements' e (n, 4, dim)."""
+    """Element coordinates e (n, 4, dim) of nodes (n + 1, 2, dim)."""
     return np.concatenate([nodes[:-1], nodes[1:]], axis=1)
 
 

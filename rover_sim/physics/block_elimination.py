@@ -4,16 +4,16 @@ The equations of node i are
 
     L_i x_(i-1) + D_i x_i + U_i x_(i+1) = R_i,
 
-and arrive as contributions of the elements, each with a side for either of its nodes: side 0 holds
-the rows of its first node (D, R, and U towards its second), side 1 those of its second node (D, R,
-and L towards its first). An array `blocks` (n + 2 or more, 2, 2 m + 1, lanes) has element e at
-e + 1. What the chain's ends add stands in the first and in the last place, as elements with one
-node. The columns of a side are D (m), R (1), then the coupling (m), each a packet over the rows,
-whose surplus lanes are zero.
+and are stored as contributions of the elements, each with one side per node: side 0 holds the rows
+of its first node (D, R, and U towards its second), side 1 those of its second node (D, R, and L
+towards its first). The array `blocks` (n + 2 or more, 2, 2 m + 1, lanes) holds element e at e + 1;
+the contributions of the chain's ends are its first and its last entry, as elements with one node.
+The columns of a side are D (m), R (1), then the coupling (m), each a packet over the rows; surplus
+lanes are zero.
 
 Elimination runs from both ends towards the middle: two independent chains of operations, which the
-processor overlaps, as each is bound by latency and not by throughput. Within a block there is no
-pivoting: inertia dominates D, and steps for which it does not fail and are made shorter.
+processor overlaps, because each is bound by latency and not by throughput. Blocks are not pivoted:
+inertia dominates D, and a step for which it does not fails and is repeated with half the length.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ from rover_sim.physics.simd import fill, lane, load, stack, store, with_lane
 
 
 def make_factor(nodes: int, columns: int, lanes: int) -> Array:
-    """Scratch array (nodes + 2, m + 1, lanes) of `solve_blocks`; see `_eliminate`."""
+    """Allocate the scratch array (nodes + 2, m + 1, lanes) of `solve_blocks`; see `_eliminate`."""
     return np.zeros((nodes + 2, columns, lanes))
 
 
@@ -42,15 +42,15 @@ def _eliminate(
     node: int,
     factor: Array,
 ) -> None:
-    """Express x of a node by that of the node after it, in a chain running either way.
+    """Express x of a node by x of the next node, in the direction of elimination.
 
-    With the factors G, y of the node before (x_before = y - G x) the node's equations are
+    With the factors G, y of the previous node (x_before = y - G x) the node's equations are
 
         (D - C G) x + C' x_after = R - C y,
 
-    D and R being sums of the sides of the elements before and after, C and C' their couplings.
-    Gauss and Jordan's method on (D - C G | R - C y | C'), rows scaled last, leaves y and G, stored
-    as the columns (G, y) at factor[node].
+    where D and R are sums over the sides of the elements before and after, C and C' their
+    couplings. Gauss-Jordan elimination of (D - C G | R - C y | C'), rows scaled last, gives y and
+    G, stored as the columns (G, y) at factor[node].
     """
     m = 2 * len(tag)
     columns = stack(tag, 13)
@@ -80,7 +80,7 @@ def _eliminate(
 def _fold(
     tag: tuple[float, ...], blocks: Array, element: int, side: int, previous: int, factor: Array
 ) -> None:
-    """Take an eliminated neighbour's C G and C y off the D and R of an element's side, in place."""
+    """Subtract an eliminated neighbour's C G and C y from D and R of an element's side."""
     m = 2 * len(tag)
     for c in range(m + 1):
         column = load(tag, blocks, (element, side, c, 0))
@@ -93,7 +93,7 @@ def _fold(
 def _substitute(
     tag: tuple[float, ...], node: int, known: int, factor: Array, solution: Array
 ) -> None:
-    """Unknowns of a node from those of its known neighbour, x = y - G x_known."""
+    """Compute the unknowns of a node from its solved neighbour: x = y - G x_known."""
     m = 2 * len(tag)
     result = load(tag, factor, (node, m, 0))
     for k in range(m):
@@ -106,9 +106,9 @@ def solve_blocks(tag: Any, n: int, blocks: Array, factor: Array, solution: Array
     """Solve for all nodes.
 
     Args:
-        tag: of the packets, see there.
+        tag: a tuple whose length is dim, see `simd`.
         n: number of elements.
-        blocks: the equations; one side in the middle is changed.
+        blocks: the equations; one side of the middle element is changed.
         factor: (n + 3, m + 1, lanes); its first and last entries must be zero. Node i is at i + 1.
         solution: x, (n + 3, lanes); node i at i + 1.
     """

@@ -1,4 +1,4 @@
-"""What inertial sensors and a camera on a moving body see of its motion.
+"""Kinematics of a moving body for its sensors: velocities, specific force, camera image rate.
 
 Vectors are tuples of three floats; body axes are base_link's.
 """
@@ -23,7 +23,7 @@ from rover_sim.physics.vectors import (
 
 
 class BodyMotion(NamedTuple):
-    """Body 1 at an instant."""
+    """Position, orientation and velocities of Body 1."""
 
     position: Vector  # of base_link in map [m]
     orientation: Quaternion  # (w, x, y, z), base_link to map
@@ -56,13 +56,13 @@ def mean_rate(before: Quaternion, after: Quaternion, dt: float) -> Vector:
 def specific_force(
     before: BodyMotion, after: BodyMotion, point: Vector, gravity: float, dt: float
 ) -> Vector:
-    """Mean specific force at a place of the body, in its axes in the middle of dt [m/s^2].
+    """Mean specific force at a point of the body, in its mid-step axes [m/s^2].
 
     Args:
         before: the body at the start.
         after: at the end.
         point: in base_link [m].
-        gravity: strength, along -z of map [m/s^2].
+        gravity: magnitude, along -z of map [m/s^2].
         dt: [s], > 0.
     """
     change = sub(velocity_at(after, point), velocity_at(before, point))
@@ -77,10 +77,10 @@ def specific_force(
 
 @checked
 def image_rate(body: BodyMotion, point: Vector, axis: Vector, distance: float) -> Vector:
-    """Rate at which what a camera sees moves past its axis [rad/s], in base_link.
+    """Angular rate of the scene across a camera's optical axis [rad/s], in base_link.
 
-    A point of the wall on the axis at the distance D moves by -(W x a + v/D), v the camera's
-    velocity across the axis a, a unit vector. D may be infinite.
+    A scene point on the axis at the distance D moves by -(W x a + v/D), where a is the unit vector
+    of the axis and v the camera's velocity across it. D may be infinite.
     """
     velocity = unrotate(rotation_of(body.orientation), velocity_at(body, point))
     across = axpy(-dot(velocity, axis), axis, velocity)
@@ -90,7 +90,7 @@ def image_rate(body: BodyMotion, point: Vector, axis: Vector, distance: float) -
 
 @checked
 def camera_ray(body: BodyMotion, point: Vector, axis: Vector) -> tuple[Vector, Vector]:
-    """Where a camera of the body is [m], and the unit vector along which it looks, in map."""
+    """Position of a camera of the body [m] and unit vector of its optical axis, in map."""
     axes = rotation_of(body.orientation)
     look = rotate(axes, axis)
     return add(body.position, rotate(axes, point)), scale(1.0 / math.sqrt(dot(look, look)), look)

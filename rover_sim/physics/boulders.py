@@ -1,4 +1,4 @@
-"""Boulders strewn over a floor: how many of which size lie where, from a seed.
+"""Random boulder field of a floor: positions and diameters from a power law and a seed.
 
 Their diameters follow the cumulative power law N(>= D) ~ D^-b, cut at a smallest and a largest
 diameter. On the Moon b is 2.1 to 2.65 at the mare sites of Surveyors I, III, V and VI and 1.82 on
@@ -8,10 +8,9 @@ around young craters blocks of metres and above fall off faster, b = 3 to 5 (Bar
 Icarus 209). No count of decimetre blocks on a pit's floor exists; the default is a mare's b = 2.5,
 and a density well above a mare's, for a floor that carries the debris of a collapse.
 
-A boulder is a spherical cap: of base diameter D it stands up by `height_ratio` D, half a sphere at
-1/2. What has no bits in common between machines is kept out: raw bits of PCG64 make the uniform
-numbers, and diameters are rounded to a micrometre, so that a seed gives the same field under every
-version of numpy.
+A boulder is a spherical cap of base diameter D and height `height_ratio` D, half a sphere at 1/2.
+A seed gives the same field on every machine and under every version of numpy: the uniform numbers
+are made from raw bits of PCG64, and diameters are rounded to a micrometre.
 """
 
 import math
@@ -65,7 +64,7 @@ def uniform(bits: np.random.PCG64, count: int) -> Array:
 
 
 def diameter_at(parameters: BoulderParameters, share: float) -> float:
-    """Diameter [m] that the given share of the boulders, in [0, 1), stays below."""
+    """Quantile of the diameters [m]: the given share of the boulders, in [0, 1), is smaller."""
     b = parameters.exponent
     few = (parameters.largest / parameters.smallest) ** -b
     diameter = parameters.smallest * (1.0 - share * (1.0 - few)) ** (-1.0 / b)

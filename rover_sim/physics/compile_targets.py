@@ -1,4 +1,4 @@
-"""A step in space as two processes compile it side by side: the whole, and parts ahead of it."""
+"""Compilation targets of the spatial plant's step, for two processes that compile in parallel."""
 
 from typing import Any
 
@@ -23,11 +23,9 @@ from rover_sim.physics.variable_length import Payout, end_exit_step
 def full_step(
     model: Model, solver: Solver, drives: DriveStates, commands: DriveCommands
 ) -> tuple[Any, tuple[Any, ...]]:
-    """`spatial.advance`, with arguments of the types that it is called with."""
-    memory, report = (
-        np.zeros(integrator_memory.MEMORY_SIZE),
-        np.zeros(integrator_memory.REPORT_SIZE),
-    )
+    """`spatial.advance` and arguments of the types of a step."""
+    memory = np.zeros(integrator_memory.MEMORY_SIZE)
+    report = np.zeros(integrator_memory.REPORT_SIZE)
     events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
     arguments = (model, solver.after, drives, commands, memory, model.step, events, report, solver)
     return spatial.advance, arguments
@@ -36,20 +34,18 @@ def full_step(
 def step_parts(
     model: Model, solver: Solver, drives: DriveStates
 ) -> list[tuple[Any, tuple[Any, ...]]]:
-    """Functions that take half of the time in which `full_step` is compiled.
+    """Functions called by `full_step` that take half of its compilation time.
 
-    In the order in which it comes to them, first those that it calls late enough for another
-    process to be ahead of it.
+    They are in the order in which the compilation of `full_step` reaches them, late enough for a
+    second process to have compiled them before.
 
     Returns:
-        Each with arguments of the types that it is called with there.
+        Each function with arguments of the types of a step.
     """
     tether, h, motion = model.tether, model.step, solver.after
     work, tether_contact, exit_element = solver.work, solver.tether_contact, solver.exit_element
-    memory, report = (
-        np.zeros(integrator_memory.MEMORY_SIZE),
-        np.zeros(integrator_memory.REPORT_SIZE),
-    )
+    memory = np.zeros(integrator_memory.MEMORY_SIZE)
+    report = np.zeros(integrator_memory.REPORT_SIZE)
     q, v, anchors, fairlead_slope = motion.q, motion.v, motion.tether_anchors, motion.fairlead_slope
     body, rover_anchors = motion.body, motion.rover_anchors
     terrain, contact_model, ground = model.terrain, model.rover_contact, model.tether_contact

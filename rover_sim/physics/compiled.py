@@ -1,4 +1,4 @@
-"""How the numerics are compiled, and when a compiled function kept on disk is out of date."""
+"""Decorators that compile the numerics with numba, and the check of their cache on disk."""
 
 import functools
 import hashlib
@@ -13,7 +13,7 @@ from numba.core.registry import CPUDispatcher
 
 from rover_sim.physics.compilers import KernelCompiler, LinkedCompiler
 
-# Without nnan and ninf: a diverging iteration must show its NaN to the tests that look for it.
+# Without nnan and ninf: a diverging iteration must pass its NaN to the finiteness tests.
 FAST_MATH = frozenset({"contract", "reassoc", "nsz", "arcp", "afn"})
 
 _IMPORT = re.compile(
@@ -47,7 +47,7 @@ def source_stamp(path: Path) -> str:
 
 
 class _Compiled(CPUDispatcher):
-    """Not compiled anew for every constant that a caller writes in place of a number."""
+    """Dispatcher that does not compile another version for each literal argument."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         unliteral: Any = types.unliteral
@@ -55,7 +55,7 @@ class _Compiled(CPUDispatcher):
 
 
 class _Inner(_Compiled):
-    """Without an entry from Python; gets one when tests or people at the prompt call it."""
+    """Dispatcher without a Python wrapper; a call from Python (tests, a prompt) compiles one."""
 
     _entry: Callable[..., Any] | None = None
 
@@ -81,11 +81,11 @@ _FOR_CALLERS: Final[dict[str, Any]] = {
 
 
 def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`njit` with a cache on disk that knows what a function is compiled from.
+    """`njit` with a cache on disk that is invalidated by a change of any source.
 
-    numba takes a cached function as fresh as long as its own file is unchanged, though it holds
-    the functions that it calls in other files as well: after a change of these it would go on with
-    the old ones. So the stamp that it compares is replaced by that of all sources.
+    numba regards a cached function as current as long as its own file is unchanged, though the
+    compiled code includes functions of other files: after a change of these it would run the old
+    code. So the source stamp is replaced by the digest of all sources.
     """
     compile_later: Any = njit(**{"cache": True, **_ALWAYS, **options})
 
@@ -103,9 +103,9 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
 
 
 def cache_only(functions: Iterable[Any]) -> None:
-    """From now on, of the functions that compiled ones alone call, have these alone kept on disk.
+    """Disable the cache on disk of all `inner` functions but these, in this process.
 
-    Writing so many small files takes a process that compiles a step longer than they are worth.
+    Writing the many small files costs a process that compiles a step more than they save.
     """
     kept = {id(function) for function in functions}
     for function in _inner_functions:
@@ -124,21 +124,20 @@ def inner_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 kernel = kernel_with()
-"""For arithmetic: products feed additions, sums may be reordered.
+"""Decorator for arithmetic: allows fused multiply-add and reordered sums (see FAST_MATH).
 
-None of these functions can allocate, and they do not count references to the arrays that they are
-given, which would cost more than a small tether's step.
+Such a function cannot allocate, and it does not count references to its arrays, which would cost
+more than a small tether's step.
 """
 
 inner = inner_with()
-"""As `kernel`, for what compiled functions alone call.
+"""As `kernel`, for functions that only compiled functions call.
 
-The entry from Python, which unpacks all that is in the arguments, takes as long to compile as many
-a function.
+It has no Python wrapper, whose compilation would take as long as that of many a function.
 """
 
 checked = _decorator(_Compiled, _nrt=False)
-"""For control flow that tests for convergence and finiteness: arithmetic as written."""
+"""Decorator for control flow that tests convergence and finiteness: strict IEEE arithmetic."""
 
 checked_inner = _decorator(_Inner, _nrt=False, **_FOR_CALLERS)
-"""As `checked`, for what compiled functions alone call."""
+"""As `checked`, for functions that only compiled functions call."""

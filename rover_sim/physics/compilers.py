@@ -1,13 +1,11 @@
-"""numba's compiler without what our numerics never need, so that a first start takes seconds less.
+"""numba compiler pipelines reduced to what the kernels need; a first start is seconds faster.
 
-Two things are left out of every compilation: passes for what these functions do not contain
-(closures, `with` blocks, inlining before types are known, expressions on whole arrays), and asking
-again what an operator makes of operands that it was asked about before: numba tries dozens of
-candidates for every `+`.
+`KernelCompiler` omits the passes for features that the kernels do not use (closures, `with` blocks,
+inlining before type inference, whole-array expressions), and caches the result type of an operator
+for given operand types: numba tries dozens of candidates for every `+`.
 
-Functions that other compiled functions alone call are, moreover, neither optimised nor turned into
-machine code by themselves: whoever calls them links their intermediate code, optimises it together
-with its own, and emits it.
+`LinkedCompiler`, for functions that only compiled functions call, moreover neither optimises nor
+emits machine code: the caller links their LLVM IR, optimises it together with its own and emits it.
 """
 
 from collections.abc import Iterator
@@ -36,45 +34,45 @@ _NEVER_NEEDED: Final = frozenset(
     }
 )
 
-_answers: dict[Any, dict[Any, Any]] = {}
-"""By flags of the compilation: the signature of a built-in function for types of operands."""
+_signatures: dict[Any, dict[Any, Any]] = {}
+"""By flags of the compilation: the signature of a built-in function for operand types."""
 
 
 @contextmanager
-def _remembering(flags: Any) -> Iterator[None]:
-    """Let built-in functions give the same answer to the same question without thinking again.
+def _cached_signatures(flags: Any) -> Iterator[None]:
+    """Cache the call types of built-in functions.
 
-    Types are asked for while they are inferred and once more for each use while code is made. Only
-    what is compiled with these flags is answered so; what a function calls may have others.
+    numba resolves them during type inference and again for each use during lowering. Only the
+    function compiled with these flags uses the cache; its callees may have other flags.
     """
-    known = _answers.setdefault(flags.copy(), {})
+    known = _signatures.setdefault(flags.copy(), {})
     depth = len(ConfigStack()) + 1
     builtin: Any = types.Function
-    think = builtin.get_call_type
+    resolve = builtin.get_call_type
 
     def get_call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
         if kws or len(ConfigStack()) != depth:
-            return think(function, context, args, kws)
-        question = (function, *args)
-        if question not in known:
-            answer = think(function, context, args, kws)
-            if answer is None:
+            return resolve(function, context, args, kws)
+        key = (function, *args)
+        if key not in known:
+            signature = resolve(function, context, args, kws)
+            if signature is None:
                 return None
-            known[question] = answer
-        return known[question]
+            known[key] = signature
+        return known[key]
 
     builtin.get_call_type = get_call_type
     try:
         yield
     finally:
-        builtin.get_call_type = think
+        builtin.get_call_type = resolve
 
 
 class KernelCompiler(CompilerBase):
     """numba's compiler, `pipeline_class`, for scalar code on arrays and tuples."""
 
     def _compile_core(self) -> Any:
-        with _remembering(self.state.flags):
+        with _cached_signatures(self.state.flags):
             return super()._compile_core()
 
     def define_pipelines(self) -> list[Any]:
@@ -88,29 +86,29 @@ class KernelCompiler(CompilerBase):
 
 
 class _NoEngine:
-    """What a compiler tells of a function to the engine that would run it."""
+    """Stand-in for the execution engine of code that is linked and never run by itself."""
 
     def set_env(self, name: str, environment: object) -> None:
-        """Needed by what calls Python alone."""
+        """Does nothing: only functions that call Python need an environment."""
 
 
 class _Library(JITCodeLibrary):
-    """Intermediate code that is linked into others and has no machine code of its own."""
+    """LLVM IR that callers link; it has no machine code of its own."""
 
     @property
     def codegen(self) -> Any:
         return _NoEngine()
 
     def get_pointer_to_function(self, name: str) -> int:  # noqa: ARG002 - numba's signature
-        """There is none."""
+        """Return 0: there is no machine code."""
         return 0
 
     def serialize_using_object_code(self) -> Any:
-        """For the cache: as intermediate code."""
+        """Serialise for the cache as bitcode instead of object code."""
         return self.serialize_using_bitcode()
 
     def _optimize_final_module(self) -> None:
-        """Left to the callers."""
+        """Does nothing: the callers optimise."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -119,7 +117,7 @@ class _Library(JITCodeLibrary):
 
 
 class LinkedCompiler(KernelCompiler):
-    """`KernelCompiler` for functions without an entry from Python or C."""
+    """`KernelCompiler` for functions that are called neither from Python nor from C."""
 
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
         super().__init__(typingctx, targetctx, library, *rest)

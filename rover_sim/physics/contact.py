@@ -9,29 +9,29 @@ Normal force (Hunt and Crossley 1975, J. Applied Mechanics 42(2)):
 
     N = f_e max(0, 1 + 3/2 c d'),    f_e = (U(d1) - U(d0)) / (d1 - d0),    U(d) = 2/5 k d^(5/2),
 
-with d' = (d1 - d0)/h. f_e is k d^(3/2) averaged over the step in the sense of a discrete gradient
-(Gonzalez 1996, J. Nonlinear Science 6): its work is exactly the change of the elastic energy U for
-every step length, through touchdown and lift-off too, so an undamped contact neither makes nor eats
-energy, and a damped one (c > 0) only eats. The maximum is rounded within `FACTOR_ROUNDING`.
+with d' = (d1 - d0)/h. f_e is the discrete gradient of U (Gonzalez 1996, J. Nonlinear Science 6), a
+step average of k d^(3/2): its work is exactly the change of the elastic energy U for every step
+length, through touchdown and lift-off too, so an undamped contact conserves energy and a damped one
+(c > 0) dissipates. The maximum is smoothed within `FACTOR_ROUNDING`.
 
 Friction: a bristle spring of stiffness k_a with deflection e, tangential to the ground, that
-carries at most the Coulomb limit L = mu(v) N, and beside it regularised Coulomb friction
-(mu N v / sqrt(v^2 + v_s^2)) for what the spring does not carry:
+carries at most the Coulomb limit L = mu(v) N, in parallel with regularised Coulomb friction
+(mu N v / sqrt(v^2 + v_s^2)) that carries the remainder of the limit:
 
     F_t = -S e/|e| - (L - S) v / sqrt(v^2 + v_s^2),     S = min(k_a |e|, L),
 
 mu(v) = mu_k + (mu_s - mu_k) / (1 + (v/v_st)^2) falls from its static to its kinetic value. With
 k_a = 0 this is regularised Coulomb friction alone, which creeps on a slope at about
-v_s tan(alpha)/mu. With k_a > 0 the spring is the parking anchor: below the limit a body at rest is
-held with no creep at all; sliding, the spring sits at its limit and |F_t| = L. The minimum is
-rounded within `LIMIT_ROUNDING`, so a body is held without creep up to (1 - LIMIT_ROUNDING) mu N.
+v_s tan(alpha)/mu. With k_a > 0 the spring is the parking anchor: below the limit a body at rest
+does not creep; during sliding the spring stays at its limit and |F_t| = L. The minimum is
+smoothed within `LIMIT_ROUNDING`, so a body does not creep up to (1 - LIMIT_ROUNDING) mu N.
 The spring is elastic-perfectly plastic (the one-dimensional form is Prandtl's, and LuGre's with
 the drift removed: Dupont, Hayward, Armstrong and Altpeter 2002, IEEE Trans. Automatic Control
-47(5)): what it stores is 1/2 k_a e^2 whatever N does, its limit only ever shortens e, and the
-rest is friction against v, so no closed cycle of motion and load gains energy.
+47(5)): it stores 1/2 k_a e^2 for every N, its limit only shortens e, and the remaining force
+opposes v, so no closed cycle of motion and load gains energy.
 
-The deflection is state. After an accepted step `advance_bristle` carries it on, once; inside the
-Newton iteration it stays as it was at the step's start.
+The deflection is a state. `advance_bristle` updates it once after an accepted step; inside the
+Newton iteration it keeps its value at the step's start.
 
 Vectors are tuples of three floats in the world frame; SI units.
 """
@@ -45,16 +45,16 @@ from rover_sim.physics.compiled import inner
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]  # rows
 
-FACTOR_ROUNDING = 0.1  # half-width in 1 + 3/2 c d' over which max(0, .) is rounded [-]
-TOUCH = 1.0e-15  # depths below this count as none, so that no quotient degenerates [m]
-LIMIT_ROUNDING = 0.05  # half-width in k_a |e| / L over which min(., 1) is rounded [-]
+FACTOR_ROUNDING = 0.1  # half-width in 1 + 3/2 c d' over which max(0, .) is smoothed [-]
+TOUCH = 1.0e-15  # a smaller depth is no contact, so that no quotient degenerates [m]
+LIMIT_ROUNDING = 0.05  # half-width in k_a |e| / L over which min(., 1) is smoothed [-]
 
 NO_VECTOR: Vector = (0.0, 0.0, 0.0)
 NO_MATRIX: Matrix = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ContactLaw(NamedTuple):
-    """What the compiled functions need of a pair of materials; see `ContactParameters`."""
+    """Contact parameters of a pair of materials, for compiled functions."""
 
     stiffness: float  # k [N/m^1.5]
     damping: float  # c [s/m]
@@ -69,9 +69,9 @@ class ContactLaw(NamedTuple):
 class ContactParameters:
     """A pair of materials in contact at a point.
 
-    The anchor should be stiff enough to hold the body within what is asked (its deflection at rest
-    is weight sin(alpha) / k_a over all its contacts) and is best no stiffer than that: the tether's
-    light contact points want k_a near mu N / 0.1 mm.
+    Choose the anchor's stiffness by the largest permitted deflection at rest, weight sin(alpha) /
+    k_a over all contacts, and no stiffer: the tether's light contact points need k_a near
+    mu N / 0.1 mm.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -113,8 +113,8 @@ class ContactParameters:
         )
 
 
-# A standing wheel yields by a tenth of a millimetre. A hundredth of that stiffness would let Body 1
-# bounce for as long as the spring throws Body 2, and cost a jump a tenth of its height.
+# A standing wheel sinks in by a tenth of a millimetre. With a hundredth of this stiffness Body 1
+# would bounce while the spring accelerates Body 2, and a jump would lose a tenth of its height.
 ROCK = ContactParameters(stiffness=1.0e7)
 REGOLITH = ContactParameters(stiffness=2.0e4)
 
@@ -137,13 +137,13 @@ def blend_laws(first: ContactLaw, second: ContactLaw, weight: float) -> ContactL
 
 @inner
 def damping_factor(damping: float, rate: float) -> tuple[float, float]:
-    """Factor max(0, 1 + 3/2 c d'), rounded at 0, and its derivative with respect to d' [s/m].
+    """Factor max(0, 1 + 3/2 c d'), smoothed at 0, and its derivative with respect to d' [s/m].
 
-    The rounding keeps the factor within [0, 1] while d' < 0, so damping never feeds the motion.
+    The factor stays within [0, 1] while d' < 0, so damping never adds energy.
 
     Args:
         damping: c [s/m].
-        rate: d' [m/s], positive when the point goes deeper.
+        rate: d' [m/s], positive when the depth increases.
     """
     slope = 1.5 * damping
     y = 1.0 + slope * rate
@@ -168,16 +168,16 @@ def normal_force(law: ContactLaw, depth0: float, depth1: float, h: float) -> tup
     if depth1 <= TOUCH:
         if depth0 <= TOUCH:
             return 0.0, 0.0
-        # leaves: U(d0) is spent over the whole way d0 - d1
-        way = 1.0 / (depth0 - min(depth1, 0.0))
-        elastic = 0.4 * law.stiffness * depth0 * depth0 * math.sqrt(depth0) * way
-        tangent = elastic * way
+        # leaves: U(d0) is spent over the whole travel d0 - d1
+        inverse = 1.0 / (depth0 - min(depth1, 0.0))
+        elastic = 0.4 * law.stiffness * depth0 * depth0 * math.sqrt(depth0) * inverse
+        tangent = elastic * inverse
     elif depth0 <= TOUCH:
         # arrives
-        way = 1.0 / (depth1 - min(depth0, 0.0))
-        root = law.stiffness * depth1 * math.sqrt(depth1) * way
+        inverse = 1.0 / (depth1 - min(depth0, 0.0))
+        root = law.stiffness * depth1 * math.sqrt(depth1) * inverse
         elastic = 0.4 * root * depth1
-        tangent = root - elastic * way
+        tangent = root - elastic * inverse
     else:
         # (d1^5/2 - d0^5/2) / (d1 - d0) with a = sqrt(d0), b = sqrt(d1), without cancellation
         a = math.sqrt(depth0)
@@ -203,7 +203,7 @@ def friction_coefficient(law: ContactLaw, speed_squared: float) -> tuple[float, 
 
 @inner
 def capped(ratio: float) -> tuple[float, float]:
-    """min(ratio, 1), rounded at 1 from below, and its derivative; ratio >= 0."""
+    """min(ratio, 1), smoothed at 1 from below, and its derivative; ratio >= 0."""
     if ratio <= 1.0 - LIMIT_ROUNDING:
         return ratio, 1.0
     if ratio >= 1.0 + LIMIT_ROUNDING:
@@ -222,10 +222,10 @@ def friction_force(
     h: float,
     bristle: Vector,
 ) -> tuple[Vector, Vector, Matrix]:
-    """Friction with anchor, averaged over a step.
+    """Friction force with anchor, averaged over a step.
 
     Args:
-        limit: L [N], the most that friction can carry, > 0.
+        limit: L [N], Coulomb limit of the friction force, > 0.
         anchor_stiffness: k_a [N/m].
         slip_speed: v_s [m/s].
         normal: unit normal of the ground.
@@ -242,7 +242,7 @@ def friction_force(
     inverse = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz + width * width)
     gx, gy, gz = wx * inverse, wy * inverse, wz * inverse  # direction of slip, less than unit
 
-    # The anchor at mid-step, where its force times the slip is what it stores.
+    # The anchor at mid-step: its force there times the slip is its change of energy.
     ex = bristle[0] + 0.5 * wx
     ey = bristle[1] + 0.5 * wy
     ez = bristle[2] + 0.5 * wz
@@ -258,9 +258,9 @@ def friction_force(
         turn = 0.5 * anchor_stiffness
     else:
         ratio = pull / limit
-        held, slope = capped(ratio)
-        share = held - ratio * slope  # dS/dL
-        spring = limit * held
+        capped_ratio, slope = capped(ratio)
+        share = capped_ratio - ratio * slope  # dS/dL
+        spring = limit * capped_ratio
         across = spring / length
         turn = 0.5 * anchor_stiffness * slope  # dS/dw along the deflection
         cx, cy, cz = ex / length, ey / length, ez / length
@@ -320,8 +320,8 @@ def contact_force(
 ) -> tuple[Vector, Matrix]:
     """Force of the ground on a point, averaged over a step, and its derivative.
 
-    The derivative takes dd1/du = -n and the normal as constant: exact on flat ground; on a curved
-    one it leaves out N dn/du, which is small while the depth is small against the radius.
+    The derivative assumes dd1/du = -n and a constant normal: exact on flat ground; on curved ground
+    it omits N dn/du, which is small while the depth is small against the radius.
 
     Args:
         law: materials.
@@ -390,7 +390,7 @@ def contact_force(
 
 @inner
 def advance_anchor(limit: float, anchor_stiffness: float, slip: Vector, bristle: Vector) -> Vector:
-    """Deflection e1 [m] of an anchor after a step with the slip w; beyond the limit it yields."""
+    """Deflection e1 [m] of an anchor after a step with the slip w; it yields beyond the limit."""
     ex = bristle[0] + slip[0]
     ey = bristle[1] + slip[1]
     ez = bristle[2] + slip[2]
@@ -431,7 +431,7 @@ def advance_bristle(
 def contact_energy(law: ContactLaw, depth: float, bristle: Vector) -> float:
     """Energy that a contact stores [J]: 2/5 k d^(5/2) + 1/2 k_a e^2.
 
-    What a step dissipates is -F.u less the change of this.
+    A step dissipates -F.u minus the change of this energy.
     """
     stored = 0.5 * law.anchor_stiffness * (bristle[0] ** 2 + bristle[1] ** 2 + bristle[2] ** 2)
     if depth > 0.0:

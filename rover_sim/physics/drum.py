@@ -2,25 +2,25 @@
 
     (J_d + N^2 J_m) w' = R T + N tau_m (through the gear) - friction(w) - brake,    v_pay = R w
 
-with all torques at the drum and w > 0 paying out. T is the tether's pull at the drum. It may be
-negative: until it buckles a tether pushes, and what it pushes with when its end is paid out faster
-than it falls is work of the drum. The wound tether's own inertia is left out (5 g/m on a drum of
-0.05 m radius: 100 m add 5 % to the default drum's). Standstill is exact (module `shaft`): braked,
-the rate is zero to the last bit as long as brake and friction carry the load.
+with all torques at the drum; w > 0 pays out. T is the tether's pull at the drum. It may be
+negative: a tether carries compression until it buckles, and if its end is paid out faster than it
+falls, the drum does work on it. The wound tether's inertia is neglected (5 g/m on a drum of 0.05 m
+radius: 100 m add 5 % to the default drum's). Standstill is exact (module `shaft`): while brake and
+friction carry the load, the rate is exactly zero.
 
-Brake. It is open only while powered. `release_brake` starts to open it after `release_delay`, its
-withdrawal closes it after `engage_delay`; a change of mind starts the delay anew. Closed, it is
-dry friction of the torque `brake_torque`. The delays are resolved to the substep.
+Brake. It is open only while powered. `release_brake` opens it after `release_delay`, its withdrawal
+closes it after `engage_delay`; a change of the command restarts the delay. The closed brake is dry
+friction of the torque `brake_torque`. The delays are resolved to the substep.
 
-Stops. At `min_length` (fully reeled in) and `max_length` (nothing more to pay out) the drum stops
-dead, in the middle of a substep if need be; what its motion held becomes heat.
+Stops. At `min_length` (fully reeled in) and `max_length` (fully paid out) the drum stops at once,
+within a substep if necessary; its kinetic energy becomes heat.
 
 Layers. With `layer_pitch` > 0 the tether is wound in layers of `turns_per_layer`: each layer's
-radius is larger by the pitch, and over the last quarter turn of a layer the radius climbs to the
-next. The length is the integral of the very rate that the tether sees; `length_at` gives it in
-closed form from the angle.
+radius is larger by the pitch, and over the last quarter turn of a layer the radius rises to the
+next. The length is the integral of the payout rate; `length_at` computes it in closed form from
+the angle.
 
-Energy, exact to rounding in every step:
+Energy balance of every step, exact to rounding:
 d(kinetic) = motor work + tension work - gear, friction, brake and stop heat.
 """
 
@@ -53,15 +53,15 @@ from rover_sim.physics.shaft import (
 )
 
 _TURN = 2.0 * math.pi
-_CLIMB = 0.25  # turns over which the tether climbs to the next layer
+_CLIMB = 0.25  # turns over which the tether rises to the next layer
 
 
 @dataclass(frozen=True)
 class DrumParameters:
     """A winch for a 10 kg rover on the Moon, slow enough to need no more than 100 W.
 
-    Defaults: weight 16.2 N at 0.05 m asks for 0.81 N m, so the brake's 2 N m are 2.5 times the
-    weight. Reflected to the tether the drum weighs J/R^2 = 11 kg, as much as the rover.
+    Defaults: a weight of 16.2 N at 0.05 m needs 0.81 N m, so the brake's 2 N m are 2.5 times the
+    weight. Reflected to the tether the drum's mass is J/R^2 = 11 kg, about the rover's.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -79,11 +79,11 @@ class DrumParameters:
         )
     )
     brake_torque: float = 2.0  # at the drum [N m]
-    engage_delay: float = 0.02  # power off until the brake bites [s]
+    engage_delay: float = 0.02  # power off until the brake is closed [s]
     release_delay: float = 0.04  # power on until it is open [s]
-    min_length: float = 0.0  # paid out when fully reeled in [m]
-    max_length: float = 60.0  # paid out when nothing is left [m]
-    layer_pitch: float = 0.0  # growth of the radius by layer [m]; 0: one radius for all
+    min_length: float = 0.0  # paid-out length when fully reeled in [m]
+    max_length: float = 60.0  # paid-out length when fully paid out [m]
+    layer_pitch: float = 0.0  # increase of the radius per layer [m]; 0: constant radius
     turns_per_layer: float = 40.0
     motor: MotorParameters = field(
         default_factory=lambda: MotorParameters(
@@ -116,7 +116,7 @@ class DrumParameters:
 
 
 class Drum(NamedTuple):
-    """`DrumParameters` as the compiled functions see them."""
+    """`DrumParameters` for compiled functions."""
 
     radius: float
     inertia: float  # J_d + N^2 J_m
@@ -131,47 +131,47 @@ class Drum(NamedTuple):
     max_length: float
     layer_pitch: float
     turns_per_layer: float
-    full_turns: float  # wound when min_length = 0 is paid out
+    full_turns: float  # turns wound when nothing is paid out
     motor: Motor
 
 
 class DrumState(NamedTuple):
     """State of the drum; `initial_state` makes one that is consistent."""
 
-    angle: float  # turned since nothing was paid out, the encoder [rad]
+    angle: float  # drum angle, zero when nothing is paid out: the encoder [rad]
     length: float  # paid out, unstretched, at the drum [m]
     rate: float  # w [rad/s], > 0 pays out
     braked: bool  # whether the brake is closed
-    brake_clock: float  # since when it is asked for the other [s]
+    brake_clock: float  # time since the opposite state was commanded [s]
     integral: float  # of the rate servo [N m]
 
 
 class DrumCommand(NamedTuple):
-    """What the drum is asked to do. While the brake is closed the rate servo rests.
+    """Command to the drum. While the brake is closed the rate servo is off.
 
-    The feed-forward torque acts against the closed brake too, so that a load can be taken over
+    The feed-forward torque acts against the closed brake too, so that the motor can carry the load
     before the brake opens.
     """
 
     mode: int  # MotorMode: OFF, TORQUE or RATE
-    torque: float  # at the motor shaft [N m], > 0 pays out; with RATE fed forward
-    payout_rate: float  # with RATE [m/s]
+    torque: float  # at the motor shaft [N m], > 0 pays out; with RATE: feed-forward
+    payout_rate: float  # setpoint with RATE [m/s]
     max_torque: float  # at the motor shaft [N m]; inf: the motor's own limit
     release_brake: bool  # power the brake open
 
 
 class DrumOutputs(NamedTuple):
-    """What the drum did in the step."""
+    """Outputs of the drum in a step."""
 
-    payout_rate: float  # mean of the step [m/s]: length grew by this times h
+    payout_rate: float  # mean of the step [m/s]: change of length / h
     motor_torque: float  # at the motor shaft [N m]
     current: float  # of the motor [A]
-    stuck: bool  # stood still throughout the step
-    stop: int  # -1 at the stop fully reeled in, +1 with nothing left, 0 between
+    stuck: bool  # at rest throughout the step
+    stop: int  # -1: stop fully reeled in, +1: stop fully paid out, 0: neither
 
 
 class DrumEnergyBalance(NamedTuple):
-    """Energy of the step [J]; the heats are never negative."""
+    """Energy balance of a step [J]; no heat is negative."""
 
     kinetic: float  # at the step's end
     motor_work: float  # of the motor on its shaft
@@ -183,7 +183,7 @@ class DrumEnergyBalance(NamedTuple):
 
 
 def make_drum(parameters: DrumParameters) -> Drum:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     values = {
         name: float(getattr(parameters, name))
         for name in Drum._fields
@@ -202,7 +202,7 @@ def make_drum(parameters: DrumParameters) -> Drum:
 
 
 def initial_state(drum: Drum, length: float) -> DrumState:
-    """A braked drum at rest with a length paid out [m].
+    """State of a braked drum at rest with a paid-out length [m].
 
     Raises:
         ValueError: the length lies outside the drum's stops.
@@ -216,7 +216,7 @@ def initial_state(drum: Drum, length: float) -> DrumState:
 
 
 def _turns_wound(drum: Drum, wound: float) -> float:
-    """Inverse of `wound_length` by Newton's method; it converges as the length is convex."""
+    """Inverse of `wound_length` by Newton's method; it converges because the length is convex."""
     turns = wound / (_TURN * drum.radius)
     for _ in range(100):
         step = (wound_length(drum, turns) - wound) / (_TURN * radius_at(drum, turns))
@@ -228,7 +228,7 @@ def _turns_wound(drum: Drum, wound: float) -> float:
 
 @checked
 def radius_at(drum: Drum, turns: float) -> float:
-    """Radius [m] of the outermost tether when so many turns are wound."""
+    """Radius [m] of the outermost turn when `turns` are wound."""
     if drum.layer_pitch == 0.0:
         return drum.radius
     layer = math.floor(max(turns, 0.0) / drum.turns_per_layer)
@@ -238,7 +238,7 @@ def radius_at(drum: Drum, turns: float) -> float:
 
 @checked
 def wound_length(drum: Drum, turns: float) -> float:
-    """Length [m] of so many turns wound: 2 pi times the integral of `radius_at`."""
+    """Length [m] of `turns` wound: 2 pi times the integral of `radius_at`."""
     if drum.layer_pitch == 0.0:
         return _TURN * drum.radius * turns
     n = drum.turns_per_layer
@@ -251,14 +251,14 @@ def wound_length(drum: Drum, turns: float) -> float:
 
 @checked_inner
 def length_at(drum: Drum, angle: float) -> float:
-    """Length paid out [m] at a drum angle [rad], in closed form."""
+    """Paid-out length [m] at a drum angle [rad], in closed form."""
     return drum.max_length - wound_length(drum, drum.full_turns - angle / _TURN)
 
 
 @checked_inner
 def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool, float]:
-    """Whether the brake is closed during the step, and its clock after it."""
-    if release != state.braked:  # as asked for
+    """Whether the brake is closed in the step, and its clock at the end."""
+    if release != state.braked:  # as commanded
         return state.braked, 0.0
     delay = drum.release_delay if state.braked else drum.engage_delay
     if state.brake_clock >= delay - 0.5 * h:
@@ -275,12 +275,12 @@ def advance(
     Args:
         drum: from `make_drum`.
         state: at the start of the step.
-        command: held over the step.
+        command: constant over the step.
         tension: pull of the tether at the drum [N].
         h: duration [s], > 0.
 
     Returns:
-        State at the end, outputs and energy books of the step.
+        State at the end, outputs and energy balance of the step.
     """
     braked, clock = _brake(drum, state, command.release_brake, h)
     rate = state.rate

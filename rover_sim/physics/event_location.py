@@ -1,7 +1,7 @@
-"""Instants inside a step at which a quantity has an extremum or crosses a level.
+"""Locate events inside a step: the instant of an extremum or of a level crossing.
 
-Between the step's ends the quantity is taken as the cubic through its values and rates there,
-which differs from a smooth motion by the fourth power of the step.
+Inside the step a quantity is interpolated by the cubic Hermite polynomial of its values and rates
+at the ends; its error is of fourth order in the step.
 """
 
 from rover_sim.physics.compiled import inner, kernel
@@ -9,7 +9,7 @@ from rover_sim.physics.compiled import inner, kernel
 
 @kernel
 def hermite(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
-    """Cubic through values and rates at 0 and h, at the time t."""
+    """Cubic Hermite polynomial of the values and rates at 0 and h, at the time t."""
     u = t / h
     return (
         y0
@@ -21,7 +21,7 @@ def hermite(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) ->
 
 @inner
 def hermite_rate(t: float, h: float, y0: float, dy0: float, y1: float, dy1: float) -> float:
-    """Derivative of `hermite` by t."""
+    """Derivative of `hermite` with respect to t."""
     u = t / h
     return (
         dy0

@@ -1,7 +1,7 @@
-"""Where Newton's iteration starts: increments extrapolated from the steps before.
+"""Initial guess of a step's Newton iteration, extrapolated from the previous steps.
 
-What is extrapolated are the mid-step rates D/h, which the midpoint rule leaves smooth where its
-rates at the steps' ends alternate.
+The mid-step rates D/h are extrapolated: the midpoint rule leaves them smooth even where the rates
+at the steps' ends alternate.
 """
 
 from typing import NamedTuple
@@ -13,15 +13,15 @@ from rover_sim.physics.compiled import inner
 
 
 class History(NamedTuple):
-    """Mid-step rates of the last three steps, the last one first."""
+    """Mid-step rates of the last three steps, latest first."""
 
     rates: Array  # of the tether, (3, 2 dim, width)
-    extra_rates: Array  # of what else moves, (3, m)
-    instants: Array  # their instants relative to the start of the coming step [s], (3,)
+    extra_rates: Array  # of the other unknowns (rover, exit slope), (3, m)
+    instants: Array  # their instants relative to the start of the next step [s], (3,)
 
 
 def make_history(rows: int, width: int, extra_rates: int) -> History:
-    """Allocate for a tether's rows and so many further increments."""
+    """Allocate for `rows` of a tether and `extra_rates` other increments."""
     return History(np.zeros((3, rows, width)), np.zeros((3, extra_rates)), np.zeros(3))
 
 
@@ -29,7 +29,7 @@ def make_history(rows: int, width: int, extra_rates: int) -> History:
 def extrapolate(
     history: History, h: float, past_steps: int, increment: Array, extra: Array
 ) -> None:
-    """Set the increments of a step of length h by Lagrange's polynomial through 1 to 3 steps."""
+    """Extrapolate the increments of a step of length h by Lagrange polynomials of 1 to 3 steps."""
     rates, extra_rates, instants = history
     at = 0.5 * h
     first, second, third = 1.0, 0.0, 0.0
@@ -58,19 +58,19 @@ def extrapolate(
 def record_step(
     history: History, h: float, stored_steps: int, length: float, increment: Array, extra: Array
 ) -> int:
-    """Push the increments of a finished step of length h onto the history.
+    """Add the increments of an accepted step of length h to the history.
 
     Args:
-        history: to push onto.
+        history: changed.
         h: [s].
-        stored_steps: how many steps the history holds.
-        length: of an element [m], to weigh slopes against positions.
+        stored_steps: number of steps in the history.
+        length: of an element [m], which scales slopes to positions.
         increment: of the tether.
         extra: the other increments.
 
     Returns:
-        The depth of `extrapolate` that would have been best for this step, 1 if none was possible:
-        low orders for rough motion, whose noise extrapolation amplifies.
+        The number of past steps with which `extrapolate` would have been best for this step, 1 if
+        the history was too short: rough motion needs a low order, as extrapolation amplifies noise.
     """
     rates, extra_rates, instants = history
     inverse = 1.0 / h

@@ -1,7 +1,7 @@
-"""What the plant in space remembers and reports besides its motion: indices, and who fills them.
+"""Integrator memory, report and events of the spatial plant: array indices and their writers.
 
-Arrays of floats with named entries, as compiled functions want them: `memory` is kept from call to
-call, `report` tells of one call, rows of `events` of what happened in it.
+Compiled functions use arrays of floats with named entries: `memory` persists from call to call,
+`report` holds the results of one call, and the rows of `events` its events.
 """
 
 import numpy as np
@@ -13,19 +13,19 @@ from rover_sim.physics.spatial_rover import POSITION, SPIN, VELOCITY1, orientati
 from rover_sim.physics.spatial_step import Losses
 from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
 
-# Entries of the array `memory`: what is remembered besides motion and machines.
+# Entries of the array `memory`: state besides the motion and the drives, and energy sums.
 (
     TIME,  # [s]
-    ELEMENTS,  # of the tether's chain
+    ELEMENTS,  # number, of the tether's chain
     FAIRLEAD_TENSION,  # at the fairlead in the last step [N]
     LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
-    LEFT_TORQUE_SLOPE,  # its fall with the wheel's rate [N m s]
+    LEFT_TORQUE_SLOPE,  # its decrease per wheel rate [N m s]
     RIGHT_TORQUE,
     RIGHT_TORQUE_SLOPE,
-    TWIST,  # of the rover against the tether's natural frame [rad]
+    TWIST,  # of the rover against the tether's twist-free frame [rad]
     SWIVEL_SLIP,  # of the swivel [rad]
-    CONTACT_TIME,  # when something of the rover last touched the ground [s]
-    AIRBORNE,  # 1 after it has not for a while
+    CONTACT_TIME,  # of the rover's last contact with the ground [s]
+    AIRBORNE,  # 1 while the rover is airborne
     TAKE_OFF_TIME,  # [s]
     TAKE_OFF_X,  # of G1 [m]
     TAKE_OFF_Y,
@@ -36,7 +36,7 @@ from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_
     INPUT_JUMP,  # work of the motors since the start [J]
     INPUT_WHEELS,
     INPUT_WINCH,
-    INPUT_TETHER,  # energy of the tether that came through the fairlead [J]
+    INPUT_TETHER,  # energy carried through the fairlead by paid-out tether [J]
     HEAT_TETHER,  # dissipated since the start [J]
     HEAT_SLIDER,
     HEAT_JUMP,
@@ -45,16 +45,16 @@ from rover_sim.physics.vectors import Vector, add, cross, dot, rotate, rotation_
     HEAT_ROVER_GROUND,
     HEAT_TETHER_GROUND,
     HEAT_SWIVEL,
-    INPUT_REMESHING,  # change of energy by joining elements [J]
-    INITIAL_ENERGY,  # energy stored at the start [J]
+    INPUT_REMESHING,  # change of energy by merging elements [J]
+    INITIAL_ENERGY,  # energy stored at the start of the run [J]
 ) = range(32)
 MEMORY_SIZE = 32
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
 
-# Rows of the event array: kind, time [s], place of G1 [m], its speed [m/s], its rise since the last
-# take-off [m], tension [N], and a value of the event's own: the latch's or the drum stop's state.
+# Rows of the event array: kind, time [s], position of G1 [m], its speed [m/s], its rise since the
+# last take-off [m], tension [N], and a value specific to the kind: state of latch or drum stop.
 (
     EVENT_TAKE_OFF,
     EVENT_APEX,
@@ -67,14 +67,14 @@ OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
 EVENT_SIZE = 9
 MAX_EVENTS = 64
 
-# Entries of the array `report`; forces, currents and flags are those of the last step.
+# Entries of the array `report`; forces, currents and flags are of the last step.
 (
     ITERATIONS,
     SMALLEST_STEP,  # [s]
     HALVINGS,
     ELAPSED,  # [s]
     PEAK_TENSION,  # [N]
-    KINETIC,  # [J], as the next six at the end
+    KINETIC,  # [J]; energies at the end of the call
     GRAVITY,
     AXIAL,
     BENDING,
@@ -89,7 +89,7 @@ MAX_EVENTS = 64
     LEFT_LOAD,  # normal force of the ground on the left wheel [N]
     RIGHT_LOAD,
     BODY_LOAD,  # on the corners of both bodies
-    TETHER_CONTACT_POINTS,  # number of the tether's points that touch the ground
+    TETHER_CONTACT_POINTS,  # number of the tether's points in contact
     JUMP_TORQUE,  # of the motor [N m]
     JUMP_CURRENT,  # [A]
     NUT_FORCE,  # [N]
@@ -131,7 +131,7 @@ def record_event(
 
 @inner
 def report_loads(corners: int, contact: RoverContactStep, near: bool, report: Array) -> float:
-    """Report the normal forces on the rover, which has so many corners; returns their sum [N]."""
+    """Report the normal forces on the rover's corners and wheels; returns their sum [N]."""
     report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
     if not near:
         return 0.0
@@ -159,10 +159,10 @@ def _hub_velocity(body: Array, hub: Vector) -> Vector:
 def record_wheel_torques(
     contact: RoverContact, step: RoverContactStep, before: Array, after: Array, memory: Array
 ) -> None:
-    """Remember the ground's torques on the wheels, as the next step will find them.
+    """Store the ground's torques on the wheels for the next step of the wheel drive.
 
-    The torques are those of this step's slip; until the next one Body 1 turns and moves on, by the
-    changes of its rates in this step, and so does the slip of a wheel that keeps its own rate.
+    The torques belong to this step's slip. They are extrapolated to the next step by the change of
+    Body 1's rates in this step, for wheels that keep their own rates.
     """
     swung = after[SPIN + 1] - before[SPIN + 1]
     for wheel in range(2):
@@ -180,7 +180,7 @@ def record_wheel_torques(
 
 @inner
 def add_losses(losses: Losses, memory: Array) -> None:
-    """Add a step's losses to the books."""
+    """Add a step's losses to the energy sums."""
     memory[HEAT_TETHER] += losses.tether
     memory[HEAT_SLIDER] += losses.slider
     memory[HEAT_ROVER_GROUND] += losses.rover_ground

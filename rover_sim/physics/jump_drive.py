@@ -1,52 +1,51 @@
 """Jump drive: motor with flywheel, ball screw, nut and latch.
 
-Shaft. Motor, flywheel and screw turn as one with the rate v relative to Body 1 and the inertia J:
+Shaft. Motor, flywheel and screw turn together at the rate v relative to Body 1, inertia J:
 
     J v' = tau_m - friction(v) - load(F, direction of v) - J W',      nut: y = p/(2 pi) angle
 
-W is Body 1's rate about the flywheel's axis, base_link +x; a positive rate drives the nut down,
-which compresses. A nut that pushes with F costs F p/(2 pi eta) going down and gives back
-F p eta_b/(2 pi) going up, eta_b = 2 - 1/eta: the usual estimates for a screw, whose friction angle
-is the same both ways. With eta <= 0.5 eta_b is not positive and the screw is self-locking. The
+W is Body 1's rate about the flywheel's axis, base_link +x; a positive rate moves the nut down,
+which compresses the spring. With the nut force F the screw torque is F p/(2 pi eta) going down and
+F p eta_b/(2 pi) going up, eta_b = 2 - 1/eta: the usual estimates for a screw with equal friction
+angles in both directions. With eta <= 0.5 eta_b is not positive and the screw is self-locking. The
 efficient ball screw (0.9) is not: without motor torque a compressed spring drives it back.
-The bevel gear between flywheel and screw has the ratio 1, its losses are in eta and the friction,
-and the screw's own momentum about the slider axis (1e-6 kg m^2) is neglected. Seen from the nut
-the inertia is J (2 pi/p)^2, 10 t: during a release the nut stands still.
+The bevel gear between flywheel and screw has the ratio 1 and its losses are part of eta and of the
+friction; the screw's momentum about the slider axis (1e-6 kg m^2) is neglected. Reflected to the
+nut the inertia is J (2 pi/p)^2, 10 t: during a release the nut is practically at rest.
 
-Body 1's equation takes the momentum h = J (v + W), absolute and along base_link +x, with the
-rotor's spin inertia left out of Body 1's. W is the rate at the start of the step, so the rotor
-takes the body's angular acceleration of the step before.
+Body 1's equation contains the momentum h = J (v + W), absolute and along base_link +x; Body 1's
+inertia excludes the rotor's spin inertia. W is the rate at the start of the step, so the rotor
+feels the body's angular acceleration of the previous step.
 
-Positions. y [m] is the nut's position counted as compression: a nut at y touches the latch of a
-Body 2 whose compression x = l0 - s is y. y runs from -free_travel (top) to stroke + over_travel;
-with the spring relaxed the nut is free for y < 0, that is for free_travel/p = 30 turns. At the two
-ends the nut stops dead and gives its momentum to Body 1; what its motion held becomes heat.
+Positions. y [m] is the nut's position expressed as compression: a nut at y touches the latch of a
+Body 2 whose compression x = l0 - s is y. y ranges from -free_travel (top) to stroke + over_travel;
+with the spring relaxed the nut is free for y < 0, that is for free_travel/p = 30 turns. At both
+ends the nut stops at once and its momentum passes to Body 1; its kinetic energy becomes heat.
 
-Latch. g = y - x is how far the nut stands below the latch's face.
+Latch. g = y - x is the distance of the nut below the latch's face.
 
     state        the nut ...                      leaves to       when
-    FREE         is above the latch, clear of     ENGAGED         g >= 0, it stands
-                 it: a reaction wheel             COMPRESSING     g >= 0, it goes down
-    ENGAGED      lies on the latch and holds or   COMPRESSING     it goes down
-                 goes up (soft let-down)          FREE            g < -clearance
-    COMPRESSING  pushes Body 2 down               ENGAGED         it stands or goes up
+    FREE         is above the latch, clear of     ENGAGED         g >= 0, it is at rest
+                 it: a reaction wheel             COMPRESSING     g >= 0, it moves down
+    ENGAGED      is in contact with the latch, at COMPRESSING     it moves down
+                 rest or moving up                FREE            g < -clearance
+    COMPRESSING  pushes Body 2 down               ENGAGED         it is at rest or moves up
                                                   FREE            g < -clearance
                                                   RELEASED        y reaches the trip
-    RELEASED     is below the latch, which let    HOOKING         the release is over, 0 < g <=
-                 go; it holds back with a force                   hook_depth and g falls
-                 that falls to zero in            FREE            the release is over, g <= 0
-                 release_time
-    HOOKING      climbs past the latch and lifts  FREE            g <= 0: the latch snaps in
-                 it with a force that rises to    RELEASED        g > hook_depth
-                 hook_force
+    RELEASED     is below the tripped latch,      HOOKING         the release is over, 0 < g <=
+                 whose holding force falls to                     hook_depth and g decreases
+                 zero in release_time             FREE            the release is over, g <= 0
+    HOOKING      moves up past the latch and      FREE            g <= 0: the latch snaps in
+                 lifts it with a force that       RELEASED        g > hook_depth
+                 rises to hook_force
 
-The trip is the only event that changes forces at once, so it is located inside the step: `advance`
-then stops there, `elapsed` tells how far it came, and the caller advances the rest. The latch trips
-at the compression asked for (`JumpCommand.trip`; inf: not before the stroke's end), allowing for
-the elastic deflection of the nut, and always at the stroke's end.
+The trip is the only event with a sudden change of force, so it is located inside the step:
+`advance` stops there, `elapsed` is the time advanced, and the caller advances the rest. The latch
+trips at the commanded compression (`JumpCommand.trip`; inf: not before the stroke's end), corrected
+for the elastic deflection of the nut, and always at the stroke's end.
 
-Energy, exact to rounding in every step: d(kinetic) = motor work + body work - nut work - screw,
-friction and stop heat.
+Energy balance of every step, exact to rounding: d(kinetic) = motor work + body work - nut work
+- screw, friction and stop heat.
 """
 
 import math
@@ -81,18 +80,17 @@ from rover_sim.physics.shaft import (
 )
 from rover_sim.physics.slider import NutAction, Slider, nut_force
 
-# The position loop: its gain [1/s], the share of the motor's torque that it plans to brake with,
-# and the distance within which it is content [m].
+# The position loop: gain [1/s], fraction of the motor's torque planned for braking, dead band [m].
 _POSITION_GAIN = 10.0
 _BRAKING_SHARE = 0.5
 _POSITION_TOLERANCE = 2.0e-5
-# An event this close to either end of a step counts as there, as a fraction of the step.
+# Fraction of a step within which an event counts as at the step's start or end.
 _SHORTEST = 1.0e-3
 _INFINITE = float("inf")
 
 
 class Latch(IntEnum):
-    """State of nut and latch; the table in the module's docstring says what leads where."""
+    """State of nut and latch; the module's docstring lists the transitions."""
 
     FREE = 0
     HOOKING = 1
@@ -123,14 +121,14 @@ class JumpDriveParameters:
         )
     )
     free_travel: float = 0.060  # of the nut above the relaxed latch [m]
-    stroke: float = 0.20  # compression at which the latch trips at the latest [m]
+    stroke: float = 0.20  # largest compression at which the latch trips [m]
     over_travel: float = 0.010  # of the nut beyond the stroke [m]
-    soft_margin: float = 0.006  # before either end of the free travel: flagged [m]
+    soft_margin: float = 0.006  # to either end of the free travel: sets the soft limit [m]
     momentum_limit: float = 0.3  # J v at which the flywheel counts as saturated [N m s]
-    clearance: float = 1.0e-3  # that separates ENGAGED from FREE; covers a bounce [m]
-    hook_depth: float = 2.0e-3  # height of the latch that the nut climbs past [m]
-    hook_force: float = 3.0  # that it takes at its end [N]
-    release_time: float = 1.5e-3  # in which the latch lets go [s]
+    clearance: float = 1.0e-3  # between ENGAGED and FREE; covers a bounce [m]
+    hook_depth: float = 2.0e-3  # height of the latch that the nut moves past [m]
+    hook_force: float = 3.0  # at the end of hooking [N]
+    release_time: float = 1.5e-3  # in which the latch's force falls to zero [s]
     motor: MotorParameters = field(
         default_factory=lambda: MotorParameters(
             max_torque=0.15,  # twice what the stroke's end needs
@@ -160,7 +158,7 @@ class JumpDriveParameters:
 
 
 class JumpDrive(NamedTuple):
-    """`JumpDriveParameters` as the compiled functions see them."""
+    """`JumpDriveParameters` for compiled functions."""
 
     pitch: float  # p/(2 pi) [m/rad]
     efficiency: float
@@ -185,25 +183,25 @@ class JumpState(NamedTuple):
     latch: int  # Latch
     nut: float  # y [m]
     rate: float  # v, relative to Body 1 [rad/s]
-    body_rate: float  # W that the last step assumed at its end [rad/s]
+    body_rate: float  # W of the previous step [rad/s]
     integral: float  # of the rate servo [N m]
-    released_for: float  # since the last trip [s]; inf once the latch has let go
+    released_for: float  # time since the last trip [s]; inf after the release
     trip_force: float  # of the nut at the last trip [N]
 
 
 class JumpCommand(NamedTuple):
-    """What the jump motor is asked to do."""
+    """Command to the jump motor."""
 
     mode: int  # MotorMode
-    torque: float  # TORQUE: at the shaft [N m], > 0 compresses; RATE, POSITION: fed forward
-    position: float  # POSITION: of the nut, y [m]
-    rate: float  # RATE: of the nut, y' [m/s]; POSITION: its largest magnitude
-    max_force: float  # POSITION and RATE: that the nut may use [N]; inf: the motor's own limit
+    torque: float  # TORQUE: at the shaft [N m], > 0 compresses; RATE, POSITION: feed-forward
+    position: float  # POSITION: setpoint of the nut, y [m]
+    rate: float  # RATE: setpoint of the nut, y' [m/s]; POSITION: limit of its magnitude
+    max_force: float  # POSITION and RATE: limit of the nut force [N]; inf: the motor's limit
     trip: float  # compression at which the latch trips [m]; inf: at the stroke's end
 
 
 class JumpLoads(NamedTuple):
-    """What the drive sees of the bodies at the step's start."""
+    """Motion of the bodies at the step's start, as input of the drive."""
 
     slider: float  # s [m]
     slider_rate: float  # s' [m/s]
@@ -211,35 +209,35 @@ class JumpLoads(NamedTuple):
 
 
 class JumpOutputs(NamedTuple):
-    """What the drive did in the step."""
+    """Outputs of the drive in a step."""
 
-    elapsed: float  # how far the step went [s]: h, or less if the latch tripped
-    tripped: bool  # at the end of what elapsed; 0 s if it was due at once
-    nut: NutAction  # for the slider's force over what elapsed
-    nut_force: float  # that loaded the screw [N]
+    elapsed: float  # time advanced [s]: h, or less if the latch tripped
+    tripped: bool  # at the end of `elapsed`, which is 0 if the trip was already due
+    nut: NutAction  # for the slider's force during `elapsed`
+    nut_force: float  # load on the screw [N]
     momentum: float  # h about base_link +x at the end, absolute [N m s]
     torque_on_body: float  # mean, -dh/dt about +x [N m]
     motor_torque: float  # [N m]
     current: float  # [A]
-    saturated: bool  # the flywheel turns as fast as it may
+    saturated: bool  # the flywheel is at its momentum limit
     soft_limit: int  # -1 / +1: within the margin of the upper / lower end of the free travel
     hard_limit: int  # -1 / +1: at the upper / lower end of the screw
 
 
 class JumpEnergyBalance(NamedTuple):
-    """Energy of the step [J]; the heats are never negative."""
+    """Energy balance of a step [J]; no heat is negative."""
 
     kinetic: float  # of the rotor at the end, absolute
     motor_work: float
-    body_work: float  # of Body 1 carrying the rotor
-    nut_work: float  # on Body 2, given to the slider
+    body_work: float  # of Body 1's rotation on the rotor
+    nut_work: float  # of the nut on Body 2
     screw_heat: float
     friction_heat: float
     stop_heat: float
 
 
 def make_jump_drive(parameters: JumpDriveParameters) -> JumpDrive:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     derived = {"pitch", "back_efficiency", "friction", "rate_limit", "motor"}
     values = {
         name: float(getattr(parameters, name)) for name in JumpDrive._fields if name not in derived
@@ -255,7 +253,7 @@ def make_jump_drive(parameters: JumpDriveParameters) -> JumpDrive:
 
 
 def initial_state(drive: JumpDrive, nut: float | None = None) -> JumpState:
-    """A drive at rest with the nut above the latch, by default in the middle of its free travel.
+    """State of a drive at rest, the nut above the latch, by default at half its free travel.
 
     Raises:
         ValueError: the nut's position is not in the free travel.
@@ -302,7 +300,7 @@ def _motor_torque(
 
 @checked_inner
 def _holding_force(drive: JumpDrive, state: JumpState, h: float) -> float:
-    """Mean force [N] over h of a latch that lets go; it falls linearly from the trip's."""
+    """Mean force [N] over h of the releasing latch; it falls linearly from the trip force."""
     left = drive.release_time - state.released_for
     if left <= 0.0:
         return 0.0
@@ -312,7 +310,7 @@ def _holding_force(drive: JumpDrive, state: JumpState, h: float) -> float:
 
 @checked_inner
 def _next_latch(drive: JumpDrive, latch: int, gap: float, gap_rate: float, rate: float) -> int:
-    """The state that the latch goes to; `gap` is g, `rate` the screw's. Not the trip."""
+    """Next state of the latch, the trip excluded; `gap` is g, `rate` the screw's."""
     if latch in (_RELEASED, _HOOKING):
         if gap <= 0.0:
             return _FREE
@@ -326,7 +324,7 @@ def _next_latch(drive: JumpDrive, latch: int, gap: float, gap_rate: float, rate:
 
 @checked_inner
 def _screw_torques(drive: JumpDrive, load: float) -> tuple[float, float]:
-    """What a load F p/(2 pi) [N m] costs the shaft when the nut goes down, and when it goes up."""
+    """Shaft torque [N m] of a load F p/(2 pi) [N m] when the nut moves down, and when up."""
     if load >= 0.0:
         return load / drive.efficiency, load * drive.back_efficiency
     return load * drive.back_efficiency, load / drive.efficiency
@@ -341,7 +339,7 @@ def _shaft_motion(
     force: float,
     h: float,
 ) -> tuple[ShaftMotion, float]:
-    """Motion of the shaft over h, and the sliding friction that it met [N m]."""
+    """Motion of the shaft over h, and its sliding friction [N m]."""
     down_torque, up_torque = _screw_torques(drive, force * drive.pitch)
     drag = torque - drive.inertia * (body_rate - state.body_rate) / h
     sliding = sliding_torque(drive.friction, state.rate)
@@ -362,9 +360,9 @@ def _shaft_motion(
 
 @checked_inner
 def _time_to_angle(motion: ShaftMotion, start: float, angle: float) -> float:
-    """When a motion that ends forward reaches an angle within it [s]; `start` is its first rate."""
+    """Time at which a motion that ends forward reaches an angle [s]; `start` is its first rate."""
     if motion.first > 0.0 and motion.first >= angle:
-        # Constant acceleration: angle = t (start + a t / 2), the root that does not cancel.
+        # Constant acceleration: angle = t (start + a t / 2), root without cancellation.
         end = 2.0 * motion.first / motion.first_time - start
         acceleration = (end - start) / motion.first_time
         root = math.sqrt(max(start * start + 2.0 * acceleration * angle, 0.0))
@@ -382,18 +380,18 @@ def advance(
     loads: JumpLoads,
     h: float,
 ) -> tuple[JumpState, JumpOutputs, JumpEnergyBalance]:
-    """Advance the drive by h, or up to the trip of the latch if that comes first.
+    """Advance the drive by h, or to the trip of the latch if that is earlier.
 
     Args:
         drive: from `make_jump_drive`.
         slider: the slider that the nut presses on.
         state: at the start of the step.
-        command: held over the step.
+        command: constant over the step.
         loads: of the bodies at the start of the step.
         h: duration [s], > 0.
 
     Returns:
-        State at the end of what elapsed, outputs and energy books of it.
+        State at the end of the elapsed time, outputs and energy balance.
     """
     compression = slider.free_length - loads.slider
     latch = state.latch

@@ -9,15 +9,15 @@ from rover_sim.physics.parameter_ranges import check_ranges
 
 
 class MotorMode(IntEnum):
-    """What the motor's drive is asked to do."""
+    """Control mode of the motor's drive."""
 
     OFF = 0  # no current, the rotor turns freely
-    TORQUE = 1  # the torque asked for, within the limits
-    RATE = 2  # holds the rate asked for; the torque asked for is fed forward
-    POSITION = 3  # runs to a position at no more than the rate asked for (jump drive only)
+    TORQUE = 1  # commanded torque, within the limits
+    RATE = 2  # rate servo; the commanded torque is the feed-forward
+    POSITION = 3  # moves to a position, limited to the commanded rate (jump drive only)
 
 
-# Plain integers, as the compiled functions and their states want them.
+# Plain integers for compiled functions.
 OFF, TORQUE, RATE, POSITION = (int(mode) for mode in MotorMode)
 
 
@@ -31,9 +31,9 @@ class MotorParameters:
 
     max_torque: float  # the drive's current limit [N m], > 0
     stall_torque: float  # at the bus voltage, without the current limit [N m], > 0
-    no_load_rate: float  # where the voltage leaves no driving torque [rad/s], > 0
+    no_load_rate: float  # at which back-EMF leaves no driving torque [rad/s], > 0
     torque_constant: float  # [N m/A], > 0
-    servo_bandwidth: float  # of the rate servo [rad/s], > 0; far below 2/h of the substep
+    servo_bandwidth: float  # of the rate servo [rad/s], > 0; choose far below 2/h
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -49,7 +49,7 @@ class MotorParameters:
 
 
 class Motor(NamedTuple):
-    """`MotorParameters` as the compiled functions see them."""
+    """`MotorParameters` for compiled functions."""
 
     max_torque: float
     stall_torque: float
@@ -59,7 +59,7 @@ class Motor(NamedTuple):
 
 
 def make_motor(parameters: MotorParameters) -> Motor:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     return Motor(
         float(parameters.max_torque),
         float(parameters.stall_torque),
@@ -71,11 +71,11 @@ def make_motor(parameters: MotorParameters) -> Motor:
 
 @checked_inner
 def limited_torque(motor: Motor, requested: float, rate: float, limit: float) -> float:
-    """The torque [N m] that the motor gives at a rate when `requested` is asked for.
+    """Torque [N m] of the motor at a rate for a requested torque.
 
-    Driving, the back-EMF leaves stall_torque (1 - |rate|/no_load_rate); braking, only the current
-    limit counts. `limit` is a further bound on the magnitude. A wanted value that is not a number
-    gives no torque.
+    When driving, back-EMF limits it to stall_torque (1 - |rate|/no_load_rate); when braking, only
+    the current limit applies. `limit` is a further bound on the magnitude. A requested NaN gives
+    zero torque.
     """
     bound = min(motor.max_torque, limit)
     if requested * rate > 0.0:
@@ -104,8 +104,8 @@ def rate_servo(
     """Torque [N m] of the PI rate loop and its new integral [N m].
 
     With bandwidth b and inertia J at the motor the gains are J b and J b^2/4, so that the loop is
-    critically damped on the bare inertia. The integral rests while the torque is at its limit,
-    unless it would lead back inside.
+    critically damped on the bare inertia. While the torque is at its limit, the integral only
+    changes towards the inside of the limit (anti-windup).
     """
     error = rate_setpoint - rate
     gain = inertia * motor.servo_bandwidth

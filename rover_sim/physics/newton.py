@@ -1,8 +1,8 @@
-"""When Newton's iteration for a step has converged, and when it will not.
+"""Convergence test of a step's Newton iteration, with an estimate of its quadratic rate.
 
-A Newton increment is followed by one of about C times its square. C is measured while the
-iteration runs; an increment whose successor would be far below the tolerance by that word ends the
-iteration without it. After so many steps that ended on its word C is measured again.
+Near the solution an increment of size d is followed by one of about C d^2. C is measured during the
+iteration; if it predicts a next increment far below the tolerance, the iteration ends without it.
+After `_VALID_STEPS` steps that ended on such a prediction, C is measured again.
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ from rover_sim.physics.compiled import checked_inner
 CONTINUE, CONVERGED, FAILED = range(3)
 
 MAX_ITERATIONS = 12
-# Nodes of a converged step turn less than this [rad]; more is a wrong root or too coarse a step.
+# Largest change of a node's slope in a sound step [rad]; more is a wrong root or too long a step.
 MAX_TURN = 1.0
 
-# Entries of the array `convergence`: C, and steps since it was measured.
+# Entries of the array `convergence`: rate constant C [1/m], and steps since its measurement.
 RATE_CONSTANT, STEPS_SINCE_MEASURED = range(2)
 CONVERGENCE_SIZE = 2
 _VALID_STEPS = 8.0
@@ -25,7 +25,7 @@ _MARGIN = 0.1
 
 @checked_inner
 def reset_rate(convergence: Array) -> None:
-    """Have C measured in the next step, and forget what it was."""
+    """Discard the rate constant C, so that the next step measures it."""
     convergence[RATE_CONSTANT] = 0.0
     convergence[STEPS_SINCE_MEASURED] = _VALID_STEPS
 
@@ -34,17 +34,17 @@ def reset_rate(convergence: Array) -> None:
 def convergence_status(
     iteration: int, change: float, previous: float, tolerance: float, convergence: Array
 ) -> int:
-    """What to do after an iteration.
+    """Decide after an iteration whether it has converged.
 
     Args:
         iteration: its number, from 0.
         change: size of its increment [m].
-        previous: size of the increment before [m]; inf in the first.
+        previous: size of the previous increment [m]; inf in the first iteration.
         tolerance: [m].
         convergence: (CONVERGENCE_SIZE,), changed.
 
     Returns:
-        GO_ON, CONVERGED, or FAILED for an increment that is not finite or that grows.
+        CONTINUE, CONVERGED, or FAILED (increment not finite or growing, or MAX_ITERATIONS).
     """
     if not np.isfinite(change) or (iteration > 1 and change > 2.0 * previous):
         return FAILED

@@ -1,4 +1,4 @@
-"""Ranges of parameters: one check for all frozen dataclasses of the mechanisms."""
+"""Range check of the parameters of the mechanisms."""
 
 import math
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ def check_ranges(
     not_negative: Iterable[str] = (),
     fraction: Iterable[str] = (),
 ) -> None:
-    """Refuse the first field that is not finite or lies outside its range.
+    """Raise an error for the first field that is not finite or out of its range.
 
     Args:
         parameters: object whose attributes are checked.
@@ -20,7 +20,7 @@ def check_ranges(
         fraction: fields that must be above 0 and at most 1.
 
     Raises:
-        ValueError: naming the field, its value and what would be right.
+        ValueError: states the field, its value and the permitted range.
     """
     for name in positive:
         value = getattr(parameters, name)

@@ -1,9 +1,8 @@
-"""The planar motion of a tether with a rover, a weight or nothing at its tip, stepped in time.
+"""Time stepping of the planar plant: a tether with a rover, a point mass or a free tip.
 
-A rover stands on the ground, which holds it where it is, flies from its take-off to its landing,
-and stands again. Each time step is one Newton iteration over tether (`energy_momentum`) and rover
-(`planar_rover`) together, and is divided into halves where that does not converge. Axes and symbols
-are those of `planar_rover`.
+The ground holds a standing rover fixed; the rover flies from take-off to landing and stands again.
+Each time step solves tether (`energy_momentum`) and rover (`planar_rover`) in one Newton iteration,
+and is halved where that does not converge. Axes and symbols are those of `planar_rover`.
 """
 
 from typing import NamedTuple
@@ -50,16 +49,16 @@ from rover_sim.physics.planar_rover import (
 )
 from rover_sim.physics.tether import Tether, row_width, tether_energies
 
-# Entries of the array `memory`: what is remembered besides the motion.
+# Entries of the array `memory`: state besides the motion, and energy sums.
 (
     TIME,  # [s]
     COMPRESSION,  # of the jump spring by its drive [m]
-    TAKE_OFF_TIME,  # [s], as the next three of the last take-off
+    TAKE_OFF_TIME,  # [s]; this and the next three are of the last take-off
     TAKE_OFF_X,  # of G1 [m]
     TAKE_OFF_Y,  # [m]
     TAKE_OFF_THETA,  # [rad]
     MAX_RISE,  # largest rise of G1 since take-off [m]
-    INPUT,  # energy put in since the start [J]
+    INPUT,  # energy input since the start [J]
     DISSIPATED,  # energy dissipated since the start [J]
     INITIAL_ENERGY,  # energy stored at the start [J]
 ) = range(10)
@@ -82,9 +81,9 @@ MAX_EVENTS = 32
     ITERATIONS,  # Newton iterations
     SMALLEST_STEP,  # [s]
     PEAK_TENSION,  # [N], see `end_step`
-    HALVINGS,  # how often a step was halved
-    ELAPSED,  # [s], less than asked for after a divergence or a stop
-    KINETIC,  # [J], as the next four at the end
+    HALVINGS,  # number of halved steps
+    ELAPSED,  # [s], less than dt after a divergence or a stop
+    KINETIC,  # [J]; energies at the end of the call
     GRAVITY,
     AXIAL,
     BENDING,
@@ -103,11 +102,11 @@ class Model(NamedTuple):
 
     tether: Tether
     rover: Rover
-    has_rover: bool  # else `rover` is not looked at
+    has_rover: bool  # else `rover` is not used
     tip_mass: float  # of a tether without a rover [kg]
-    root_pinned: bool  # position of the first node held
-    root_clamped: bool  # its slope held
-    linear_rates: bool  # take-off sets the tether's rates linear in arc length, else the tip's only
+    root_pinned: bool  # position of the first node fixed
+    root_clamped: bool  # slope of the first node fixed
+    linear_rates: bool  # take-off sets the tether's rates linear in arc length, else only the tip's
     hold_after_landing: bool
     breaking_load: float  # [N]
     step: float  # h [s]
@@ -116,7 +115,7 @@ class Model(NamedTuple):
 
 
 class Solver(NamedTuple):
-    """Work arrays of `advance`; but for the report nothing in them outlives a call."""
+    """Work arrays of `advance`; only the report is valid after a call."""
 
     work: Workspace
     q1: Array  # (4, width), the state after an attempted step
@@ -126,7 +125,7 @@ class Solver(NamedTuple):
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
     history: History
     convergence: Array  # (CONTROL_SIZE,), see `newton`
-    search: Array  # (4,): of the touchdown's instant, see `_locate_touchdown`
+    search: Array  # (4,): state of the touchdown search, see `_locate_touchdown`
     report: Array  # of the last call, (REPORT_SIZE,)
 
 
@@ -151,7 +150,7 @@ def make_solver(elements: int) -> Solver:
 def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]:
     """Kinetic, gravity, axial, bending and spring energy of the whole system [J].
 
-    Potentials of gravity are zero at the origin's level.
+    The potential of gravity is zero at the origin.
     """
     kinetic, gravity, axial, bending = tether_energies(model.tether, q, v)
     spring = 0.0
@@ -189,9 +188,9 @@ def _add_point_mass(model: Model, h: float, v0: Array, work: Workspace) -> None:
 def _set_initial_guess(
     n: int, h: float, v: Array, body: Array, past_steps: int, flying: bool, solver: Solver
 ) -> None:
-    """Start the Newton iteration from `past_steps` of the past steps, or from the rates if it is 0.
+    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0.
 
-    Coordinates that are held do not move.
+    The increments of fixed coordinates are zero.
     """
     work = solver.work
     increment = work.increment
@@ -225,13 +224,13 @@ def attempt_step(
     past_steps: int,
     solver: Solver,
 ) -> tuple[bool, float, float]:
-    """Try one step of length h; the state after it is left in the solver.
+    """Attempt one step of length h and write its end state to the solver.
 
-    `flying` says whether the rover moves; if not and there is one, the tip is held. `past_steps` is
-    that of the predictor.
+    If `flying` is false, the tip of a tether with a rover is fixed. The initial guess extrapolates
+    from `past_steps` steps; 0: from the rates.
 
     Returns:
-        Whether Newton's iteration converged to a sound state, the energy dissipated [J] and the
+        Whether Newton's iteration converged to a valid state, the energy dissipated [J] and the
         largest tension [N].
     """
     work = solver.work
@@ -280,8 +279,8 @@ def take_off(
 ) -> None:
     """Give both bodies the velocity [m/s], with the spring at its free length; in place.
 
-    The tether's last node gets the same velocity, the other nodes keep theirs, or all get rates
-    linear in arc length (`linear_rates`). What the system's energy grows by is booked as input.
+    The tether's last node gets the same velocity; the other nodes keep theirs, or all get rates
+    linear in arc length (`linear_rates`). The change of the system's energy is added to INPUT.
     """
     n = model.tether.elements
     before = stored_energy(model, q, v, body)
@@ -306,7 +305,7 @@ def take_off(
 
 @inner
 def _hold_rover(model: Model, q: Array, v: Array, body: Array, memory: Array) -> None:
-    """Stop the rover where it is; its energy of motion is booked as dissipated."""
+    """Stop the rover where it is and add its kinetic energy to DISSIPATED."""
     before = stored_energy(model, q, v, body)
     for k in range(VX1, BODY_SIZE):
         body[k] = 0.0
@@ -343,10 +342,10 @@ def _record(
 
 @inner
 def _falls_through(body: Array, body1: Array, level: float, accuracy: float) -> bool:
-    """Whether G1 falls through the level between two states, having been above it.
+    """Whether G1 falls through the level between two states, from above.
 
-    A state within ten times the accuracy of the level, where a touchdown ends a step, counts as
-    above only if it rises.
+    A state closer to the level than ten times the accuracy, as after a touchdown, is above it only
+    if it rises.
     """
     margin = 10.0 * accuracy
     above = body[Y1] > level + (margin if body[VY1] <= 0.0 else -margin)
@@ -355,11 +354,10 @@ def _falls_through(body: Array, body1: Array, level: float, accuracy: float) -> 
 
 @inner
 def _locate_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
-    """Look at a step of length h that may end at the level; if not, say which length to try next.
+    """Check whether a step of length h ends at the level; if not, set the next length to try.
 
-    The step's own end as a function of its length is searched for the level: first where the cubic
-    through both ends has it, then by the secant method, within a bracket. What is remembered
-    between the tries is in solver.search.
+    The search varies the step's length: first to the crossing of the Hermite cubic, then by
+    Newton's method within a bracket, else by bisection. solver.search holds its state.
 
     Returns:
         Whether the step ends at the level, to the accuracy [m].
@@ -386,7 +384,7 @@ def _locate_touchdown(h: float, level: float, accuracy: float, body: Array, solv
 
 @inner
 def _accept_step(solver: Solver, q: Array, v: Array, body: Array) -> None:
-    """Make the attempted step's end the state."""
+    """Copy the end state of an attempted step to the state."""
     for k in range(q.shape[0]):
         for i in range(q.shape[1]):
             q[k, i] = solver.q1[k, i]
@@ -397,7 +395,7 @@ def _accept_step(solver: Solver, q: Array, v: Array, body: Array) -> None:
 
 @inner
 def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) -> None:
-    """Report the energies and how far the rover's own position has drifted from the tether's."""
+    """Report the energies and the drift between rover attachment and tether tip."""
     kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
     report[KINETIC] = kinetic
     report[GRAVITY] = gravity
@@ -427,25 +425,25 @@ def advance(
     events: Array,
     solver: Solver,
 ) -> tuple[int, int, int]:
-    """Step the planar tether and rover by dt in place, with all that happens on the way.
+    """Advance the planar tether and rover by dt in place, with events.
 
     Args:
         model: constants.
         q: nodal coordinates in rows, (4, width).
         v: their rates.
         body: the rover's state (BODY_SIZE,).
-        memory: what else is remembered (BOOK_SIZE,).
-        phase: HELD, FLIGHT, LANDED or FREE; nothing moves in the other two.
+        memory: integrator memory (MEMORY_SIZE,).
+        phase: HELD, FLIGHT, LANDED or FREE; the other two phases are final.
         jump_drive: setpoint of the compression [m], its rate [m/s] (0: off), and whether the latch
             trips at the setpoint.
         dt: [s].
         stop_at_touchdown: return at the touchdown instead of at dt.
-        events: (m, EVENT_SIZE), filled in order; apexes lower than an earlier one are left out.
+        events: (m, EVENT_SIZE), filled in order; an apex below an earlier one is omitted.
         solver: work arrays of one thread; its report is filled.
 
     Returns:
-        Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last good
-        state, after OUTCOME_BROKEN that at the end of the step in which the tether broke.
+        Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last
+        converged state, after OUTCOME_BROKEN the state after the step that broke the tether.
     """
     report = solver.report
     for k in range(REPORT_SIZE):
@@ -465,7 +463,7 @@ def advance(
         if dt - elapsed < step * (1.0 + 1e-6):
             step = dt - elapsed
 
-        # The jump drive: to its setpoint at its rate; the latch trips there, or holds.
+        # The jump drive moves to its setpoint at its rate; there the latch trips or holds.
         trips = False
         if phase in (HELD, LANDED) and jump_drive[1] > 0.0:
             distance = jump_drive[0] - memory[COMPRESSION]
@@ -477,7 +475,7 @@ def advance(
             else:
                 memory[COMPRESSION] += np.sign(distance) * min(abs(distance), jump_drive[1] * step)
 
-        # The step, in parts where Newton's iteration does not converge at full length.
+        # The step, divided where Newton's iteration does not converge at full length.
         flying = phase == FLIGHT
         unit = 1 << model.max_halvings
         part, left = unit, unit

@@ -1,7 +1,7 @@
-"""The source paper's planar model as it is printed: a redundant DAE with multipliers.
+"""The source paper's planar model as printed: a redundant DAE with Lagrange multipliers.
 
-Every tether element keeps coordinates of its own, e_i = (r1, r1', r2, r2') (equation 2), and each
-body has three, G = (x, y, theta) (10); constraints join them:
+Every tether element has its own coordinates, e_i = (r1, r1', r2, r2') (equation 2), and each body
+three, G = (x, y, theta) (10); constraints connect them:
 
     (15) tether to ground, (16) element to element, (17) tether to Body 1, (13) Body 2 to Body 1,
 
@@ -11,13 +11,13 @@ multipliers solve the saddle equations (20),
     [ M   Cq^T ] [ q''    ]   [ Q_E   ]
     [ Cq   0   ] [ lambda ] = [ gamma ],    gamma = -(Cq q')_q q' - 2 v Cq q' - v^2 C,
 
-where the stabilisation C'' + 2 v C' + v^2 C = 0 is our reading of (19), which the paper's text
-does not show completely. Classical Runge-Kutta steps integrate them, so the step is bound by the
-tether's axial wave: h < 0.43 l sqrt(rho/E).
+where the stabilisation C'' + 2 v C' + v^2 C = 0 is our reading of (19), which is not completely
+legible in the paper's text. Classical Runge-Kutta steps integrate them; the tether's axial wave
+limits the step: h < 0.43 l sqrt(rho/E).
 
-This is the reference for the assembled integrator and shares no code with it: the integrals of
-the element's polynomials are taken exactly, by algebra instead of quadrature. Strain-rate
-damping, which the paper does not have, is optional.
+This is the reference for the assembled integrator and shares no code with it: the element's
+polynomials are integrated exactly, by algebra instead of quadrature. Strain-rate damping, which
+the paper does not have, is optional.
 """
 
 from collections.abc import Callable
@@ -33,11 +33,11 @@ from rover_sim.physics.tether_section import TetherSection
 Array = NDArray[np.float64]
 
 DEFAULT_STABILISATION = 20.0
-"""v [1/s]; 5 to 100 serve at 1 ms."""
+"""v [1/s]; 5 to 100 are suitable at 1 ms."""
 
 
 class RoverData(Protocol):
-    """What the model needs to know of the rover (a scenario's rover has it all)."""
+    """Parameters of the rover that the model uses; a scenario's rover has them all."""
 
     @property
     def m1(self) -> float:
@@ -102,7 +102,7 @@ class JumpState(Protocol):
 
 @dataclass(frozen=True)
 class DaeTrajectory:
-    """What `PlanarDae.integrate` gives: samples over time, the start included.
+    """Result of `PlanarDae.integrate`: samples over time, including the start.
 
     Attributes:
         time: (k,) [s].
@@ -162,9 +162,9 @@ class PlanarDae:
         self._linear = self._linear_constraints()
 
     def coordinates(self, state: JumpState) -> tuple[Array, Array]:
-        """Coordinates q and rates q', (8n + 6,) each, of a state that joins the parts.
+        """Coordinates q and rates q', (8n + 6,) each, of a state of the assembled model.
 
-        Body 1 is put where its attachment meets the last node.
+        Body 1's position is computed from the last node.
         """
         return _spread(state.nodes, self._bodies_of(state)), _spread(
             state.node_rates, self._body_rates_of(state)
@@ -176,14 +176,14 @@ class PlanarDae:
         """Integrate from a state by Runge-Kutta steps of fourth order.
 
         Args:
-            state: where to start; time starts at 0.
+            state: initial state, at time 0.
             duration: [s], a whole number of steps.
             h: step [s].
-            sample_every: keep each so-many-th step.
+            sample_every: steps between samples.
 
         Raises:
             ValueError: duration is not a whole number of steps.
-            ArithmeticError: the motion left the finite numbers; says when.
+            ArithmeticError: the motion is no longer finite; states the time.
         """
         steps = round(duration / h)
         if steps < 1 or abs(steps * h - duration) > 1e-9 * duration:
@@ -198,7 +198,7 @@ class PlanarDae:
                 constraint = self._largest_constraint(motion[0])
             largest = max(largest, constraint)
             if not np.isfinite(constraint):
-                raise ArithmeticError(f"the motion left the finite numbers at {index * h:g} s")
+                raise ArithmeticError(f"the motion diverged: not finite at {index * h:g} s")
             if index % sample_every == 0 or index == steps:
                 samples.append((index * h, motion))
         return DaeTrajectory(
@@ -254,7 +254,7 @@ class PlanarDae:
         return matrix
 
     def curvature_terms(self, q: Array, rate: Array) -> Array:
-        """(Cq q')_q q', (4n + 2,): what of C'' stands without q''."""
+        """(Cq q')_q q', (4n + 2,): the terms of C'' without q''."""
         terms = np.zeros(self._count)
         x1, y1, th1, x2, y2, th2 = q[-6:]
         vx1, vy1, w1, vx2, vy2, w2 = rate[-6:]
@@ -302,8 +302,8 @@ class PlanarDae:
     def _curvature_damping(self, e: Array, e_rate: Array) -> Array:
         """Force int dkappa/dt (d kappa/d e) dx of the curvature kappa = r' x r''/|r'|^2.
 
-        e and its rate are (n, 4, 2), as is the result. Unlike the rate of r'' itself it vanishes
-        in a rigid turn.
+        e, its rate and the result are (n, 4, 2). Unlike the rate of r'' the force is zero in a
+        rigid rotation.
         """
         integrals = self._integrals
         slope, bend = integrals.slopes @ e, integrals.curves @ e
@@ -370,7 +370,7 @@ class PlanarDae:
         return np.concatenate([np.tile(element.ravel(), self.elements), bodies])
 
     def _linear_constraints(self) -> Array:
-        """The constraints' constant Jacobian; rows that turn with the body are left open."""
+        """Constant part of the constraints' Jacobian; rows that depend on theta stay zero."""
         matrix = np.zeros((self._count, self._size))
         matrix[:2, :2] = np.eye(2)
         for joint in range(self.elements - 1):
@@ -385,9 +385,9 @@ class PlanarDae:
 
 @dataclass(frozen=True)
 class _ElementIntegrals:
-    """Integrals of products of an element's shape functions over its length, exact.
+    """Exact integrals of products of an element's shape functions over its length.
 
-    What is no polynomial, the curvature, is summed over points instead.
+    The curvature is not a polynomial and is integrated by quadrature.
     """
 
     length: float
@@ -450,7 +450,7 @@ def _runge_kutta_step(derivative: Callable[[Array], Array], motion: Array, h: fl
 
 
 def _spread(nodes: Array, bodies: Array) -> Array:
-    """Shared nodes as the elements' own coordinates, then the bodies'."""
+    """Coordinates q from shared nodes and bodies."""
     elements = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
     return np.concatenate([elements.ravel(), bodies])
 
@@ -466,7 +466,7 @@ def _turned(angle: float, vector: ArrayLike) -> Array:
 
 
 def _quarter_turn(vector: Array) -> Array:
-    """The vector turned by +90 degrees: w times it is w x vector."""
+    """The vector rotated by +90 degrees: w times it is w x vector."""
     return np.array([-vector[1], vector[0]])
 
 

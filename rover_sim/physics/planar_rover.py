@@ -1,23 +1,23 @@
-"""The planar rover, two bodies on a slider, at the last node of a tether.
+"""The planar rover: two bodies on a slider, attached to the last node of a tether.
 
 The paper's axes: x horizontal, y up, theta counter-clockwise, slider axis (-sin theta, cos theta).
-Body 1 carries the tether at the body-fixed point p = (a, b); Body 2 has Body 1's orientation and
-its centre lies the distance s along the slider, at b = (0, s). With the tether's last node r_n
+The tether is attached to Body 1 at the body-fixed point p = (a, b). Body 2 has Body 1's
+orientation; its centre is at b = (0, s) along the slider. With the tether's last node r_n
 
     G1 = r_n - R p,     G2 = G1 + R b,
 
-so r_n, theta and s are the unknowns and no constraint force appears. A step turns the rover by the
-Cayley parameter th = 2 tan(dtheta/2), whose rate gives the angular velocity, th = h (w0 + w1)/2;
-with R_m = (R_0 + R_1)/2 the equations of the step are, for f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g,
+so r_n, theta and s are the unknowns and no constraint force appears. The Cayley parameter of a
+step's rotation is th = 2 tan(dtheta/2) = h (w0 + w1)/2, which defines the angular velocity w; with
+R_m = (R_0 + R_1)/2 the equations of the step are, for f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g,
 
     last node   tether + f_1 + f_2 = 0
     rotation    (J_1 + J_2)(w1 - w0)/h - R_m p x f_1 + (B - R_m p) x f_2 = 0
     slider      (1 + th^2/4) R_m e_y . f_2 + k (s_m - l_0) + c ds/h = 0
 
-(index m: mean of start and end; B = (R_0 b_0 + R_1 b_1)/2). These are the levers at which the
-angular momentum is conserved; and because R_1 - R_0 turns vectors by th across R_m exactly, the
-work of the forces is the change of the energies, which is thus conserved without damping.
-Rotation and slide are condensed into the last node before the tether's elimination.
+(index m: mean of start and end; B = (R_0 b_0 + R_1 b_1)/2). These levers conserve the angular
+momentum; and because (R_1 - R_0) u = th J R_m u exactly (J the quarter turn), the work of the
+forces equals the change of the energies: without damping the energy is conserved. Rotation and
+slide are condensed into the last node before the tether's elimination.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,7 @@ def rover_energies(
 ) -> tuple[float, float, float]:
     """Kinetic, gravity and spring energy [J] under the gravity vector `pull` [m/s^2].
 
-    Gravity's potential is zero at the origin.
+    The potential of gravity is zero at the origin.
     """
     gx, gy = pull
     x2 = body[X1] - np.sin(body[THETA]) * body[SLIDE]
@@ -75,16 +75,16 @@ def rover_energies(
 def add_rover(
     tether: Tether, rover: Rover, h: float, body: Array, turn: Array, z: Array, work: Workspace
 ) -> None:
-    """Add the rover to the tether's tip: its rows condensed onto the last node's position.
+    """Add the rover to the tether's tip, condensed onto the last node's position.
 
     Args:
         tether: constants.
         rover: constants.
         h: length of the step [s].
-        body: the rover at its start, (BODY_SIZE,).
-        turn: increments th and ds so far, (2,).
-        z: (2, 3), gets K_zz^-1 (g, K_zr) of these two for `rover_increment`.
-        work: the tether's, holding its increment so far.
+        body: the rover at the step's start, (BODY_SIZE,).
+        turn: current increments th and ds, (2,).
+        z: (2, 3), filled with K_zz^-1 (g, K_zr) of th and ds for `rover_increment`.
+        work: of the tether, with its current increment.
     """
     gx, gy = tether.gravity
     n = tether.elements
@@ -179,9 +179,9 @@ def add_rover(
 
 @inner
 def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
-    """Apply Newton's increment of th and ds, from that of node n; returns the sum of their sizes.
+    """Apply the Newton increment of th and ds, given that of node n; returns |dth| + |dds|.
 
-    Their sum and not the larger, which could lose a NaN.
+    A sum, because a maximum could drop a NaN.
     """
     size = 0.0
     for k in range(2):
@@ -195,7 +195,7 @@ def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
 def end_rover_step(
     n: int, rover: Rover, h: float, body: Array, turn: Array, work: Workspace, body1: Array
 ) -> float:
-    """Write the rover's state after a converged step; returns the damper's loss [J]."""
+    """Write the rover's state after a converged step; returns the damper's dissipation [J]."""
     th, ds = turn[0], turn[1]
     theta1 = body[THETA] + 2.0 * np.arctan(0.5 * th)
     sm = body[SLIDE] + 0.5 * ds

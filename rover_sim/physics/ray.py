@@ -1,4 +1,4 @@
-"""How far it is from a point to the ground along a line: what a range finder would measure."""
+"""Distance from a point to the ground along a line, as a range finder measures it."""
 
 import math
 
@@ -23,16 +23,15 @@ def _depth_at(terrain: Terrain, origin: Vector, direction: Vector, distance: flo
 
 @checked
 def distance_to_ground(terrain: Terrain, origin: Vector, direction: Vector, reach: float) -> float:
-    """Distance [m] along a unit vector to where the ground begins; inf if beyond `reach`.
+    """Distance [m] to the ground along a unit vector; inf beyond `reach`, 0 inside the ground.
 
-    What the line only grazes by less than a centimetre may be missed. A point inside the ground
-    has the distance 0.
+    Ground that the line grazes by less than a centimetre may be missed.
 
     Args:
         terrain: the ground.
-        origin: where the line starts [m].
+        origin: start of the line [m].
         direction: unit vector.
-        reach: how far is looked [m].
+        reach: largest distance [m].
     """
     distance = 0.0
     depth = _depth_at(terrain, origin, direction, distance)

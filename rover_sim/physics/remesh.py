@@ -1,21 +1,20 @@
-"""Splitting and merging at the fairlead: how the chain of elements grows and shrinks with payout.
+"""Remeshing at the fairlead: the chain of elements grows and shrinks with the paid-out length.
 
-The exit element (`variable_length`) runs from the fairlead to the chain's first node. When it has
-become long, a new node cuts one element of nominal length off it, for the chain; this is exact.
-When it has become short, it and the chain's first element are merged: the node between them goes,
-and the new exit element runs from the fairlead to the next node, which keeps its place, slope and
-rates. What is left to choose are three numbers each for place and motion, the slope at the
-fairlead and its rate:
+The exit element (`variable_length`) extends from the fairlead to the chain's first node. When it is
+too long, a new node splits one element of nominal length off it, for the chain; this is exact. When
+it is too short, it is merged with the chain's first element: the node between them is removed, and
+the new exit element extends to the next node, which keeps its position, slope and rates. The free
+parameters of the merged element are the slope at the fairlead and its rate, three components each:
 
-- the slope is the one whose shape comes closest to the old one, int |r - r_old|^2 ds least, then
-  moved by as little as makes the mean of Green's strain the same. A bent piece of tether would
-  otherwise be shortened or lengthened by the merger, and EA makes much of a small length;
-- the slope's rate is the projection of the old velocity field in the norm of the mass,
-  int rhoA |v - v_old|^2 ds least.
+- the slope minimises int |r - r_old|^2 ds, and is then corrected by the smallest change that
+  preserves the mean of Green's strain: a merged bent tether would otherwise change its length, and
+  the axial stiffness turns a small change of length into a large energy;
+- the slope's rate is the projection of the old velocity field in the mass norm: it minimises
+  int rhoA |v - v_old|^2 ds.
 
-A single cubic cannot hold all that two held, so merging changes the energy by a little, which
-falls with a high power of the element's length; the step is returned, to be booked. Merging what
-has just been split gives back the same state.
+A single cubic cannot represent the field of two, so merging changes the energy slightly, by a high
+power of the element's length; `merge_first` returns the change. Splitting and then merging
+reproduces the state.
 """
 
 import math
@@ -31,7 +30,7 @@ _CURVATURE = curvature_functions(GAUSS_POINTS, 1.0)
 
 
 class _Span(NamedTuple):
-    """One direction of an element: what `field_at` takes."""
+    """One direction of an element: the arguments of `field_at`."""
 
     length: float  # undeformed [m]
     payout_rate: float  # of the material through its first node [m/s]
@@ -64,9 +63,9 @@ def _chain_span(length: float, q: Array, v: Array, d: int) -> _Span:
 
 
 @inner
-def _field(span: _Span, place: float) -> tuple[float, float, float, float]:
-    """Place, slope, velocity and its slope at a distance from the span's first node."""
-    return field_at(span.length, place, span.payout_rate, span.e, span.rate)
+def _field(span: _Span, s: float) -> tuple[float, float, float, float]:
+    """Position, slope, velocity and its slope at the distance s [m] from the span's first node."""
+    return field_at(span.length, s, span.payout_rate, span.e, span.rate)
 
 
 @inner
@@ -79,10 +78,10 @@ def split_first(
     v: Array,
     anchors: Array,
 ) -> float:
-    """Cut an element of nominal length off the exit element, as the chain's new first one.
+    """Split an element of nominal length off the exit element, as the chain's new first one.
 
     Args:
-        tether: the chain before, of n elements; its element_length is what is cut off.
+        tether: the chain before the split, of n elements; element_length is the nominal length.
         length: undeformed length of the exit element, above element_length [m].
         payout_rate: v_pay [m/s].
         fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3).
@@ -99,11 +98,11 @@ def split_first(
         span = _exit_span(
             length, payout_rate, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
         )
-        place, slope, speed, slope_speed = _field(span, left)
+        position, slope, speed, slope_speed = _field(span, left)
         for k in (d, 3 + d):
             for i in range(n + 1, 0, -1):
                 q[k, i], v[k, i] = q[k, i - 1], v[k, i - 1]
-        q[d, 0], q[3 + d, 0], v[d, 0], v[3 + d, 0] = place, slope, speed, slope_speed
+        q[d, 0], q[3 + d, 0], v[d, 0], v[3 + d, 0] = position, slope, speed, slope_speed
         for p in range(2 * n + 1, 1, -1):
             anchors[p, d] = anchors[p - 2, d]
         anchors[0, d], anchors[1, d] = 0.0, 0.0
@@ -120,23 +119,23 @@ def _quadrature_point(length: float, nominal: float, k: int) -> tuple[float, flo
 
 
 @inner
-def _old_field(first: _Span, second: _Span, place: float) -> tuple[float, float, float, float]:
-    """The field of the two elements to be merged."""
-    if place < first.length:
-        return _field(first, place)
-    return _field(second, place - first.length)
+def _old_field(first: _Span, second: _Span, s: float) -> tuple[float, float, float, float]:
+    """Field of the two elements to be merged, at the distance s [m] from the fairlead."""
+    if s < first.length:
+        return _field(first, s)
+    return _field(second, s - first.length)
 
 
 @inner
-def _slope_shape(length: float, place: float) -> tuple[float, float]:
+def _slope_shape(length: float, s: float) -> tuple[float, float]:
     """Shape function of an element's first slope, and its derivative."""
-    xi = place / length
+    xi = s / length
     return length * xi * (1.0 - xi) ** 2, (1.0 - xi) * (1.0 - 3.0 * xi)
 
 
 @inner
 def _fitted_slope(first: _Span, second: _Span, base: _Span) -> float:
-    """Exit slope of the merged element that leaves the shape closest; `base` has slope 0."""
+    """Exit slope of the merged element by least squares of the positions; `base` has slope 0."""
     numerator, denominator = 0.0, 0.0
     for k in range(2 * _POINTS):
         s, weight = _quadrature_point(first.length, second.length, k)
@@ -148,7 +147,7 @@ def _fitted_slope(first: _Span, second: _Span, base: _Span) -> float:
 
 @inner
 def _fitted_rate(first: _Span, second: _Span, base: _Span) -> float:
-    """Exit slope's rate that leaves the velocities closest; `base` has rate 0."""
+    """Exit slope's rate by least squares of the velocities; `base` has rate 0."""
     numerator, denominator = 0.0, 0.0
     for k in range(2 * _POINTS):
         s, weight = _quadrature_point(first.length, second.length, k)
@@ -160,36 +159,36 @@ def _fitted_rate(first: _Span, second: _Span, base: _Span) -> float:
 
 @inner
 def _stretch_terms(first: _Span, second: _Span, merged: _Span) -> tuple[float, float, float]:
-    """One direction's part in the integral of r'.r': excess of the new, its slope and curvature.
+    """One direction's part of int r'.r' ds: excess over the old value, gradient and curvature.
 
-    Slope and curvature are those of half the integral by the exit slope.
+    Gradient and curvature are the derivatives of half the integral with respect to the exit slope.
     """
-    excess, gradient, denominator = 0.0, 0.0, 0.0
+    excess, gradient, curvature = 0.0, 0.0, 0.0
     for k in range(2 * _POINTS):
         s, weight = _quadrature_point(first.length, second.length, k)
         _, shape = _slope_shape(merged.length, s)
         new = _field(merged, s)[1]
         excess += weight * (new * new - _old_field(first, second, s)[1] ** 2)
         gradient += weight * shape * new
-        denominator += weight * shape * shape
-    return excess, gradient, denominator
+        curvature += weight * shape * shape
+    return excess, gradient, curvature
 
 
 @inner
 def _restore_mean_strain(
-    excess: float, gradient: tuple[float, float, float], denominator: float
+    excess: float, gradient: tuple[float, float, float], curvature: float
 ) -> tuple[float, float, float]:
-    """The least change of the exit slope that takes the excess away, or as much as can be."""
+    """Smallest change of the exit slope that removes the excess, or minimises it."""
     steep = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
     if not steep > 0.0:
         return 0.0, 0.0, 0.0
-    move = -excess / (steep + math.sqrt(max(steep * steep - denominator * excess, 0.0)))
+    move = -excess / (steep + math.sqrt(max(steep * steep - curvature * excess, 0.0)))
     return move * gradient[0] / steep, move * gradient[1] / steep, move * gradient[2] / steep
 
 
 @inner
 def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
-    """Energy of an element [J], by quadrature that is exact."""
+    """Energy of an element [J] by exact quadrature."""
     length = spans[0].length
     total = 0.0
     for g in range(_POINTS):
@@ -197,9 +196,9 @@ def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
         square, density = 0.0, 0.0
         for d in range(3):
             span = spans[d]
-            place, slope, speed, _ = _field(span, s)
+            position, slope, speed, _ = _field(span, s)
             square += slope * slope
-            density += tether.line_density * (0.5 * speed * speed - tether.gravity[d] * place)
+            density += tether.line_density * (0.5 * speed * speed - tether.gravity[d] * position)
             bend = 0.0
             for i in range(4):
                 bend += _CURVATURE[g, i] * span.e[i] * (length if i % 2 == 1 else 1.0)
@@ -224,16 +223,16 @@ def merge_first(
     The new exit element is longer by the tether's element_length.
 
     Args:
-        tether: the chain before, of n elements, 2 or more.
+        tether: the chain before the merger, of n elements, 2 or more.
         length: undeformed length of the exit element [m].
         payout_rate: v_pay [m/s].
         fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3); changed.
-        q: rows (6, width) of the chain's n + 1 nodes; changed: the first of them goes.
+        q: rows (6, width) of the chain's n + 1 nodes; changed: the first node is removed.
         v: their rates; changed.
-        anchors: of the contact points (2 n or more, 3); changed: the first two of them go.
+        anchors: of the contact points (2 n or more, 3); changed: the first two are removed.
 
     Returns:
-        By what the tether's energy has changed [J], contact left out.
+        Change of the tether's energy [J], without contact.
     """
     n = tether.elements
     nominal = tether.element_length
@@ -251,15 +250,15 @@ def merge_first(
     )
     change = -_energy(tether, first) - _energy(tether, second)
 
-    excess, denominator = 0.0, 0.0
+    excess, curvature = 0.0, 0.0
     for d in range(3):
         base = _exit_span(merged_length, payout_rate, 0.0, 0.0, q, v, 1, d)
         fairlead_slope[0, d] = _fitted_slope(first[d], second[d], base)
         merged = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
-        more, fairlead_slope[1, d], denominator = _stretch_terms(first[d], second[d], merged)
+        more, fairlead_slope[1, d], curvature = _stretch_terms(first[d], second[d], merged)
         excess += more
     moves = _restore_mean_strain(
-        excess, (fairlead_slope[1, x], fairlead_slope[1, y], fairlead_slope[1, z]), denominator
+        excess, (fairlead_slope[1, x], fairlead_slope[1, y], fairlead_slope[1, z]), curvature
     )
     for d in range(3):
         fairlead_slope[0, d] += moves[d]

@@ -1,4 +1,4 @@
-"""The planar model's axes and those of REP-103, and nothing else.
+"""Conversion between the planar model's axes and those of REP-103.
 
 The planar model has x horizontal, y up and angles counter-clockwise seen with y up and x to the
 right. REP-103 has x forward, y left and z up. The plane is REP-103's x-z plane: the model's x is x,
@@ -23,12 +23,12 @@ def vector(planar: ArrayLike) -> Array:
 
 
 def planar_vector(vector: ArrayLike) -> Array:
-    """The part (..., 2) in the plane of vectors (..., 3) in REP-103 axes."""
+    """In-plane components (..., 2) of vectors (..., 3) in REP-103 axes."""
     return np.asarray(vector, dtype=np.float64)[..., [0, 2]]
 
 
 def rotation_rate(omega: float) -> Array:
-    """Angular velocity [rad/s] of the planar model as a vector (3,); moments alike."""
+    """Angular velocity [rad/s] of the planar model as a vector (3,) in REP-103 axes."""
     return np.array([0.0, -omega, 0.0])
 
 

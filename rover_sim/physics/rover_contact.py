@@ -1,15 +1,15 @@
-"""The rover on the ground: corners of both bodies and two wheels, inside an implicit step.
+"""Contact of the rover with the ground in an implicit step: corners of both bodies, two wheels.
 
-A corner is a point of contact (module `contact`). A wheel meets the floor and up to two rocks apart
-(modules `rim` and `wheel_contact`), each rock in a place of its own for as long as it is one of the
-two: so its anchor stays its own. The last two rows of the anchors remember which rock that is. The
-wheel's force acts on the body at the wheel's centre plus the arm to the touching point; about the
-axle the ground's torque is -M, which the wheel's own spin takes through the wheel drive and which
-the rotors' momentum carries to the body. Forces are averages over the step; the places where they
-act, normals and axles are those at its end.
+A corner is a contact point (module `contact`). A wheel has three contact slots: the floor and up to
+two rocks (modules `wheel_ground_geometry` and `wheel_contact`). A rock keeps its slot, and so its
+anchor, as long as it is one of the two; the last two rows of the anchors hold the rocks' keys. The
+wheel's force acts on the body at the wheel's centre plus the arm to the contact point; the ground's
+torque about the axle is -M, which changes the wheel's spin in the wheel drive and reaches the body
+through the rotors' momentum. Forces are averages over the step; points of action, normals and axles
+are those at its end.
 
-A wheel's tangent takes the touching point as fixed to the body, which is exact for a wheel that is
-held and a good guess for one that rolls.
+A wheel's tangent assumes a contact point fixed to the body: exact for a locked wheel, a good
+approximation for a rolling one.
 """
 
 from typing import NamedTuple
@@ -55,18 +55,18 @@ from rover_sim.physics.wheel_ground_geometry import (
     wheel_on_rock,
 )
 
-# A corner or rim farther from the ground than this at a step's start cannot reach it in the step.
+# A corner or wheel farther from the ground than this at a step's start cannot reach it [m].
 _NEAR = 0.05
-_FLOOR_SLOT = 0  # of a wheel's kinds of contact; the others are its rocks
+_FLOOR_SLOT = 0  # the other slots are for rocks
 CONTACTS_PER_WHEEL = 3
-"""Contacts of a wheel: the floor and two rocks."""
+"""Contact slots of a wheel: the floor and two rocks."""
 
 
 class RoverContact(NamedTuple):
-    """Where and how the rover touches the ground."""
+    """Contact model of the rover: corner points, wheels and materials."""
 
     corners: Array  # points in base_link, Body 2's from its own centre [m], (c, 3)
-    first_body2_corner: int  # corners from here on are Body 2's
+    first_body2_corner: int  # corners from this index on are Body 2's
     left_wheel: Vector  # centre in base_link [m]
     right_wheel: Vector
     radius: float  # of the rims [m]
@@ -79,7 +79,7 @@ class RoverContact(NamedTuple):
 class RoverContactStep(NamedTuple):
     """Arrays of one step's contacts."""
 
-    near: Array  # 1 where a contact is looked at: corners, then [wheel, kind], (c + 6,)
+    near: Array  # 1 where a contact is evaluated: corners, then [wheel, slot], (c + 6,)
     depth0: Array  # at the step's start [m], (c + 6,)
     depth1: Array  # at its end
     rock: Array  # 0 regolith .. 1 rock, of the corners, (c,)
@@ -90,12 +90,12 @@ class RoverContactStep(NamedTuple):
     force: Array  # on the rover [N], (c + 6, 3)
     torque: Array  # M against the spin [N m] and dM/dw [N m s], (6, 2)
     spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
-    rock_key: Array  # which rock each contact of a wheel is with, see `rim`, (2, KINDS)
-    dropped_energy: Array  # energy that rocks store which are looked at no more, or anew [J], (1,)
+    rock_key: Array  # rock in each slot of a wheel, see `wheel_ground_geometry`, (2, slots)
+    dropped_energy: Array  # stored by rocks that lost their slot, minus by new ones [J], (1,)
 
 
 def anchor_rows(corners: int) -> int:
-    """Rows of the anchors of a rover with so many corners."""
+    """Number of rows of the anchors of a rover with `corners` corners."""
     return corners + 2 * CONTACTS_PER_WHEEL + 2
 
 
@@ -121,9 +121,9 @@ def make_rover_contact_step(corners: int) -> RoverContactStep:
 
 
 @inner
-def _corner_ground(terrain: Terrain, place: Vector) -> tuple[float, float, float, float, float]:
-    """Depth, normal and rock at a place."""
-    return depth_and_normal(terrain, place[0], place[1], place[2])
+def _corner_ground(terrain: Terrain, point: Vector) -> tuple[float, float, float, float, float]:
+    """Depth, normal and rock at a point."""
+    return depth_and_normal(terrain, point[0], point[1], point[2])
 
 
 @inner
@@ -135,7 +135,7 @@ def _wheel_geometry(
     centre: Vector,
     axle: Vector,
 ) -> WheelContactGeometry:
-    """Deepest point of a rim in the floor or in a rock."""
+    """Deepest point of a wheel in the floor or in a rock."""
     if slot != _FLOOR_SLOT:
         return wheel_on_rock(terrain, centre, axle, contact.tip_radius, rock_key)
     radius = contact.tip_radius if terrain.floor_rock > 0.5 else contact.radius
@@ -152,7 +152,7 @@ def _find_rocks(
     contact: RoverContact, terrain: Terrain, wheel: int, hub: Vector, axle: Vector, anchors: Array,
     step: RoverContactStep,
 ) -> None:  # fmt: skip
-    """Give each of the two rocks that a wheel lies deepest in its place; it keeps one it had."""
+    """Assign the two rocks that a wheel is deepest in to slots; a rock keeps its previous slot."""
     corners = contact.corners.shape[0]
     first, key1, second, key2 = deepest_rocks(terrain, hub, axle, contact.tip_radius)
     previous_keys = anchors[corners + 2 * CONTACTS_PER_WHEEL + wheel]
@@ -167,7 +167,7 @@ def _find_rocks(
         step.rock_key[wheel, slot] = rock
         step.depth0[k] = depth
         if previous_keys[slot] not in (NO_ROCK, rock):
-            # Three in contact at once: what the one stores is not got back, the other's comes new.
+            # Three rocks in contact: the energy of the dropped one is lost, the new one's is added.
             before = wheel_on_rock(
                 terrain, hub, axle, contact.tip_radius, previous_keys[slot]
             ).depth
@@ -181,7 +181,7 @@ def _find_rocks(
 
 @inner
 def _anchor(corners: int, k: int, anchors: Array, step: RoverContactStep) -> Vector:
-    """Deflection of a contact's anchor at the step's start [m]; zero for a rock that is new."""
+    """Deflection of a contact's anchor at the step's start [m]; zero for a new rock."""
     w = k - corners
     if w >= 0:
         wheel, slot = w // CONTACTS_PER_WHEEL, w % CONTACTS_PER_WHEEL
@@ -200,12 +200,12 @@ def begin_rover_contact(
     anchors: Array,
     step: RoverContactStep,
 ) -> bool:
-    """Find the depths at the step's start; returns whether anything is near the ground.
+    """Compute the depths at the step's start; returns whether any contact is near the ground.
 
     Args:
         contact: contact model of the rover.
         terrain: the ground.
-        pose: of the step, of which the start is used.
+        pose: of the step; only its start is used.
         body: the rover's state.
         anchors: at the step's start [m], (anchor_rows, 3).
         step: filled.
@@ -376,7 +376,7 @@ def end_rover_contact(
     step: RoverContactStep,
     after: Array,
 ) -> tuple[float, float]:
-    """Carry the anchors on after an accepted step.
+    """Update the anchors after an accepted step.
 
     Args:
         contact: contact model of the rover.
@@ -388,8 +388,8 @@ def end_rover_contact(
         after: anchors at the step's end, filled.
 
     Returns:
-        Work of the ground on bodies and wheels together [J], and change of the energy that the
-        contacts store [J]; what the ground dissipates is minus their sum.
+        Work of the ground on bodies and wheels [J], and change of the energy that the contacts
+        store [J]; the ground dissipates minus their sum.
     """
     corners = contact.corners.shape[0]
     work, stored = 0.0, -step.dropped_energy[0]

@@ -1,16 +1,17 @@
-"""A shaft with dry friction: exact standstill, exact energy books.
+"""A shaft with dry friction: exact standstill, exact energy balance.
 
-The shaft obeys J w' = D(direction) - F(w) direction - c w - d w, with a drive D that may depend on
-the direction of motion (a gear passes less torque when it drives than when it is driven), dry
-friction F, a viscous coefficient c and the slope d of a load. Dry friction follows Stribeck's
-curve, F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of motion.
+The shaft obeys J w' = D(direction) - F(w) direction - c w - d w, with a drive torque D that may
+depend on the direction of motion (a lossy gear transmits less torque when it drives than when it is
+driven), dry friction F, a viscous coefficient c and the slope d of a load. Dry friction follows
+Stribeck's curve, F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of
+motion.
 
-A step is cut where the shaft comes to rest. There it stays, with a rate of exactly zero, as long
-as no direction's drive exceeds its breakaway friction; otherwise it leaves rest within the same
-step. So a step has at most two pieces, each under constant dry torques, with the viscous torque at
-the piece's mean rate (midpoint rule) and the load's slope at its end rate (implicit, so that a
-steep slope cannot overshoot). A piece's angle is its duration times its mean rate, hence torque
-times angle is its work to rounding, and J (w1^2 - w0^2)/2 equals the sum of these works.
+A step is divided where the shaft comes to rest. It remains at a rate of exactly zero as long as the
+drive exceeds the breakaway friction in neither direction; otherwise it leaves rest in the same
+step. So a step has at most two pieces, each with constant dry torques, the viscous torque at the
+piece's mean rate (midpoint rule) and the load's slope at its end rate (implicit, so that a steep
+slope cannot overshoot). A piece's angle is its duration times its mean rate; hence torque times
+angle is its work to rounding, and J (w1^2 - w0^2)/2 is the sum of the works.
 """
 
 import math
@@ -30,9 +31,9 @@ class FrictionParameters:
             the sliding torque.
     """
 
-    coulomb: float  # F_c, dry torque when turning fast [N m], >= 0
+    coulomb: float  # F_c, dry torque at high rate [N m], >= 0
     breakaway: float  # F_s, dry torque at rest [N m], >= F_c
-    stribeck_rate: float  # w_s, rate over which the one falls to the other [rad/s], > 0
+    stribeck_rate: float  # w_s, scale of the fall from F_s to F_c [rad/s], > 0
     viscous: float  # c [N m s/rad], >= 0
 
     def __post_init__(self) -> None:
@@ -44,7 +45,7 @@ class FrictionParameters:
 
 
 class Friction(NamedTuple):
-    """`FrictionParameters` as the compiled functions see them."""
+    """`FrictionParameters` for compiled functions."""
 
     coulomb: float
     breakaway: float
@@ -53,10 +54,10 @@ class Friction(NamedTuple):
 
 
 class ShaftMotion(NamedTuple):
-    """What a shaft did in one step.
+    """Motion of a shaft in one step, in at most two pieces.
 
     The first piece keeps the sign of the starting rate and is empty if the shaft starts at rest;
-    the second starts from rest and is empty if the shaft did not leave it.
+    the second starts from rest and is empty if the shaft stays at rest.
     """
 
     rate: float  # at the end of the step [rad/s]
@@ -67,7 +68,7 @@ class ShaftMotion(NamedTuple):
 
 
 def make_friction(parameters: FrictionParameters) -> Friction:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     return Friction(
         float(parameters.coulomb),
         float(parameters.breakaway),
@@ -87,11 +88,11 @@ def sliding_torque(friction: Friction, rate: float) -> float:
 
 @checked_inner
 def geared_torques(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
-    """Torque behind a lossy gear, for forward and for backward motion [N m].
+    """Output torque of a lossy gear for forward and for backward motion [N m].
 
-    A gear that drives passes `efficiency` of the torque; one that is driven (its motor brakes)
-    holds against torque / back_efficiency. The forward value is never above the backward one:
-    between them the gear's friction holds the shaft.
+    A driving gear transmits `efficiency` times the torque; a driven one (its motor brakes) resists
+    with torque / back_efficiency. The forward value never exceeds the backward one: between them
+    the gear's friction holds the shaft at rest.
     """
     if torque >= 0.0:
         return torque * efficiency, torque / back_efficiency
@@ -115,12 +116,12 @@ def advance_shaft(
     Args:
         inertia: J [kg m^2].
         rate: w at the start [rad/s].
-        forward: drive less dry friction while turning forward [N m].
-        backward: drive plus dry friction while turning backward [N m].
-        forward_rest: drive less breakaway friction, forward [N m]; above 0 the shaft leaves rest.
+        forward: drive minus dry friction in forward motion [N m].
+        backward: drive plus dry friction in backward motion [N m].
+        forward_rest: drive minus breakaway friction, forward [N m]; above 0 it leaves rest.
         backward_rest: drive plus breakaway friction, backward [N m]; below 0 it leaves rest.
         viscous: c [N m s/rad].
-        load_slope: d [N m s/rad], fall of the load's torque with the rate.
+        load_slope: d [N m s/rad], decrease of the load's torque per rate.
         h: duration [s].
     """
     first = 0.0
@@ -149,7 +150,7 @@ def advance_shaft(
 
 @checked_inner
 def cut_at_stop(motion: ShaftMotion, allowed: float) -> ShaftMotion:
-    """A motion cut where its angle reaches a stop, each piece keeping its mean rate."""
+    """Motion up to the angle of a stop; each piece keeps its mean rate."""
     if motion.first * allowed > 0.0 and abs(motion.first) >= abs(allowed):
         return ShaftMotion(0.0, allowed, motion.first_time * allowed / motion.first, 0.0, 0.0)
     if motion.second == 0.0:
@@ -161,7 +162,7 @@ def cut_at_stop(motion: ShaftMotion, allowed: float) -> ShaftMotion:
 
 @checked_inner
 def directional_work(motion: ShaftMotion, forward: float, backward: float) -> float:
-    """Work [J] of a torque with one value for forward and one for backward motion."""
+    """Work [J] of a torque that depends on the direction of motion."""
     first = forward if motion.first > 0.0 else backward
     second = forward if motion.second > 0.0 else backward
     return first * motion.first + second * motion.second
@@ -169,7 +170,7 @@ def directional_work(motion: ShaftMotion, forward: float, backward: float) -> fl
 
 @checked_inner
 def dry_heat(motion: ShaftMotion, sliding: float, breakaway: float) -> float:
-    """Heat [J] of dry friction: the first piece slides, the second leaves rest."""
+    """Heat [J] of dry friction: sliding torque in the first piece, breakaway in the second."""
     return sliding * abs(motion.first) + breakaway * abs(motion.second)
 
 
@@ -186,7 +187,7 @@ def viscous_heat(motion: ShaftMotion, viscous: float) -> float:
 
 @checked_inner
 def slope_heat(motion: ShaftMotion, load_slope: float) -> float:
-    """What the load's slope takes [J]: slope times end rate times angle of the last piece."""
+    """Work of the load's slope [J]: slope times end rate times angle of the last piece."""
     last = motion.second if motion.second != 0.0 else motion.first
     return load_slope * motion.rate * last
 
@@ -195,11 +196,11 @@ def slope_heat(motion: ShaftMotion, load_slope: float) -> float:
 def base_motion_work(
     inertia: float, rate: float, end: float, angle: float, base: float, base_end: float, h: float
 ) -> float:
-    """Work [J] of a turning base on a rotor whose rate relative to it goes from `rate` to `end`.
+    """Work [J] of a rotating base on a rotor whose relative rate changes from `rate` to `end`.
 
-    The base turns about the rotor's axis with a rate that runs linearly from `base` to `base_end`.
-    The rotor's kinetic energy J (rate + base)^2/2 changes by this and by the work of the torques
-    between the two over the relative `angle`, when these include -J base'.
+    The base's rate about the rotor's axis changes linearly from `base` to `base_end`. The change of
+    the rotor's kinetic energy J (rate + base)^2/2 is this work plus that of the torques between the
+    two over the relative `angle`, which include -J base'.
     """
     change = base_end - base
     return inertia * (

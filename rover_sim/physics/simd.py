@@ -1,14 +1,14 @@
 # mypy: disable-error-code="no-untyped-call"
-"""Small vectors of float64 that compiled functions hold in one vector register.
+"""SIMD packets for compiled functions: small vectors of float64 in one vector register.
 
-A packet has 4 lanes for a problem in the plane and 8 in space, enough for one of a node's columns
-of 4 or 6 numbers, or for as many elements side by side. Which of the two is said by a *tag*, any
-tuple of 2 or 3 numbers whose length is the number of directions, so that the same source compiles
-for both. In compiled functions packets are values: +, -, * and / act lane by lane, with a float
-on either side if wanted, and products feed additions without rounding in between.
+A packet has 4 lanes for a problem in the plane and 8 in space: room for a node's column of 4 or 6
+numbers, or for as many elements at once. The width is given by a *tag*, any tuple of 2 or 3 numbers
+whose length is the number of directions, so that the same source compiles for both. In compiled
+functions packets are values: +, -, * and / act lane by lane, also with a float on one side, and
+multiply-add may be fused.
 
-These are extensions of numba (its "low-level extension API", which is not typed); nothing here
-runs in the interpreter.
+The module extends numba (its "low-level extension API", which is not typed); none of its functions
+run in the interpreter.
 """
 
 import operator
@@ -68,7 +68,7 @@ def _splat(builder: Any, value: Any, lanes: int) -> Any:
 
 
 def _define_operator(function: Any, instruction: str) -> None:
-    """Let an operator act on packets, with a float on either side."""
+    """Define an operator for packets, also with a float on one side."""
 
     class Template(AbstractTemplate):
         key = function
@@ -116,7 +116,7 @@ def _lanes_of(tag: Any) -> int:
 
 @_intrinsic
 def lane_count(typingctx: Any, tag: Any) -> Any:  # noqa: ARG001
-    """Lanes of the tag's packets, a constant to the compiler."""
+    """Number of lanes of the tag's packets, a compile-time constant."""
     lanes = _lanes_of(tag)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
@@ -186,7 +186,7 @@ def magnitude(typingctx: Any, packet: Any) -> Any:  # noqa: ARG001
 
 @_intrinsic
 def larger(typingctx: Any, packet: Any, other: Any) -> Any:  # noqa: ARG001
-    """The larger numbers of two packets; where either is NaN, that of the second."""
+    """Lane-wise maximum of two packets; where either is NaN, the second's value."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         return builder.select(builder.fcmp_ordered(">", *args), *args)
@@ -205,9 +205,9 @@ def _address(context: Any, builder: Any, kind: Any, array: Any, indices: Any, la
 
 @_intrinsic
 def load(typingctx: Any, tag: Any, array: Any, indices: Any) -> Any:  # noqa: ARG001
-    """The numbers from array[i, ..., j] on, contiguous in memory; `indices` is (i, ..., j).
+    """Packet of consecutive numbers from array[i, ..., j] on; `indices` is (i, ..., j).
 
-    The array is C-contiguous. No bounds are checked.
+    The array is C-contiguous. Bounds are not checked.
     """
     lanes = _lanes_of(tag)
 
@@ -220,7 +220,7 @@ def load(typingctx: Any, tag: Any, array: Any, indices: Any) -> Any:  # noqa: AR
 
 @_intrinsic
 def store(typingctx: Any, array: Any, indices: Any, packet: Any) -> Any:  # noqa: ARG001
-    """Write the lanes to array[i, ..., j] and on; see `load`."""
+    """Write the lanes to consecutive entries from array[i, ..., j] on; see `load`."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pointer = _address(context, builder, sig.args[0], args[0], args[1], packet.lanes)
@@ -232,10 +232,10 @@ def store(typingctx: Any, array: Any, indices: Any, packet: Any) -> Any:  # noqa
 
 @_intrinsic(prefer_literal=True)
 def stack(typingctx: Any, tag: Any, count: Any) -> Any:  # noqa: ARG001
-    """So many packets, not initialised, read and written as s[i].
+    """Array s of `count` uninitialised packets, read and written as s[i].
 
-    They live as long as the function's call; `count` is a literal. In loops that the compiler
-    unrolls they are registers.
+    It exists until the function returns; `count` is a literal. In unrolled loops the packets are
+    registers.
     """
     lanes = _lanes_of(tag)
     size = count.literal_value
@@ -276,7 +276,7 @@ def _stack_set(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa:
 
 @_intrinsic
 def transpose(typingctx: Any, packets: Any, start: Any) -> Any:  # noqa: ARG001
-    """Swap rows and columns of as many packets as one has lanes, from `start` on, in place."""
+    """Transpose a square of packets, as many as lanes, from `start` on, in place."""
     lanes = packets.lanes
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001

@@ -5,20 +5,20 @@ slider axis (base_link +z); a positive force pushes the bodies apart (+z on Body
 It is the sum of
 
 - the spring k (l0 - s) and the bearings' viscous and dry friction, -c s' - F s'/sqrt(s'^2 + v^2)
-  (regularised: the seals' stick is not needed, the nut holds what must stand still);
-- the end stops: an upper one at s = l0, where Body 2 takes Body 1 along after a jump, and a lower
-  one below the stroke. Both are pads with f = k_p d max(0, 1 + a d') over the depth d > 0 (the
-  damping law of Hunt and Crossley 1975, here with a linear stiffness): no jump at first contact,
-  no adhesion, a rebound of at most 1/a;
-- what the jump drive's nut does (`NutAction`): it presses on the latch, one-sided, by the same law
-  with the stiffness of screw and nut; while the latch lets go it holds back with a force that
-  falls to zero; while it climbs past the latch it lifts Body 2 a little.
+  (regularised, without stick: the nut holds Body 2 where it must be at rest);
+- the end stops: an upper one at s = l0, where Body 2 pulls Body 1 along after a jump, and a lower
+  one below the stroke. Both are pads with f = k_p d max(0, 1 + a d') at the depth d > 0 (the
+  damping law of Hunt and Crossley 1975, here with a linear stiffness): the force is continuous at
+  first contact, never adhesive, and the rebound speed is at most 1/a;
+- the force of the jump drive's nut (`NutAction`): it presses on the latch, one-sided, by the same
+  law with the stiffness of screw and nut; a releasing latch holds Body 2 with a force that falls to
+  zero; a nut that moves up past the latch lifts Body 2 with a small force.
 
-All are internal forces: whatever they are, the momentum of both bodies together is kept.
+All are internal forces, so the momentum of both bodies together is conserved.
 
 Energy of a step in which s grows by D under the force F: the bodies gain F D, the elastic energy
-changes by dU (`slider_energy` before and after), the jump drive puts in its `nut_work`, and the
-rest, nut_work - F D - dU, is heat: of bearings and pads, and of a latch that lets go.
+changes by dU (`slider_energy` before and after), the nut's input is `nut_work`, and the remainder,
+nut_work - F D - dU, is heat of bearings, pads and a releasing latch.
 """
 
 import math
@@ -35,8 +35,7 @@ class SliderParameters:
 
     Defaults: linear ball bearings with seals, whose friction takes 1.7 % of the energy of a 0.2 m
     jump and lets Body 2 come to rest on its spring within a few swings; the pads stop 2.4 kg (the
-    reduced mass of 6 and 4 kg) from 2.8 m/s within 5 mm and 4 ms, long enough to be seen by steps
-    of 1 ms.
+    reduced mass of 6 and 4 kg) from 2.8 m/s within 5 mm and 4 ms, which steps of 1 ms resolve.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -46,12 +45,12 @@ class SliderParameters:
     free_length: float = 0.20  # l0, s with the spring relaxed: the upper stop [m]
     damping: float = 0.2  # c [N s/m]
     friction: float = 1.0  # F [N]
-    friction_rate: float = 2.0e-3  # v, where most of it is there [m/s]
+    friction_rate: float = 2.0e-3  # v, regularisation speed of F [m/s]
     lower_stop: float = 0.215  # compression at which the lower stop begins [m]
     pad_stiffness: float = 5.0e4  # k_p of the end stops [N/m]
     pad_damping: float = 10.0  # a of the end stops [s/m]
     nut_stiffness: float = 2.0e6  # of screw, nut and latch [N/m]
-    nut_damping: float = 5.0  # a of the same [s/m]
+    nut_damping: float = 5.0  # a of screw, nut and latch [s/m]
 
     def __post_init__(self) -> None:
         check_ranges(
@@ -68,7 +67,7 @@ class SliderParameters:
 
 
 class Slider(NamedTuple):
-    """`SliderParameters` as the compiled functions see them."""
+    """`SliderParameters` for compiled functions."""
 
     spring_rate: float
     free_length: float
@@ -83,13 +82,13 @@ class Slider(NamedTuple):
 
 
 class NutAction(NamedTuple):
-    """What the nut does to Body 2 during one step of the plant."""
+    """Action of the nut on Body 2 in one step of the plant."""
 
     pressing: bool  # whether nut and latch can touch
-    position: float  # of the nut in the middle of the step [m of compression]
+    position: float  # of the nut at mid-step [m of compression]
     rate: float  # mean [m/s], > 0 compresses
-    holding_force: float  # of a latch that lets go, pushes Body 2 down [N]
-    lifting_force: float  # of a nut that climbs past the latch, pushes Body 2 up [N]
+    holding_force: float  # of a releasing latch, pushes Body 2 down [N]
+    lifting_force: float  # of a nut that moves up past the latch, pushes Body 2 up [N]
 
 
 class SliderForce(NamedTuple):
@@ -102,13 +101,13 @@ class SliderForce(NamedTuple):
 
 
 def make_slider(parameters: SliderParameters) -> Slider:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     return Slider(*(float(getattr(parameters, name)) for name in Slider._fields))
 
 
 @checked_inner
 def pad(stiffness: float, damping: float, depth: float, rate: float) -> tuple[float, float, float]:
-    """One-sided contact: force k d max(0, 1 + a d') and its derivatives by d and d'."""
+    """Force of a one-sided contact, k d max(0, 1 + a d'), and its derivatives by d and d'."""
     if depth <= 0.0:
         return 0.0, 0.0, 0.0
     factor = 1.0 + damping * rate
@@ -160,7 +159,7 @@ def slider_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> Sli
 
 @checked_inner
 def slider_energy(slider: Slider, pressing: bool, nut_position: float, s: float) -> float:
-    """Elastic energy [J] of spring and pads and, if it may press, of the nut at `nut_position`."""
+    """Elastic energy [J] of spring, pads and, if `pressing`, the nut at `nut_position`."""
     compression = slider.free_length - s
     energy = 0.5 * slider.spring_rate * compression * compression
     depth = max(-compression, compression - slider.lower_stop, 0.0)

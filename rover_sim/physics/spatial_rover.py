@@ -1,13 +1,13 @@
-"""The spatial rover, two bodies on a slider, as what sits at the tether's tip in a step.
+"""The spatial rover: two bodies on a slider, attached to the last node of a tether.
 
-World axes: z up. Body axes: REP-103, z along the slider. Body 1 carries the tether at the
-body-fixed point p; Body 2 has Body 1's orientation and its centre lies s along the body's z axis
+World axes: z up. Body axes: REP-103, z along the slider. The tether is attached to Body 1 at the
+body-fixed point p; Body 2 has Body 1's orientation and its centre is at s along the body's z axis
 e. With the tether's last node r_n and the orientation R
 
     G1 = r_n - R p,     G2 = G1 + s R e,
 
-so r_n, R and s are the unknowns and no constraint force appears. A step turns the rover by the
-Cayley vector th (body axes), whose mean rate is the angular velocity, th = h (W0 + W1)/2; with
+so r_n, R and s are the unknowns and no constraint force appears. The rotation of a step is the
+Cayley vector th (body axes), whose rate is the mean angular velocity, th = h (W0 + W1)/2; with
 R_m = (R_0 + R_1)/2, index m for means of start and end, and f_i = m_i (2/h)(dG_i/h - V_i0) - m_i g
 the equations of the step are
 
@@ -18,13 +18,13 @@ the equations of the step are
 
 J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
 whose absolute axial momenta are H (body axes); F_s pushes the bodies apart (module `slider`); F, M
-and S are what acts from outside: the force, the moment about the last node and the force along the
+and S are the external loads: the force, the moment about the last node and the force along the
 slider. The levers are means of start and end, so the angular momentum is conserved; because
-R_1 - R_0 turns vectors by R_0 th across R_m exactly, and because of the slider's direction, the
-work of these forces is the change of the energies (Simo and Wong 1991, IJNME 31; the same scheme as
-`planar_rover`, which it contains). A force that acts from outside at a point of a body works
-exactly through the point's travel for the same reasons (`add_point_load`). Rotation and slide are
-condensed into the last node before the tether's elimination.
+(R_1 - R_0) u = (R_0 th) x (R_m u) exactly, and with the slider's direction above, the work of these
+forces equals the change of the energies (Simo and Wong 1991, IJNME 31; the planar case is the
+scheme of `planar_rover`). For the same reasons the work of an external force at a point of a body
+is exactly force times the point's travel (`add_point_load`). Rotation and slide are condensed into
+the last node before the tether's elimination.
 """
 
 from typing import NamedTuple
@@ -73,9 +73,9 @@ class RoverStep(NamedTuple):
     coupling: Array  # (4, 8): rows of rotation and slide, columns th, ds, last node, residual
     return_coupling: Array  # (3, 4): last node's rows, columns th, ds
     slide: Array  # (3,): F_s [N] at mid-step and its derivatives by s [N/m] and s' [N s/m]
-    load: Array  # (7,): F [N], M about the last node [N m] and S [N] from outside
-    load_tangent: Array  # (7, 7): their derivatives by th, ds and the last node's place
-    rotors_after: Array  # (3,): H_1
+    load: Array  # (7,): external loads F [N], M about the last node [N m] and S [N]
+    load_tangent: Array  # (7, 7): their derivatives by th, ds and the last node's position
+    rotors_after: Array  # (3,): H_1, rotor momenta at the step's end
 
 
 def make_rover_step() -> RoverStep:
@@ -93,7 +93,7 @@ def make_rover_step() -> RoverStep:
 
 @inner
 def vector_at(array: Array, start: int) -> Vector:
-    """Three consecutive entries."""
+    """Three consecutive entries as a vector."""
     return (array[start], array[start + 1], array[start + 2])
 
 
@@ -141,7 +141,7 @@ class Pose(NamedTuple):
 
 @inner
 def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
-    """The pose that belongs to the increments th and ds."""
+    """Pose of the rover for the increments th and ds."""
     start = rotation_of(orientation(body))
     th = vector_at(turn, 0)
     s0, ds = body[SLIDE], turn[3]
@@ -174,8 +174,8 @@ def _tip_increment(n: int, work: Workspace) -> Vector:
 def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
     """Displacements of the centres of both bodies when the last node moves by dr.
 
-    Of changes alone: differences of the levers would leave rounding errors that 2 m/h^2 makes
-    forces of.
+    Computed from changes of the levers: the rounding error of a difference of levers, times
+    2 m/h^2, would be a noticeable force.
     """
     first = sub(dr, pose.attachment_change)
     return first, add(first, axpy(pose.s0, pose.axis_change, scale(pose.ds, pose.axis1)))
@@ -183,13 +183,13 @@ def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
 
 @inner
 def _slider_direction(pose: Pose, th: Vector) -> Vector:
-    """R_0 (e + th x e/2), along which the slider's forces work exactly."""
+    """Direction R_0 (e + th x e/2) of the slider's force, with which its work is exact."""
     return axpy(0.5, rotate(pose.start, cross(th, (0.0, 0.0, 1.0))), pose.axis0)
 
 
 @inner
 def clear_loads(step: RoverStep) -> None:
-    """Take away everything that acts from outside."""
+    """Set the external loads to zero."""
     for r in range(7):
         step.load[r] = 0.0
         for c in range(7):
@@ -239,7 +239,7 @@ def add_point_load(
     force: Vector,
     tangent: tuple[float, ...],
 ) -> None:
-    """Add a force from outside on one of the bodies, averaged over the step.
+    """Add an external force on one of the bodies, averaged over the step.
 
     Args:
         step: added to.
@@ -247,9 +247,9 @@ def add_point_load(
         attachment: p [m].
         point: as for `point_travel`.
         sliding: whether the point is Body 2's.
-        arm: from the point to where the force acts [m], world axes; it does not turn.
+        arm: from the point to the point of action [m], world axes; constant in the step.
         force: on the body [N], world axes.
-        tangent: its derivative [N/m] by the travel of the body there, rows, (9,).
+        tangent: derivative of the force by the travel of the point of action [N/m], rows, (9,).
     """
     lever0, lever1 = _levers(pose, point, attachment, sliding)
     lever = add(scale(0.5, add(lever0, lever1)), arm)
@@ -396,7 +396,7 @@ def _solve_rows(rows: Array) -> None:
 
 @inner
 def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
-    """Newton increment of th and ds from that of the last node; returns its entries' sum."""
+    """Apply the Newton increment of th and ds, given the last node's; returns sum of magnitudes."""
     largest = 0.0
     for k in range(4):
         change = step.coupling[k, 7]
@@ -428,7 +428,7 @@ def end_rover_step(
 
 @inner
 def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float]:
-    """Kinetic (rotors' own spin left out) and gravity energy of the rover [J]."""
+    """Kinetic (without the rotors' spin) and gravity energy of the rover [J]."""
     centre1 = vector_at(body, POSITION)
     centre2 = axpy(body[SLIDE], rotation_of(orientation(body))[2], centre1)
     v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)

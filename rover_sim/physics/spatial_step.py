@@ -1,9 +1,9 @@
-"""One time step of the plant in space: tether, fairlead, rover and ground in one Newton iteration.
+"""One time step of the spatial plant: tether, fairlead, rover and ground in one Newton iteration.
 
 The drives' motion in the step is given (`StepInputs`). The unknowns are the increments of the
-tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`), of the
-rover's rotation and slide (`spatial_rover`); the ground acts on the tether (`tether_contact`) and
-on the rover (`rover_contact`) with the forces that belong to these increments.
+tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and of the
+rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`) and
+rover (`rover_contact`) are functions of these increments.
 """
 
 from typing import NamedTuple
@@ -84,10 +84,10 @@ from rover_sim.physics.wheel_drive import WheelDrive
 
 
 class Model(NamedTuple):
-    """Everything constant during a run, as the compiled functions see it."""
+    """Constants of a run, for compiled functions."""
 
-    tether: Tether  # `elements` is that of the state, not this
-    has_winch: bool  # else the root is pinned at the fairlead and the length is fixed
+    tether: Tether  # its `elements` is not used: the memory's entry ELEMENTS holds the number
+    has_winch: bool  # else the root is pinned at the fairlead and the length is constant
     drum: Drum
     has_rover: bool  # else a point mass hangs at the tip
     tip_mass: float  # [kg]
@@ -119,7 +119,7 @@ class MotionArrays(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """What drives and swivel do in a step."""
+    """Inputs of a step from drives and swivel."""
 
     pay: Payout  # of the exit element
     nut: NutAction
@@ -130,22 +130,22 @@ class StepInputs(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Where energy went in a step [J], and what is known of its forces."""
+    """Energy losses of a step [J], with its contact state and peak tension."""
 
     tether: float
     slider: float
     nut: float  # work of the nut on Body 2
     rover_ground: float
     tether_contact: float
-    rover_stored: float  # change of what the rover's contacts store
-    tether_stored: float
-    near_ground: bool  # whether the rover's contacts were looked at
-    touching: int  # points of the tether that touch the ground
+    rover_stored: float  # change of the energy stored by the rover's contacts
+    tether_stored: float  # the same by the tether's contacts
+    near_ground: bool  # whether the rover's contacts were evaluated
+    touching: int  # number of the tether's points in contact
     peak_tension: float  # [N]
 
 
 class Solver(NamedTuple):
-    """Work arrays; what they hold is valid within one call only."""
+    """Work arrays; their contents are valid within one call only."""
 
     work: Workspace
     rover: RoverStep
@@ -153,7 +153,7 @@ class Solver(NamedTuple):
     rover_contact: RoverContactStep
     tether_contact: TetherContact
     after: MotionArrays  # the state after an attempted step; its tether anchors are not used
-    origin: Array  # the fairlead's place, zeros (3,)
+    origin: Array  # position of the fairlead, zeros (3,)
     no_turn: Array  # zeros (4,)
     extra_increments: Array  # increments th, ds and of the exit slope, (7,)
     history: History
@@ -161,7 +161,7 @@ class Solver(NamedTuple):
 
 
 def make_solver(capacity: int, corners: int) -> Solver:
-    """Allocate for a tether of at most `capacity` elements and so many corners of the rover."""
+    """Allocate for a tether of at most `capacity` elements and a rover with `corners` corners."""
     width = row_width(capacity, 3)
     return Solver(
         make_workspace(capacity, 3),
@@ -196,7 +196,7 @@ def slide_rate(body: Array) -> float:
 def _set_initial_guess(
     model: Model, n: int, h: float, motion: MotionArrays, past_steps: int, solver: Solver
 ) -> None:
-    """Start the iteration from `past_steps` of the past steps, or from the rates if it is 0."""
+    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0."""
     width = row_width(n, 3)
     increment = solver.work.increment
     extra_increments = solver.extra_increments
@@ -242,7 +242,7 @@ def _add_rover(
     near: bool,
     solver: Solver,
 ) -> None:
-    """Add the rover with everything that acts on it."""
+    """Add the rover with the forces of slider, tether twist and ground."""
     step = solver.rover
     clear_loads(step)
     middle = motion.body[SLIDE] + 0.5 * step.turn[3]
@@ -292,22 +292,22 @@ def attempt_step(
     solver: Solver,
     iterations: Array,
 ) -> tuple[bool, Losses]:
-    """Try one step of length h; the state after it is left in solver.after.
+    """Attempt one step of length h and write its end state to solver.after.
 
-    The tether's anchors in `motion` are carried on in place if the step succeeds.
+    If the step succeeds, the tether's anchors in `motion` are updated in place.
 
     Args:
         model: constants.
-        tether: model.tether with the chain's present number of elements.
+        tether: model.tether with the chain's current number of elements.
         h: [s].
-        motion: the state, not changed but for the anchors.
+        motion: the state; only its tether anchors are changed.
         inputs: from the drives.
         past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
         solver: work arrays.
-        iterations: (1,), counts Newton iterations.
+        iterations: entry 0 counts the Newton iterations.
 
     Returns:
-        Whether the iteration converged to a sound state, and the step's losses.
+        Whether the iteration converged to a valid state, and the step's losses.
     """
     n = tether.elements
     work, step, after = solver.work, solver.rover, solver.after

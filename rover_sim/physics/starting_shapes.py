@@ -1,9 +1,8 @@
-"""Shapes in which a tether can start: straight, circular arc, inextensible catenary.
+"""Initial shapes of a tether: straight line, circular arc, inextensible catenary.
 
-Each shape runs from the root to the tip and has unit tangents and the tether's own
-length; none but the straight one is an equilibrium of an elastic tether. Nodes have the
-shape (n + 1, 2, dim): positions [m] and slopes dr/dx [-], in the plane (dim 2) or in
-space (dim 3).
+Arc and catenary have unit tangents and the tether's unstretched length; only the straight
+line can be an equilibrium of an elastic tether. Nodes have the shape (n + 1, 2, dim):
+positions [m] and slopes dr/dx [-], in the plane (dim 2) or in space (dim 3).
 """
 
 import math
@@ -36,14 +35,14 @@ def straight_nodes(root: ArrayLike, tip: ArrayLike, elements: int, length: float
 def arc_nodes(
     root: ArrayLike, tip: ArrayLike, elements: int, length: float, gravity: ArrayLike
 ) -> Array:
-    """Circular arc of the given length that bulges towards gravity.
+    """Circular arc of a given length that bulges in the direction of gravity.
 
     Args:
         root: position of the first node [m].
         tip: position of the last node [m], closer to the root than `length`.
         elements: number n of elements.
         length: length of the arc [m].
-        gravity: vector whose direction the arc bulges to [any unit].
+        gravity: vector of the direction in which the arc bulges [any unit].
 
     Raises:
         ValueError: the ends coincide, or are not closer than the length.
@@ -69,7 +68,7 @@ def arc_nodes(
 
 @dataclass(frozen=True)
 class Catenary:
-    """The inextensible, perfectly flexible chain between two points, in closed form.
+    """Catenary of an inextensible, perfectly flexible chain between two points.
 
     With s the arc length from the root, u = (s - s0)/a and the span's direction e_h and
     up direction e_v: horizontal force H = w a, vertical force w (s - s0), tension
@@ -96,7 +95,7 @@ class Catenary:
     def between(
         cls, root: ArrayLike, tip: ArrayLike, length: float, gravity: ArrayLike
     ) -> "Catenary":
-        """The catenary of given length [m] from root to tip [m] under gravity.
+        """Catenary of a given length [m] from root to tip [m] under gravity.
 
         Raises:
             ValueError: no such catenary: no gravity, ends not closer than the length, or
@@ -148,7 +147,7 @@ class Catenary:
         return np.asarray((self.across + u[..., None] * self.up) / np.hypot(1.0, u)[..., None])
 
     def horizontal_force(self, line_weight: float) -> float:
-        """H [N] of a chain that weighs `line_weight` [N/m]."""
+        """Horizontal force H [N] of a chain of weight `line_weight` [N/m]."""
         return line_weight * self.parameter
 
     def tension(self, arc_length: ArrayLike, line_weight: float) -> Array:
@@ -190,7 +189,7 @@ def _slack_distance(chord: Array, length: float) -> float:
 
 
 def _across(along: Array, towards: Array) -> Array:
-    """Unit vector at right angles to `along`, as close to `towards` as can be."""
+    """Unit vector perpendicular to `along` and closest to `towards`."""
     for candidate in (towards, *np.eye(along.size)):
         across = candidate - (candidate @ along) * along
         size = float(np.linalg.norm(across))

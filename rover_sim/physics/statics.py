@@ -1,9 +1,8 @@
 """Static equilibrium of the tether: the minimum of its potential energy.
 
 The energy is that of the ANCF cable (axial L2, bending T1, weight) and of the loads at
-the tip. It is minimised by Newton's method with an adaptive Levenberg shift, on the
-banded Hessian, so that it goes downhill from any starting shape and ends in a true
-minimum or in an error.
+the tip. Newton's method with an adaptive Levenberg shift on the banded Hessian minimises
+it: the energy decreases from any starting shape, and the result is a minimum or an error.
 """
 
 from collections.abc import Iterator
@@ -20,11 +19,11 @@ from rover_sim.physics.tether_section import TetherSection
 
 SMALLEST_STRETCH = 0.9
 LARGEST_UNEVENNESS = 0.15
-"""|r'| below the one anywhere, or differing by more than the other within an element, is a
-fold or kink that the mesh cannot resolve, and no shape of a thin tether [-]."""
+"""A smaller |r'| anywhere, or a larger range of |r'| within an element, is a fold or kink that
+the mesh cannot resolve and not a shape of a thin tether [-]."""
 
 STEP_TOLERANCE = 1e-11
-"""A Newton step below this, over the length [-] and in the slopes [-], is converged."""
+"""A Newton step below this, relative to the length [-] and in the slopes [-], is converged."""
 
 ENERGY_NOISE = 1e-12
 """Relative differences of energy below this are rounding [-]."""
@@ -33,12 +32,12 @@ MAX_ITERATIONS = 2000
 
 
 class StaticsError(RuntimeError):
-    """No equilibrium was found that a real tether could have; says what came instead."""
+    """No valid equilibrium was found; the message states the cause."""
 
 
 @dataclass(frozen=True)
 class TipLoad:
-    """What acts on a tether's tip, besides a support.
+    """Load on a tether's tip, besides a support.
 
     Attributes:
         force: dead force [N], (dim,); a hanging weight is mass times gravity.
@@ -62,24 +61,24 @@ def static_equilibrium(
     tip_moment: float = 0.0,
     start_nodes: Array | None = None,
 ) -> Array:
-    """Nodes (n + 1, 2, dim) of the tether at rest; dim is 2 or 3, as gravity has.
+    """Nodes (n + 1, 2, dim) of the tether at rest; gravity has dim = 2 or 3 components.
 
     Args:
         section: stiffness and mass of the tether.
         length: unstretched length [m].
         elements: number n of elements.
         gravity: acceleration vector [m/s^2], e.g. (0, -9.81).
-        root: position where the first node is held [m].
-        tip: position where the last node is held [m]; None leaves it free.
+        root: fixed position of the first node [m].
+        tip: fixed position of the last node [m]; None leaves it free.
         root_slope: slope r' [-] that clamps the root; None pins it.
         tip_force: dead force on the last node [N].
         tip_moment: moment about z on the last section [N m], in the plane.
-        start_nodes: shape to start from; by default the circular arc to the held tip
+        start_nodes: starting shape; by default the circular arc to the fixed tip
             (straight if the tip is out of the arc's reach), or straight along the
             clamped slope or the load.
 
     Raises:
-        ValueError: arguments that do not fit one another.
+        ValueError: inconsistent arguments.
         StaticsError: not converged, or converged to a shape with folded elements.
     """
     pull = np.asarray(gravity, dtype=np.float64)
@@ -89,17 +88,15 @@ def static_equilibrium(
         moment=float(tip_moment),
     )
     if dim == 3 and load.moment != 0.0:
-        raise ValueError("tip_moment: is about z and so for the plane only")
+        raise ValueError("tip_moment: must be 0 in space; it is defined for the plane only")
     if load.force.shape != (dim,):
-        raise ValueError(f"tip_force: must have {dim} components, as gravity has")
+        raise ValueError(f"tip_force: must have {dim} components, like gravity")
     if start_nodes is None:
         nodes = _default_start(length, elements, pull, root, tip, root_slope, load.force)
     else:
         nodes = np.array(start_nodes, dtype=np.float64)
         if nodes.shape != (elements + 1, 2, dim):
-            raise ValueError(
-                f"start_nodes: have the shape {nodes.shape}, must be {(elements + 1, 2, dim)}"
-            )
+            raise ValueError(f"start_nodes: shape {nodes.shape}, must be {(elements + 1, 2, dim)}")
     free = np.ones_like(nodes, dtype=bool)
     nodes[0, 0], free[0, 0] = root, False
     if root_slope is not None:
@@ -114,11 +111,11 @@ def static_equilibrium(
 
 
 def nodal_forces(nodes: Array, section: TetherSection, length: float, gravity: ArrayLike) -> Array:
-    """What supports and loads must exert on each node's coordinates for rest.
+    """External generalised forces on the nodes that keep the tether at rest.
 
     Elastic forces minus weight, (n + 1, 2, dim): [i, 0] is a force [N], [i, 1] is work
-    per slope [N m]. In equilibrium it vanishes wherever a node is free and unloaded; at
-    the root it is the support's reaction.
+    per slope [N m]. In equilibrium it is zero at a free and unloaded node; at the root it
+    is the support's reaction.
     """
     pull = np.asarray(gravity, dtype=np.float64)
     load = TipLoad(force=np.zeros(pull.size), moment=0.0)
@@ -163,7 +160,7 @@ class _TetherEnergy:
         self._banded_shape = (size, unknowns)
 
     def value(self, nodes: Array, before: Array) -> float:
-        """Energy [J]; the moment's part is counted from the tip's slope in `before`."""
+        """Energy [J]; the work of the moment is relative to the tip's slope in `before`."""
         e = ancf.element_coordinates(nodes)
         energy = (
             np.sum(ancf.axial_energy(e, self.section.axial_stiffness, self.element))
@@ -206,18 +203,18 @@ class _TetherEnergy:
 
 
 def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> Array:
-    """Levenberg-shifted Newton's method from `nodes`, moving where `free` is true."""
-    held = ~free.ravel()
-    # positions [m] and slopes [-] weigh alike once slopes are multiplied by the element
+    """Minimise by Levenberg-shifted Newton steps from `nodes`; only `free` coordinates change."""
+    fixed = ~free.ravel()
+    # slopes [-] times the element's length are comparable to positions [m]
     scale = np.ones_like(nodes)
     scale[:, 1] = energy.element
     weights = np.square(scale).ravel()
     shift = 0.0
     perturbations = _perturbations(nodes, free, energy.length)
     for _ in range(MAX_ITERATIONS):
-        gradient = np.where(held, 0.0, energy.gradient(nodes).ravel())
+        gradient = np.where(fixed, 0.0, energy.gradient(nodes).ravel())
         banded = energy.hessian(nodes)
-        _decouple_fixed(banded, held)
+        _decouple_fixed(banded, fixed)
         unit = float(np.max(banded[0] / weights))
         before = energy.value(nodes, nodes)
         while True:
@@ -227,17 +224,17 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
             if largest < STEP_TOLERANCE:
                 if shift == 0.0:
                     return trial
-                # at rest but not in a minimum: leave the unstable equilibrium sideways
+                # stationary but not a minimum: perturb the unstable equilibrium
                 perturbation = next(perturbations, None)
                 if perturbation is None:
-                    raise StaticsError("ended in an unstable equilibrium, not in a minimum")
+                    raise StaticsError("converged to an unstable equilibrium, not to a minimum")
                 trial = nodes + perturbation
                 break
-            # 0.5 step.H.step = -0.5 gradient.step - 0.5 shift step.W.step, by what step solves
+            # 0.5 step.H.step = -0.5 gradient.step - 0.5 shift step.W.step, from the step's equation
             predicted = 0.5 * float(shift * (weights @ step**2) - gradient @ step)
             actual = before - energy.value(trial, nodes)
             if predicted <= ENERGY_NOISE * abs(before):
-                # too close for energies to tell, where Newton's own steps converge
+                # energy differences are rounding here; pure Newton steps converge
                 shift = 0.0
                 break
             ratio = actual / predicted if predicted > 0.0 else -1.0
@@ -248,7 +245,7 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
             if ratio > 0.05:
                 break
             if shift > 1e6 * unit:
-                raise StaticsError("no way downhill was found from the starting shape")
+                raise StaticsError("no step that decreases the energy was found")
         nodes = trial
     raise StaticsError(
         f"not converged in {MAX_ITERATIONS} iterations; the last step was"
@@ -257,7 +254,7 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
 
 
 def _perturbations(nodes: Array, free: NDArray[np.bool_], length: float) -> Iterator[Array]:
-    """A few small fixed moves of the free positions [m], in no direction in particular."""
+    """Small reproducible perturbations of the free positions [m] in random directions."""
     generator = np.random.default_rng(0)
     for size in (1e-6, 1e-4):
         perturbation = np.zeros_like(nodes)
@@ -268,7 +265,7 @@ def _perturbations(nodes: Array, free: NDArray[np.bool_], length: float) -> Iter
 def _downhill_step(
     banded: Array, gradient: Array, weights: Array, shift: float, unit: float
 ) -> tuple[Array, float]:
-    """Solve (H + shift W) step = -gradient, raising the shift until that is definite."""
+    """Solve (H + shift W) step = -gradient; raises the shift until the matrix is definite."""
     while True:
         shifted = banded.copy()
         shifted[0] += shift * weights
@@ -282,9 +279,9 @@ def _downhill_step(
         return np.asarray(cho_solve_banded((factor, True), -gradient)), shift
 
 
-def _decouple_fixed(banded: Array, held: NDArray[np.bool_]) -> None:
-    """Decouple the held unknowns from the others and give them a unit diagonal."""
-    (indices,) = np.nonzero(held)
+def _decouple_fixed(banded: Array, fixed: NDArray[np.bool_]) -> None:
+    """Decouple the fixed unknowns from the others and give them a unit diagonal."""
+    (indices,) = np.nonzero(fixed)
     width = banded.shape[0]
     for index in indices:
         banded[:, index] = 0.0
@@ -300,8 +297,9 @@ def _refuse_folds(nodes: Array, element: float) -> None:
     unevenness = float(np.max(np.ptp(stretch, axis=-1)))
     if not (smallest >= SMALLEST_STRETCH and unevenness <= LARGEST_UNEVENNESS):
         raise StaticsError(
-            f"the mesh folded: |r'| falls to {smallest:.3g} and varies by {unevenness:.3g} within"
-            " an element, and should stay close to 1; start from an arc, or use more elements"
+            f"the mesh folded: smallest |r'| {smallest:.3g} (limit {SMALLEST_STRETCH}), range"
+            f" {unevenness:.3g} within an element (limit {LARGEST_UNEVENNESS}), and |r'| should be"
+            " close to 1; start from an arc, or use more elements"
         )
 
 
@@ -325,7 +323,7 @@ def _default_start(
             along = np.asarray(direction, dtype=np.float64)
             end = start + length * along / np.linalg.norm(along)
             return straight_nodes(start, end, elements, length)
-    raise ValueError("a tether with a free tip needs a clamp, a load or gravity to rest")
+    raise ValueError("a tether with a free tip needs a clamp, a load or gravity for equilibrium")
 
 
 def _angle_between(before: Array, after: Array) -> float:

@@ -1,24 +1,24 @@
-"""Where the ground is: floor, boulders, the wall of a hole, its rim and the ground around it.
+"""Geometry of the ground: floor, boulders, wall and rim of a hole, and the surrounding ground.
 
-The world's origin is the fairlead; z points up. `depth_and_normal` tells how deep a point lies in
-the ground and which way is out. A terrain is the union of
+The world's origin is the fairlead; z points up. `depth_and_normal` gives the depth of a point in
+the ground and the outward normal. A terrain is the union of
 
 - a floor: a plane, level or sloping, with a gentle relief on a square patch (a height field of
   quadratic B-splines), and boulders on the same patch, spherical caps (module `boulders`);
 - a hole: a surface of revolution about a vertical axis, given by its radius over depth, below a rim
-  rounded to a quarter of a circle and the level ground around it. Where the radius grows with depth
-  the wall overhangs. The fairlead hangs on the mother's boom inside the hole, above the ground by
-  `fairlead_height` and at `wall_distance` from the wall where the hole is narrowest; the hole's
-  axis then lies on the +x side, the mother on the -x side.
+  rounded to a quarter of a circle and the level ground around it. Where the radius increases with
+  depth the wall overhangs. The fairlead is on the mother machine's boom over the hole, at the
+  height `fairlead_height` above the ground and at `wall_distance` from the wall where the hole is
+  narrowest; the hole's axis is on the +x side, the mother machine on the -x side.
 
 Depth is the distance to the plane, to the sphere of a boulder or to the rim's circle; for relief
 and wall it is the height, or the radial distance, times the cosine of the surface's inclination,
-which is the distance to first order. Where two surfaces meet the larger depth counts, with the
-crease rounded over a fillet (the polynomial smooth maximum), so depth and normal are continuous.
-Below minus `CLEARANCE` the depth only says that the point is clear by more than that.
+which is the distance to first order. Where two surfaces meet the larger depth is used, and a fillet
+rounds the crease (polynomial smooth maximum), so depth and normal are continuous. A depth below
+minus `CLEARANCE` is not exact: the point is clear by more than `CLEARANCE`.
 
-Every surface is rock or regolith: the `rock` that comes with depth and normal goes continuously
-from 0 (regolith: floor and ground) to 1 (rock: boulders and wall).
+Every surface is rock or regolith: the third result `rock` varies continuously from 0 (regolith:
+floor and ground) to 1 (rock: boulders and wall).
 """
 
 import math
@@ -34,21 +34,21 @@ from rover_sim.physics.terrain_parameters import HoleParameters, ReliefParameter
 
 Array = NDArray[np.float64]
 
-# A query is too short to be a call: the terrain's many numbers would be passed on the stack. The
-# whole is inlined into its caller by the compiler, its parts before compilation. Without reference
-# counts (_nrt), which the terrain's array would be put through at each query.
+# Queries are inlined, because a call would pass the terrain's many numbers on the stack: LLVM
+# inlines `query`, numba inlines `part` before compilation. Without reference counting (_nrt) of the
+# terrain's array at each query.
 query = inner_with(forceinline=True)
 query_from_python = kernel_with(forceinline=True)
 part = kernel_with(inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]
-BOULDER_FILLET = 0.1  # fillet at a boulder's foot, per diameter [-]
+BOULDER_FILLET = 0.1  # fillet at a boulder's base, per diameter [-]
 _CELL = 0.25  # side of the cells that boulders are sorted into [m]
-_MARGIN = 0.3  # a boulder counts in the cells within this and two fillets of it [m]
-_NEAR = CLEARANCE + 2.0 * WALL_FILLET  # farther from a surface it is not looked at [m]
+_MARGIN = 0.3  # cells within this plus two fillets of a boulder list it [m]
+_NEAR = CLEARANCE + 2.0 * WALL_FILLET  # surfaces farther than this are skipped [m]
 _WALL_SPACING = 0.25  # spacing of the wall's table in depth [m]
-_RELIEF_QUANTUM = 1.0e-6  # heights are rounded to this [m]
+_RELIEF_QUANTUM = 1.0e-6  # resolution of the heights [m]
 
 
 class Terrain(NamedTuple):
@@ -59,7 +59,7 @@ class Terrain(NamedTuple):
     slope_y: float  # dz/dy [-]
     floor_cosine: float  # cosine of the plane's inclination [-]
     floor_rock: float  # 1 if the floor is bare rock [-]
-    bump: float  # most by which relief and boulders rise above the plane [m]
+    bump: float  # largest height of relief and boulders above the plane [m]
     patch_x: float  # lower corner of the patch [m]
     patch_y: float
     patch_width: float  # side of the patch [m], 0: none
@@ -68,25 +68,25 @@ class Terrain(NamedTuple):
     cells: int  # of the boulders' grid along one side; 0: no boulders
     has_hole: bool
     axis_x: float  # of the hole [m]
-    inner_squared: float  # within this distance squared of the axis all is clear of the wall [m^2]
+    inner_squared: float  # squared distance to the axis that is clear of the wall [m^2]
     ground_height: float  # of the ground around the hole [m]
     rim_radius: float  # radius of the rim's rounding [m]
     opening_radius: float  # of the hole just below the rim [m]
     wall_rows: int  # of the wall's table
-    # One array holds what the queries read. In this order:
+    # One array holds the data of the queries, in this order:
     # wall: radius [m] and d radius/dz [-] over depth below the rim's rounding, (wall_rows, 2);
     # relief: the splines' heights above the plane [m], (relief_nodes, relief_nodes);
-    # cells: where a cell's boulders begin in this array, (cells^2 + 1,);
+    # cells: start index of a cell's boulders in this array, (cells^2 + 1,);
     # boulders of the cells: x, y, z of the sphere's centre, radius, fillet [m], (entries, 5);
-    # boulders: x, y, z of the foot's centre, diameter, height [m], (n, 5).
+    # boulders: x, y, z of the base's centre, diameter, height [m], (n, 5).
     table: Array
-    relief_at: int  # where these parts begin
+    relief_at: int  # start indices of these parts
     cells_at: int
     boulders_at: int
 
 
 def build_terrain(parameters: TerrainParameters, seed: int = 0) -> Terrain:
-    """Make the terrain that the parameters describe; equal seeds give equal terrains.
+    """Build a terrain; equal seeds give equal terrains.
 
     Args:
         parameters: the terrain.
@@ -182,11 +182,11 @@ def _wall_table(hole: HoleParameters) -> Array:
 def _with_boulders(
     terrain: Terrain, parameters: TerrainParameters, field: BoulderParameters, seed: int
 ) -> Terrain:
-    """Add the boulders, sorted into the cells from which they can be touched."""
+    """Add the boulders, sorted into the cells from which they can be in contact."""
     found = scatter(field, seed, parameters.patch_centre, parameters.patch_half_width)
     offset = np.abs(found[:, :2] - parameters.patch_centre).max(axis=1)
     reach = (0.5 + 2.0 * BOULDER_FILLET) * found[:, 2] + _MARGIN
-    found = found[offset + reach < parameters.patch_half_width]  # none is cut by the border
+    found = found[offset + reach < parameters.patch_half_width]  # whole inside the patch
     if parameters.hole is not None:
         to_axis = np.sqrt((found[:, 0] - terrain.axis_x) ** 2 + found[:, 1] ** 2)
         found = found[to_axis < wall_radius(terrain, terrain.floor_height)[0]]
@@ -399,11 +399,11 @@ def wall_depth_and_normal(
 def depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """How deep a point is in the ground, and which way is out.
+    """Depth of a point in the ground, outward normal, and material.
 
     Returns:
-        Depth [m], positive inside the ground; the three components of the unit normal, out of the
-        ground; and how much of the ground there is rock rather than regolith, 0 to 1.
+        Depth [m], positive inside the ground; three components of the outward unit normal; and
+        the fraction of rock, 0 (regolith) to 1 (rock).
     """
     depth, nx, ny, nz, rock = _floor(terrain, x, y, z)
     if not terrain.has_hole:
@@ -456,16 +456,16 @@ def floor_heights(terrain: Terrain, x: Array, y: Array) -> Array:
 
 
 def boulder_list(terrain: Terrain) -> Array:
-    """Boulders, the largest first: x, y, z of the foot's centre, diameter, height [m], (n, 5)."""
+    """Boulders, largest first: x, y, z of the base's centre, diameter, height [m], (n, 5)."""
     return terrain.table[terrain.boulders_at :].reshape(-1, 5)
 
 
 def wall_profile(terrain: Terrain, reach: float = 10.0) -> Array:
-    """Outline of ground, rim and wall: distance from the hole's axis and z [m], (k, 2), downwards.
+    """Profile of ground, rim and wall: distance from the hole's axis and z [m], (k, 2), downwards.
 
     Args:
         terrain: a terrain with a hole.
-        reach: how far the ground around the hole is followed [m].
+        reach: width of the ground around the rim [m].
 
     Raises:
         ValueError: the terrain has no hole.

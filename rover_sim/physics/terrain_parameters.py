@@ -1,4 +1,4 @@
-"""What a terrain is made of, in numbers, and the places that are known.
+"""Parameters of a terrain, with presets of known lunar pits.
 
 The world's origin is the fairlead; z points up. `rover_sim.physics.terrain` builds the terrain.
 """
@@ -11,7 +11,7 @@ from rover_sim.physics.boulders import BoulderParameters
 
 @dataclass(frozen=True)
 class ReliefParameters:
-    """Gentle ups and downs of the floor, as octaves of smoothed random heights.
+    """Relief of the floor: octaves of smoothed random heights.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -19,8 +19,8 @@ class ReliefParameters:
 
     rms: float = 0.03  # root mean square height [m], >= 0
     spacing: float = 0.5  # of the nodes [m], > 0
-    octaves: int = 4  # wavelengths from 4 spacings up, each twice the last, >= 1
-    roughness: float = 0.5  # amplitude of an octave relative to that of twice its length, (0, 1]
+    octaves: int = 4  # wavelengths from 4 spacings up, each twice the previous, >= 1
+    roughness: float = 0.5  # amplitude ratio of an octave to the next longer one, (0, 1]
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rms) and self.rms >= 0.0):
@@ -41,12 +41,12 @@ class HoleParameters:
         ValueError: a value is not finite or out of its range.
     """
 
-    diameter: float  # at the mouth, below the rim's rounding [m], > 0
-    depth: float  # from the ground around to the floor [m], > 0
-    # (depth below the ground, what the radius there exceeds the mouth's by) [m]; the radius goes
-    # from one to the next with zero slope at each
+    diameter: float  # of the opening, below the rim's rounding [m], > 0
+    depth: float  # from the surrounding ground to the floor [m], > 0
+    # (depth below the ground, radius there minus the opening's radius) [m]; interpolated with zero
+    # slope at each entry
     profile: tuple[tuple[float, float], ...] = ()
-    wall_distance: float = 3.0  # of the fairlead's plumb line, at the narrowest [m], > 0
+    wall_distance: float = 3.0  # of the fairlead's plumb line at the narrowest radius [m], > 0
     fairlead_height: float = 1.0  # of the fairlead above the ground [m], > 0
     rim_radius: float = 1.0  # rounding of the rim [m], > 0
 
@@ -78,7 +78,7 @@ class HoleParameters:
 
 @dataclass(frozen=True)
 class TerrainParameters:
-    """A whole terrain; without a hole it is a floor alone.
+    """A terrain: a floor, or with `hole` also the wall, the rim and the surrounding ground.
 
     With a hole the floor's height follows from the hole's depth, and `floor_height` is ignored.
 
@@ -107,16 +107,16 @@ class TerrainParameters:
 
     @classmethod
     def incline(cls, degrees: float, floor_height: float = 0.0) -> "TerrainParameters":
-        """A bare plane of regolith that falls towards +x by the given angle."""
+        """Plane of bare regolith that descends towards +x by an angle [deg]."""
         return cls(floor_height=floor_height, slope_x=-math.tan(math.radians(degrees)))
 
 
 # Haruyama et al. 2009 (Geophys. Res. Lett. 36, L21206), Robinson et al. 2012 (Planet. Space Sci.
 # 69) and Wagner and Robinson 2014 (Icarus 237) give the widths and depths; of the walls Wagner and
-# Robinson 2019 (GSA Annual Meeting, 340349) report a floor that goes on 10 m under Tranquillitatis'
-# east rim, with a recess of over 8 m from 40 m down, and 15 m under that of Ingenii. The pits
-# are oval: mouth and neck take the long and the short width. How the wall gets from one
-# to the other, Marius Hills' overhang and Ingenii's depth are our choice.
+# Robinson 2019 (GSA Annual Meeting, 340349) report a floor that extends 10 m under Tranquillitatis'
+# east rim, with a recess of over 8 m from 40 m down, and 15 m under the rim of Ingenii. The pits
+# are oval: the opening has the long width, the neck the short one. The wall's profile between them,
+# Marius Hills' overhang and Ingenii's depth are our choice.
 MARIUS_HILLS = HoleParameters(
     diameter=65.0, depth=50.0, profile=((12.0, -3.5), (24.0, -3.5), (36.0, 4.0))
 )

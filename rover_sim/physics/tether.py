@@ -1,9 +1,8 @@
-"""A tether as the compiled functions see it: constants, coordinates, energies and tensions.
+"""Tether data for compiled functions: constants, coordinates, energies and tensions.
 
-The number of directions is that of the gravity vector, a tuple, and hence known to the compiler.
-Coordinates and rates are arrays (2 dim, width): row k holds coordinate k of (r, r') of all nodes,
-followed by columns without meaning, so that the last elements fill a packet. `to_rows` and
-`to_nodes` translate.
+The number of directions `dim` is the length of the gravity vector, a tuple, so the compiler knows
+it. Coordinates and rates are arrays (2 dim, width): row k holds coordinate k of (r, r') of all
+nodes, padded so that the last elements fill a packet. `to_rows` and `to_nodes` convert.
 """
 
 from typing import Any, NamedTuple
@@ -17,14 +16,14 @@ from rover_sim.physics.tether_section import TetherSection
 
 GAUSS = len(GAUSS_WEIGHTS)
 
-# Slope at a quadrature point from the reduced basis: r' = sum_k BASIS[g, k] (chord, r1', r2')_k,
-# and r'' = sum_k CURVING[g, k] (chord, r1', r2')_k / l.
+# Slope at a quadrature point from the reduced basis: r' = sum_k SLOPES[g, k] (chord, r1', r2')_k,
+# and r'' = sum_k CURVATURES[g, k] (chord, r1', r2')_k / l.
 SLOPES = np.ascontiguousarray(ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
 CURVATURES = np.ascontiguousarray(ancf.curvature_functions(ancf.GAUSS_POINTS, 1.0)[:, [2, 1, 3]])
 
 
 class Tether(NamedTuple):
-    """A uniform tether as the compiled functions see it; `gravity` gives the dimension."""
+    """A uniform tether; the length of `gravity` is the number of directions."""
 
     elements: int  # n
     element_length: float  # l [m]
@@ -44,7 +43,7 @@ def make_tether(
     gravity: tuple[float, ...],
     numerical_damping: float = 0.0,
 ) -> Tether:
-    """Collect what the compiled functions need, as plain numbers.
+    """Convert a tether's parameters to plain numbers for compiled functions.
 
     Args:
         section: cross-section.
@@ -81,7 +80,7 @@ def to_nodes(rows: Array, elements: int) -> Array:
 
 @kernel
 def row_width(elements: int, dim: int) -> int:
-    """Columns of a row: whole packets of elements and one packet more for the last nodes."""
+    """Number of columns of a row: whole packets of elements and one packet for the last nodes."""
     lanes = 4 if dim == 2 else 8
     return (elements + lanes - 1) // lanes * lanes + lanes
 
@@ -121,7 +120,7 @@ def bending_coefficients(tether: Tether) -> tuple[float, ...]:
 
 @inner
 def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> tuple[float, ...]:
-    """A x + b y for two sets of six coefficients."""
+    """Linear combination a x + b y of two sets of six coefficients."""
     return (
         a * x[0] + b * y[0],
         a * x[1] + b * y[1],
@@ -208,8 +207,8 @@ def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> Non
 def nodal_tensions(tensions: Array) -> Array:
     """Tensions of the elements (n,) as tensions at the nodes (n + 1,) [N].
 
-    An element's mean belongs to its middle: nodes between two elements get the mean of both, the
-    ends are extrapolated.
+    An element's tension belongs to its midpoint: a node between two elements gets their mean, the
+    end nodes are extrapolated.
     """
     if tensions.size == 1:
         return np.repeat(tensions, 2)

@@ -1,23 +1,23 @@
-"""The tether on floor, boulders, wall and rim.
+"""Contact of the tether with the ground: floor, boulders, wall and rim.
 
-Each element touches the ground at two Gauss points, which stand for half of its length each: the
-law of `contact` per metre of tether, times that length. Two points are as many as an element adds
-unknowns in each direction, so no shape of the chain sinks in unseen.
+Each element has two contact points, at its Gauss points, each for half of its length: the law of
+`contact` per metre of tether, times that length. An element adds two unknowns per direction, so two
+points detect every shape of the chain that penetrates the ground.
 
-Forces come in the discrete gradient form of `contact`. On curved ground the change of depth is not
-the normal times the travel u, and where regolith turns into rock the stiffness changes on the way;
-both are made good along u (Gonzalez 1996, J. Nonlinear Science 6),
+Forces have the discrete gradient form of `contact`. On curved ground the change of depth differs
+from the normal times the travel u, and between regolith and rock the stiffness changes during the
+step; both are corrected along u (Gonzalez 1996, J. Nonlinear Science 6),
 
     F = N (n + c u/u.u) + F_t + b u/u.u,
     c = -(d1 - d0) - n.u,    b = -(k1 - k0) 2/5 d0^(5/2),
 
-with normal n and stiffness k1 at the step's end. So F.u is minus the change of the energy
-stored, less what damping and friction take, on every ground. c and b are of second order in u;
-of the tangent only what they add to F is left out.
+with normal n and stiffness k1 at the step's end. So on every ground F.u is minus the change of the
+stored energy minus the dissipation. c and b are of second order in u; the tangent omits their
+derivatives.
 
-A step calls `begin_tether_contact`, then at each Newton iteration, between the kernel's `assemble`
-and `solve_increment`, `add_tether_contact`, and once it is accepted `end_tether_contact`. Only the
-points that are near the ground at its start are looked at.
+A step calls `begin_tether_contact`; each Newton iteration calls `add_tether_contact` between
+`assemble` and `solve_increment`; an accepted step calls `end_tether_contact`. Only points near the
+ground at the step's start are evaluated.
 
 The state is the deflection of each point's parking anchor, `anchors` (2 n or more, 3): rows 2 e and
 2 e + 1 belong to element e.
@@ -51,21 +51,21 @@ from rover_sim.physics.terrain import Terrain, depth_and_normal
 from rover_sim.physics.tether import Tether
 
 POINTS = 2  # on each element
-NEAR = 0.02  # points deeper than minus this, and what they travel in a step, are looked at [m]
+NEAR = 0.02  # clearance, plus the travel of a step, within which points are evaluated [m]
 
-_PLACES = np.array([0.5 - math.sqrt(1.0 / 12.0), 0.5 + math.sqrt(1.0 / 12.0)])
-_SHAPES = shape_functions(_PLACES, 1.0)  # of an element of unit length, (2, 4)
+_XI = np.array([0.5 - math.sqrt(1.0 / 12.0), 0.5 + math.sqrt(1.0 / 12.0)])
+_SHAPES = shape_functions(_XI, 1.0)  # of an element of unit length, (2, 4)
 _POSITION_ROWS = np.zeros((POINTS, 2, 8))  # of the point's shape functions, by side
 _POSITION_ROWS[:, :, :3] = _SHAPES[:, [0, 2], None]
 _SLOPE_ROWS = np.zeros((POINTS, 2, 8))
 _SLOPE_ROWS[:, :, 3:6] = _SHAPES[:, [1, 3], None]
-_EXACT_CLEARANCE = 0.25  # `terrain` says little of points farther off than this [m]
-_SMALL_TRAVEL = 1.0e-5  # below this the corrections along u fade out [m]
-_LARGEST_TILT = 0.5  # of the force by c u/u.u [-]
+_EXACT_CLEARANCE = 0.25  # clearance beyond which `terrain` gives no exact depth [m]
+_SMALL_TRAVEL = 1.0e-5  # travel below which the corrections along u fade out [m]
+_LARGEST_TILT = 0.5  # limit of the correction c u/u.u [-]
 
 
 class TetherContactLaw(NamedTuple):
-    """What the compiled functions need; stiffnesses are per metre of tether."""
+    """Contact laws for compiled functions; stiffnesses are per metre of tether."""
 
     regolith: ContactLaw
     rock: ContactLaw
@@ -73,11 +73,11 @@ class TetherContactLaw(NamedTuple):
 
 @dataclass(frozen=True)
 class TetherContactParameters:
-    """A tether on regolith and rock; forces and stiffnesses are per metre of tether.
+    """Contact parameters of a tether on regolith and rock, per metre of tether.
 
-    The anchor's stiffness is one for all grounds, so that what it stores does not change as the
-    tether slides from one to the other. Its default lets 5 g/m under lunar gravity slip after
-    about 0.1 mm.
+    Both materials have the same anchor stiffness, so that the stored energy does not change when
+    the tether slides from one to the other. With the default, 5 g/m slips after about 0.1 mm under
+    lunar gravity.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -113,14 +113,14 @@ class TetherContactParameters:
         )
 
     def law(self) -> TetherContactLaw:
-        """The same numbers for compiled functions."""
+        """The parameters for compiled functions."""
         return TetherContactLaw(self._material("regolith").law(), self._material("rock").law())
 
 
 class TetherContact(NamedTuple):
-    """Arrays of the contact's part of a step, with room for the most elements.
+    """Work arrays of the contact, for the largest number of elements.
 
-    The first group is by point, the second by place in the list of near points.
+    The first group is indexed by point, the second by position in the list of near points.
     """
 
     start: Array  # position at the step's start [m], (points, 3)
@@ -128,18 +128,18 @@ class TetherContact(NamedTuple):
     rock: Array  # rock [-] at the step's start, (points,)
     near_count: NDArray[np.int64]  # number of near points, (1,)
 
-    near: NDArray[np.int64]  # which points
-    place: Array  # position at the step's end [m], (points, 3)
+    near: NDArray[np.int64]  # indices of the near points
+    position: Array  # position at the step's end [m], (points, 3)
     travel: Array  # u [m], (points, 3)
     ground: Array  # depth d1 [m], normal n, rock [-] at the step's end, (points, 5)
-    slip: Array  # tangential travel in the last iteration [m], (points, 3)
+    slip: Array  # tangential travel in the previous iteration [m], (points, 3)
     touches: NDArray[np.int64]  # 1 where there is a force
     load: Array  # normal force N [N]
     force: Array  # columns of dF/du, then F, each written twice, (points, 4, 8)
 
 
 class TetherContactTotals(NamedTuple):
-    """What the contact did in a step."""
+    """Energies and forces of the contact in a step."""
 
     dissipated: float  # [J]
     stored_change: float  # of the energy in ground and anchors [J]
@@ -148,7 +148,7 @@ class TetherContactTotals(NamedTuple):
 
 
 def make_tether_contact(elements: int) -> TetherContact:
-    """Allocate the arrays for a tether of at most so many elements."""
+    """Allocate the arrays for a tether of at most `elements` elements."""
     points = POINTS * elements
     return TetherContact(
         np.zeros((points, 3)),
@@ -177,11 +177,11 @@ def _at_point(rows: Array, length: float, e: int, g: int, d: int) -> float:
 
 
 @inner
-def _query_terrain(terrain: Terrain, places: Array, count: int, ground: Array) -> None:
-    """Depth, normal and rock at the first places: the one query of the terrain in this module."""
+def _query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -> None:
+    """Depth, normal and rock at the first `count` points: the module's only terrain query."""
     for s in range(count):
         depth, nx, ny, nz, rock = depth_and_normal(
-            terrain, places[s, 0], places[s, 1], places[s, 2]
+            terrain, points[s, 0], points[s, 1], points[s, 2]
         )
         ground[s, 0] = depth
         ground[s, 1], ground[s, 2], ground[s, 3] = nx, ny, nz
@@ -190,12 +190,12 @@ def _query_terrain(terrain: Terrain, places: Array, count: int, ground: Array) -
 
 @inner
 def _query_all_points(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
-    """Places of all points and what the ground is there, by point."""
+    """Positions of all points, with depth, normal and rock there."""
     for e in range(tether.elements):
         for g in range(POINTS):
             for d in range(3):
-                contact.place[POINTS * e + g, d] = _at_point(q, tether.element_length, e, g, d)
-    _query_terrain(terrain, contact.place, POINTS * tether.elements, contact.ground)
+                contact.position[POINTS * e + g, d] = _at_point(q, tether.element_length, e, g, d)
+    _query_terrain(terrain, contact.position, POINTS * tether.elements, contact.ground)
 
 
 @inner
@@ -208,10 +208,10 @@ def begin_tether_contact(
     anchors: Array,
     contact: TetherContact,
 ) -> int:
-    """Find the points that may touch the ground in a step of length h from (q, v).
+    """Find the points that may come into contact in a step of length h from (q, v).
 
     Returns:
-        Their number.
+        Number of these near points.
     """
     _query_all_points(terrain, tether, q, contact)
     count = 0
@@ -220,7 +220,7 @@ def begin_tether_contact(
         contact.depth[p] = depth
         contact.rock[p] = contact.ground[p, 4]
         for d in range(3):
-            contact.start[p, d] = contact.place[p, d]
+            contact.start[p, d] = contact.position[p, d]
         near = depth > -NEAR or anchors[p, 0] != 0.0 or anchors[p, 1] != 0.0
         near = near or anchors[p, 2] != 0.0
         if not near and depth > -_EXACT_CLEARANCE:
@@ -238,7 +238,7 @@ def begin_tether_contact(
 
 @inner
 def _point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
-    """The law of a point that stands for `weight` metres of tether."""
+    """Contact law of a point that represents `weight` metres of tether."""
     a, b = law.regolith, law.rock
     return ContactLaw(
         weight * (a.stiffness + rock * (b.stiffness - a.stiffness)),
@@ -253,17 +253,17 @@ def _point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
 
 @inner
 def _has_reversed(contact: TetherContact, s: int, slip: Vector, width: float) -> bool:
-    """Whether the slip has turned round since the last iteration; remembers it.
+    """Whether the slip has reversed since the previous iteration; stores the slip.
 
-    Width is the slip below which friction is regularised.
+    Friction is regularised below the slip `width` [m].
     """
-    memory = contact.slip
-    turned = slip[0] * memory[s, 0] + slip[1] * memory[s, 1] + slip[2] * memory[s, 2] < 0.0
+    previous = contact.slip
+    reverses = slip[0] * previous[s, 0] + slip[1] * previous[s, 1] + slip[2] * previous[s, 2] < 0.0
     large = slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 > 4.0 * width * width
-    if turned and large:
-        memory[s, 0], memory[s, 1], memory[s, 2] = 0.0, 0.0, 0.0
+    if reverses and large:
+        previous[s, 0], previous[s, 1], previous[s, 2] = 0.0, 0.0, 0.0
         return True
-    memory[s, 0], memory[s, 1], memory[s, 2] = slip
+    previous[s, 0], previous[s, 1], previous[s, 2] = slip
     return False
 
 
@@ -271,12 +271,12 @@ def _has_reversed(contact: TetherContact, s: int, slip: Vector, width: float) ->
 def _friction_from_rest(
     law: ContactLaw, depth0: float, depth1: float, normal: Vector, slip: Vector, h: float
 ) -> tuple[Vector, Matrix]:
-    """Force and tangent that make Newton's step the one from no slip at all.
+    """Force and tangent with friction linearised at zero slip.
 
-    Friction that would hold a light tether changes from one side to the other within a slip of v_s
-    h. Newton's method jumps over it to and fro for ever; from no slip it approaches the slip at
-    which friction balances from one side, as friction is concave there. So where the slip has
-    turned round, this iteration takes friction as linear with the slope that it has at rest.
+    The friction of a light tether reverses within a slip of v_s h, and Newton's method can
+    alternate between both signs without end. From zero slip it converges monotonically, because
+    friction is concave there. So where the slip has reversed, this iteration uses linear friction
+    with the slope at rest.
     """
     load, stiffness = normal_force(law, depth0, depth1, h)
     slope = friction_coefficient(law, 0.0)[0] * load / (law.slip_speed * h)
@@ -311,7 +311,7 @@ def _evaluate(
     """Forces and tangents at the near points for the increment in `work`.
 
     Returns:
-        At how many points `_friction_from_rest` stands in.
+        Number of points at which `_friction_from_rest` replaces the law.
     """
     linearised = 0
     count = contact.near_count[0]
@@ -321,8 +321,8 @@ def _evaluate(
         for d in range(3):
             move = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
             contact.travel[s, d] = move
-            contact.place[s, d] = contact.start[p, d] + move
-    _query_terrain(terrain, contact.place, count, contact.ground)
+            contact.position[s, d] = contact.start[p, d] + move
+    _query_terrain(terrain, contact.position, count, contact.ground)
     for s in range(count):
         p = contact.near[s]
         depth0 = contact.depth[p]
@@ -402,7 +402,7 @@ def add_tether_contact(
 
 @inner
 def _subtract_point(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
-    """Take a point's force and tangent off its element's blocks, see `block_elimination`."""
+    """Subtract a point's force and tangent from its element's blocks, see `block_elimination`."""
     tag = tether.gravity
     length = tether.element_length
     e, g = p // POINTS + 1, p % POINTS
@@ -425,7 +425,7 @@ def _subtract_point(tether: Tether, p: int, s: int, force: Array, blocks: Array)
 
 @inner
 def _subtract(tag: Any, blocks: Array, e: int, side: int, column: int, change: Any) -> None:
-    """Take a packet off a column of an element's side."""
+    """Subtract a packet from a column of an element's side."""
     store(blocks, (e, side, column, 0), load(tag, blocks, (e, side, column, 0)) - change)
 
 
@@ -438,10 +438,10 @@ def end_tether_contact(
     work: Workspace,
     contact: TetherContact,
 ) -> TetherContactTotals:
-    """Carry the anchors on, once, after an accepted step; the increment in `work` is the step's.
+    """Update the anchors after an accepted step, whose increment is in `work`.
 
-    The forces are those that the last iteration's equations held, its own with the tangent over
-    what it moved: with these the motion is in balance.
+    The forces are those of the last iteration's linearised equations, force plus tangent times its
+    increment, because these balance the motion.
     """
     weight = tether.element_length / POINTS
     stored_change = 0.0
@@ -453,9 +453,11 @@ def end_tether_contact(
         depth = contact.ground[s, 0]
         for d in range(3):
             travel = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
-            contact.place[s, d] = travel - contact.travel[s, d]  # what the last iteration moved
+            contact.position[s, d] = (
+                travel - contact.travel[s, d]
+            )  # increment of the last iteration
             contact.travel[s, d] = travel
-            depth -= contact.place[s, d] * contact.ground[s, 1 + d]
+            depth -= contact.position[s, d] * contact.ground[s, 1 + d]
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
         before = _point_law(law, weight, contact.rock[p])
         stored_change -= contact_energy(before, contact.depth[p], bristle)
@@ -477,7 +479,7 @@ def end_tether_contact(
             for d in range(3):
                 force = contact.force[s, 3, d]
                 for c in range(3):
-                    force += contact.force[s, c, d] * contact.place[s, c]
+                    force += contact.force[s, c, d] * contact.position[s, c]
                 work_on_ground -= force * contact.travel[s, d]
     return TetherContactTotals(
         work_on_ground - stored_change, stored_change, normal_force, touching
@@ -493,7 +495,7 @@ def tether_contact_energy(
     anchors: Array,
     contact: TetherContact,
 ) -> float:
-    """Energy stored in ground and anchors [J]; `contact` lends its arrays."""
+    """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
     _query_all_points(terrain, tether, q, contact)
     weight = tether.element_length / POINTS
     stored = 0.0

@@ -1,4 +1,4 @@
-"""The tether's cross-section: what one metre of tether weighs, resists and dissipates."""
+"""Cross-section properties of the tether: stiffness, line density, damping, breaking load."""
 
 import math
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ from dataclasses import dataclass
 class TetherSection:
     """Stiffness, mass, damping and strength of a uniform thin tether.
 
-    The two damping times belong to Kelvin-Voigt (strain-rate) damping: the axial force is
+    Damping is of Kelvin-Voigt type (strain-rate proportional): the axial force is
     EA (eps + tau_a deps/dt), the bending moment EI (kappa + tau_b dkappa/dt).
 
     Raises:
-        ValueError: a value is not finite where it must be, or out of its range.
+        ValueError: a value is not finite (except breaking_load) or out of its range.
     """
 
     axial_stiffness: float  # EA [N], > 0

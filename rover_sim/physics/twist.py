@@ -1,27 +1,28 @@
-"""Twist of the tether, as one number, and the swivel between tether and rover.
+"""Twist angle of the tether, and the swivel between tether and rover.
 
-The cable has no torsion of its own; a spring GJ/L between fairlead and rover stands in for it. Its
-angle is that of the rover against a frame that goes along the tether without spinning about it
-(Bishop 1975, American Mathematical Monthly 82): from one tangent t1 to the next t2 by the smallest
-rotation, which takes a vector d normal to t1 to
+The cable elements have no torsion; a spring GJ/L between fairlead and rover represents it. Its
+angle is that of the rover against a twist-free (parallel-transported) frame along the tether
+(Bishop 1975, American Mathematical Monthly 82): the smallest rotation from one tangent t1 to the
+next t2 takes a vector d normal to t1 to
 
     d - (d.t2)/(1 + t1.t2) (t1 + t2).
 
-The chain of tangents is: straight down, where d is the world's x axis; the slope at the fairlead;
-the slopes of the nodes; and the rover's own -z axis b, about which the angle of its x axis against
-d is taken. So on a straight tether this is the swing-twist angle; a rover that cones about the
-vertical comes back to the same angle, though the integral of w.t does not (it drifts by the solid
-angle that t encloses). With the last tangent t held, the angle changes at the rate
+The sequence of tangents is: straight down, with d the world's x axis; the slope at the fairlead;
+the slopes of the nodes; and the rover's -z axis b, about which the angle of its x axis against d is
+measured. On a straight tether this is the swing-twist angle. A rover that cones about the vertical
+returns to the same angle, though the integral of w.t does not (it drifts by the solid angle that t
+encloses). With the last tangent t constant, the angle changes at the rate
 
     w.a,   a = (t + b)/(1 + t.b),
 
-so a moment -M a on the rover does work against it exactly.
+so the work of a moment -M a on the rover is exactly -M times the change of the angle.
 
-Where two tangents in a row are opposite, in a folded tether, the smallest rotation is undefined;
-the angle then stays as it was. It is unwrapped with its last value: within half a turn of it.
+Where two consecutive tangents are opposite, in a folded tether, the smallest rotation is undefined
+and the angle keeps its previous value. The angle is unwrapped to within half a turn of its previous
+value.
 
-The swivel is elastic-perfectly plastic: below its friction torque it holds and the tether is
-twisted, above it slips.
+The swivel is elastic-perfectly plastic: below its friction torque it sticks and the tether twists,
+above it slips.
 """
 
 import math
@@ -39,7 +40,7 @@ from rover_sim.physics.vectors import (
     scale,
 )
 
-FOLDED = 1.0e-3  # 1 + t1.t2 below which the way from t1 to t2 counts as undefined [-]
+FOLDED = 1.0e-3  # 1 + t1.t2 below which the rotation from t1 to t2 is undefined [-]
 
 _DOWN: Vector = (0.0, 0.0, -1.0)
 _FORWARD: Vector = (1.0, 0.0, 0.0)
@@ -47,7 +48,7 @@ _FORWARD: Vector = (1.0, 0.0, 0.0)
 
 @checked_inner
 def direction_of(slope: Vector, otherwise: Vector) -> Vector:
-    """Unit vector along a slope; `otherwise` for one that is too small or not finite."""
+    """Unit vector along a slope; `otherwise` if the slope is too small or not finite."""
     square = dot(slope, slope)
     if not 1.0e-12 < square < math.inf:
         return otherwise
@@ -56,7 +57,7 @@ def direction_of(slope: Vector, otherwise: Vector) -> Vector:
 
 @checked_inner
 def transported(d: Vector, t1: Vector, t2: Vector) -> tuple[Vector, bool]:
-    """d, normal to t1, turned by the smallest rotation from t1 to t2; False if there is none."""
+    """Parallel transport of d, normal to t1, from t1 to t2; False if it is undefined."""
     denominator = 1.0 + dot(t1, t2)
     if not denominator > FOLDED:
         return d, False
@@ -72,7 +73,7 @@ def tip_direction(elements: int, q: Array) -> Vector:
 
 @checked_inner
 def twist_axis(elements: int, q: Array, orientation: Quaternion) -> Vector:
-    """The vector a (3,) such that the twist changes at the rate w.a; zero where folded."""
+    """Vector a (3,) with which the twist changes at the rate w.a; zero if folded."""
     t = tip_direction(elements, q)
     b = scale(-1.0, rotation_of(orientation)[2])
     denominator = 1.0 + dot(t, b)
@@ -85,14 +86,14 @@ def twist_axis(elements: int, q: Array, orientation: Quaternion) -> Vector:
 def twist_angle(
     elements: int, slope: Vector, q: Array, orientation: Quaternion, before: float
 ) -> float:
-    """Twist of the tether [rad], positive when the rover is turned about its -z axis, downwards.
+    """Twist of the tether [rad], positive for a rotation of the rover about its -z axis (down).
 
     Args:
         elements: n.
         slope: at the fairlead, (3,).
         q: rows (6, width) of the chain's nodes.
         orientation: of the rover, body to world.
-        before: the angle at the last step, for unwrapping and for a folded tether.
+        before: the angle of the previous step, for unwrapping and for a folded tether.
     """
     body = rotation_of(orientation)
     t1 = _DOWN
@@ -120,16 +121,16 @@ def twist_angle(
 def swivel_torque(
     stiffness: float, friction: float, twist: float, slip: float
 ) -> tuple[float, float, float]:
-    """Torque of the twisted tether on the rover, and how the swivel slips.
+    """Torque of the twisted tether on the rover, and slip of the swivel.
 
     Args:
         stiffness: GJ/L [N m/rad].
         friction: torque at which the swivel slips [N m]; 0: free, inf: clamped.
         twist: angle of the rover against the tether's frame [rad].
-        slip: of the swivel before [rad].
+        slip: of the swivel before the step [rad].
 
     Returns:
-        Torque on the rover about `twist_axis` [N m]; the slip after; and the heat of slipping [J].
+        Torque on the rover about `twist_axis` [N m]; slip after the step [rad]; heat of slip [J].
     """
     elastic = stiffness * (twist - slip)
     if abs(elastic) <= friction:
@@ -141,5 +142,5 @@ def swivel_torque(
 
 @checked_inner
 def twist_energy(stiffness: float, twist: float, slip: float) -> float:
-    """Energy of the twisted tether [J]."""
+    """Elastic energy of the twisted tether [J]."""
     return 0.5 * stiffness * (twist - slip) ** 2

@@ -1,8 +1,8 @@
-"""The tether's first element at the fairlead, whose length changes as the drum pays out.
+"""The exit element at the fairlead, whose length changes as the drum pays out or reels in.
 
 An arbitrary-Lagrangian-Eulerian element (Hong and Ren 2011, Multibody System Dynamics 26; Ding and
-Ouyang 2022, Machines 10:174): its first node stays at the fairlead while material flows through,
-its second node belongs to the Lagrangian chain that `energy_momentum` integrates. With s the
+Ouyang 2022, Machines 10:174): its first node is fixed at the fairlead and material flows through
+it; its second node belongs to the Lagrangian chain that `energy_momentum` integrates. With s the
 undeformed arc length, s1(t) the material point at the fairlead and s2 that of the second node,
 
     l = s2 - s1,   xi = (s - s1)/l,   sigma = ds1/dt = -v_pay,   r = S(xi, l) e.
@@ -12,13 +12,13 @@ A shape function S = l^p f(xi) changes with s1 at fixed s by D = dS/ds1 and D2 =
     D = l^(p-1) g,    g = f' (xi - 1) - p f,
     D2 = l^(p-2) k,   k = g' (xi - 1) - (p - 1) g,
 
-so that a material point moves with dr/dt = S e' + sigma D e and the element obeys
+so a material point has the velocity dr/dt = S e' + sigma D e, and the equation of the element is
 
     int rhoA S^T (S e'' + 2 sigma D e' + (sigma^2 D2 + sigma' D) e) ds + Q(l, e) = Q_g(l).
 
-The fairlead's end has its position held and its slope free; the slope is condensed into the
-second node, so that to the chain this element is one more thing that sits at its end. A step takes
-everything at mid-step (second order), with Green's strain averaged over start and end.
+At the fairlead the position is fixed and the slope is free; the slope is condensed into the second
+node, so the element acts on the chain like any block at its end. A step evaluates all terms at
+mid-step (second order), with Green's strain averaged over start and end.
 """
 
 from typing import NamedTuple
@@ -78,23 +78,23 @@ _WEIGHTS = ancf.GAUSS_WEIGHTS
 
 
 class ExitElement(NamedTuple):
-    """Arrays of the first element's part of a step; m = 2 dim coordinates a node."""
+    """Work arrays of the exit element; a node has m = 2 dim coordinates."""
 
     increment: Array  # of the exit slope, (dim,)
-    start: Array  # e at the start, (4, dim)
-    rate: Array  # its rates, (4, dim)
-    change: Array  # D, (4, dim)
+    start: Array  # e at the step's start, (4, dim)
+    rate: Array  # de/dt at the step's start, (4, dim)
+    change: Array  # D, increment of e, (4, dim)
     residual: Array  # (4, dim)
     tangent: Array  # (4, 4, dim, dim)
     condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
     reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
-    tension: Array  # (1,) tension at the fairlead at mid-step [N]
+    tension: Array  # tension at the fairlead at mid-step [N], (1,)
 
 
 class Payout(NamedTuple):
     """Length and payout rate at the start and the end of a step: l1 = l0 + h (v0 + v1)/2."""
 
-    length0: float  # undeformed length of the first element [m]
+    length0: float  # undeformed length of the exit element [m]
     length1: float
     rate0: float  # v_pay [m/s]
     rate1: float
@@ -125,7 +125,7 @@ def _scale(i: int, length: float) -> float:
 def begin_exit(
     fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_element: ExitElement
 ) -> None:
-    """Take over the state at the start of a step.
+    """Copy the state at the start of a step to the work arrays.
 
     Args:
         fairlead: position of the first node [m], (dim,).
@@ -145,7 +145,7 @@ def begin_exit(
 
 @inner
 def _clear(exit_element: ExitElement) -> None:
-    """Empty residual and tangent."""
+    """Set residual and tangent to zero."""
     dim = exit_element.increment.shape[0]
     for i in range(4):
         for d in range(dim):
@@ -168,15 +168,15 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitEleme
             powers = _scale(i, length) * _scale(j, length)
             inertia = rho * length * powers * _FF[i, j]
             flow = rho * powers * _FG[i, j]
-            place = rho * sigma * sigma * powers / length * _FK[i, j] + sigma_rate * flow
-            place += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
-            isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * place
+            stiffness = rho * sigma * sigma * powers / length * _FK[i, j] + sigma_rate * flow
+            stiffness += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
+            isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * stiffness
             for d in range(dim):
                 change = exit_element.change[j, d]
                 exit_element.residual[i, d] += (
                     inertia * 2.0 / h * (change / h - exit_element.rate[j, d])
                     + 2.0 * sigma * flow * change / h
-                    + place * (exit_element.start[j, d] + 0.5 * change)
+                    + stiffness * (exit_element.start[j, d] + 0.5 * change)
                 )
                 exit_element.tangent[i, j, d, d] += isotropic
         for d in range(dim):
@@ -197,10 +197,10 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
             slope0 = 0.0
             slope1 = 0.0
             for i in range(4):
-                place = exit_element.start[i, d]
-                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
-                place += exit_element.change[i, d]
-                slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+                coordinate = exit_element.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
+                coordinate += exit_element.change[i, d]
+                slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
             square0 += slope0 * slope0
             square1 += slope1 * slope1
         strain = end_share * 0.5 * (square1 - 1.0) + (1.0 - end_share) * 0.5 * (square0 - 1.0)
@@ -208,8 +208,8 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
         for d in range(dim):
             middle = 0.0
             for i in range(4):
-                place = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
-                middle += _SLOPE[g, i] * _scale(i, length) / length * place
+                coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
+                middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
             for i in range(4):
                 shape = _SLOPE[g, i] * _scale(i, length) / length
                 exit_element.residual[i, d] += weight * strain * shape * middle
@@ -219,13 +219,13 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
         for c in range(dim):
             end = 0.0
             for i in range(4):
-                place = exit_element.start[i, c] + exit_element.change[i, c]
-                end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+                coordinate = exit_element.start[i, c] + exit_element.change[i, c]
+                end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
             for d in range(dim):
                 middle = 0.0
                 for i in range(4):
-                    place = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
-                    middle += _SLOPE[g, i] * _scale(i, length) / length * place
+                    coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
+                    middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
                 for i in range(4):
                     shape = _SLOPE[g, i] * _scale(i, length) / length
                     for j in range(4):
@@ -239,7 +239,7 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
 def add_exit(
     tether: Tether, h: float, pay: Payout, work: Workspace, exit_element: ExitElement
 ) -> None:
-    """Add the first element to the chain's root, its exit slope condensed into the second node."""
+    """Add the exit element to the chain's root, its exit slope condensed into the second node."""
     dim = len(tether.gravity)
     m = 2 * dim
     for d in range(dim):
@@ -284,17 +284,17 @@ def add_exit(
 
 @inner
 def exit_increment(length: float, work: Workspace, exit_element: ExitElement) -> float:
-    """Newton increment of the exit slope from that of the second node; largest entry [m]."""
+    """Apply the Newton increment of the exit slope; returns the sum of magnitudes [m]."""
     dim = exit_element.increment.shape[0]
     m = 2 * dim
-    largest = 0.0
+    total = 0.0
     for d in range(dim):
         change = exit_element.condensed[d, m + dim]
         for c in range(m):
             change -= exit_element.condensed[d, dim + c] * work.solution[1, c]
         exit_element.increment[d] -= change
-        largest += length * abs(change)
-    return largest
+        total += length * abs(change)
+    return total
 
 
 @inner
@@ -306,10 +306,10 @@ def end_exit_step(
     slope1: Array,
     slope_rate1: Array,
 ) -> float:
-    """Write exit slope and rate after a converged step, and the reaction; returns the loss [J].
+    """Write exit slope, its rate and the reaction after a converged step; returns dissipation [J].
 
-    The reaction is what the fairlead does to the tether, the residual of the held position; the
-    tension at the fairlead is its part along the tether at mid-step.
+    The reaction of the fairlead on the tether is the residual of the fixed position; the tension at
+    the fairlead is its component along the tether at mid-step.
     """
     dim = exit_element.increment.shape[0]
     length = 0.5 * (pay.length0 + pay.length1)
@@ -334,10 +334,10 @@ def end_exit_step(
             slope0 = 0.0
             slope1_ = 0.0
             for i in range(4):
-                place = exit_element.start[i, d]
-                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * place
-                place += exit_element.change[i, d]
-                slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * place
+                coordinate = exit_element.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
+                coordinate += exit_element.change[i, d]
+                slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
             change += 0.5 * (slope1_ * slope1_ - slope0 * slope0)
         loss += _WEIGHTS[g] * change * change
     return damping * tether.axial_stiffness * length * loss
@@ -347,7 +347,7 @@ def end_exit_step(
 def exit_energies(
     tether: Tether, length: float, payout_rate: float, e: Array, rate: Array
 ) -> tuple[float, float, float, float]:
-    """Kinetic, gravity, axial and bending energy [J] of the first element; e, rate (4, dim)."""
+    """Kinetic, gravity, axial and bending energy [J] of the exit element; e, rate (4, dim)."""
     dim = len(tether.gravity)
     sigma = -payout_rate
     rho = tether.line_density
@@ -404,29 +404,29 @@ def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
 
 @inner
 def field_at(
-    length: float, place: float, payout_rate: float, e: Coordinates, rate: Coordinates
+    length: float, s: float, payout_rate: float, e: Coordinates, rate: Coordinates
 ) -> tuple[float, float, float, float]:
-    """Place, slope, material velocity and its slope in one direction inside an element.
+    """Position, slope, material velocity and its slope in one direction inside an element.
 
     Args:
         length: undeformed length of the element [m].
-        place: undeformed distance from its first node [m].
+        s: undeformed distance from its first node [m].
         payout_rate: v_pay [m/s]; 0 for a Lagrangian element.
         e: its coordinates in that direction.
         rate: their rates.
     """
     sigma = -payout_rate
-    xi = place / length
-    here, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
+    xi = s / length
+    position, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
         power = _scale(i, length)
-        here += power * _cubic(_F, xi, i) * e[i]
+        position += power * _cubic(_F, xi, i) * e[i]
         slope += power / length * _cubic_slope(_F, xi, i) * e[i]
         speed += power * _cubic(_F, xi, i) * rate[i]
         speed += sigma * power / length * _cubic(_G, xi, i) * e[i]
         slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i]
         slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i]
-    return here, slope, speed, slope_speed
+    return position, slope, speed, slope_speed
 
 
 @inner
@@ -439,9 +439,9 @@ def split(
     node: Array,
     node_rate: Array,
 ) -> None:
-    """Write the node that divides the first element, `cut` [m] from the fairlead; exact.
+    """Write the node that splits the exit element at `cut` [m] from the fairlead; exact.
 
-    Place and material velocity of a cubic element are cubics in s, and so are its two parts'.
+    Position and material velocity of a cubic element are cubic in s, as are those of its parts.
 
     Args:
         length: undeformed length of the element [m].

@@ -1,7 +1,7 @@
-"""Vectors and rotations in space as tuples, for compiled functions: no arrays, no allocation.
+"""Vectors and rotations in space as tuples, for compiled functions without allocation.
 
-A vector is (x, y, z). A rotation is its three columns, the body's axes in the world. A quaternion
-is (w, x, y, z), body to world.
+A vector is (x, y, z). A rotation is the three columns of its matrix, the body's axes in the world
+frame. A quaternion is (w, x, y, z), body to world.
 
 The Cayley vector th of a rotation C is the axis times 2 tan(angle/2); with [th] the cross product
 matrix,
@@ -52,7 +52,7 @@ def dot(a: Vector, b: Vector) -> float:
 
 @checked_inner
 def cross(a: Vector, b: Vector) -> Vector:
-    """Outer product a x b."""
+    """Cross product a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -86,7 +86,7 @@ def rotation_of(q: Quaternion) -> Rotation:
 
 @checked_inner
 def cayley_update(q: Quaternion, th: Vector) -> Quaternion:
-    """Quaternion after the turn by the Cayley vector th, given in the body's axes; unit again."""
+    """Unit quaternion after the rotation by the Cayley vector th in body axes."""
     w, x, y, z = q
     a, b, c = 0.5 * th[0], 0.5 * th[1], 0.5 * th[2]
     p = (
@@ -107,18 +107,18 @@ def cayley_scale(th: Vector) -> float:
 
 @checked_inner
 def cayley(th: Vector, u: Vector) -> Vector:
-    """C u."""
+    """Rotated vector C u."""
     return add(u, cayley_change(th, u))
 
 
 @checked_inner
 def cayley_change(th: Vector, u: Vector) -> Vector:
-    """C u - u, to the last digit however small th is."""
+    """Change C u - u, without cancellation for small th."""
     first = cross(th, u)
     return scale(cayley_scale(th), axpy(0.5, cross(th, first), first))
 
 
 @checked_inner
 def cayley_tangent(th: Vector, u: Vector) -> Vector:
-    """A u: the spin of C that belongs to the change u of th."""
+    """Rotation A u of C caused by the change u of th (tangent operator of the Cayley map)."""
     return scale(cayley_scale(th), axpy(0.5, cross(th, u), u))

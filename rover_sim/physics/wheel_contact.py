@@ -1,32 +1,31 @@
-"""The force on a wheel inside an implicit step: on regolith, on rock, rolling, slipping, parked.
+"""Contact force on a wheel in an implicit step: on regolith or rock, rolling, slipping or parked.
 
-On regolith (the floor) a wheel meets the stresses of `wheel_soil`, on rock (boulders, wall, bare
-floor) the law of `contact`; where it touches is found by `rim_speed`.
+On regolith (the floor) the force is that of `wheel_soil`, on rock (boulders, wall, bare floor) that
+of `contact`; `wheel_ground_geometry` computes the contact point.
 
 Signs: the axle's direction a points to the left of the wheel, forward is t = a x n / |a x n|
-(n the ground's normal), the spin w is positive rolling forward. The force F acts at the touching
-point, but its moment about the axle is -M, which on soil is not that of the force's arm:
-`wheel_moment` gives the moment about the wheel's centre. Who keeps the wheel's spin apart gives -M
-to the rotor; the body feels the motor's or brake's reaction instead.
+(n the ground's normal), the spin w is positive rolling forward. The force F acts at the contact
+point, but its moment about the axle is -M, which on soil differs from the moment of F:
+`wheel_moment` gives the moment about the wheel's centre. The wheel's rotor takes -M; the body feels
+the reaction of motor or brake instead.
 
 On regolith, with the sinkage z at mid-step and v_x, v_y the centre's mean speed forward and left:
 
-- X, Z, M of the stress integral at z and the slip of v_x and w r_s, all times Hunt and Crossley's
-  factor max(0, 1 + 3/2 c z'). Pressed soil hardly springs back; the default c = 5 s/m stands for
-  that, with a restitution of 0.13 at 1 m/s and a rest within two or three bobs [our choice].
-  Rolling backwards mirrors
-  everything; around v_x = 0, within +-v_b, forward and backward are blended, so that a wheel
-  spinning in place has its thrust and no rolling resistance. Slip has w r_s and v_x rounded at 0
-  over the same width.
-- sideways, friction of the strength H = (c b l + Z tan phi) of the patch of length l = 2 r
-  sin(theta_1/2), directed against the slip (v_y against u_x = w r_s - v_x) and mobilised as by
-  Janosi and Hanamoto while the soil passes: F_y = -H v_y / sqrt(v_y^2 + u_x^2 + v_k^2), v_k =
-  2 K sqrt(v_x^2 + (w r_s)^2)/l + v_s, whose initial slope is H l / (2 K |v_x|), their mean over
-  the patch. Bulldozing by the wheel's side is left out; so the wheel holds a side slope worse, not
-  better, than in truth.
-- parking: when wheel and soil are at rest, speed^2 = v_x^2 + v_y^2 + (w r_s)^2 < v_b^2, both give
-  way to friction with an anchor (module `contact`) of the limit H, by the share
-  (1 - speed^2/v_b^2)^2. A braked wheel thus holds without creep.
+- longitudinal: X, Z, M of the stress integral at z and the slip of v_x and w r_s, all times the
+  factor max(0, 1 + 3/2 c z') of Hunt and Crossley. Compacted soil hardly rebounds: with the default
+  c = 5 s/m the restitution is 0.13 at 1 m/s and a wheel is at rest after two or three oscillations
+  [our choice]. Backward rolling is the mirror image; around v_x = 0, within +-v_b, forward and
+  backward are blended, so that a wheel spinning in place has its thrust and no rolling resistance.
+  The slip ratio uses w r_s and v_x smoothed at 0 over the same width.
+- lateral: friction of the strength H = (c b l + Z tan phi) of the patch of length l = 2 r
+  sin(theta_1/2), opposite to the slip (v_y and u_x = w r_s - v_x) and mobilised after Janosi and
+  Hanamoto while the soil passes: F_y = -H v_y / sqrt(v_y^2 + u_x^2 + v_k^2), v_k =
+  2 K sqrt(v_x^2 + (w r_s)^2)/l + v_s, whose initial slope is H l / (2 K |v_x|), the mean over the
+  patch. Bulldozing by the wheel's side is neglected, so the wheel holds less on a side slope than
+  in reality.
+- parking: when wheel and soil are at rest, speed^2 = v_x^2 + v_y^2 + (w r_s)^2 < v_b^2, friction
+  with an anchor (module `contact`) of the limit H replaces both forces by the fraction
+  (1 - speed^2/v_b^2)^2. A braked wheel thus does not creep.
 """
 
 import math
@@ -50,7 +49,7 @@ from rover_sim.physics.wheel_soil import WheelTable, look_up
 
 
 class WheelLaw(NamedTuple):
-    """What a wheel's contact with regolith needs besides the table of its stresses."""
+    """Contact law of a wheel on regolith: table of the stress integral and further parameters."""
 
     table: WheelTable
     damping: float = 5.0  # c [s/m]
@@ -60,7 +59,7 @@ class WheelLaw(NamedTuple):
 
 
 class WheelForce(NamedTuple):
-    """What the ground does to a wheel, averaged over a step."""
+    """Force and torque of the ground on a wheel, averaged over a step."""
 
     force: Vector  # F [N]
     tangent: Matrix  # d force / d u, u the centre's travel [N/m], rows
@@ -73,7 +72,7 @@ def wheel_moment(arm: Vector, axle: Vector, force: Vector, torque: float) -> Vec
     """Moment of the ground on a wheel about its centre [N m]: arm x F, but -M about the axle.
 
     Args:
-        arm: from the wheel's centre to the touching point [m].
+        arm: from the wheel's centre to the contact point [m].
         axle: unit vector a.
         force: F [N].
         torque: M [N m].
@@ -98,11 +97,11 @@ def rock_force(
     h: float,
     bristle: Vector,
 ) -> WheelForce:
-    """Force on a wheel whose rim touches rock, averaged over a step.
+    """Force on a wheel in contact with rock, averaged over a step.
 
     Args:
         law: wheel on rock.
-        radius: from the axle to the rock: the arm's length, or r + h on grousers' tips [m].
+        radius: from the axle to the rock: length of the arm, r + h on the grousers' tips [m].
         depth0: depth of the rim's deepest point at the step's start [m].
         depth1: at its end [m].
         normal: n.
@@ -144,7 +143,7 @@ def advance_rock_bristle(
 
 @inner
 def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
-    """Travel of the rim's point over the ground."""
+    """Travel of the wheel's contact point over the ground."""
     return (
         travel[0] - rolled * forward[0],
         travel[1] - rolled * forward[1],
@@ -164,7 +163,7 @@ def _twice(m: Matrix, v: Vector) -> float:
 
 @inner
 def _positive(x: float, width: float) -> tuple[float, float]:
-    """max(x, 0) rounded over +-width, and its derivative."""
+    """max(x, 0) smoothed over +-width, and its derivative."""
     if x >= width:
         return x, 1.0
     if x <= -width:
@@ -178,9 +177,9 @@ def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, flo
     """Slip s of a wheel that travels forward, and its derivatives by speed and rim speed [s/m].
 
     Args:
-        speed: v_x [m/s]; negative counts as standing, as does a negative rim speed.
+        speed: v_x [m/s]; a negative speed or rim speed counts as zero.
         rim_speed: w r_s [m/s].
-        width: v_b, over which both are rounded at 0 [m/s].
+        width: v_b, over which both are smoothed at 0 [m/s].
     """
     v, dv = _positive(speed, width)
     w, dw = _positive(rim_speed, width)
@@ -225,7 +224,7 @@ def rolling_force(
             continue
         slip, by_v, by_w = slip_ratio(sign * speed, sign * rim_speed, width)
         a, ae, a_s, b, be, bs, c, ce, cs = look_up(law.table.nodes, entry, slip)
-        # speeds enter mirrored and X, M leave mirrored: their derivatives keep their sign
+        # input speeds and outputs X, M are mirrored: their derivatives keep their sign
         x += sign * weight * a
         xz += sign * weight * ae * by_sinkage
         xv += weight * a_s * by_v + shift * a
@@ -253,7 +252,7 @@ def _side(normal: Vector, forward: Vector) -> Vector:
 
 @inner
 def _parked(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
-    """Share of the parking friction, and its derivative by the speed squared."""
+    """Fraction of the parking friction, and its derivative by the squared speed."""
     unit = 1.0 / (law.parking_speed * law.parking_speed)
     rest = 1.0 - speed_squared * unit
     if rest <= 0.0:
@@ -273,9 +272,9 @@ def soil_force(
     h: float,
     bristle: Vector,
 ) -> WheelForce:
-    """Force on a wheel that rolls, slips or stands on regolith, averaged over a step.
+    """Force on a wheel that rolls, slips or is parked on regolith, averaged over a step.
 
-    The derivative takes normal and forward as constant, and dd1/du = -n.
+    The derivative assumes constant normal and forward vectors, and dd1/du = -n.
 
     Args:
         law: the wheel on its soil.
@@ -300,7 +299,7 @@ def soil_force(
     factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
     x, xz, xv, _, f, fz, fv, _, m, _, _, mw = rolling_force(law, sinkage, v, rim_speed)
 
-    # A derivative by u is held as its parts along n, and along t and y times h.
+    # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y).
     push = fall * rate
     load, load_n, load_t = factor * f, -0.5 * factor * fz - push * f, factor * fv
     pull, pull_n, pull_t = factor * x, -0.5 * factor * xz - push * x, factor * xv
@@ -314,7 +313,7 @@ def soil_force(
     strength_n = strip * length_n + system.friction * load_n
     strength_t = system.friction * load_t
 
-    # sideways
+    # lateral
     rolled = math.sqrt(
         v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
     )

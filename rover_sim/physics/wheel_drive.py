@@ -1,29 +1,29 @@
 """Wheel drive: two wheels behind one motor, through bevel gears and ratchets.
 
-Mechanism. The source paper gives the traveling mechanism bevel gears and ratchets "on each wheel
-drive system" and asks that straight and turning motion come from combining both senses of one
-motor; while the rover hangs, the same motor must turn it about the axle. The arrangement here is
-a simple one that does all three [choice]: the motor's bevel gear turns the axle at the rate u;
+Mechanism. The source paper's traveling mechanism has bevel gears and ratchets "on each wheel drive
+system"; both directions of one motor are to give straight and turning motion, and while the rover
+hangs the same motor must rotate it about the axle. This simple arrangement fulfils all three
+[choice]: the motor's bevel gear turns the axle at the rate u;
 
 - the left wheel is fixed to the axle;
-- the right wheel has two ratchets. One takes it along with the axle and lets it overrun: w >= u.
-  The other is held by Body 1 and does not let it turn backward: w >= 0.
+- the right wheel has two ratchets. The driving one lets it overrun the axle: w >= u. The holding
+  one, fixed to Body 1, prevents backward rotation: w >= 0.
 
     motor     left wheel   right wheel            the rover on its wheels
     forward   forward      driven forward         drives straight ahead
     reverse   backward     held                   turns left (+z) about its right wheel
-    braked    braked       rolls on               turns left (+z) as long as it coasts
+    braked    braked       coasts                 turns left (+z) while it coasts
     at rest   at rest      rolls forward only     cannot roll back on the right side
     off       drags motor  rolls forward only
 
-Straight runs and left turns reach every pose. Hanging, the wheels' momentum about the axle,
-relative to Body 1, is I (u + w) and runs from -I w_max (the left wheel alone) to 2 I w_max, so
-that the wheels react both ways from rest. What both have taken up together comes back from the
-left wheel alone while the right one coasts down by its bearing's friction.
+Straight runs and left turns reach every pose. While hanging, the wheels' momentum about the axle,
+relative to Body 1, is I (u + w) and ranges from -I w_max (the left wheel alone) to 2 I w_max, so
+that the wheels give reaction torques of both signs from rest. After both have been accelerated, the
+left wheel alone returns its momentum; the right one coasts down by its bearing's friction.
 
-The arrangement with a reversing gear for the right wheel (driven forward in both senses, turning in
-place) was set aside: there w >= |u|, the wheels' momentum is never negative, and the wheels could
-not hold the attitude without a bias that bearing friction takes away within seconds.
+A reversing gear for the right wheel (driven forward by both motor directions, turning in place) is
+not used: it gives w >= |u|, the wheels' momentum is never negative, and they could not hold the
+attitude without a bias that bearing friction removes within seconds.
 
 Mathematics. With torques a, b >= 0 of the driving and of the holding ratchet,
 
@@ -32,19 +32,19 @@ Mathematics. With torques a, b >= 0 of the driving and of the holding ratchet,
 
 with the rates relative to Body 1, which turns at W about the axle (base_link +y; rolling forward is
 a positive rate). The complementarity is solved exactly for the accelerations: in each piece of a
-step the wheels either move apart or together as one shaft. When an overrunning wheel is caught up
-by its axle within a step, the two go on at their common rate, momentum conserved; the relative
-motion of at most one step's acceleration becomes ratchet heat. The tooth pitch is neglected (sprag
-clutches have none).
+step the wheels move either separately or together as one shaft. When the axle catches up with an
+overrunning wheel within a step, both continue at their common rate, momentum conserved; the kinetic
+energy of the relative motion, at most one step's acceleration, becomes ratchet heat. The tooth
+pitch is neglected (sprag clutches have none).
 
-The motor's rotor spins across the axle: its inertia counts in u (N^2 J_m) but not in the momentum
-about the axle; its own momentum is given apart.
+The motor's rotor axis is perpendicular to the axle: its inertia is part of u's (N^2 J_m) but not of
+the momentum about the axle; its own momentum is a separate output.
 
-Body 1's equation takes the momentum h = I (u + W) + I (w + W), absolute and along base_link +y,
-with the wheels' spin inertia left out of Body 1's. W is the rate at the start of the step, so the
-wheels take the body's angular acceleration of the step before.
+Body 1's equation contains the momentum h = I (u + W) + I (w + W), absolute and along base_link +y;
+Body 1's inertia excludes the wheels' spin inertia. W is the rate at the start of the step, so the
+wheels feel the body's angular acceleration of the previous step.
 
-Energy, exact to rounding in every step: d(kinetic) = motor work + load work + body work
+Energy balance of every step, exact to rounding: d(kinetic) = motor work + load work + body work
 - gear, friction and ratchet heat.
 """
 
@@ -79,12 +79,12 @@ from rover_sim.physics.shaft import (
 )
 
 _INFINITE = float("inf")
-# A wheel this close to its axle counts as engaged [rad/s]; rounding, not physics.
-_TOUCH = 1e-12
+# Difference of rates below which wheel and axle are engaged: rounding [rad/s].
+_ENGAGED = 1e-12
 
 
 class Ratchet(IntEnum):
-    """What the right wheel does at the end of a step."""
+    """State of the right wheel's ratchets at the end of a step."""
 
     OVERRUNNING = 0  # turns forward faster than the axle
     DRIVEN = 1  # turns with the axle
@@ -98,7 +98,7 @@ _OVERRUNNING, _DRIVEN, _HELD = (int(ratchet) for ratchet in Ratchet)
 class WheelDriveParameters:
     """Two wheels of 0.15 m radius and 0.4 kg that push a 10 kg rover with up to 20 N.
 
-    Friction is stated at the wheels. The left side carries the gear train's.
+    Friction torques are at the wheels; the left side includes the gear train's.
 
     Raises:
         ValueError: a value is not finite or out of its range.
@@ -139,7 +139,7 @@ class WheelDriveParameters:
 
 
 class WheelDrive(NamedTuple):
-    """`WheelDriveParameters` as the compiled functions see them."""
+    """`WheelDriveParameters` for compiled functions."""
 
     wheel_inertia: float
     train_inertia: float  # I + N^2 J_m of the left wheel with the motor
@@ -153,30 +153,30 @@ class WheelDrive(NamedTuple):
 
 
 class WheelState(NamedTuple):
-    """Relative to Body 1: angles turned [rad] and rates [rad/s], forward positive."""
+    """Angles [rad] and rates [rad/s] of the wheels relative to Body 1, forward positive."""
 
     left_angle: float = 0.0
     right_angle: float = 0.0
     left: float = 0.0  # u
     right: float = 0.0  # w >= u and w >= 0
-    body_rate: float = 0.0  # W that the last step assumed at its end [rad/s]
+    body_rate: float = 0.0  # W of the previous step [rad/s]
     integral: float = 0.0  # of the rate servo [N m]
 
 
 class WheelCommand(NamedTuple):
-    """What the wheel motor is asked to do."""
+    """Command to the wheel motor."""
 
     mode: int  # MotorMode: OFF, TORQUE or RATE
-    torque: float  # at the motor shaft [N m], > 0 forward; with RATE fed forward
-    rate: float  # with RATE, of the left wheel [rad/s]
+    torque: float  # at the motor shaft [N m], > 0 forward; with RATE: feed-forward
+    rate: float  # with RATE: setpoint of the left wheel [rad/s]
     max_torque: float  # at the motor shaft [N m]; inf: the motor's own limit
 
 
 class WheelLoads(NamedTuple):
-    """What acts on the wheels: ground torque about +y and its slope over the wheel's rate.
+    """Loads on the wheels: ground torque about +y and its slope over the wheel's rate.
 
-    A torque is `torque - slope (rate - rate at the step's start)`; a slope >= 0 [N m s/rad] keeps
-    a stiff contact from oscillating against the wheel.
+    A torque is `torque - slope (rate - rate at the step's start)`; a slope >= 0 [N m s/rad]
+    prevents oscillation of a stiff contact.
     """
 
     left_torque: float  # [N m]
@@ -187,7 +187,7 @@ class WheelLoads(NamedTuple):
 
 
 class WheelOutputs(NamedTuple):
-    """What the drive did in the step."""
+    """Outputs of the drive in a step."""
 
     left_rate: float  # mean of the step, relative to Body 1 [rad/s]
     right_rate: float
@@ -197,23 +197,23 @@ class WheelOutputs(NamedTuple):
     ratchet: int  # Ratchet
     motor_torque: float  # at the motor shaft [N m]
     current: float  # of the motor [A]
-    stalled: bool  # the motor pulls and neither wheel turns
+    stalled: bool  # the motor has torque and neither wheel turns
 
 
 class WheelEnergyBalance(NamedTuple):
-    """Energy of the step [J]; the heats are never negative."""
+    """Energy balance of a step [J]; no heat is negative."""
 
     kinetic: float  # at the step's end: wheels absolute, motor rotor relative
     motor_work: float
     load_work: float  # of the ground torques on the wheels' rates relative to Body 1
-    body_work: float  # of Body 1 carrying the wheels
+    body_work: float  # of Body 1's rotation on the wheels
     gear_heat: float
     friction_heat: float
     ratchet_heat: float
 
 
 def make_wheel_drive(parameters: WheelDriveParameters) -> WheelDrive:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     p = parameters
     return WheelDrive(
         wheel_inertia=float(p.wheel_inertia),
@@ -229,7 +229,7 @@ def make_wheel_drive(parameters: WheelDriveParameters) -> WheelDrive:
 
 
 class _Side(NamedTuple):
-    """Torques on one wheel in a step, constant but for `viscous` and `slope` times a rate."""
+    """Torques on one wheel in a step; `viscous` and `slope` are coefficients of its rate."""
 
     drive_forward: float  # gear, load and the body's angular acceleration, moving forward
     drive_backward: float
@@ -243,7 +243,7 @@ class _Side(NamedTuple):
 def _separate_motion(
     inertia: float, side: _Side, rate: float, may_reverse: bool, h: float
 ) -> ShaftMotion:
-    """Motion of one wheel that the other does not touch."""
+    """Motion of one wheel that is not engaged with the other."""
     return advance_shaft(
         inertia,
         rate,
@@ -265,7 +265,7 @@ def _heat(motion: ShaftMotion, side: _Side) -> float:
 
 @checked_inner
 def _load_impulse(motion: ShaftMotion, load: float, slope: float, span: float) -> float:
-    """Impulse [N m s] of a ground torque over the span of a motion."""
+    """Impulse [N m s] of a ground torque over the duration `span` of a motion."""
     last_time = motion.second_time if motion.second != 0.0 else motion.first_time
     return load * span - slope * motion.rate * last_time
 
@@ -274,7 +274,7 @@ def _load_impulse(motion: ShaftMotion, load: float, slope: float, span: float) -
 def _engaged_motion(
     drive: WheelDrive, left: _Side, right: _Side, rate: float, h: float
 ) -> ShaftMotion:
-    """Motion of both wheels as one shaft that turns forward, until it comes to rest."""
+    """Motion of both wheels as one shaft that turns forward, at most until it comes to rest."""
     torque = left.drive_forward + right.drive_forward
     at_rest = torque - left.breakaway - right.breakaway if rate == 0.0 else 0.0
     return advance_shaft(
@@ -299,12 +299,12 @@ def advance(
     Args:
         drive: from `make_wheel_drive`.
         state: at the start of the step.
-        command: held over the step.
+        command: constant over the step.
         loads: ground torques and Body 1's rate about the axle.
         h: duration [s], > 0.
 
     Returns:
-        State at the end, outputs and energy books of the step.
+        State at the end, outputs and energy balance of the step.
     """
     u, w = state.left, state.right
     ratio = drive.gear_ratio
@@ -350,12 +350,12 @@ def advance(
     left_angle, right_angle = 0.0, 0.0
     transmitted, friction_heat, load_work, load_impulse = 0.0, 0.0, 0.0, 0.0
     remaining = h
-    while remaining > 0.0:  # a second time if the wheels come to rest together within the step
+    while remaining > 0.0:  # a second pass if the engaged wheels come to rest within the step
         span = remaining
         left_motion = _separate_motion(drive.train_inertia, left, u, True, span)
         right_motion = _separate_motion(inertia, right, w, False, span)
-        # Engaged, if by itself the right wheel would fall behind the axle.
-        if w <= u + _TOUCH and right_motion.rate < left_motion.rate:
+        # Engaged if separately the right wheel would be slower than the axle.
+        if w <= u + _ENGAGED and right_motion.rate < left_motion.rate:
             left_motion = right_motion = _engaged_motion(drive, left, right, w, span)
             if w > 0.0 and right_motion.rate == 0.0:
                 span = right_motion.first_time
@@ -381,7 +381,7 @@ def advance(
     ratchet = _OVERRUNNING
     if w == 0.0:
         ratchet = _HELD
-    elif w <= u + _TOUCH:
+    elif w <= u + _ENGAGED:
         ratchet = _DRIVEN
 
     base0, base1 = state.body_rate, loads.body_rate

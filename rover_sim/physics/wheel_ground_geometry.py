@@ -1,9 +1,9 @@
-"""Where a wheel touches the ground.
+"""Contact geometry of a wheel and the ground: deepest points in the floor and in rocks.
 
-A wheel is a thin disc of radius r (the rim, without grousers) about an axle. It touches the floor,
-where that is regolith it rolls on, and up to two rocks (boulders, wall) apart, each at the point
-that lies deepest: a wheel that drives against a boulder has two contacts at once, and so has one
-that is wedged between two boulders; each of them is smooth, which their union would not be.
+A wheel is a thin disc of radius r (the rim, without grousers) about an axle. It has separate
+contacts with the floor and with up to two rocks (boulders, wall), each at its deepest point: a
+wheel that drives against a boulder has two contacts at once, as has one wedged between two
+boulders. Each contact is a smooth function of the motion, which the union would not be.
 """
 
 import math
@@ -20,19 +20,19 @@ from rover_sim.physics.terrain import (
 
 
 class WheelContactGeometry(NamedTuple):
-    """The deepest point of a wheel's rim in a surface."""
+    """The deepest point of a wheel in a surface."""
 
-    depth: float  # [m], not above -0.1 m unless a surface is that near
+    depth: float  # [m], above -0.1 m only if a surface is that near
     normal: Vector  # n, of the surface
-    forward: Vector  # t, the way in which the wheel rolls over the surface
+    forward: Vector  # t, rolling direction of the wheel on the surface
     arm: Vector  # from the wheel's centre to the point [m]
 
 
-_CLEAR = -1.0  # depth told where nothing is near [m]
+_CLEAR = -1.0  # depth where nothing is near [m]
 NO_ROCK = 0.0
-"""In place of a rock where there is none."""
-_WALL_KEY = -1.0  # in place of a boulder
-_KEY_OFFSET = 1.0e4  # so that no boulder is told by 0 or -1 [m]
+"""Key of no rock."""
+_WALL_KEY = -1.0
+_KEY_OFFSET = 1.0e4  # makes boulders' keys differ from NO_ROCK and _WALL_KEY [m]
 
 
 @inner
@@ -49,7 +49,7 @@ def _forward(axle: Vector, normal: Vector) -> Vector:
 
 @inner
 def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
-    """From the centre to the rim's point farthest in a direction; none if that is the axle's."""
+    """Vector from the centre to the rim's farthest point in a direction; zero along the axle."""
     along = axle[0] * towards[0] + axle[1] * towards[1] + axle[2] * towards[2]
     x = towards[0] - along * axle[0]
     y = towards[1] - along * axle[1]
@@ -63,7 +63,7 @@ def _arm(axle: Vector, radius: float, towards: Vector) -> Vector:
 def wheel_on_floor(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float
 ) -> WheelContactGeometry:
-    """The rim's deepest point in the floor, boulders and wall apart.
+    """Deepest point of a wheel in the floor, without boulders and wall.
 
     Args:
         terrain: the ground.
@@ -105,7 +105,7 @@ def _disc_in_boulder(
 def _wheel_in_wall(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float
 ) -> tuple[float, Vector, Vector]:
-    """Depth [m], normal and arm of the rim's deepest point in the hole's wall or around it."""
+    """Depth [m], normal and arm of the deepest point in the hole's wall, rim or ground around."""
     x, y, z = centre
     clear = (_CLEAR, (0.0, 0.0, 1.0), NO_VECTOR)
     reach = math.sqrt(terrain.inner_squared) - radius
@@ -121,7 +121,7 @@ def _wheel_in_wall(
 
 @inner
 def _boulder_key(terrain: Terrain, k: int) -> float:
-    """What a boulder is told by, in whichever cell's list it stands: its centre."""
+    """Key of a boulder, the same in every cell's list: its centre's x plus an offset."""
     return _KEY_OFFSET + terrain.table[k]
 
 
@@ -129,14 +129,14 @@ def _boulder_key(terrain: Terrain, k: int) -> float:
 def deepest_rocks(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float
 ) -> tuple[float, float, float, float]:
-    """The two rocks that a disc lies deepest in.
+    """The two rocks that a disc is deepest in.
 
-    Boulders are exact spheres here, without the fillet at their foot; wheels up to 0.3 m of radius
-    find them. The arguments are those of `wheel_on_floor`.
+    Boulders are exact spheres here, without the fillet at their base; they are found by wheels of
+    radius up to 0.3 m. The arguments are those of `wheel_on_floor`.
 
     Returns:
-        Depth [m] and rock of the deepest and of the next. Rocks farther off than 0.1 m may be left
-        out; where there is none the rock is `NO_ROCK`.
+        Depth [m] and key of the deepest rock and of the next. Rocks farther than 0.1 m may be
+        omitted; without a rock the key is `NO_ROCK`.
     """
     x, y, z = centre
     first, second = _CLEAR, _CLEAR
@@ -167,14 +167,14 @@ def deepest_rocks(
 def wheel_on_rock(
     terrain: Terrain, centre: Vector, axle: Vector, radius: float, rock: float
 ) -> WheelContactGeometry:
-    """The disc's deepest point in one rock.
+    """Deepest point of a wheel in one rock.
 
     Args:
         terrain: the ground.
         centre: of the wheel [m].
         axle: unit vector, to the wheel's left.
         radius: r [m].
-        rock: of `deepest_rocks`.
+        rock: key from `deepest_rocks`.
     """
     depth, normal, arm = _CLEAR, (0.0, 0.0, 1.0), NO_VECTOR
     if rock == _WALL_KEY:

@@ -7,24 +7,24 @@ Soil (Bekker 1969, Introduction to Terrain-Vehicle Systems; Janosi and Hanamoto 
 
 Wheel (Wong and Reece 1967, J. Terramechanics 4(1) and 4(2)): with theta from the vertical, positive
 towards the side where the soil enters, theta_1 the angle of entry, sinkage z = r (1 - cos theta_1),
-the radial stress is p at the depth r (cos theta - cos theta_1) from theta_1 down to theta_m and
-falls from there to the exit at theta = 0 as it rose. The shear displacement is
+the radial stress is p at the depth r (cos theta - cos theta_1) from theta_1 down to theta_m, and
+from there to the exit at theta = 0 it falls symmetrically. The shear displacement is
 
     j(theta) = r_s (theta_1 - theta) - (v/w) (sin theta_1 - sin theta),
 
-with the travel v and the spin w, tau having the sign of j. This gives, b the width,
+with the travel speed v and the spin w; tau has the sign of j. With the width b,
 
     pull     X = b int (r_s' tau cos theta - r p sin theta) dtheta,
     load     Z = b int (r_s' tau sin theta + r p cos theta) dtheta,
     torque   M = b r_s r_s' int tau dtheta,                               r_s' = r_s,
 
-forces on the wheel at its axle, M what the drive must supply. Slip is s = (w r_s - v) / max(w r_s,
-v), from -1 (locked, skidding) over 0 (rolling) to 1 (spinning in place), so both a driven and a
-braked or towed wheel are covered. The angle of greatest stress is theta_m = (c1 + c2 |s|) theta_1;
+forces on the wheel at its axle, M the torque of the drive. Slip is s = (w r_s - v) / max(w r_s, v),
+from -1 (locked, skidding) over 0 (rolling) to 1 (spinning in place): driven, braked and towed
+wheels. The angle of greatest stress is theta_m = (c1 + c2 |s|) theta_1;
 Wong and Reece measured (0.43, 0.32) on compact and (0.18, 0.32) on loose sand. The default is
-c1 = c2 = 0, Bekker's pressure all the way to the bottom: nothing is known of c1 and c2 for
-undisturbed regolith. It pulls more than loose sand would: 0.36 N against 0.10 N at 20 % slip for
-the smooth wheel of 0.1 m under 8.1 N.
+c1 = c2 = 0, Bekker's pressure down to the bottom: c1 and c2 are unknown for undisturbed regolith.
+The pull is larger than on loose sand: 0.36 N against 0.10 N at 20 % slip for the smooth wheel of
+0.1 m under 8.1 N.
 
 `flat_plate` is the older estimate (Bekker 1956, Theory of Land Locomotion): all load on a flat
 patch of length sqrt(2 r z), thrust from its mean shear, resistance from the soil's compaction.
@@ -33,8 +33,8 @@ Grousers of height h: the soil between them shears with the wheel, so that the s
 circle of radius r_s = r + engagement h (Ding, Gao, Deng, Nagatani and Yoshida 2011,
 J. Terramechanics 48(1)), and their flanks add shear area as under a track with spuds (Bekker 1956):
 c grows by 1 + 2 h/b, tan phi by 1 + 0.64 (h/b) arctan(b/h). Slip refers to r_s. The pressure acts
-on the rim; what the grousers' tips carry and the bulldozing in front of a wheel are left out, and
-so is the slip sinkage by dug-out soil.
+on the rim. The load on the grousers' tips, bulldozing in front of the wheel and slip sinkage are
+neglected.
 """
 
 import math
@@ -56,10 +56,10 @@ _WEIGHTS: Array = _weights / 2.0
 DEEPEST = 0.5  # the table ends where sin(theta_1/2) = sqrt(z / 2r) has this value, z = r/2
 _ENTRY_CELLS = 40  # of the table
 _SLIP_CELLS = 96
-LIGHT = 0.05  # entry up to which a load counts as light; z = 0.5 % of r
-LOCKED = 0.05  # slips within this of -1 count as a locked wheel
-_PEAK_ROUNDING = 0.02  # slip within which |s| in theta_m is rounded
-_LARGEST_PEAK = 0.9  # theta_m never comes nearer to theta_1 than that
+LIGHT = 0.05  # largest entry of a light load; z = 0.5 % of r
+LOCKED = 0.05  # a slip below -1 + LOCKED is a locked wheel
+_PEAK_ROUNDING = 0.02  # slip within which |s| in theta_m is smoothed
+_LARGEST_PEAK = 0.9  # largest theta_m / theta_1
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Wheel:
     radius: float = 0.15  # r, of the rim [m], > 0
     width: float = 0.06  # b [m], > 0
     grouser_height: float = 0.01  # h [m], >= 0, below the radius
-    grouser_engagement: float = 1.0  # how far up the grousers the soil shears [-], in [0, 1]
+    grouser_engagement: float = 1.0  # share of the grousers' height in shear [-], in [0, 1]
 
     def __post_init__(self) -> None:
         for name in ("radius", "width"):
@@ -131,26 +131,26 @@ class Wheel:
 
 
 class WheelOnSoil(NamedTuple):
-    """A wheel and its soil as compiled functions see them."""
+    """A wheel and its soil for compiled functions."""
 
     radius: float  # r [m]
     shear_radius: float  # r_s [m]
     width: float  # b [m]
     modulus: float  # k [N/m^(n+2)]
     exponent: float  # n [-]
-    cohesion: float  # c, with the grousers' share [Pa]
-    friction: float  # tan phi, with the grousers' share [-]
+    cohesion: float  # c, including the grousers' effect [Pa]
+    friction: float  # tan phi, including the grousers' effect [-]
     shear_modulus: float  # K [m]
     peak_offset: float  # c1 [-]
     peak_slope: float  # c2 [-]
 
 
 class OperatingPoint(NamedTuple):
-    """A wheel rolling steadily under a load."""
+    """Operating point of a wheel that rolls steadily under a load."""
 
     sinkage: float  # z [m]
-    pull: float  # X, what is left to pull with [N]
-    torque: float  # M, what the drive supplies [N m]
+    pull: float  # X, drawbar pull [N]
+    torque: float  # M, torque of the drive [N m]
 
 
 def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
@@ -173,10 +173,10 @@ def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
 
 @inner
 def _rolling(slip: float) -> float:
-    """Travel over spin v / (w r_s): 1 - s driven, 1 / (1 + s) braked.
+    """Ratio v / (w r_s): 1 - s driven, 1 / (1 + s) braked.
 
-    A wheel that locks slides without end; beyond s = -1 + LOCKED this continues straight on, when
-    all the soil's strength is long in use.
+    The ratio of a locked wheel is infinite; below s = -1 + LOCKED, where the soil's strength is
+    fully mobilised, it is continued linearly.
     """
     if slip >= 0.0:
         return 1.0 - slip
@@ -248,7 +248,7 @@ def sinkage_of(system: WheelOnSoil, entry: float) -> float:
 
 
 def rolling_point(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
-    """Where the wheel rolls steadily: the sinkage at which the soil carries the load.
+    """Steady operating point: the sinkage at which the soil carries the load.
 
     Args:
         system: wheel and soil.
@@ -275,7 +275,7 @@ def rolling_point(system: WheelOnSoil, load: float, slip: float) -> OperatingPoi
 
 
 def flat_plate(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
-    """The same by Bekker's flat plate, for comparison; driven wheels only, 0 < s <= 1.
+    """Operating point by Bekker's flat plate, for comparison; driven wheels only, 0 < s <= 1.
 
     z = (3 W / ((3 - n) b k sqrt(2 r)))^(2/(2n+1)), patch length l = sqrt(2 r z),
     H = (b l c + W tan phi) (1 - K/(s l) (1 - exp(-s l/K))), R = b k z^(n+1) / (n+1), X = H - R.
@@ -300,13 +300,13 @@ def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0
 
     Args:
         system: wheel and soil.
-        load: the wheel's share of the weight, on level ground [N].
+        load: the wheel's share of the weight on level ground [N].
         slip: s [-].
-        pull: what it has to pull besides its weight, along the slope [N].
+        pull: load along the slope besides the weight [N].
 
     Returns:
-        The angle alpha with X(load cos alpha, s) = load sin alpha + pull; negative where the wheel
-        moves downhill only, -90 where not even that.
+        Angle alpha with X(load cos alpha, s) = load sin alpha + pull; negative if the wheel only
+        moves downhill, -90 if not even that.
     """
 
     def surplus(degrees: float) -> float:
@@ -322,22 +322,22 @@ def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0
 
 
 class WheelTable(NamedTuple):
-    """The stress integral tabulated for one wheel on one soil; see `wheel_table`."""
+    """Table of the stress integral of one wheel on one soil; see `wheel_table`."""
 
     system: WheelOnSoil
     # X, Z, M over (entry, slip), each with its derivatives by entry, by slip and by both, in units
     # of a cell, (entry nodes, slip nodes, 3, 4) in one piece.
     nodes: Array
-    # Largest error of X, Z and M / r_s found between the nodes, relative to Z or, for lighter
-    # loads, to Z at the entry LIGHT [-]; the first cell, z < 0.03 % of r, set aside.
+    # Largest error of X, Z and M / r_s between the nodes, relative to Z or, for lighter loads, to Z
+    # at the entry LIGHT [-]; without the first cell, z < 0.03 % of r.
     error: float
 
 
 def wheel_table(system: WheelOnSoil) -> WheelTable:
     """Tabulate the stress integral for bicubic interpolation, continuous with its derivatives.
 
-    The table covers every slip and sinkages up to half the radius. Its error is measured in the
-    middle of all cells and kept with the table.
+    The table covers all slips, and sinkages up to half the radius. Its error is measured at the
+    cells' midpoints and stored in the table.
     """
     nodes = np.empty((_ENTRY_CELLS + 1, _SLIP_CELLS + 1, 3, 4))
     _fill_table(system, nodes, np.empty((3, 3, 3)))
@@ -394,7 +394,8 @@ def _table_error(system: WheelOnSoil, nodes: Array) -> float:
 def look_up(nodes: Array, entry: float, slip: float) -> tuple[float, ...]:
     """Interpolate a table.
 
-    Beyond the table's edge the entry continues along the edge's cell, the slip is held at -1 or 1.
+    Beyond the table's edge the entry is extrapolated from the last cell, the slip is limited to
+    [-1, 1].
 
     Args:
         nodes: of a `WheelTable`.

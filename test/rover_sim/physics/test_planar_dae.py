@@ -127,7 +127,7 @@ class TestMotion:
 
     def test_too_strong_a_stabilisation_fails(self):
         scenario = load_planar("paper_table1_high")
-        with pytest.raises(ArithmeticError, match="left the finite numbers at"):
+        with pytest.raises(ArithmeticError, match="not finite at"):
             dae_of(scenario, 3000.0).integrate(take_off(scenario), 4.0, 1e-3)
 
     def test_the_error_falls_with_the_fourth_power_of_the_step(self):
