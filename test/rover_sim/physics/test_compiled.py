@@ -1,4 +1,4 @@
-"""Compiled functions kept on disk follow changes of the functions that they call."""
+"""Functions cached on disk are recompiled after a change of the functions that they call."""
 
 import os
 import subprocess
@@ -48,7 +48,7 @@ class Package:
         )
 
     def run(self, module: str, function: str) -> tuple[float, int]:
-        """What a function makes of 1, and whether it came from the cache."""
+        """Result of a function for 1.0, and the number of cache hits."""
         program = (
             f"from rover_sim.physics import {module}\n"
             f"print({module}.{function}(1.0), sum({module}.{function}.stats.cache_hits.values()))"
@@ -71,13 +71,13 @@ def package(tmp_path: Path) -> Package:
 
 
 @pytest.mark.parametrize("kind", ["kernel", "inner"])
-def test_a_changed_callee_in_another_file_is_compiled_anew(package: Package, kind: str):
+def test_a_change_of_a_callee_in_another_file_recompiles_its_callers(package: Package, kind: str):
     for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
         package.write(kind, factor)
         assert package.run("caller", "outer") == (factor, hits)
 
 
-def test_what_only_compiled_functions_call_is_linked_from_the_cache_and_called_from_python(
+def test_inner_functions_are_linked_from_the_cache_and_callable_from_python(
     package: Package,
 ):
     package.write("inner", 2.0)

@@ -96,7 +96,9 @@ def test_the_force_is_hunt_and_crossley_s_in_the_limit_of_short_steps():
 @pytest.mark.parametrize(
     ("depth0", "depth1"), [(1e-3, 3e-3), (3e-3, 1e-3), (-2e-3, 1e-3), (1e-3, -2e-3), (0.0, 1e-3)]
 )
-def test_an_undamped_step_s_work_is_the_change_of_the_stored_energy(depth0: float, depth1: float):
+def test_the_work_of_an_undamped_step_is_the_change_of_the_stored_energy(
+    depth0: float, depth1: float
+):
     law = dataclasses.replace(ROCK, damping=0.0).law()
     force, _ = contact.normal_force(law, depth0, depth1, 1e-3)
     change = contact.contact_energy(law, depth1, NO_BRISTLE) - contact.contact_energy(
@@ -273,7 +275,7 @@ def test_the_coefficient_falls_from_static_to_kinetic():
 @settings(max_examples=200, deadline=None)
 @given(data=st.data())
 def test_no_closed_cycle_of_motion_and_load_gains_energy(data: st.DataObject):
-    """Random travel and load, then the way back: nothing comes out that was not put in."""
+    """Random travel and load, then back to the start: the work done is never negative."""
     law = ROCK.law()
     h = 1e-3
     moves = data.draw(

@@ -36,13 +36,13 @@ def opened(drum: Drum, length: float, rate: float = 0.0) -> DrumState:
 
 
 def residual(drum: Drum, before: DrumState, balance: DrumEnergyBalance) -> float:
-    """What the books of a step leave unexplained [J]."""
+    """Residual of a step's energy balance [J]."""
     change = balance.kinetic - 0.5 * drum.inertia * before.rate**2
     heats = balance.gear_heat + balance.friction_heat + balance.brake_heat + balance.stop_heat
     return change - (balance.motor_work + balance.tension_work - heats)
 
 
-def test_a_mass_on_a_free_drum_falls_as_the_closed_form_says() -> None:
+def test_a_mass_on_a_free_drum_falls_by_the_closed_form() -> None:
     # The mass hangs on a rigid tether: T = m (g - a), a = R w'. (J + m R^2) w' = m g R.
     parameters = DrumParameters(friction=SMOOTH)
     drum = make_drum(parameters)
@@ -68,8 +68,8 @@ def test_vertical_payout_tension_and_speed_with_a_lumped_mass() -> None:
         acceleration = (state.rate * drum.radius - previous) / H
         previous = state.rate * drum.radius
         # Relaxed: reflected, drum and rover weigh about the same.
-        requested = (mass + density * state.length) * (g - acceleration)
-        tension += 0.5 * (requested - tension)
+        expected = (mass + density * state.length) * (g - acceleration)
+        tension += 0.5 * (expected - tension)
     hanging = mass + density * state.length
     torque = -0.01 * drum.gear_ratio / drum.back_efficiency
     exact = (drum.radius * hanging * g + torque) / (drum.inertia + hanging * drum.radius**2)
@@ -78,7 +78,7 @@ def test_vertical_payout_tension_and_speed_with_a_lumped_mass() -> None:
     assert tension < hanging * g
 
 
-def test_constant_torque_spins_the_drum_up_as_the_closed_form_says() -> None:
+def test_constant_torque_accelerates_the_drum_by_the_closed_form() -> None:
     drum = make_drum(DrumParameters(friction=FrictionParameters(0.05, 0.05, 1.0, 0.0)))
     state = opened(drum, 1.0)
     command = DrumCommand(TORQUE, 0.01, 0.0, math.inf, True)
@@ -106,7 +106,7 @@ def test_a_braking_motor_needs_less_torque_than_one_that_lifts() -> None:
         assert outputs.stuck == (moves == 0)
 
 
-def test_the_brake_stops_a_falling_load_within_the_closed_forms_distance() -> None:
+def test_the_brake_stops_a_falling_load_within_the_distance_of_the_closed_form() -> None:
     drum = make_drum(DrumParameters(friction=SMOOTH, engage_delay=0.02))
     pull = 16.2
     state = opened(drum, 5.0, rate=0.3 / drum.radius)
@@ -142,7 +142,7 @@ def test_the_brake_holds_its_capacity_exactly_and_slips_above_it() -> None:
     assert not outputs.stuck
 
 
-def test_the_brake_opens_and_closes_after_its_delays_and_forgets_a_change_of_mind() -> None:
+def test_the_brake_switches_after_its_delays_and_a_changed_command_restarts_the_delay() -> None:
     drum = make_drum(DrumParameters(engage_delay=0.02, release_delay=0.04))
     state = initial_state(drum, 5.0)
 
@@ -162,7 +162,7 @@ def test_the_brake_opens_and_closes_after_its_delays_and_forgets_a_change_of_min
     assert state.rate == 0.0
 
 
-def test_a_tether_pressed_at_the_fairlead_pushes_the_drum() -> None:
+def test_a_tether_in_compression_turns_the_drum_backward() -> None:
     drum = make_drum(DrumParameters(friction=SMOOTH))
     start = opened(drum, 5.0)
     state, outputs, balance = advance(drum, start, COAST, -50.0, H)
@@ -172,7 +172,7 @@ def test_a_tether_pressed_at_the_fairlead_pushes_the_drum() -> None:
 
 
 @pytest.mark.parametrize(("length", "rate", "stop"), [(59.9999, 6.0, 1), (2.0001, -6.0, -1)])
-def test_the_stops_are_met_inside_the_step_and_turn_the_motion_into_heat(
+def test_a_stop_is_located_inside_the_step_and_its_kinetic_energy_becomes_heat(
     length: float, rate: float, stop: int
 ) -> None:
     drum = make_drum(DrumParameters(min_length=2.0, max_length=60.0))
@@ -201,7 +201,7 @@ def test_the_rate_servo_follows_its_setpoint_under_load() -> None:
     assert outputs.payout_rate == pytest.approx(-0.3, abs=1e-4)
 
 
-def test_layers_change_the_radius_and_keep_length_and_angle_together() -> None:
+def test_layers_change_the_radius_and_length_stays_consistent_with_angle() -> None:
     drum = make_drum(DrumParameters(layer_pitch=1.3e-3, turns_per_layer=30.0, max_length=60.0))
     assert drums.radius_at(drum, 0.0) == 0.05
     assert drums.radius_at(drum, 45.0) == pytest.approx(0.0513)
@@ -252,7 +252,7 @@ COMMANDS = st.builds(
     ),
     script=st.lists(st.tuples(COMMANDS, st.floats(-50.0, 100.0)), min_size=1, max_size=8),
 )
-def test_books_balance_and_heat_is_never_negative_over_random_runs(
+def test_energy_balances_and_heat_is_never_negative_over_random_runs(
     parameters: DrumParameters, script: list[tuple[DrumCommand, float]]
 ) -> None:
     drum = make_drum(parameters)

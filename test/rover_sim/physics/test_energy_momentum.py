@@ -154,7 +154,9 @@ def test_free_flight_conserves_energy_and_momenta(dim: int) -> None:
 
 
 @pytest.mark.parametrize(("dim", "bending_time"), [(2, 0.5), (3, 0.0)])
-def test_damping_conserves_momenta_and_books_what_it_takes(dim: int, bending_time: float) -> None:
+def test_damping_conserves_momenta_and_reports_its_dissipation(
+    dim: int, bending_time: float
+) -> None:
     nodes, rates = bent(dim)
     section = TetherSection.round(0.5e9, 3.45e-4, 1e4, 2e-3, bending_time)
     chain = Chain(nodes, rates, section, (0.0,) * dim, root_held=False, numerical_damping=0.4)
@@ -213,7 +215,7 @@ def test_space_holds_the_plane_in_any_attitude() -> None:
     assert tilted.energy() == pytest.approx(flat.energy(), abs=1e-9)
 
 
-def test_not_a_number_is_reported_as_such() -> None:
+def test_a_nan_is_returned_as_nan() -> None:
     nodes, rates = bent(2)
     chain = Chain(nodes, rates, TABLE_1, (0.0, -9.81), root_held=False)
     chain.work.increment[:] = 0.0

@@ -40,7 +40,7 @@ def run_to(position: float, rate: float = 0.02, trip: float = math.inf) -> JumpC
 
 
 def residual(drive: JumpDrive, before: JumpState, balance: JumpEnergyBalance) -> float:
-    """What the books of a step leave unexplained [J]."""
+    """Residual of a step's energy balance [J]."""
     kinetic = 0.5 * drive.inertia * (before.rate + before.body_rate) ** 2
     heats = balance.screw_heat + balance.friction_heat + balance.stop_heat
     return (
@@ -59,7 +59,7 @@ def held_at(compression: float) -> JumpLoads:
 # ------------------------------------------------------------------------------ the flywheel
 
 
-def test_the_flywheel_coasts_down_as_the_closed_form_says() -> None:
+def test_the_flywheel_coasts_down_by_the_closed_form() -> None:
     friction = FrictionParameters(5e-3, 5e-3, 5.0, 1e-4)
     drive = make_jump_drive(JumpDriveParameters(friction=friction, free_travel=0.2))
     start = initial_state(drive, -0.2)._replace(rate=200.0)
@@ -72,7 +72,7 @@ def test_the_flywheel_coasts_down_as_the_closed_form_says() -> None:
     assert state.nut - start.nut == pytest.approx(turned * drive.pitch, rel=1e-6)
 
 
-def test_the_flywheel_stops_where_stribecks_curve_says_and_stays() -> None:
+def test_the_flywheel_stops_by_stribecks_curve_and_stays_at_rest() -> None:
     # Rate from 5 rad/s by F(w): time = int J dw / F(w).
     friction = FrictionParameters(5e-3, 7e-3, 5.0, 0.0)
     drive = make_jump_drive(JumpDriveParameters(friction=friction))
@@ -93,7 +93,7 @@ def test_the_flywheel_stops_where_stribecks_curve_says_and_stays() -> None:
     assert advance(drive, SLIDER, state, torque(7.1e-3), RELAXED, H)[0].rate > 0.0
 
 
-def test_what_the_flywheel_gains_the_body_loses() -> None:
+def test_flywheel_and_body_exchange_momentum() -> None:
     body, rate, state = 0.2, 0.0, initial_state(DRIVE)
     for command in [torque(0.1)] * 400 + [torque(-0.1)] * 700 + [OFF] * 15000:
         state, outputs, _ = advance(
@@ -142,7 +142,7 @@ def test_thirty_turns_of_free_travel_are_the_bodys_54_degrees() -> None:
         (0.20995, 200.0, DRIVE.stroke + DRIVE.over_travel, 1),
     ],
 )
-def test_the_screws_ends_stop_the_nut_dead(
+def test_the_ends_of_the_screw_stop_the_nut_at_once(
     start: float, rate: float, end: float, flag: int
 ) -> None:
     latch = int(Latch.RELEASED if flag > 0 else Latch.FREE)
@@ -226,7 +226,7 @@ def test_the_trip_is_located_inside_the_step() -> None:
         assert residual(DRIVE, state, balance) == pytest.approx(0.0, abs=1e-14)
 
 
-def test_a_trip_that_is_due_takes_no_time() -> None:
+def test_a_trip_that_is_already_due_ends_the_step_at_once() -> None:
     state = JumpState(int(Latch.COMPRESSING), 0.16, 10.0, 0.0, 0.0, math.inf, 0.0)
     command = run_to(0.2, trip=0.15)
     end, outputs, balance = advance(DRIVE, SLIDER, state, command, held_at(0.16), H)
@@ -236,7 +236,7 @@ def test_a_trip_that_is_due_takes_no_time() -> None:
     assert residual(DRIVE, state, balance) == 0.0
 
 
-def test_a_latch_that_lets_go_gives_its_forces_mean_over_each_step() -> None:
+def test_a_releasing_latch_gives_the_mean_of_its_force_over_each_step() -> None:
     state = JumpState(int(Latch.RELEASED), 0.2, 0.0, 0.0, 0.0, 0.0, 160.0)
     impulse, time = 0.0, 0.0
     for h in (0.4e-3, 1e-3, 1e-3):
@@ -254,7 +254,7 @@ def test_without_a_set_compression_the_latch_trips_at_the_strokes_end() -> None:
     assert run.compression == pytest.approx(0.2, abs=2e-5)
 
 
-def test_the_automaton_goes_round_a_whole_jump() -> None:
+def test_the_latch_passes_all_states_of_a_jump() -> None:
     rig = Rig(6.0, 4.0, 1.62, on_floor=True)
     run = JumpRun(rig, DRIVE, SLIDER, initial_state(DRIVE))
     run.steps(run_to(-1e-3), 3000)
@@ -267,7 +267,7 @@ def test_the_automaton_goes_round_a_whole_jump() -> None:
     run.steps(run_to(-0.01, 0.05), 8000)
     assert run.visited == [Latch.RELEASED, Latch.HOOKING, Latch.FREE]
     assert run.state.nut == pytest.approx(-0.01, abs=1e-4)
-    # Hooked again: it compresses again.
+    # After hooking, it compresses again.
     run.steps(run_to(0.02, 0.05), 3000)
     assert run.compression == pytest.approx(0.02, abs=1e-4)
 
@@ -286,7 +286,7 @@ def test_an_interrupted_compression_is_held_and_let_down_softly() -> None:
     assert run.z1 == 0.0
 
 
-def test_a_compression_left_alone_drives_the_screw_back() -> None:
+def test_a_compression_without_motor_torque_drives_the_screw_back() -> None:
     run = JumpRun(Rig(6.0, 4.0, 1.62, True), DRIVE, SLIDER, settled(DRIVE, SLIDER, 0.15))
     run.steps(OFF, 12000)
     assert run.state.latch == Latch.FREE
@@ -381,7 +381,7 @@ COMMANDS = st.builds(
     on_floor=st.booleans(),
     script=st.lists(st.tuples(COMMANDS, st.floats(-2.0, 2.0)), min_size=1, max_size=6),
 )
-def test_books_balance_and_nothing_is_gained_over_random_runs(
+def test_energy_balances_and_never_increases_over_random_runs(
     efficiency: float,
     inertia: float,
     start: float,

@@ -1,4 +1,4 @@
-"""The planar motion against closed forms, independent codes, conservation laws and itself."""
+"""The planar motion against closed forms, independent codes, conservation laws and refinement."""
 
 import math
 from itertools import pairwise
@@ -185,7 +185,7 @@ def test_energy_is_conserved_over_an_undamped_jump(name: str, geometry: str) -> 
     assert np.abs(np.array(stored) - stored[0]).max() < 1e-6 * plant.scenario.take_off_energy
 
 
-def test_what_damping_takes_is_booked() -> None:
+def test_damping_is_added_to_the_dissipated_energy() -> None:
     plant = plant_of("taut_jump", tether__bending_damping_time=0.1)
     history = run(plant, plant.take_off(plant.initial_state()), 0.6, until="touchdown")
     assert history.final.phase is Phase.LANDED
@@ -302,7 +302,7 @@ def test_converges_in_the_number_of_elements() -> None:
     assert gaps[2] < 0.5 * gaps[1]
 
 
-def test_tolerance_bounds_what_stopping_early_costs() -> None:
+def test_the_tolerance_bounds_the_error_of_the_iteration() -> None:
     loose = jump(plant_of("taut_jump", integration__tolerance=1e-6))
     tight = jump(plant_of("taut_jump", integration__tolerance=1e-13))
     default = jump(plant_of("taut_jump"))
@@ -315,7 +315,7 @@ def test_tolerance_bounds_what_stopping_early_costs() -> None:
 
 
 @pytest.mark.parametrize("n", [5, 100])
-def test_stiff_fine_and_coarse_in_time_neither_diverges_nor_gains_energy(n: int) -> None:
+def test_stiff_tethers_at_long_steps_neither_diverge_nor_gain_energy(n: int) -> None:
     plant = plant_of(
         "paper_table2_case1",
         start__geometry="+K",
@@ -403,7 +403,7 @@ def test_forbidding_halvings_makes_divergence_a_typed_state() -> None:
     assert result.outcome is Outcome.DIVERGED
 
 
-def test_a_state_with_nan_diverges_at_once_and_stays_what_it_is() -> None:
+def test_a_state_with_nan_diverges_at_once_and_is_not_changed() -> None:
     from dataclasses import replace
 
     plant = plant_of("tether_pendulum")

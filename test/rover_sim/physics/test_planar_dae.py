@@ -153,7 +153,7 @@ class TestMotion:
         assert np.all(np.diff(energy) < 0.0)
         assert energy[0] - energy[-1] > 1e-3
 
-    def test_the_taut_jump_comes_out_as_other_codes_find_it(self):
+    def test_the_taut_jump_agrees_with_independent_codes(self):
         scenario = load_planar("taut_jump", {"tether.elements": 10})
         flight = dae_of(scenario).integrate(take_off(scenario), 0.3, 2.5e-4, 1200)
         body1 = flight.bodies[-1, 0]
@@ -161,14 +161,14 @@ class TestMotion:
         assert body1[2] == pytest.approx(-0.04219, abs=2e-4)
 
     @pytest.mark.parametrize("duration", [0.0, -1.0, 0.00037])
-    def test_a_duration_that_is_no_number_of_steps_is_refused(self, duration: float):
+    def test_a_duration_that_is_not_a_whole_number_of_steps_is_refused(self, duration: float):
         scenario = load_planar("paper_table1_low")
         with pytest.raises(ValueError, match="whole number of steps"):
             dae_of(scenario).integrate(take_off(scenario), duration, 1e-3)
 
 
 class TestAgainstTheAssembledModel:
-    """Two codes that share nothing but the tether's constants, over 0.2 s."""
+    """Two codes that share only the tether's constants, over 0.2 s."""
 
     duration = 0.2
 
@@ -229,7 +229,7 @@ class TestAgainstTheAssembledModel:
         for coarse, fine in itertools.pairwise(differences):
             assert 3.0 < coarse / fine < 5.2
 
-    def test_a_wrong_parameter_would_show(self):
+    def test_the_comparison_detects_a_wrong_parameter(self):
         scenario = load_planar("paper_table1_high", EVERYTHING_DAMPED)
         reference = self.reference(scenario, 2.5e-4)
         for path, value in (

@@ -1,4 +1,4 @@
-"""Splitting and merging at the fairlead, alone and in long payouts."""
+"""Splitting and merging at the fairlead, in single steps and in long payouts."""
 
 import itertools
 from typing import Any
@@ -56,7 +56,7 @@ def test_merging_what_was_split_gives_back_the_state(
     assert not anchors[:2].any()
     longer = cable._replace(elements=3)
     change = remesh.merge_first(longer, length, payout_rate, fairlead_slope, q, v, anchors)
-    # A short rest of an element knows the shape of the whole but for rounding over its length.
+    # A short remainder of an element determines the whole shape up to rounding over its length.
     scale = 1e-13 / (share - 1.0) ** 3
     assert abs(change) < 1e4 * nominal * scale
     for array, old in zip((fairlead_slope, q[:, :3], v[:, :3], anchors), before, strict=True):
@@ -87,7 +87,7 @@ def merging_step(nominal: float, payout_rate: float = 0.3) -> float:
     )
 
 
-def test_the_step_of_energy_falls_with_a_high_power_of_the_length():
+def test_the_energy_change_of_a_merger_falls_with_a_high_power_of_the_length():
     steps = [abs(merging_step(nominal)) for nominal in (1.0, 0.5, 0.25)]
     # This curve is stretched and bent much more than a tether in use: it holds joules a metre.
     assert steps[1] < 1e-2
@@ -126,7 +126,7 @@ def out_and_back(nominal: float) -> tuple[March, float]:
     return march, start
 
 
-def test_far_out_and_back_the_energy_is_what_flowed_in():
+def test_payout_and_reel_in_balance_the_energy_through_the_fairlead():
     coarse, start = out_and_back(1.0)
     assert coarse.splits == len(coarse.remeshed) == 58
     assert coarse.length == pytest.approx(1.0)

@@ -21,7 +21,7 @@ def test_orientation_turns_the_slider_axis_as_the_planar_model_does(theta: float
     assert rep103.planar_angle((x, y, z, w)) == pytest.approx(theta)
 
 
-def test_rates_turn_the_same_way_as_angles() -> None:
+def test_rates_have_the_sign_of_angles() -> None:
     rate, dt = 0.7, 1e-6
     x, y, z, _ = (rep103.quaternion(rate * dt) - rep103.quaternion(0.0)) / dt
     assert 2.0 * np.array([x, y, z]) == pytest.approx(rep103.rotation_rate(rate))

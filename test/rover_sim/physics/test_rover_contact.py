@@ -1,4 +1,4 @@
-"""The rocks that a wheel is in contact with: two at a time, each in a place of its own."""
+"""The rocks that a wheel is in contact with: two at a time, each in its own slot."""
 
 import math
 
@@ -47,7 +47,7 @@ def rubble() -> Terrain:
 
 
 def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> RoverContactStep:
-    """What a step begins with whose left wheel is at a place."""
+    """Contacts at the start of a step whose left wheel is at a given position."""
     body = np.zeros(BODY_SIZE)
     body[POSITION : POSITION + 3] = hub
     body[ORIENTATION] = 1.0
@@ -112,7 +112,7 @@ def test_a_wheel_between_two_boulders_is_in_contact_with_both(rubble: Terrain):
     assert np.all(step.near[wheel] == 1.0)
 
 
-def test_a_rock_keeps_its_place_when_the_other_one_becomes_the_deepest(rubble: Terrain):
+def test_a_rock_keeps_its_slot_when_the_other_one_becomes_the_deepest(rubble: Terrain):
     hub = wedge(rubble)
     before = begun(rubble, hub - 2e-4 * AHEAD, np.zeros((anchor_rows(CORNERS), 3)))
     after = begun(rubble, hub + 2e-4 * AHEAD, remembered(before))
@@ -138,13 +138,13 @@ def with_third(terrain: Terrain, hub: np.ndarray) -> tuple[Terrain, float]:
     return terrain._replace(table=table), 1e4 + table[spare]
 
 
-def test_what_a_third_rock_stores_is_not_lost_from_the_books(rubble: Terrain):
+def test_the_energy_stored_by_a_third_rock_is_part_of_the_balance(rubble: Terrain):
     hub = wedge(rubble)
     first, second = begun(rubble, hub, np.zeros((anchor_rows(CORNERS), 3))).rock_key[0, 1:]
     crowded, third = with_third(rubble, hub)
     step = begun(crowded, hub, np.zeros((anchor_rows(CORNERS), 3)))
     assert {first, second} == set(step.rock_key[0, 1:])
-    # The third one had the first one's place: what it stores goes, what that one stores comes.
+    # The third rock had the first one's slot: its energy is dropped, the first one's is added.
     anchors = remembered(step)
     anchors[CORNERS + 2 * CONTACTS_PER_WHEEL, 1:] = [third, second]
     again = begun(crowded, hub, anchors)
@@ -156,7 +156,7 @@ def test_what_a_third_rock_stores_is_not_lost_from_the_books(rubble: Terrain):
     assert again.dropped_energy[0] == pytest.approx(gone - come)
 
 
-def test_a_rover_that_stands_between_rocks_at_the_start_has_no_books_yet(rubble: Terrain):
+def test_rocks_in_contact_at_the_start_drop_no_energy(rubble: Terrain):
     step = begun(rubble, wedge(rubble), np.zeros((anchor_rows(CORNERS), 3)))
     assert np.all(step.depth0[CORNERS + 1 : CORNERS + CONTACTS_PER_WHEEL] > 0.0)
     assert step.dropped_energy[0] == 0.0

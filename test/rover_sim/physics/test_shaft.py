@@ -79,7 +79,7 @@ def test_stribecks_curve_falls_from_breakaway_to_coulomb() -> None:
     assert shaft.sliding_torque(friction, 50.0) == pytest.approx(5e-3)
 
 
-def test_a_steep_load_slope_brings_the_shaft_to_the_loads_rate_without_overshoot() -> None:
+def test_a_steep_load_slope_brings_the_shaft_to_the_load_rate_without_overshoot() -> None:
     # Load 100 (3 - w): within a few steps of 1 ms the rate is 3, though d h / J = 100.
     rate = 10.0
     for _ in range(5):
@@ -118,7 +118,7 @@ def test_work_and_kinetic_energy_agree_to_rounding(
     bases=st.tuples(*[st.floats(-5.0, 5.0)] * 2),
     angle=st.floats(-1.0, 1.0),
 )
-def test_the_base_gives_a_rotor_what_relative_work_leaves_open(
+def test_the_base_motion_work_closes_a_rotors_energy_balance(
     rates: tuple[float, float], bases: tuple[float, float], angle: float
 ) -> None:
     inertia, h = 1e-3, 1e-3
@@ -138,7 +138,7 @@ MOTOR = MotorParameters(0.2, 0.6, 600.0, 0.04, 40.0)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "rate", "limit", "given"),
+    ("requested", "rate", "limit", "given"),
     [
         (0.1, 0.0, math.inf, 0.1),
         (0.5, 0.0, math.inf, 0.2),

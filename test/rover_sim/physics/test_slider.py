@@ -58,7 +58,7 @@ NUTS = st.builds(
 
 @settings(max_examples=200, deadline=None)
 @given(nut=NUTS, s=st.floats(-0.05, 0.25), rate=st.floats(-3.0, 3.0))
-def test_tangents_are_the_forces_derivatives(nut: NutAction, s: float, rate: float) -> None:
+def test_tangents_are_derivatives_of_the_force(nut: NutAction, s: float, rate: float) -> None:
     force = slider_force(SLIDER, nut, s, rate)
     assert force.nut_force == pytest.approx(nut_force(SLIDER, nut, s, rate), rel=1e-12)
     e = 1e-7
@@ -75,7 +75,7 @@ def test_tangents_are_the_forces_derivatives(nut: NutAction, s: float, rate: flo
 
 @settings(max_examples=100, deadline=None)
 @given(s=st.floats(-0.05, 0.25), position=st.floats(-0.06, 0.21), pressing=st.booleans())
-def test_the_resting_force_is_the_energys_gradient(
+def test_the_force_at_rest_is_the_gradient_of_the_energy(
     s: float, position: float, pressing: bool
 ) -> None:
     nut = NutAction(pressing, position, 0.0, 0.0, 0.0)

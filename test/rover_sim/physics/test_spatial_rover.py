@@ -1,4 +1,4 @@
-"""Tether and rover in space, held to references, conservation laws and the planar model."""
+"""Tether and rover in space against references, conservation laws and the planar model."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def swung_body(elements: int) -> March:
     return March(cable, nodes, rates, rover, body, spring=(1000.0, 0.2, 0.0))
 
 
-# An independent code's converged figures: time, attachment point, rotation vector.
+# Converged values of an independent code: time, attachment point, rotation vector.
 SWUNG = [
     (0.5, (2.42096, 0.49079, -5.39337), (0.08939, -0.47007, 0.02575)),
     (1.0, (1.46705, 0.76093, -6.62295), (0.11497, -0.25946, 0.03871)),

@@ -227,7 +227,7 @@ class TestSag:
 
 
 class TestStudyGrid:
-    """Everything that the paper's study starts from."""
+    """Equilibria of all starting configurations of the paper's study."""
 
     @pytest.mark.parametrize("section", [LOW, HIGH, STIFF], ids=["low", "high", "stiff"])
     @pytest.mark.parametrize("elements", [5, 20, 100])
@@ -307,7 +307,7 @@ class TestOtherSupports:
     def test_taut_beyond_its_length(self):
         nodes = static_equilibrium(HIGH, LENGTH, 20, GRAVITY, ROOT, (5.05, 0.0))
         pull = nodal_forces(nodes, HIGH, LENGTH, GRAVITY)[-1, 0, 0]
-        # what is not stretched is taken up by the parabola's sag
+        # the sag of the parabola takes the rest of the length
         sag = (HIGH.line_density * 9.81 * LENGTH / pull) ** 2 / 24.0
         stretch = 5.05 / LENGTH + sag
         assert 0.5 * (stretch**2 - 1.0) * stretch * HIGH.axial_stiffness == pytest.approx(

@@ -93,7 +93,7 @@ def test_a_boulder_is_a_spherical_cap_of_rock():
     assert flank == pytest.approx((-0.02, -c, 0.0, c, 1.0), abs=1e-9)
 
 
-def test_a_cap_has_the_diameter_and_height_asked_for():
+def test_a_cap_has_the_given_diameter_and_height():
     diameter = np.array([0.1, 1.0, 3.0])
     for ratio in (0.2, 0.5):
         radius = cap_radius(diameter, ratio)
@@ -148,7 +148,7 @@ def test_a_seed_gives_the_same_terrain():
     assert not np.array_equal(boulder_list(first), boulder_list(other))
 
 
-def test_the_landing_place_stays_clear():
+def test_the_landing_site_stays_clear():
     terrain = build_terrain(TerrainParameters(boulders=rubble(clear_radius=2.0)), 1)
     boulders = boulder_list(terrain)
     assert len(boulders) > 500
@@ -164,7 +164,7 @@ def test_every_boulder_is_found_by_the_query():
 # --------------------------------------------------------------------------- relief
 
 
-def test_relief_has_the_asked_height_and_joins_the_plane():
+def test_relief_has_the_given_rms_height_and_joins_the_plane():
     parameters = TerrainParameters(
         relief=ReliefParameters(rms=0.05), slope_x=0.1, patch_half_width=20.0
     )
@@ -191,7 +191,7 @@ def test_relief_has_the_asked_height_and_joins_the_plane():
         ("Mare Ingenii", (120.0, 130.0), 60.0, 25.0),
     ],
 )
-def test_the_places_have_their_size(
+def test_the_known_pits_have_their_dimensions(
     name: str, across: tuple[float, float], depth: float, overhangs_from: float
 ):
     hole = HOLES[name]

@@ -1,4 +1,4 @@
-"""The tether on the ground: weight, friction, energy, tangent, and over things."""
+"""The tether on the ground: weight, friction, energy balance, tangent, boulders and rim."""
 
 import math
 from typing import Any
@@ -109,7 +109,7 @@ def test_it_slides_down_a_steep_slope(degrees: float):
 
 
 @pytest.mark.parametrize("heights", [(0.05, 0.3), (0.2, 0.0)])
-def test_on_a_floor_the_books_close_to_rounding(heights: tuple[float, float]):
+def test_on_a_floor_the_energy_balance_closes_to_rounding(heights: tuple[float, float]):
     tether = lying(FLOOR, height=heights[0], direction=(0.8, 0.0, 0.6) if heights[1] else (1, 0, 0))
     tether.q[2, :9] += 1.3
     tether.v[0, :9] = 0.5
@@ -232,7 +232,7 @@ def test_over_the_rim_friction_carries_part_of_the_weight():
     assert tether.log[grounded_march.DEEPEST] < 0.01
 
 
-def test_newton_copes_with_rubble():
+def test_newton_converges_on_rubble():
     tether = lying(RUBBLE, height=1.0, length=8.0, elements=24)
     tether.run(4.0, 1e-3, tolerance=1e-7)
     log = tether.log
@@ -241,7 +241,7 @@ def test_newton_copes_with_rubble():
     assert log[grounded_march.ITERATIONS] < 3.5 * log[grounded_march.STEPS]
 
 
-def test_far_from_the_ground_nothing_is_done():
+def test_points_far_from_the_ground_are_skipped():
     tether = lying(RUBBLE, height=5.0)
     found = tether_contact.begin_tether_contact(
         RUBBLE, tether.cable, 1e-3, tether.q, tether.v, tether.anchors, tether.contact

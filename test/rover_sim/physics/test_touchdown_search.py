@@ -1,4 +1,4 @@
-"""The search for the touchdown's instant ends, and a touchdown is not found again and again."""
+"""The search for the touchdown's instant ends, and each touchdown is found once."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def test_a_smooth_fall_is_found_in_a_few_tries():
     assert 1e-3 - length - 40.0 * length**2 == pytest.approx(0.0, abs=1e-12)
 
 
-def test_where_the_height_never_comes_within_the_accuracy_the_search_gives_up():
-    """Newton's iteration ends here or there by its tolerance: the height as a function jumps."""
+def test_the_search_ends_if_the_height_never_reaches_the_accuracy():
+    """Newton's iteration ends within its tolerance, so the height as a function has jumps."""
     tries, length = tries_until_found(lambda h: (1e-3 - h + math.copysign(1e-9, 1e-3 - h), -1.0))
     assert tries <= 12
     assert length == pytest.approx(1e-3, abs=1e-7)
@@ -47,7 +47,7 @@ def test_where_the_height_never_comes_within_the_accuracy_the_search_gives_up():
 
 @pytest.mark.parametrize("tick", [0.004, 0.01, 0.02, 0.6])
 @pytest.mark.parametrize("name", ["paper_table1_high", "paper_table2_case1", "paper_table2_case2"])
-def test_a_rover_that_flies_on_touches_down_once_and_at_little_cost(name: str, tick: float):
+def test_a_rover_that_flies_on_touches_down_once_with_few_iterations(name: str, tick: float):
     changes = {
         "start.geometry": "+K",
         "start.slack": 2.0,
@@ -61,7 +61,7 @@ def test_a_rover_that_flies_on_touches_down_once_and_at_little_cost(name: str, t
     while state.time < 0.6 - 1e-9:
         state, result = plant.step(state, Command(), tick)
         touchdowns += [event for event in result.events if event.name == "touchdown"]
-        # A step that another touchdown would end at once would be as short as rounding.
+        # A second touchdown at the same place would end a step of the length of rounding errors.
         assert result.smallest_step > 1e-9
         # For each step of 4 ms, its halves and the search included.
         assert result.newton_iterations <= 250 * max(1.0, tick / STEP)

@@ -1,4 +1,4 @@
-"""Twist of the tether against closed forms, its power, and the swivel's books."""
+"""Twist of the tether against closed forms, its power, and the swivel's energy balance."""
 
 import itertools
 import math
@@ -88,7 +88,7 @@ def test_coning_on_a_straight_tether_does_not_drift():
     assert abs(integral) == pytest.approx(turns * 2.0 * math.pi * (1.0 - math.cos(angle)), rel=1e-4)
 
 
-def test_turning_on_and_on_is_counted():
+def test_the_angle_counts_full_turns():
     t = tilted(0.4, 2.0)
     slopes = np.broadcast_to(t, (5, 3))
     angle = 0.0
@@ -110,7 +110,7 @@ unit_vectors = (
     start=unit_vectors, bend=unit_vectors, tilt=st.floats(0.0, 2.0), spin=st.floats(-3.0, 3.0),
     turn=unit_vectors,
 )  # fmt: skip
-def test_the_twist_changes_at_the_rate_that_the_axis_says(
+def test_the_twist_changes_at_the_rate_about_the_twist_axis(
     start: np.ndarray, bend: np.ndarray, tilt: float, spin: float, turn: np.ndarray
 ):
     if 1.0 + start @ DOWN < 0.1 or 1.0 + start @ bend < 0.1:
@@ -169,7 +169,7 @@ def test_any_slopes_give_an_angle_within_half_a_turn_of_the_last(
     path=st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=20),
     stiffness=st.floats(1e-6, 1e-2), friction=st.sampled_from([0.0, 1e-5, 1e-3, math.inf]),
 )  # fmt: skip
-def test_the_swivel_makes_no_energy_and_books_its_heat(
+def test_the_swivel_creates_no_energy_and_reports_its_heat(
     path: list[float], stiffness: float, friction: float
 ):
     angle, slip, work, heat = 0.0, 0.0, 0.0, 0.0
@@ -185,7 +185,7 @@ def test_the_swivel_makes_no_energy_and_books_its_heat(
             assert hot >= 0.0
             work -= 0.5 * (first + torque) * (turned - last)
             heat += hot
-            # what a slip takes out of the spring is heat but for the step's corner
+            # slip turns elastic energy into heat, up to second order in the step
             stored = twist.twist_energy(stiffness, turned, slip)
             largest = stiffness * (turned - last) ** 2
             mean = -0.5 * (first + torque) * (turned - last)

@@ -1,4 +1,4 @@
-"""The element at the fairlead, held to the lengthening pendulum, weights and energy flux."""
+"""The exit element against the lengthening pendulum, hanging weights and the energy flux."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def hanging(
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.3])
-def test_pendulum_swings_as_its_length_says(rate: float):
+def test_a_lengthening_pendulum_swings_by_its_equation(rate: float):
     length, angle, duration = 9.0, np.radians(5.0), 1.5
     march = hanging(length, rate, angle)
     march.run(duration, 1e-3)
@@ -60,7 +60,7 @@ def test_energy_changes_by_what_flows_through_the_fairlead():
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.2, -0.2])
-def test_tension_carries_the_weight_less_what_is_let_fall(acceleration: float):
+def test_tension_is_the_weight_minus_the_inertia_of_the_payout(acceleration: float):
     # Damped so much that the shake of the start is gone after a second.
     march = hanging(9.0, 0.0, section=TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=0.05))
     march.run(2.0, 1e-3, acceleration)
@@ -68,7 +68,7 @@ def test_tension_carries_the_weight_less_what_is_let_fall(acceleration: float):
     assert march.fairlead_tension == pytest.approx(hung * (LUNAR - acceleration), rel=2e-4)
 
 
-def test_splitting_keeps_place_speed_and_energy():
+def test_splitting_keeps_position_velocity_and_energy():
     rng = np.random.default_rng(3)
     length, cut, rate = 3.0, 1.1, 0.4
     e = np.array([[0.0, 0.0, 0.0], [0.1, 0.05, -1.0], [0.4, 0.2, -2.9], [0.2, 0.0, -0.98]])

@@ -267,14 +267,14 @@ def test_a_braked_wheel_on_a_slope_stays_where_it_is(heading: float):
     assert np.linalg.norm(body.x - settled) < 1e-9
 
 
-def test_a_slope_too_steep_is_slid_down():
+def test_a_wheel_slides_down_a_slope_that_is_too_steep():
     body = RollingMass(slope=math.radians(55.0))
     for _ in range(4000):
         body.step(0.0)
     assert body.v @ np.array(body.forward) > 0.05
 
 
-def test_a_drive_starts_from_parking():
+def test_a_parked_wheel_starts_to_drive():
     body = RollingMass()
     for _ in range(500):
         body.step(0.0)
@@ -331,7 +331,7 @@ def test_the_moment_is_the_force_s_but_for_the_axle():
     np.testing.assert_allclose(moment, (full[0], -0.4, full[2]))
 
 
-def test_soft_soil_takes_more_of_a_landing_with_more_damping():
+def test_more_damping_increases_the_force_of_a_landing():
     depth = 5e-3
     damped = LAW._replace(damping=10.0)
     for rate, grows in ((0.2, True), (-0.05, False)):

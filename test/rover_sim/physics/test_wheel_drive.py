@@ -50,7 +50,7 @@ def run(
 
 
 def residual(drive: WheelDrive, before: WheelState, balance: WheelEnergyBalance) -> float:
-    """What the books of a step leave unexplained [J]."""
+    """Residual of a step's energy balance [J]."""
     inertia = drive.wheel_inertia
     kinetic = 0.5 * inertia * (before.left + before.body_rate) ** 2
     kinetic += 0.5 * inertia * (before.right + before.body_rate) ** 2
@@ -110,7 +110,7 @@ def test_the_right_wheel_never_rolls_backward_but_forward_freely() -> None:
     assert outputs.ratchet == Ratchet.OVERRUNNING
 
 
-def test_the_left_wheel_drives_the_motor_back_both_ways() -> None:
+def test_the_left_wheel_drives_the_motor_back_in_both_directions() -> None:
     for sign in (1.0, -1.0):
         loads = WheelLoads(0.2 * sign, 0.0, 0.0, 0.0, 0.0)
         state, _, _ = run(DEFAULT, WheelState(), OFF, loads, 50)
@@ -135,7 +135,7 @@ def test_a_load_on_the_right_wheel_stalls_a_forward_motor_but_not_a_reverse_one(
     assert state.right > 0.0
 
 
-def test_hanging_the_wheels_give_the_body_what_they_take() -> None:
+def test_a_hanging_body_and_its_wheels_exchange_momentum() -> None:
     # Body of 0.2 kg m^2 about the axle, stepped with the wheels; total momentum stays zero.
     body, rate_y, state = 0.2, 0.0, WheelState()
     commands = [torque(0.02)] * 300 + [torque(-0.03)] * 300 + [OFF] * 8000
@@ -155,7 +155,7 @@ def test_hanging_the_wheels_give_the_body_what_they_take() -> None:
     assert rates[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_from_rest_the_wheels_react_both_ways() -> None:
+def test_from_rest_the_wheels_give_reaction_torques_of_both_signs() -> None:
     reactions = []
     for sign in (1.0, -1.0):
         _, outputs, _ = run(SMOOTH, WheelState(), torque(0.01 * sign), HANGING, 100)
@@ -196,7 +196,7 @@ def test_the_motor_saturates_at_its_no_load_rate() -> None:
     assert outputs.motor_momentum == pytest.approx(1e-6 * 60.0 * state.left)
 
 
-def test_an_overtaken_wheel_engages_without_jolt() -> None:
+def test_an_overtaken_wheel_engages_without_impact() -> None:
     state = WheelState(left=1.0, right=1.5)
     total = SMOOTH.train_inertia * 1.0 + SMOOTH.wheel_inertia * 1.5
     time, losses = 0.0, 0.0
@@ -241,7 +241,7 @@ LOADS = st.builds(
     ),
     script=st.lists(st.tuples(COMMANDS, LOADS), min_size=1, max_size=10),
 )
-def test_books_balance_and_ratchets_hold_over_random_runs(
+def test_energy_balances_and_ratchets_hold_over_random_runs(
     parameters: WheelDriveParameters, script: list[tuple[WheelCommand, WheelLoads]]
 ) -> None:
     drive = make_wheel_drive(parameters)

@@ -28,7 +28,7 @@ LOAD = 8.1  # N, half of 10 kg on the Moon
 
 
 def by_adaptive_quadrature(system: WheelOnSoil, entry: float, slip: float) -> np.ndarray:
-    """Wong and Reece's integrals written a second time, zone by zone, for scipy."""
+    """Second implementation of Wong and Reece's integrals, zone by zone, with scipy."""
     theta1 = 2 * math.asin(entry)
     share = system.peak_offset + system.peak_slope * slip**2 / math.hypot(slip, 0.02)
     peak = share * theta1
@@ -67,7 +67,7 @@ def by_adaptive_quadrature(system: WheelOnSoil, entry: float, slip: float) -> np
 
 
 @pytest.mark.parametrize(("slip", "pull"), [(0.2, -0.05), (0.3, 0.40), (0.5, 1.15)])
-def test_the_flat_plate_pulls_as_bekker_has_it(slip: float, pull: float):
+def test_the_flat_plate_has_bekkers_pull(slip: float, pull: float):
     """Bekker's flat plate, smooth wheel of 0.1 m RADIUS, sinkage 7.4 mm."""
     point = flat_plate(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
     assert point.sinkage == pytest.approx(7.43e-3, rel=2e-3)
@@ -75,7 +75,7 @@ def test_the_flat_plate_pulls_as_bekker_has_it(slip: float, pull: float):
 
 
 @pytest.mark.parametrize(("slip", "pull"), [(0.2, 0.35), (0.3, 0.85), (0.5, 1.65)])
-def test_the_stress_integral_pulls_as_wong_and_reece_have_it(slip: float, pull: float):
+def test_the_stress_integral_has_wong_and_reeces_pull(slip: float, pull: float):
     """The stress integral with its peak under the axle, c1 = c2 = 0, same wheel and load."""
     point = rolling_point(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
     assert point.sinkage == pytest.approx(7.4e-3, rel=0.02)
@@ -135,7 +135,7 @@ def test_the_fixed_quadrature_agrees_with_an_adaptive_one(soil: Soil, slip: floa
         np.testing.assert_array_less(np.abs(found - exact) / scale, 3e-4)
 
 
-def test_without_shear_it_is_the_weight_of_the_pressure_alone():
+def test_without_shear_the_pressure_alone_carries_the_load():
     """Bekker's closed form for the sinkage holds for small entry angles."""
     soil = Soil(cohesion=0.0, friction_angle=1e-3)
     system = wheel_on_soil(SMOOTH, soil)
