@@ -34,7 +34,7 @@ from rover_control.drive_follower import (
     FollowerInput,
     FollowerParameters,
 )
-from rover_control.drive_odometry import DriveOdometry, OdometryParameters, Tether
+from rover_control.drive_odometry import DriveOdometry, OdometryParameters, TetherMeasurement
 from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters
 from rover_control.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive_watch import DriveWatch, WatchParameters
@@ -112,7 +112,7 @@ class Drive:
         self.torque = 0.0  # wheel torque, low-pass filtered [N m]
         self._rates = (0.0, 0.0)
         self._angles: tuple[float, float, float] | None = None  # left, right [rad], time [s]
-        self._still = (0.0, 0.0, 0.0)  # wheel angles at the last motion [rad], its time [s]
+        self._last_motion = (0.0, 0.0, 0.0)  # wheel angles at the last motion [rad], its time [s]
         self._forward = 0.0  # acceleration along base_link x without gravity [m/s^2]
         self._received_at: dict[str, float] = {}
         self._stale_steps = 0
@@ -178,9 +178,11 @@ class Drive:
         self._rates = (left.velocity, right.velocity)
         now = (sample.stamp_ns or now_ns) / _NANO
         before, self._angles = self._angles, (left.position, right.position, now)
-        moved = max(abs(left.position - self._still[0]), abs(right.position - self._still[1]))
+        moved = max(
+            abs(left.position - self._last_motion[0]), abs(right.position - self._last_motion[1])
+        )
         if moved > _ENCODER_NOISE:
-            self._still = (left.position, right.position, now)
+            self._last_motion = (left.position, right.position, now)
         if before is not None and now > before[2] and self.is_on_floor:
             self.odometry.on_wheels(
                 left.position - before[0],
@@ -212,12 +214,12 @@ class Drive:
         self._received_at[topics.WINCH_ESTIMATE] = now_ns / _NANO
         payout, tension = sample.joints[PAYOUT], sample.joints[TENSION]
         weight = sample.joints[TETHER_OUT].effort
-        known = tension.position >= 0.5
-        pull = tension.effort if known else math.nan
-        self.tether.on_estimate(payout.position, payout.velocity, pull, weight)
-        if known and not self.is_in_turn:
-            seen = Tether(sample.joints[STRETCHED].position, pull, weight)
-            self.odometry.on_tether(seen, is_taut=self.tether.is_taut)
+        is_known = tension.position >= 0.5
+        force = tension.effort if is_known else math.nan
+        self.tether.on_estimate(payout.position, payout.velocity, force, weight)
+        if is_known and not self.is_in_turn:
+            measurement = TetherMeasurement(sample.joints[STRETCHED].position, force, weight)
+            self.odometry.on_tether(measurement, is_taut=self.tether.is_taut)
 
     @property
     def is_in_turn(self) -> bool:
@@ -287,15 +289,15 @@ class Drive:
         forward, turn = sample.linear[0], sample.angular[2]
         rate = self.kinematics.wheel_rate(forward, turn)
         p = self.settings.follower
-        for name, value, most, unit in (
+        for name, value, limit, unit in (
             ("linear.x", forward if turn == 0.0 else 0.0, p.drive_speed, "m/s"),
             ("angular.z", turn, p.turn_rate, "rad/s"),
         ):
-            if value > most * (1.0 + 1e-9):
+            if value > limit * (1.0 + 1e-9):
                 raise Refusal(
                     topics.CMD_VEL,
                     RefusalCode.OUT_OF_LIMITS,
-                    f"{name} is {value:g} {unit}, limit {most:g} {unit}",
+                    f"{name} is {value:g} {unit}, limit {limit:g} {unit}",
                 )
         if rate == 0.0:
             if self.phase is DrivePhase.STEERED:
@@ -318,15 +320,15 @@ class Drive:
         return "drive_node has released wheels and winch"
 
     def _check_reach(self, subject: str, goal: Goal) -> None:
-        far, longest = math.hypot(goal.x, goal.y), self.settings.tether.max_tether_length
+        distance, max_length = math.hypot(goal.x, goal.y), self.settings.tether.max_tether_length
         drop = self.odometry.drop
-        reach = math.sqrt(max(longest**2 - drop**2, 0.0))
-        if far > reach:
+        reach = math.sqrt(max(max_length**2 - drop**2, 0.0))
+        if distance > reach:
             raise Refusal(
                 subject,
                 RefusalCode.OUT_OF_LIMITS,
-                f"({goal.x:g}, {goal.y:g}) m is {far:.4g} m from the plumb line; the tether "
-                f"of {longest:g} m reaches {reach:.4g} m",
+                f"({goal.x:g}, {goal.y:g}) m is {distance:.4g} m from the plumb line; the tether "
+                f"of {max_length:g} m reaches {reach:.4g} m",
             )
 
     def _check_ready(self, subject: str, now_ns: int) -> None:
@@ -339,17 +341,17 @@ class Drive:
                 RefusalCode.WRONG_PHASE,
                 "the contact switch reports no floor; the rover must stand on the floor to drive",
             )
-        tilt, lying = self.odometry.attitude.inclination, self.settings.drive.rollover_tilt
-        if tilt > lying:
+        tilt, limit_tilt = self.odometry.attitude.inclination, self.settings.drive.rollover_tilt
+        if tilt > limit_tilt:
             raise Refusal(
                 subject,
                 RefusalCode.WRONG_PHASE,
                 f"the rover has rolled over: tilt {math.degrees(tilt):.3g} deg, limit "
-                f"{math.degrees(lying):.3g} deg; set it upright first",
+                f"{math.degrees(limit_tilt):.3g} deg; set it upright first",
             )
-        other = self._conflict()
-        if other:
-            raise Refusal(subject, RefusalCode.WRONG_PHASE, other)
+        conflict = self._conflict()
+        if conflict:
+            raise Refusal(subject, RefusalCode.WRONG_PHASE, conflict)
         not_ready_reason = self.tether.not_ready_reason()
         if not_ready_reason:
             raise Refusal(subject, RefusalCode.NOT_ARMED, not_ready_reason)
@@ -374,14 +376,14 @@ class Drive:
         self._stepped = now
         if self.is_busy:
             self._supervise(now_ns)
-        request = self.tether.step(now, h, leads=self.is_busy)
+        request = self.tether.step(now, h, is_driving=self.is_busy)
         follower = self.follower
         before = follower.rate
-        still = 0.0 if self._angles is None else self._angles[2] - self._still[2]
-        inputs = FollowerInput(self._rates, self.torque, self._forward, still)
-        rate = follower.step(inputs, now, h, may_move=self.tether.holds)
-        drives = self.is_busy or before != 0.0 or rate != 0.0
-        return DriveCommands(rate if drives else None, request)
+        idle_time = 0.0 if self._angles is None else self._angles[2] - self._last_motion[2]
+        inputs = FollowerInput(self._rates, self.torque, self._forward, idle_time)
+        rate = follower.step(inputs, now, h, may_move=self.tether.is_ready)
+        commanded = self.is_busy or before != 0.0 or rate != 0.0
+        return DriveCommands(rate if commanded else None, request)
 
     def _supervise(self, now_ns: int) -> None:
         now = now_ns / _NANO
@@ -407,7 +409,7 @@ class Drive:
             return DriveCommands()
         self.follower.stop("the node is shutting down", self._stepped or 0.0)
         self.follower.rate = 0.0
-        return DriveCommands(0.0, self.tether.step(math.inf, 0.0, leads=False))
+        return DriveCommands(0.0, self.tether.step(math.inf, 0.0, is_driving=False))
 
 
 def goal_of(sample: PoseSample) -> Goal:

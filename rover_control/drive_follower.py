@@ -80,7 +80,7 @@ class FollowerInput(NamedTuple):
     rates: tuple[float, float]  # left and right wheel [rad/s]
     torque: float  # wheel torque from the motor current [N m]
     forward: float  # acceleration along base_link x without gravity [m/s^2]
-    still: float  # time since an encoder last moved [s]
+    idle_time: float  # time since an encoder last moved [s]
 
 
 class DriveFollower:
@@ -128,8 +128,8 @@ class DriveFollower:
 
     def take_changes(self) -> list[Transition]:
         """Return the transitions since the last call and clear them."""
-        taken, self._changes = self._changes, []
-        return taken
+        transitions, self._changes = self._changes, []
+        return transitions
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -164,12 +164,12 @@ class DriveFollower:
         level: Level = Level.OK,
         **values: object,
     ) -> None:
-        left = len(self.goals)
+        remaining = len(self.goals)
         self.goals.clear()
         self._begin(phase, now)
         pose = self.odometry.pose
         place = {"x": pose.x, "y": pose.y, "heading": pose.heading}
-        self._emit(name, reason, level, goals_left=left, **place, **values)
+        self._emit(name, reason, level, goals_left=remaining, **place, **values)
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -183,7 +183,7 @@ class DriveFollower:
             may_move: False delays the start of a motion.
         """
         moves = max(map(abs, inputs.rates)) > _AT_REST or self.rate != 0.0
-        self._rested = 0.0 if moves else min(self._rested + h, inputs.still)
+        self._rested = 0.0 if moves else min(self._rested + h, inputs.idle_time)
         setpoint = 0.0
         if self.phase is DrivePhase.STANDING:
             if may_move:
@@ -198,9 +198,9 @@ class DriveFollower:
 
     def _step_standing(self, now: float) -> None:
         p = self.parameters
-        known = self.is_at_rest and self.odometry.bias_error <= p.gyro_bias_tolerance
+        bias_known = self.is_at_rest and self.odometry.bias_error <= p.gyro_bias_tolerance
         waited = now - self._since > p.settle_time + p.max_stop_time
-        if not known and not (waited and self.rate == 0.0):
+        if not bias_known and not (waited and self.rate == 0.0):
             return
         self._end_segment()
         goal = self.goal
@@ -267,23 +267,23 @@ class DriveFollower:
         turning = self.phase is DrivePhase.TURNING
         if turning:
             full, amount = p.turn_rate, segment.turn
-            done = odometry.turned - self._from[0]
+            travelled = odometry.turned - self._from[0]
             moving = abs(odometry.yaw_rate)
             per_rate = odometry.kinematics.yaw_rate(-1.0)
         else:
             full, amount = p.drive_speed, segment.length
-            done = odometry.travelled - self._from[1]
+            travelled = odometry.travelled - self._from[1]
             moving = odometry.speed
             per_rate = odometry.kinematics.speed(1.0)
-        left = amount - done - moving * p.command_delay
+        remaining = amount - travelled - moving * p.command_delay
         if self._check_motion(inputs, now, h) or self._took_too_long(amount / full, now):
             return 0.0
         bent = not turning and abs(odometry.turned - self._from[0]) > p.max_heading_drift
-        if left <= 0.0 or bent:
+        if remaining <= 0.0 or bent:
             self._finish(turning, now)
             return 0.0
         # The ramp ends at creep speed, not at zero, so that the motion ends in finite time.
-        braking = math.sqrt(2.0 * p.wheel_acceleration * per_rate * left)
+        braking = math.sqrt(2.0 * p.wheel_acceleration * per_rate * remaining)
         speed = min(full * fraction, max(braking - 0.5 * _CREEP * full, _CREEP * full))
         rate = speed / per_rate
         return -rate if turning else rate

@@ -120,9 +120,9 @@ class DriveNode(ContractNode):
         """Phase, and why the last drive ended early."""
         if not self.active:
             return ()
-        ended = self._end_reason
-        level = Level.WARN if ended else Level.OK
-        text = self._drive.phase.value + (f": {ended}" if ended else "")
+        reason = self._end_reason
+        level = Level.WARN if reason else Level.OK
+        text = self._drive.phase.value + (f": {reason}" if reason else "")
         return (Status(f"{self.NAME}: drive", text, level, self.NAME),)
 
     # --- inputs ----------------------------------------------------------------------------------
@@ -174,9 +174,9 @@ class DriveNode(ContractNode):
         self._publish_changes()
 
     def _on_stop(self) -> tuple[bool, str]:
-        answer = self._drive.stop(self.now_ns())
+        message = self._drive.stop(self.now_ns())
         self._publish_changes()
-        return True, answer
+        return True, message
 
     # --- outputs ---------------------------------------------------------------------------------
 

@@ -96,7 +96,7 @@ class OdometryParameters:
     uses_tether: bool = parameter(True, "-", "correct the odometry by the tether's length")
 
 
-class Tether(NamedTuple):
+class TetherMeasurement(NamedTuple):
     """Measurement of the tether by the winch."""
 
     length: float  # stretched length from fairlead to rover [m]
@@ -104,7 +104,7 @@ class Tether(NamedTuple):
     weight: float  # of the paid-out tether [N]
 
 
-def chord_of(tether: Tether, horizontal: float) -> float:
+def chord_of(tether: TetherMeasurement, horizontal: float) -> float:
     """Chord [m] of a taut tether: its length less the sag.
 
     L = c + w^2 c^3 cos^2(slope) / (24 T^2) with the weight per length w and the tension T at
@@ -201,14 +201,16 @@ class DriveOdometry:
         """Set the pose of base_link; without a known heading the estimate is kept."""
         p = self.parameters
         heading = pose.heading if knows_heading else self.turned
-        own = float(self._p[_HEADING, _HEADING])
+        heading_variance = float(self._p[_HEADING, _HEADING])
         self._x[_HEADING] = heading
         self._x[[_PX, _PY]] = self.kinematics.pivot_of(GroundPose(pose.x, pose.y, heading))
         for k, error in ((_PX, p.initial_position_std), (_PY, p.initial_position_std)):
             self._p[k, :] = self._p[:, k] = 0.0
             self._p[k, k] = error**2
         self._p[_HEADING, :] = self._p[:, _HEADING] = 0.0
-        self._p[_HEADING, _HEADING] = p.initial_heading_std**2 if knows_heading else own
+        self._p[_HEADING, _HEADING] = (
+            p.initial_heading_std**2 if knows_heading else heading_variance
+        )
         self._p[_DROP, :] = self._p[:, _DROP] = 0.0
         self._knows_drop = False
         self._tether_updated_at = -math.inf
@@ -229,9 +231,9 @@ class DriveOdometry:
         h = now - before
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
-        left = rate[2] - self.bias
+        unbiased_rate = rate[2] - self.bias
         # The tether may drag a rover whose wheels are at rest; such creep must not enter the bias.
-        self._rest_rate += min(h / _REST_TIME, 1.0) * (left - self._rest_rate)
+        self._rest_rate += min(h / _REST_TIME, 1.0) * (unbiased_rate - self._rest_rate)
         creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
         disturbed = (
             abs(rate[2] - self._last_rate)
@@ -240,25 +242,29 @@ class DriveOdometry:
         self._last_rate = rate[2]
         if disturbed or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKING_RATE:
             self._moved_at = now
-        rests = now - self._moved_at > _QUIET_TIME
-        if rests:
+        is_resting = now - self._moved_at > _QUIET_TIME
+        if is_resting:
             self._update_level_bias(rate, h)
-        bx, by = self._level_bias
-        fraction = min(h / (p.tilt_time_constant if rests else p.tilt_time_constant_moving), 1.0)
-        turned = self.attitude.turn((rate[0] - bx, rate[1] - by, left), force, h, fraction)
-        if rests and not creeps:
+        bias_x, bias_y = self._level_bias
+        fraction = min(
+            h / (p.tilt_time_constant if is_resting else p.tilt_time_constant_moving), 1.0
+        )
+        turned = self.attitude.turn(
+            (rate[0] - bias_x, rate[1] - bias_y, unbiased_rate), force, h, fraction
+        )
+        if is_resting and not creeps:
             self.yaw_rate = 0.0
             jacobian = np.zeros(_STATES)
             jacobian[_BIAS] = 1.0
-            self._update(jacobian, left, p.gyro_noise_density**2 / h)
+            self._update(jacobian, unbiased_rate, p.gyro_noise_density**2 / h)
             return
         self.yaw_rate = turned / h
         self._x[_HEADING] += turned
         self._propagate(_HEADING, _BIAS, -h * self.attitude.up[2])
         self._p[_HEADING, _HEADING] += p.gyro_noise_density**2 * h
         if self._is_driven:
-            # The pivot lies half a track beside the middle of the axle.
-            self._advance_pivot(0.5 * self.kinematics.parameters.track * turned)
+            # The pivot lies half a track_width beside the middle of the axle.
+            self._advance_pivot(0.5 * self.kinematics.parameters.track_width * turned)
 
     def _update_level_bias(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)
@@ -295,21 +301,21 @@ class DriveOdometry:
 
     def _advance_pivot(self, travel: float) -> None:
         c, s = math.cos(self.turned), math.sin(self.turned)
-        aside = self.kinematics.parameters.sideslip_per_force * self._lateral_force() * travel
-        self._x[_PX] += c * travel - s * aside
-        self._x[_PY] += s * travel + c * aside
+        lateral = self.kinematics.parameters.sideslip_per_force * self._lateral_force() * travel
+        self._x[_PX] += c * travel - s * lateral
+        self._x[_PY] += s * travel + c * lateral
         self._propagate(_PX, _HEADING, -s * travel)
         self._propagate(_PY, _HEADING, c * travel)
         # Lateral error of a direction that is correlated over the slip's distance.
-        spread = (
+        variance = (
             self.parameters.sideslip_std**2
             * abs(travel)
             * self.parameters.slip_correlation_distance
         )
-        self._p[_PX, _PX] += s * s * spread
-        self._p[_PY, _PY] += c * c * spread
-        self._p[_PX, _PY] -= s * c * spread
-        self._p[_PY, _PX] -= s * c * spread
+        self._p[_PX, _PX] += s * s * variance
+        self._p[_PY, _PY] += c * c * variance
+        self._p[_PX, _PY] -= s * c * variance
+        self._p[_PY, _PX] -= s * c * variance
 
     def _lateral_force(self) -> float:
         """Lateral force of the tether on the rover, left positive [N]."""
@@ -325,18 +331,18 @@ class DriveOdometry:
         p = self.parameters
         self._propagate(_PX, _SLIP, -math.cos(self.turned) * rolled)
         self._propagate(_PY, _SLIP, -math.sin(self.turned) * rolled)
-        keep = math.exp(-travel / p.slip_correlation_distance)
-        self._x[_SLIP] *= keep
-        self._p[_SLIP, :] *= keep
-        self._p[:, _SLIP] *= keep
-        self._p[_SLIP, _SLIP] += p.slip_std**2 * (1.0 - keep * keep)
+        decay = math.exp(-travel / p.slip_correlation_distance)
+        self._x[_SLIP] *= decay
+        self._p[_SLIP, :] *= decay
+        self._p[:, _SLIP] *= decay
+        self._p[_SLIP, _SLIP] += p.slip_std**2 * (1.0 - decay * decay)
 
     def _propagate(self, state: int, other: int, fraction: float) -> None:
         """Covariance after a state changed by a fraction of another's error: P = F P F^T."""
         self._p[state, :] += fraction * self._p[other, :]
         self._p[:, state] += fraction * self._p[:, other]
 
-    def on_tether(self, tether: Tether, *, is_taut: bool) -> None:
+    def on_tether(self, tether: TetherMeasurement, *, is_taut: bool) -> None:
         """Process the tether measurement.
 
         Args:
@@ -346,8 +352,8 @@ class DriveOdometry:
         p = self.parameters
         self.tether_range = 0.0
         # Averaged: the winch controls the tension only roughly.
-        pull = max(tether.tension - tether.weight, 0.0)
-        self._mean_pull += _FORCE_FRACTION * (pull - self._mean_pull)
+        force = max(tether.tension - tether.weight, 0.0)
+        self._mean_pull += _FORCE_FRACTION * (force - self._mean_pull)
         if not p.uses_tether:
             return
         px, py = self.pose.x, self.pose.y
@@ -389,5 +395,5 @@ class DriveOdometry:
     def _update(self, jacobian: Floats, innovation: float, variance: float) -> None:
         gain = self._p @ jacobian / (float(jacobian @ self._p @ jacobian) + variance)
         self._x = self._x + gain * innovation
-        keep = _IDENTITY - np.outer(gain, jacobian)
-        self._p = keep @ self._p @ keep.T + variance * np.outer(gain, gain)
+        remaining = _IDENTITY - np.outer(gain, jacobian)
+        self._p = remaining @ self._p @ remaining.T + variance * np.outer(gain, gain)

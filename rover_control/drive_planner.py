@@ -135,26 +135,28 @@ class DrivePlanner:
         p = self.parameters
         if _is_unreachable(self.kinematics, pose, goal):
             return Segment(0.0, _ESCAPE_DISTANCE, pose.heading, False)
-        heading, left = course(self.kinematics, pose, goal)
-        is_last = left <= p.last_segment
-        length = left
+        heading, remaining = course(self.kinematics, pose, goal)
+        is_last = remaining <= p.last_segment
+        length = remaining
         if not is_last:
             length = (
-                min(p.first_segment, left) if self._segments == 0 else p.segment_fraction * left
+                min(p.first_segment, remaining)
+                if self._segments == 0
+                else p.segment_fraction * remaining
             )
         self._segments += 1
         # The chord of an arc deviates from its first tangent by half the arc's angle.
         aim = heading - 0.5 * self.curvature * length - (0.0 if is_last else p.aim_offset)
         turn = left_turn(pose.heading, aim)
-        if self._keeps_heading(wrapped(pose.heading - aim), left, is_last=is_last):
+        if self._keeps_heading(wrapped(pose.heading - aim), remaining, is_last=is_last):
             turn = 0.0
         return Segment(turn, length, pose.heading + turn, is_last)
 
-    def _keeps_heading(self, beyond: float, left: float, *, is_last: bool) -> bool:
-        """Whether a heading `beyond` [rad] left of the aim is accepted without a turn."""
+    def _keeps_heading(self, excess: float, remaining: float, *, is_last: bool) -> bool:
+        """Whether a heading `excess` [rad] left of the aim is accepted without a turn."""
         p = self.parameters
-        if beyond < 0.0:  # skip a left turn that gains less than a tenth of the tolerance
-            return -beyond * left < 0.1 * p.xy_goal_tolerance
+        if excess < 0.0:  # skip a left turn that gains less than a tenth of the tolerance
+            return -excess * remaining < 0.1 * p.xy_goal_tolerance
         if is_last:
-            return beyond * left < 0.8 * p.xy_goal_tolerance
-        return (beyond - p.aim_offset) * left < 0.5 * p.xy_goal_tolerance
+            return excess * remaining < 0.8 * p.xy_goal_tolerance
+        return (excess - p.aim_offset) * remaining < 0.5 * p.xy_goal_tolerance

@@ -82,11 +82,11 @@ class TetherControl:
         self.rate = 0.0  # payout rate [m/s]
         self.tension = math.nan  # at the fairlead; NaN = unknown [N]
         self.weight = 0.0  # of the paid-out tether [N]
-        self._leads = False
+        self._is_leading = False
         self._since = 0.0
         self._sent_at = -math.inf
         self._held_tension = False
-        self._is_taken_up = False  # whether the tether has been taut since the drive began
+        self._is_tensioned = False  # whether the tether has been taut since the drive began
         self._mean_pull = 0.0  # mean tension beyond the tether's weight [N]
         self._over_tension_time = self._slack_time = 0.0
 
@@ -96,11 +96,11 @@ class TetherControl:
         return self.mode == _TENSION and self._mean_pull > _TAUT * self.parameters.tension_margin
 
     @property
-    def holds(self) -> bool:
+    def is_ready(self) -> bool:
         """Whether the tether is under control, so that the rover may move."""
         if not self.parameters.uses_winch:
             return True
-        return self._leads and self.mode == _TENSION and self._is_taken_up
+        return self._is_leading and self.mode == _TENSION and self._is_tensioned
 
     def on_mode(self, mode: str) -> None:
         """Process the winch mode."""
@@ -116,40 +116,40 @@ class TetherControl:
             return ""
         return f"the winch is in {self.mode or 'an unknown mode'}; arm it ({topics.WINCH_REARM})"
 
-    def step(self, now: float, h: float, *, leads: bool) -> TetherRequest | None:
+    def step(self, now: float, h: float, *, is_driving: bool) -> TetherRequest | None:
         """Advance by h; returns the winch request to send, or None.
 
         Args:
             now: time [s].
             h: time since the last step [s].
-            leads: whether the rover is driving.
+            is_driving: whether the rover is driving.
         """
         p = self.parameters
         if not p.uses_winch:
             return None
-        if leads and not self._leads:
+        if is_driving and not self._is_leading:
             self._since, self._held_tension, self._sent_at = now, False, -math.inf
-            self._is_taken_up = False
+            self._is_tensioned = False
             self._over_tension_time = self._slack_time = 0.0
-        self._leads = leads
-        pull = self.tension - self.weight
-        if math.isfinite(pull):
-            self._mean_pull += min(h / _MEAN, 1.0) * (pull - self._mean_pull)
-        self._over_tension_time = self._over_tension_time + h if pull > p.tension_limit else 0.0
+        self._is_leading = is_driving
+        force = self.tension - self.weight
+        if math.isfinite(force):
+            self._mean_pull += min(h / _MEAN, 1.0) * (force - self._mean_pull)
+        self._over_tension_time = self._over_tension_time + h if force > p.tension_limit else 0.0
         self._slack_time = self._slack_time + h if self._mean_pull < 0.1 * p.tension_margin else 0.0
-        self._held_tension = leads and (self._held_tension or self.mode == _TENSION)
+        self._held_tension = is_driving and (self._held_tension or self.mode == _TENSION)
         waited = now - self._since > p.take_up_timeout
-        self._is_taken_up = leads and (self._is_taken_up or self.is_taut or waited)
+        self._is_tensioned = is_driving and (self._is_tensioned or self.is_taut or waited)
         if now - self._sent_at < p.request_period:
             return None
-        if leads and not self.fault_reason(now):
+        if is_driving and not self.fault_reason(now):
             self._sent_at = now
             return self._hold()
-        stands = abs(self.rate) < _STANDING
-        if not leads and self.mode == _TENSION and stands and math.isfinite(self.length):
+        is_still = abs(self.rate) < _STANDING
+        if not is_driving and self.mode == _TENSION and is_still and math.isfinite(self.length):
             self._sent_at = now
             return TetherRequest(WINCH_TO_LENGTH, self.length, 0.0, 0.0)
-        if not leads and self.mode == _TENSION:
+        if not is_driving and self.mode == _TENSION:
             # The drum still moves: keep the tension mode until it is at rest.
             self._sent_at = now
             return self._hold()
@@ -157,13 +157,13 @@ class TetherControl:
 
     def _hold(self) -> TetherRequest:
         p = self.parameters
-        rate = p.follow_rate if self._is_taken_up else p.take_up_rate
+        rate = p.follow_rate if self._is_tensioned else p.take_up_rate
         return TetherRequest(WINCH_AT_TENSION, 0.0, rate, self.weight + p.tension_margin)
 
     def fault_reason(self, now: float) -> str:
         """Why the rover must stop; empty = no fault."""
         p = self.parameters
-        if not p.uses_winch or not self._leads:
+        if not p.uses_winch or not self._is_leading:
             return ""
         if self._held_tension and self.mode != _TENSION:
             return f"the winch left mode tension for {self.mode}; see its events"

@@ -80,11 +80,11 @@ class DriveWatch:
 
     def begin(self) -> None:
         """Reset at the start of a motion from rest."""
-        self._blocked = self._steep = self._over_torque = 0.0
+        self._blocked_time = self._over_slope_time = self._over_torque_time = 0.0
         self._turn = self._turned = 0.0
         self._age = 0.0
         self._inertial_speed = 0.0  # integral of the acceleration [m/s]
-        self._not_moving = 0.0
+        self._not_moving_time = 0.0
         self._range_from: float | None = None
         self._range_expected = 0.0
         self._travel = 0.0
@@ -94,8 +94,8 @@ class DriveWatch:
         """Fraction of the speed that the rover may use at a wheel torque [N m]."""
         p = self.parameters
         span = max(p.torque_limit - p.slowdown_torque, 1e-9)
-        over = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
-        return 1.0 - over * (1.0 - p.min_speed_fraction)
+        excess = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
+        return 1.0 - excess * (1.0 - p.min_speed_fraction)
 
     def common(self, commanded: float, rate: float, torque: float, slope: float, h: float) -> str:
         """Check torque, slope and blocked wheels; returns the reason to stop, empty = none.
@@ -109,18 +109,18 @@ class DriveWatch:
         """
         p = self.parameters
         is_commanded = abs(commanded) > 0.05
-        slow = is_commanded and abs(rate) < p.blocked_fraction * abs(commanded)
-        self._blocked = self._blocked + h if slow else 0.0
-        if self._blocked > p.blocked_time:
+        is_blocked = is_commanded and abs(rate) < p.blocked_fraction * abs(commanded)
+        self._blocked_time = self._blocked_time + h if is_blocked else 0.0
+        if self._blocked_time > p.blocked_time:
             return f"wheel motor blocked: {rate:.3g} rad/s at a command of {commanded:.3g} rad/s"
-        self._over_torque = self._over_torque + h if abs(torque) > p.torque_limit else 0.0
-        if self._over_torque > p.torque_limit_time:
+        self._over_torque_time = self._over_torque_time + h if abs(torque) > p.torque_limit else 0.0
+        if self._over_torque_time > p.torque_limit_time:
             return (
                 f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
                 f"{p.torque_limit:g} N m"
             )
-        self._steep = self._steep + h if slope > p.max_slope else 0.0
-        if self._steep > p.slope_time:
+        self._over_slope_time = self._over_slope_time + h if slope > p.max_slope else 0.0
+        if self._over_slope_time > p.slope_time:
             return (
                 f"ground too steep: {math.degrees(slope):.3g} deg, limit "
                 f"{math.degrees(p.max_slope):.3g} deg"
@@ -156,13 +156,13 @@ class DriveWatch:
             return ""
         self._age += h
         self._inertial_speed += forward * h
-        seen = speed >= p.start_check_speed
-        self._not_moving = (
-            self._not_moving + h
-            if seen and self._inertial_speed < p.stuck_fraction * speed
+        is_observable = speed >= p.start_check_speed
+        self._not_moving_time = (
+            self._not_moving_time + h
+            if is_observable and self._inertial_speed < p.stuck_fraction * speed
             else 0.0
         )
-        if self._not_moving > 0.4 * p.start_check_time:
+        if self._not_moving_time > 0.4 * p.start_check_time:
             return (
                 f"the wheels turn but the rover does not move: {self._inertial_speed:.3g} m/s "
                 f"of {speed:.3g} m/s by the accelerometer"

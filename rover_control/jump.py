@@ -198,14 +198,14 @@ class Jump:
         elif joint == JUMP_HEIGHT:
             self.sequence.check_request(self.sensors, now_ns)
             stroke = self.spring.stroke_for(value, self.sensors.tilt)
-            most = self.sequence.parameters.max_stroke
-            if stroke > most:
-                max_height = self.spring.expected(most, self.sensors.tilt).mean
+            max_stroke = self.sequence.parameters.max_stroke
+            if stroke > max_stroke:
+                max_height = self.spring.expected(max_stroke, self.sensors.tilt).mean
                 raise Refusal(
                     topics.JUMP_REQUEST,
                     RefusalCode.OUT_OF_LIMITS,
                     f"{joint}.position is {value!r} m and needs a stroke of {stroke:.4g} m; "
-                    f"the limit of {most:g} m reaches {max_height:.3g} m",
+                    f"the limit of {max_stroke:g} m reaches {max_height:.3g} m",
                 )
             self.sequence.request(stroke, speed, self.sensors, now_ns)
             self._requested_height = value
@@ -224,9 +224,9 @@ class Jump:
         if self._pending is not None:
             self._cancel(f"aborted in {self.phase}", {})
             return "aborted before the spring was compressed"
-        done = self.sequence.abort(self.sensors, now_ns)
+        message = self.sequence.abort(self.sensors, now_ns)
         self._process_transitions(now_ns)
-        return done
+        return message
 
     def step(self, now_ns: int) -> NutCommand | None:
         """Advance to a time [ns]; returns the nut command, or None."""
@@ -238,8 +238,8 @@ class Jump:
 
     def take_transitions(self) -> list[Transition]:
         """Return the transitions since the last call and clear them."""
-        taken, self._transitions = self._transitions, []
-        return taken
+        transitions, self._transitions = self._transitions, []
+        return transitions
 
     def take_records(self) -> list[JumpRecord]:
         """Return the jumps measured since the last call and clear them."""
@@ -323,15 +323,15 @@ class Jump:
     def _step_pending(self, pending: _Pending, now_ns: int) -> None:
         """Advance a jump that has not begun, or cancel it on a timeout."""
         limit = self._settings.prediction.prediction_timeout
-        late = seconds(now_ns, pending.since_ns) > limit
+        is_late = seconds(now_ns, pending.since_ns) > limit
         if pending.prediction is None:
-            if late:
+            if is_late:
                 self._cancel(f"no prediction within {limit:g} s", {})
             return
         pending.is_moving = pending.is_moving or self._winch_mode != _HOLD
         if pending.is_moving and self._winch_mode == _HOLD:
             self._begin(pending, pending.prediction, now_ns)
-        elif late:
+        elif is_late:
             text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"
             self._cancel(text, {})
 

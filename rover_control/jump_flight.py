@@ -105,21 +105,21 @@ class FlightRecorder:
             return None
         if float(np.max(np.diff(t))) > _MAX_GAP:
             return None
-        still = values[first:released].mean(axis=0)
-        flown = values[released:last] - np.concatenate([still[:3], np.zeros(3)])
-        turns, places = self._integrate(t, flown, still[3:], resting - released)
+        at_rest = values[first:released].mean(axis=0)
+        flown = values[released:last] - np.concatenate([at_rest[:3], np.zeros(3)])
+        turns, places = self._integrate(t, flown, at_rest[3:], resting - released)
         rise = places[:, 2]
-        up = _level(still[3:])[:, 2]
-        end = turns[-1]
-        forward = end[:, 0]
+        up = _level(at_rest[3:])[:, 2]
+        final = turns[-1]
+        forward = final[:, 0]
         before = turns[0][:, 0]
         turn = math.atan2(
             before[0] * forward[1] - before[1] * forward[0],
             before[0] * forward[0] + before[1] * forward[1],
         )
-        tilt = math.acos(max(-1.0, min(1.0, float(end[:, 2] @ up))))
-        way = places[-1, :2] - places[0, :2]
-        return MeasuredJump(float(rise.max()), math.hypot(*way), turn, tilt, flight_time)
+        tilt = math.acos(max(-1.0, min(1.0, float(final[:, 2] @ up))))
+        displacement = places[-1, :2] - places[0, :2]
+        return MeasuredJump(float(rise.max()), math.hypot(*displacement), turn, tilt, flight_time)
 
     def _integrate(
         self,
@@ -138,8 +138,8 @@ class FlightRecorder:
             turned = turned @ _rotation(dt * values[k, :3])
             turns.append(turned)
             rates[k] = rates[k - 1] + dt * (half @ values[k, 3:] - gravity)
-        left_over = rates[resting:].mean(axis=0)
-        rates -= self._residual_fraction(t, values[:, 3:], resting)[:, None] * left_over
+        final_velocity = rates[resting:].mean(axis=0)
+        rates -= self._residual_fraction(t, values[:, 3:], resting)[:, None] * final_velocity
         steps = 0.5 * np.diff(t)[:, None] * (rates[1:] + rates[:-1])
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
         lever = np.array([self.imu_offset, 0.0, 0.0])
@@ -150,12 +150,12 @@ class FlightRecorder:
         self, t: NDArray[np.float64], forces: NDArray[np.float64], resting: int
     ) -> NDArray[np.float64]:
         """Fraction of the final velocity error that is present at each sample."""
-        beyond = np.abs(forces[:resting]).max(axis=1) >= _SATURATION * self.accelerometer_range
-        if not beyond.any():
+        saturated = np.abs(forces[:resting]).max(axis=1) >= _SATURATION * self.accelerometer_range
+        if not saturated.any():
             return t / float(t[resting:].mean())
-        share = np.ones(t.size)
-        share[:resting] = np.cumsum(beyond) / float(beyond.sum())
-        return share
+        fraction = np.ones(t.size)
+        fraction[:resting] = np.cumsum(saturated) / float(saturated.sum())
+        return fraction
 
 
 def _level(mean_specific_force: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -80,17 +80,19 @@ class JumpPredictor:
             prediction_request: pose of the rover and requested height.
             spring: estimate of the spring.
         """
-        begun, p = time.monotonic(), self.parameters
+        started, p = time.monotonic(), self.parameters
         stance = prediction_request.stance
-        guess = spring.stroke_for(prediction_request.height, stance.tilt)
-        if guess > p.spring_travel * 1.15:
+        initial_stroke = spring.stroke_for(prediction_request.height, stance.tilt)
+        if initial_stroke > p.spring_travel * 1.15:
             return rejected_prediction(self._too_high(prediction_request, spring, 1.0))
         try:
-            slack, given = self._slack(stance, prediction_request.height)
+            slack, extra_slack = self._slack(stance, prediction_request.height)
             place = self._settled_model(stance, slack)
-            stroke = min(guess, p.spring_travel)
-            drawn = spring.sample_errors(np.random.default_rng(prediction_request.seed), p.rollouts)
-            strokes = [spring.equivalent_stroke(stroke, float(a), float(b)) for a, b in drawn]
+            stroke = min(initial_stroke, p.spring_travel)
+            errors = spring.sample_errors(
+                np.random.default_rng(prediction_request.seed), p.rollouts
+            )
+            strokes = [spring.equivalent_stroke(stroke, float(a), float(b)) for a, b in errors]
             jumps = self._simulate(place, strokes, prediction_request)
         except (rover_sim.ScenarioError, rover_sim.SettlingError, RuntimeError) as error:
             return rejected_prediction(f"the jump cannot be predicted: {error}")
@@ -126,7 +128,7 @@ class JumpPredictor:
         return Prediction(
             stroke=stroke,
             slack=slack,
-            extra_slack=given,
+            extra_slack=extra_slack,
             height=Interval(height.mean, low, high),
             range=_interval([jump.range for jump in jumps]),
             turn=_interval([jump.turn for jump in jumps]),
@@ -135,7 +137,7 @@ class JumpPredictor:
             ratio=ratio,
             spread=spread,
             rollouts=len(jumps),
-            wall_time=time.monotonic() - begun,
+            wall_time=time.monotonic() - started,
             rejection=rejection,
         )
 
@@ -170,12 +172,12 @@ class JumpPredictor:
     def _too_high(
         self, prediction_request: PredictionRequest, spring: SpringEstimate, ratio: float
     ) -> str:
-        longest, tilt = self.parameters.spring_travel, prediction_request.stance.tilt
-        most = spring.expected(longest, tilt, ratio).mean
+        max_stroke, tilt = self.parameters.spring_travel, prediction_request.stance.tilt
+        max_height = spring.expected(max_stroke, tilt, ratio).mean
         kind = "clearance" if prediction_request.is_clearance else "height"
         return (
             f"{kind} {prediction_request.height:g} m is out of reach: the longest stroke of "
-            f"{longest:g} m reaches about {most:.3g} m"
+            f"{max_stroke:g} m reaches about {max_height:.3g} m"
         )
 
     def _slack(self, stance: RoverStance, height: float) -> tuple[float, float]:
@@ -247,13 +249,13 @@ class JumpPredictor:
         rover = place.plant.scenario.rover
         if rover is None:
             raise RuntimeError(f"scenario {place.plant.scenario.name} has no rover")
-        longest = min(p.spring_travel, rover.jump_drive.stroke)
+        max_stroke = min(p.spring_travel, rover.jump_drive.stroke)
         states, commands = [], []
         for stroke, (about_x, about_y) in zip(strokes, tilts, strict=True):
             within = min(stroke, 0.99 * rover.slider.lower_stop)
             tilt = (float(about_x), float(about_y))
             states.append(rover_sim.compressed(place.plant, place.state, within, tilt))
-            setpoint = rover_sim.JumpMotorCommand(min(within, longest), _NUT_SPEED)
+            setpoint = rover_sim.JumpMotorCommand(min(within, max_stroke), _NUT_SPEED)
             commands.append(rover_sim.Command(setpoint))
         gravity = place.plant.scenario.gravity
         flight = 2.0 * math.sqrt(2.0 * 1.2 * prediction_request.height / gravity)
@@ -277,7 +279,7 @@ class JumpPredictor:
             (event.values["z"] for event in run.events if event.name == "apex"),
             default=float(first.G1[2]),
         )
-        way = last.G1 - first.G1
+        displacement = last.G1 - first.G1
         before, after = first.rotation[:2, 0], last.rotation[:2, 0]
         turn = math.atan2(
             before[0] * after[1] - before[1] * after[0],
@@ -287,7 +289,7 @@ class JumpPredictor:
         tilt = math.acos(max(-1.0, min(1.0, leaning)))
         return _SimulatedJump(
             height=top - float(first.G1[2]),
-            range=math.hypot(float(way[0]), float(way[1])),
+            range=math.hypot(float(displacement[0]), float(displacement[1])),
             turn=turn,
             growth=max(map(_chord, run.states)) - place.chord,
             peak_tension=run.peak_tension,

@@ -45,10 +45,10 @@ def flown_sample(record: JumpRecord) -> JointSample:
     low, high = 0.0, 0.0
     if expected is not None:
         low, high = expected.interval()
-    way = turn = tension = NO_INTERVAL
+    distance = turn = tension = NO_INTERVAL
     if prediction is not None:
-        way, turn, tension = prediction.range, prediction.turn, prediction.peak_tension
-    pull = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
+        distance, turn, tension = prediction.range, prediction.turn, prediction.peak_tension
+    peak_tension = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
     values = {
         JUMP_WANTED: 0.0 if math.isnan(record.requested_height) else record.requested_height,
         JUMP_STROKE: record.stroke,
@@ -59,9 +59,9 @@ def flown_sample(record: JumpRecord) -> JointSample:
     }
     joints = {
         JUMP_HEIGHT: JointValue(max(flown.height, 0.0), low, high),
-        JUMP_RANGE: JointValue(flown.range, way.low, way.high),
+        JUMP_RANGE: JointValue(flown.range, distance.low, distance.high),
         JUMP_TURN: JointValue(flown.turn, turn.low, turn.high),
-        JUMP_TENSION: JointValue(pull, tension.low, tension.high),
+        JUMP_TENSION: JointValue(peak_tension, tension.low, tension.high),
     }
     joints |= {name: JointValue(value) for name, value in values.items()}
     return JointSample(record.stamp_ns, joints)

@@ -56,11 +56,11 @@ class Sensors:
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a contact switch sample."""
         value, stamp_ns = sample.joints[FLOOR_SWITCH].position, sample.stamp_ns or now_ns
-        taken = replace(self, contact=Reading(value, stamp_ns))
-        if taken.is_open:
+        updated = replace(self, contact=Reading(value, stamp_ns))
+        if updated.is_open:
             opened_ns = self.opened_ns if self.is_open else stamp_ns
-            return replace(taken, opened_ns=opened_ns, last_open_ns=stamp_ns)
-        return replace(taken, closed_ns=stamp_ns) if self.is_open else taken
+            return replace(updated, opened_ns=opened_ns, last_open_ns=stamp_ns)
+        return replace(updated, closed_ns=stamp_ns) if self.is_open else updated
 
     def with_jump_motor(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a jump motor sample."""

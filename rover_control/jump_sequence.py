@@ -79,8 +79,8 @@ class JumpSequence:
 
     def take_transitions(self) -> list[Transition]:
         """Return the transitions since the last call and clear them."""
-        taken, self._transitions = self._transitions, []
-        return taken
+        transitions, self._transitions = self._transitions, []
+        return transitions
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -95,11 +95,11 @@ class JumpSequence:
             Refusal: busy, in fault, not standing, a sensor stale, or the nut not at zero.
         """
         if self.phase is not JumpPhase.STANDBY:
-            way_out = f"; call {topics.JUMP_ABORT}"
+            hint = f"; call {topics.JUMP_ABORT}"
             raise _refused(
                 RefusalCode.WRONG_PHASE,
                 f"the jump sequence is in phase {self.phase}, not in standby"
-                + (way_out if self.phase is JumpPhase.FAULT else ""),
+                + (hint if self.phase is JumpPhase.FAULT else ""),
             )
         stale = self._stale_sensor(sensors, now_ns)
         if stale:
@@ -165,9 +165,9 @@ class JumpSequence:
             return "the spring is already being let down"
         if self.phase is JumpPhase.STANDBY:
             timeout = self.parameters.sensor_timeout
-            silent = staleness(topics.JUMP_MOTOR_STATE, sensors.compression, now_ns, timeout)
-            if silent:
-                raise Refusal(topics.JUMP_ABORT, RefusalCode.STALE, silent)
+            stale = staleness(topics.JUMP_MOTOR_STATE, sensors.compression, now_ns, timeout)
+            if stale:
+                raise Refusal(topics.JUMP_ABORT, RefusalCode.STALE, stale)
             if self._is_let_down(sensors, now_ns):
                 return "the spring is already let down"
         self._enter(JumpPhase.LETTING_DOWN, f"aborted in {self.phase}", now_ns, Level.WARN)
@@ -267,19 +267,21 @@ class JumpSequence:
     def _decide_release(self, sensors: Sensors, now_ns: int) -> None:
         """Trip the latch if tilt and tether tension are within their limits."""
         p, tension_reading = self.parameters, sensors.tether_tension
-        known = tension_reading is not None and is_fresh(tension_reading, now_ns, p.sensor_timeout)
-        tension = tension_reading.value if tension_reading is not None and known else math.nan
+        is_known = tension_reading is not None and is_fresh(
+            tension_reading, now_ns, p.sensor_timeout
+        )
+        tension = tension_reading.value if tension_reading is not None and is_known else math.nan
         values = {"tilt": sensors.tilt, "tension": tension}
-        wrong = ""
+        reason = ""
         if sensors.tilt > p.max_tilt:
-            wrong = f"the tilt is {sensors.tilt:.3g} rad, limit {p.max_tilt:g} rad"
+            reason = f"the tilt is {sensors.tilt:.3g} rad, limit {p.max_tilt:g} rad"
         elif tension > p.max_tether_tension:
-            wrong = (
+            reason = (
                 f"the tether tension is {tension:.3g} N, limit {p.max_tether_tension:g} N; "
                 "give slack"
             )
-        if wrong:
-            self._enter(JumpPhase.LETTING_DOWN, wrong, now_ns, Level.WARN, values)
+        if reason:
+            self._enter(JumpPhase.LETTING_DOWN, reason, now_ns, Level.WARN, values)
         else:
             self._enter(
                 JumpPhase.RELEASING,
@@ -370,11 +372,11 @@ class JumpSequence:
         self._check_timeout(sensors, now_ns, limit, "latch not hooked", "the nut does not move up")
 
     def _check_timeout(
-        self, sensors: Sensors, now_ns: int, limit: float, what: str, otherwise: str
+        self, sensors: Sensors, now_ns: int, limit: float, failure: str, otherwise: str
     ) -> None:
         if self._elapsed(now_ns) > limit:
             reason = self._stale_sensor(sensors, now_ns) or otherwise
-            text = f"{what} within {limit:.3g} s: {reason}"
+            text = f"{failure} within {limit:.3g} s: {reason}"
             self._enter(JumpPhase.FAULT, text, now_ns, Level.ERROR)
 
     def _fly(self, sensors: Sensors, now_ns: int) -> None:

@@ -77,15 +77,15 @@ class Height(NamedTuple):
 
     def quantile(self, probability: float) -> float:
         """Height [m] at a probability of the cumulative distribution."""
-        most = self.tolerance + _TAIL * self.spread
-        if most == 0.0:
+        bound = self.tolerance + _TAIL * self.spread
+        if bound == 0.0:
             return self.mean
-        error = brentq(lambda e: self._below(e) - probability, -most, most)
+        error = brentq(lambda e: self._below(e) - probability, -bound, bound)
         return self.mean * math.exp(error)
 
-    def interval(self, share: float = 0.9) -> tuple[float, float]:
+    def interval(self, factor: float = 0.9) -> tuple[float, float]:
         """Central interval [m] of a probability."""
-        outside = 0.5 * (1.0 - share)
+        outside = 0.5 * (1.0 - factor)
         return self.quantile(outside), self.quantile(1.0 - outside)
 
     def spread_by(self, spread: float) -> Height:
@@ -172,8 +172,8 @@ class SpringEstimate:
             raise ValueError(f"height = {height!r} m: must be finite and above 0 m")
         p = self.parameters
         weight = p.body2_mass * p.jump_gravity
-        share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
-        work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.body2_mass * share)
+        factor = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
+        work = height * 2.0 * p.jump_gravity * p.rover_mass**2 / (p.body2_mass * factor)
         return (weight + math.sqrt(weight**2 + p.spring_rate * work)) / p.spring_rate - self.zero
 
     def update(self, stroke: float, height: float, tilt: float = 0.0, ratio: float = 1.0) -> bool:
@@ -197,18 +197,18 @@ class SpringEstimate:
             return False
         gain = self._cov @ row / spread
         self._mean = self._mean + gain * innovation
-        kept = np.eye(2) - np.outer(gain, row)
-        self._cov = kept @ self._cov @ kept.T + error * np.outer(gain, gain)
+        remaining = np.eye(2) - np.outer(gain, row)
+        self._cov = remaining @ self._cov @ remaining.T + error * np.outer(gain, gain)
         self.jumps += 1
         return True
 
     def sample_errors(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Random height factors and stroke errors [m] from the present distribution, (count, 2)."""
         p = self.parameters
-        drawn = generator.multivariate_normal(self._mean, self._cov, count)
-        drawn[:, 0] = np.exp(drawn[:, 0] + p.height_model_std * generator.standard_normal(count))
-        drawn[:, 1] += p.stroke_tolerance * generator.uniform(-1.0, 1.0, count)
-        return np.asarray(drawn)
+        errors = generator.multivariate_normal(self._mean, self._cov, count)
+        errors[:, 0] = np.exp(errors[:, 0] + p.height_model_std * generator.standard_normal(count))
+        errors[:, 1] += p.stroke_tolerance * generator.uniform(-1.0, 1.0, count)
+        return np.asarray(errors)
 
     def equivalent_stroke(self, stroke: float, gain: float, zero: float) -> float:
         """Stroke [m] of the nominal spring that gives the height of a spring with errors.
@@ -240,6 +240,6 @@ class SpringEstimate:
             raise ValueError(
                 f"stroke = {stroke!r} m: must be above {self.shortest_stroke:.4g} m to lift Body 2"
             )
-        share = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
-        mean = share * p.body2_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
+        factor = ratio * p.height_gain * self.gain * math.cos(tilt) ** 2
+        mean = factor * p.body2_mass * work / (2.0 * p.jump_gravity * p.rover_mass**2)
         return mean, np.array([1.0, (2.0 * p.spring_rate * x - 2.0 * weight) / work])

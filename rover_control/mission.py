@@ -21,23 +21,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from enum import Enum, auto
 from typing import Any, NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.transition import Transition
-from rover_control.locomotion import LocomotionParameters
 from rover_control.mission_floor import DriveTask, JumpTask
 from rover_control.mission_interlocks import Condition, remedy, violated_interlock
 from rover_control.mission_legs import (
     Blackboard,
     LandTask,
     LegEnd,
-    LegLimits,
     LegResult,
     LegTask,
     LiftTask,
@@ -49,40 +46,13 @@ from rover_control.mission_legs import (
     TurnTask,
     WinchAscentTask,
 )
+from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_route import Leg, LegKind, Route
 from rover_control.observed_state import ObservedState, Place
 
 _NANO = 1e9
 _PAUSE = 2.0  # least time between two calls of one service [s]
-
-
-@dataclass(frozen=True)
-class MissionParameters:
-    """Trials, time limits and resumption."""
-
-    max_trials: int = parameter(3, "-", "largest number of trials of a leg", 1, 100)
-    retry_delay: float = parameter(
-        45.0, "s", "pause before a hanging leg is tried again, to estimate the swing", 0.0, 600.0
-    )
-    node_timeout: float = parameter(
-        2.0, "s", "age of the last message at which winch or drive counts as missing", 0.2, 60.0
-    )
-    max_rearms: int = parameter(
-        3, "-", "times that the mission arms the winch in one leg before it holds", 0, 100
-    )
-    resume_window: float = parameter(
-        60.0, "s", "downtime up to which a restarted mission resumes by itself", 0.0, 1e5
-    )
-
-
-@dataclass(frozen=True)
-class MissionSettings:
-    """All parameters of the mission supervisor."""
-
-    mission: MissionParameters = field(default_factory=MissionParameters)
-    limits: LegLimits = field(default_factory=LegLimits)
-    locomotion: LocomotionParameters = field(default_factory=LocomotionParameters)
 
 
 class _AfterLastTrial(Enum):
@@ -198,8 +168,8 @@ class Mission:
         """
         now = now_ns / _NANO
         if self.is_active or self._idle_phase is MissionPhase.HOLDING:
-            other = topics.MISSION_RESUME if not self.is_active else topics.MISSION_ABORT
-            raise _refused(topics.MISSION_GO, f"a mission is in phase {self.phase}; use {other}")
+            service = topics.MISSION_RESUME if not self.is_active else topics.MISSION_ABORT
+            raise _refused(topics.MISSION_GO, f"a mission is in phase {self.phase}; use {service}")
         self._check_winch(topics.MISSION_GO, now)
         on_floor = self.observed.on_floor
         if self._idle_phase is MissionPhase.ABORTED:
@@ -263,8 +233,8 @@ class Mission:
                 topics.MISSION_SKIP, f"{leg.name} is part of the return and cannot be skipped"
             )
         if leg.kind is LegKind.RETURN and not self._may_lift():
-            far = self.plan.lift.radius
-            text = f"the rover must be within {far:g} m of the plumb line"
+            radius = self.plan.lift.radius
+            text = f"the rover must be within {radius:g} m of the plumb line"
             raise _refused(topics.MISSION_SKIP, f"{text} to be lifted; otherwise it swings")
         was_active, now = self.is_active, now_ns / _NANO
         self._record_leg(leg, LegResult.ABANDONED, "skipped by the operator")
@@ -306,12 +276,12 @@ class Mission:
         if self._task is None:
             requests = self._bring_to_rest(now)
         elif now >= self._retry_at:
-            found = self._check_timeout(now) or self._task.step(self.observed, events, now)
+            outcome = self._check_timeout(now) or self._task.step(self.observed, events, now)
             self._publish_choices()
-            if isinstance(found, LegEnd):
-                self._on_leg_end(found, now)
-            elif isinstance(found, ProposedRequest):
-                requests = self._allowed(found, now)
+            if isinstance(outcome, LegEnd):
+                self._on_leg_end(outcome, now)
+            elif isinstance(outcome, ProposedRequest):
+                requests = self._allowed(outcome, now)
             else:
                 self.waiting_on = ""
         self._publish_phase()
@@ -322,19 +292,21 @@ class Mission:
         assert task is not None
         limits = self.settings.limits
         limit = limits.of(task.leg.kind)
-        why = f", waiting: {self.waiting_on}" if self.waiting_on else ""
+        waiting = f", waiting: {self.waiting_on}" if self.waiting_on else ""
         if now - task.started > limit:
-            text = f"not finished within {limit:g} s{why}"
-            return LegEnd(LegResult.FAILED, text, is_external=bool(why))
+            text = f"not finished within {limit:g} s{waiting}"
+            return LegEnd(LegResult.FAILED, text, is_external=bool(waiting))
         if isinstance(task, DriveTask) and now - task.jump_started > limits.stuck_jump_timeout:
-            return LegEnd(LegResult.FAILED, f"no jump within {limits.stuck_jump_timeout:g} s{why}")
+            return LegEnd(
+                LegResult.FAILED, f"no jump within {limits.stuck_jump_timeout:g} s{waiting}"
+            )
         return None
 
     def _allowed(self, proposal: ProposedRequest, now: float) -> tuple[Request, ...]:
         """Apply the interlocks: the proposed request, one that clears its interlock, or none."""
-        found = violated_interlock(proposal.action, self.observed, now)
-        self._publish_waiting("" if found is None else found.value)
-        if found is None:
+        condition = violated_interlock(proposal.action, self.observed, now)
+        self._publish_waiting("" if condition is None else condition.value)
+        if condition is None:
             if not self._is_due(proposal.request.name, proposal.pause, now):
                 return ()
             assert self._task is not None
@@ -342,14 +314,14 @@ class Mission:
             return (proposal.request,)
         if proposal.moves_winch and self.observed.winch == "length":
             return self._call(topics.WINCH_HOLD, now)
-        if found is Condition.STOPPED:
-            self._stop(MissionPhase.HOLDING, found.value, Level.WARN)
+        if condition is Condition.STOPPED:
+            self._stop(MissionPhase.HOLDING, condition.value, Level.WARN)
             return ()
-        service = remedy(found, self.observed)
+        service = remedy(condition, self.observed)
         if not service:
             return ()
         if service == topics.WINCH_REARM and self._rearms >= self.settings.mission.max_rearms:
-            text = f"{found.value} after {self._rearms} re-arms in this leg"
+            text = f"{condition.value} after {self._rearms} re-arms in this leg"
             self._stop(MissionPhase.HOLDING, text, Level.WARN)
             return ()
         called = self._call(service, now)
@@ -436,8 +408,8 @@ class Mission:
         if end.result is not LegResult.DONE and self._recover(leg, end, now):
             return
         if end.result is LegResult.FAILED:
-            goes_on = leg.kind is LegKind.RETURN and self._may_lift()
-            if _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD and not goes_on:
+            continues = leg.kind is LegKind.RETURN and self._may_lift()
+            if _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD and not continues:
                 self._record_leg(leg, end.result, end.reason)
                 self._stop(MissionPhase.HOLDING, text, Level.ERROR)
                 return
@@ -461,17 +433,17 @@ class Mission:
 
     def _recover(self, leg: Leg, end: LegEnd, now: float) -> bool:
         """Start a recovery by the winch; False if none is possible."""
-        most, reason = self.plan.recovery.max_count, end.reason
-        if most == 0 or not self._is_within(self.plan.recovery.radius):
+        max_count, reason = self.plan.recovery.max_count, end.reason
+        if max_count == 0 or not self._is_within(self.plan.recovery.radius):
             return False
-        may_try_again = self.plan.landing is not None and self.route.recoveries < most
+        may_try_again = self.plan.landing is not None and self.route.recoveries < max_count
         if leg.kind is LegKind.RETURN:
             self._record_leg(leg, LegResult.DONE, f"completed by the winch: {reason}")
             self._advance(leg)
         elif leg.kind is LegKind.VISIT and may_try_again and not end.is_external:
             self.route.insert_recovery()
             self._failed_trials = 0
-            values = {"leg": leg.name, "number": self.route.recoveries, "of": most}
+            values = {"leg": leg.name, "number": self.route.recoveries, "of": max_count}
             self._emit("mission_rescue", f"{leg.name}: {reason}", Level.WARN, values)
         else:
             return False
@@ -491,15 +463,15 @@ class Mission:
         name = "mission_leg_done" if result is LegResult.DONE else "mission_leg_missed"
         self._emit(name, f"{leg.name}: {reason}", level, {"leg": leg.name})
 
-    def _stop(self, still: MissionPhase, reason: str, level: Level = Level.OK) -> None:
+    def _stop(self, phase: MissionPhase, reason: str, level: Level = Level.OK) -> None:
         self._task = None
-        self._idle_phase = still
+        self._idle_phase = phase
         self._is_at_rest = False
         self._sent_at.clear()
         self._publish_waiting("")
         self.reason = reason
         where = f" in {self.leg.name}" if self.leg is not None else ""
-        self._emit(f"mission_{still}", f"{reason}{where}", level)
+        self._emit(f"mission_{phase}", f"{reason}{where}", level)
 
     # --- checkpoint ------------------------------------------------------------------------------
 
@@ -523,23 +495,25 @@ class Mission:
         """Resume from a checkpoint of the same plan and of an earlier time."""
         age = (now_ns - int(saved["stamp_ns"])) / _NANO
         if saved["plan"] != self.plan.digest or age < 0.0:
-            why = "another plan" if age >= 0.0 else "another run: it lies ahead of the clock"
-            self._emit("mission_forgotten", f"the checkpoint is of {why}", Level.WARN)
+            origin = "another plan" if age >= 0.0 else "another run: it lies ahead of the clock"
+            self._emit("mission_forgotten", f"the checkpoint is of {origin}", Level.WARN)
             return
-        still = MissionPhase(saved["phase"])
-        if still is MissionPhase.STANDBY:
+        phase = MissionPhase(saved["phase"])
+        if phase is MissionPhase.STANDBY:
             return
         self.route.restore(saved["route"])
         self._failed_trials = int(saved["failed_trials"])
         self.blackboard = Blackboard(
             **{name: _from_json(value) for name, value in saved["blackboard"].items()}
         )
-        self.record = [LegRecord(leg, LegResult[name], why) for leg, name, why in saved["record"]]
+        self.record = [
+            LegRecord(leg, LegResult[name], reason) for leg, name, reason in saved["record"]
+        ]
         if saved["place"] is not None:
             self.observed.place = Place(*saved["place"])
         now = now_ns / _NANO
         if not saved["is_active"]:
-            self._stop(still, "restarted")
+            self._stop(phase, "restarted")
         elif age <= self.settings.mission.resume_window:
             self._begin(now, f"restarted after {age:.1f} s")
         else:

@@ -92,7 +92,7 @@ class DriveTask(LegTask):
         self._detour_goal: Place | None = None  # goal of the present detour
         self._choices: list[Choice] = []
         self._left_ground = False
-        self._taken = False  # whether drive_node has reported the drive
+        self._is_confirmed = False  # whether drive_node has reported the drive
 
     @property
     def phase(self) -> MissionPhase:  # type: ignore[override]
@@ -138,7 +138,7 @@ class DriveTask(LegTask):
     def _enter(self, state: _State, now: float) -> None:
         self._state, self._entered = state, now
         self.requested_at = None
-        self._taken = self._left_ground = False
+        self._is_confirmed = self._left_ground = False
 
     # --- driving ---------------------------------------------------------------------------------
 
@@ -148,10 +148,10 @@ class DriveTask(LegTask):
         if self._returns and self._is_home(observed) and not observed.is_driving:
             place = observed.place
             assert place is not None
-            far = math.hypot(place.x, place.y)
-            return LegEnd(LegResult.DONE, f"{far:.2f} m from the plumb line")
+            distance = math.hypot(place.x, place.y)
+            return LegEnd(LegResult.DONE, f"{distance:.2f} m from the plumb line")
         if self.requested_at is not None:
-            self._taken |= observed.is_driving
+            self._is_confirmed |= observed.is_driving
             for event in events:
                 ended = self._on_drive_event(event, observed, now)
                 if ended is not None or self._state is not _State.DRIVE:
@@ -161,9 +161,9 @@ class DriveTask(LegTask):
                 return LegEnd(LegResult.FAILED, refused, is_external=True)
         if observed.place is not None and not observed.place_agrees:
             return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_START, _pose(observed.place)))
-        lost = not observed.is_driving and (self._taken or self._is_overdue(now))
-        if lost and now - observed.since.get(topics.DRIVE_PHASE, now) > RESPONSE_TIMEOUT:
-            self.requested_at, self._taken = None, False
+        is_lost = not observed.is_driving and (self._is_confirmed or self._is_overdue(now))
+        if is_lost and now - observed.since.get(topics.DRIVE_PHASE, now) > RESPONSE_TIMEOUT:
+            self.requested_at, self._is_confirmed = None, False
         if self.requested_at is None:
             return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_GOAL, self._goal()))
         return None
@@ -208,8 +208,8 @@ class DriveTask(LegTask):
 
     def take_choices(self) -> list[Choice]:
         """Return the choices since the last call and clear them."""
-        taken, self._choices = self._choices, []
-        return taken
+        choices, self._choices = self._choices, []
+        return choices
 
     def _count_stuck(self, observed: ObservedState) -> None:
         """Count a wheel failure, at this place or at a new one."""

@@ -226,7 +226,7 @@ class StopTask(LegTask):
             LegKind.DAMP: MissionPhase.APPROACHING,
             LegKind.ASCEND: MissionPhase.ASCENDING,
         }[leg.kind]
-        self._there_since = math.inf
+        self._at_depth_since = math.inf
         self._is_cleared = False  # of stops from an earlier command source
         self._was_interrupted = False
 
@@ -250,11 +250,11 @@ class StopTask(LegTask):
             if refused and observed.descent == "holding":
                 # It was holding before the request: clear that first.
                 self.requested_at, self._is_cleared = None, False
-        patience = _DAMPING_TIME.get(self.leg.kind, math.inf)
-        if patience < math.inf and self.requested_at is not None:
-            there = abs(observed.length - self.leg.depth) < _DEPTH_TOLERANCE
-            self._there_since = min(self._there_since, now) if there else math.inf
-            if now - self._there_since > patience:
+        damping_time = _DAMPING_TIME.get(self.leg.kind, math.inf)
+        if damping_time < math.inf and self.requested_at is not None:
+            at_depth = abs(observed.length - self.leg.depth) < _DEPTH_TOLERANCE
+            self._at_depth_since = min(self._at_depth_since, now) if at_depth else math.inf
+            if now - self._at_depth_since > damping_time:
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
         if observed.descent == "holding" and self.requested_at is not None:
             if not self._was_interrupted:
@@ -267,10 +267,10 @@ class StopTask(LegTask):
                 return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_ABORT))
             self._is_cleared = True
         idle = observed.descent in ("", "released", "standby")
-        lost = (
+        is_lost = (
             idle and self._is_overdue(now) and now - self._idle_since(observed) > RESPONSE_TIMEOUT
         )
-        if self.requested_at is None or lost:
+        if self.requested_at is None or is_lost:
             joint = OBSERVATION_STOP if looks else PLAIN_STOP
             return ProposedRequest(
                 Action.DESCEND,
@@ -335,9 +335,9 @@ class LandTask(LegTask):
             self.blackboard.floor_length = observed.length
             observed.set_down(self._heading(observed))
             return LegEnd(LegResult.DONE, f"touchdown at {observed.length:.2f} m")
-        taken = self._override_of(events)
-        if taken:
-            return LegEnd(LegResult.OVERRIDDEN, taken)
+        override = self._override_of(events)
+        if override:
+            return LegEnd(LegResult.OVERRIDDEN, override)
         if observed.length > self.leg.depth - _LENGTH_TOLERANCE and not observed.winch_moving:
             return LegEnd(LegResult.FAILED, f"no touchdown down to {observed.length:.2f} m")
         # The previous user of the winch may still be stopping it.
@@ -370,14 +370,16 @@ class LiftTask(LegTask):
             floor = self.blackboard.floor_length
             self._goal = (observed.length if math.isnan(floor) else floor) - self.plan.lift.height
         hangs = not observed.on_floor and now - observed.on_floor_since > _CONFIRM_TIME
-        there = abs(observed.length - self._goal) < _LENGTH_TOLERANCE and not observed.winch_moving
-        if there and hangs:
+        at_depth = (
+            abs(observed.length - self._goal) < _LENGTH_TOLERANCE and not observed.winch_moving
+        )
+        if at_depth and hangs:
             return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
-        if there and now - self.started > 2.0 * _CONFIRM_TIME and observed.on_floor:
+        if at_depth and now - self.started > 2.0 * _CONFIRM_TIME and observed.on_floor:
             return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
-        taken = self._override_of(events)
-        if taken:
-            return LegEnd(LegResult.OVERRIDDEN, taken)
+        override = self._override_of(events)
+        if override:
+            return LegEnd(LegResult.OVERRIDDEN, override)
         lift = self.plan.lift
         hauls = (
             observed.place is None or math.hypot(observed.place.x, observed.place.y) > lift.radius
@@ -387,7 +389,7 @@ class LiftTask(LegTask):
             # ends it.
             if event.name == "alarm_snag" and not hauls:
                 return LegEnd(LegResult.FAILED, f"the tether is snagged: {event.message}")
-        if there:
+        if at_depth:
             return None
         rate = min(lift.rate, self.plan.recovery.rate) if hauls else lift.rate
         return _length(Action.LIFT, self._goal, rate)
@@ -402,9 +404,9 @@ class WinchAscentTask(LegTask):
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
         """Renew the length request."""
-        taken = self._override_of(events)
-        if taken:
-            return LegEnd(LegResult.OVERRIDDEN, taken)
+        override = self._override_of(events)
+        if override:
+            return LegEnd(LegResult.OVERRIDDEN, override)
         snag = next((event for event in events if event.name == "alarm_snag"), None)
         if snag is not None and now - self.started > _CONFIRM_TIME:
             return LegEnd(LegResult.FAILED, f"the tether is snagged: {snag.message}")

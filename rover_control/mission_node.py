@@ -26,8 +26,9 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from rover_control.mission import Mission, MissionSettings
+from rover_control.mission import Mission
 from rover_control.mission_legs import MissionPhase, Request
+from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import load_plan
 from rover_control.mission_report import state_sample
 from rover_control.observed_state import OBSERVED_TOPICS
@@ -73,9 +74,9 @@ class MissionNode(ContractNode):
 
     def setup(self) -> None:
         """Read the plan; create publishers, subscriptions and services."""
-        own = self.parameters_of(MissionNodeParameters)
-        self._plan = load_plan(own.plan)
-        self._file = self._checkpoint_file(own.checkpoint)
+        parameters = self.parameters_of(MissionNodeParameters)
+        self._plan = load_plan(parameters.plan)
+        self._file = self._checkpoint_file(parameters.checkpoint)
         self._request_publishers = {name: self.publisher(name) for name in _REQUESTS}
         self._phase_publisher = self.publisher(topics.MISSION_PHASE)
         self._state_publisher = self.publisher(topics.MISSION_STATE)
@@ -145,9 +146,9 @@ class MissionNode(ContractNode):
         mission = self._mission
         waits = f", waiting: {mission.waiting_on}" if mission.waiting_on else ""
         leg = f": {mission.leg.name}" if mission.leg is not None and mission.is_active else ""
-        still = "" if mission.is_active else f": {mission.reason}" * bool(mission.reason)
+        reason = "" if mission.is_active else f": {mission.reason}" * bool(mission.reason)
         held = mission.phase.value in ("holding", "aborted")
-        text = f"{mission.phase}{leg}{still}{waits}"
+        text = f"{mission.phase}{leg}{reason}{waits}"
         level = Level.WARN if held else Level.OK
         return (Status(f"{self.NAME}: mission", text, level, self.NAME),)
 
@@ -163,8 +164,8 @@ class MissionNode(ContractNode):
     def _on_events(self, sample: StatusSample) -> None:
         others = tuple(each for each in sample.statuses if each.hardware_id != self.NAME)
         if others:
-            previous = StatusSample(sample.stamp_ns, others)
-            self._mission.receive(topics.EVENTS, previous, self.now_ns())
+            filtered = StatusSample(sample.stamp_ns, others)
+            self._mission.receive(topics.EVENTS, filtered, self.now_ns())
 
     def _on_diagnostics(self, sample: StatusSample) -> None:
         """Process refusals of the mission's own requests."""
@@ -174,8 +175,8 @@ class MissionNode(ContractNode):
             if each.values.get("commander") in self._requesters.values()
         )
         if ours:
-            previous = StatusSample(sample.stamp_ns, ours)
-            self._mission.receive(topics.DIAGNOSTICS, previous, self.now_ns())
+            filtered = StatusSample(sample.stamp_ns, ours)
+            self._mission.receive(topics.DIAGNOSTICS, filtered, self.now_ns())
 
     # --- outputs and requests --------------------------------------------------------------------
 
@@ -237,9 +238,9 @@ class MissionNode(ContractNode):
         if not success:
             self.report(Status(f"{self.NAME}: {service}", text, Level.WARN, self.NAME))
 
-    def _respond(self, answer: str) -> tuple[bool, str]:
+    def _respond(self, message: str) -> tuple[bool, str]:
         self._step()
-        return True, answer
+        return True, message
 
     def _publish_state(self) -> None:
         self._state_publisher.send(state_sample(self._mission, self.now_ns()))

@@ -126,9 +126,9 @@ class ObservedState:
                 self.on_floor, self.on_floor_since = on_floor, now
         elif topic == topics.WINCH_ESTIMATE:
             self.length = joints[PAYOUT].position
-            known = joints[TENSION].position >= 0.5
+            is_known = joints[TENSION].position >= 0.5
             self.net_tension = (
-                joints[TENSION].effort - joints[TETHER_OUT].effort if known else math.nan
+                joints[TENSION].effort - joints[TETHER_OUT].effort if is_known else math.nan
             )
         elif topic == topics.JUMP_MOTOR_STATE:
             self.nut = joints[JUMP_SCREW].position
@@ -184,10 +184,10 @@ class ObservedState:
         """Whether a rover that should stand since `begun` [s] has been hanging for a while."""
         if self.on_floor or topics.WINCH_ALARMS not in self._received_at:
             return False
-        known = (
+        is_known = (
             not self.is_stale(topics.WINCH_ESTIMATE, now) and self.winch not in _NO_TOUCHDOWN_MODES
         )
-        return known and now - max(self.on_floor_since, begun) > _HANG_TIME
+        return is_known and now - max(self.on_floor_since, begun) > _HANG_TIME
 
     def set_down(self, heading: float) -> None:
         """Set the pose to that of a rover just landed below the fairlead.

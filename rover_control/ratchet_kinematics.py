@@ -61,7 +61,7 @@ class ChassisParameters:
     """Geometry of the chassis and nominal slip of its wheels."""
 
     wheel_radius: float = parameter(0.15, "m", "radius of the wheels", 0.01, 2.0)
-    track: float = parameter(0.44, "m", "distance between the wheels", 0.05, 5.0)
+    track_width: float = parameter(0.44, "m", "distance between the wheels", 0.05, 5.0)
     axle_offset: float = parameter(
         0.08, "m", "distance of the axle ahead of base_link's origin", -2.0, 2.0
     )
@@ -95,7 +95,7 @@ class RatchetKinematics:
     @property
     def pivot(self) -> tuple[float, float]:
         """Position of the pivot in base_link: ahead and left [m]."""
-        return self.parameters.axle_offset, -0.5 * self.parameters.track
+        return self.parameters.axle_offset, -0.5 * self.parameters.track_width
 
     def pivot_of(self, pose: GroundPose) -> tuple[float, float]:
         """Position of the pivot in map [m]."""
@@ -127,7 +127,7 @@ class RatchetKinematics:
     def yaw_rate(self, wheel_rate: float) -> float:
         """Yaw rate [rad/s] at a rate of the left wheel [rad/s] <= 0."""
         p = self.parameters
-        return -self.speed(wheel_rate, p.turning_slip) / p.track
+        return -self.speed(wheel_rate, p.turning_slip) / p.track_width
 
     def turning_rate(self, yaw_rate: float) -> float:
         """Rate of the left wheel [rad/s], <= 0, for a yaw rate [rad/s] >= 0."""

@@ -41,8 +41,9 @@ from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_prediction import PredictionParameters
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_report import flown_sample, prediction_sample
-from rover_control.mission import Mission, MissionSettings
+from rover_control.mission import Mission
 from rover_control.mission_legs import Request
+from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_report import state_sample as mission_state
 from rover_sim import (

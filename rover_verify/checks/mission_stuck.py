@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_control.locomotion import LocomotionParameters
-from rover_control.mission import MissionSettings
 from rover_control.mission_legs import LegResult
+from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import Jumps, Landing, MissionPlan, Waypoint
 from rover_control.mission_route import LegKind
 from rover_sim import SettlingError

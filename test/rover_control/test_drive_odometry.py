@@ -11,7 +11,7 @@ import pytest
 from rover_control.drive_odometry import (
     DriveOdometry,
     OdometryParameters,
-    Tether,
+    TetherMeasurement,
     chord_of,
 )
 from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
@@ -73,7 +73,7 @@ def test_a_difference_between_the_sides_bends_the_way_as_both_wheels_make_it():
     # Left slips 0.276, right 0.236: the middle of the axle covers what the mean slip leaves.
     reckoning = odometry()
     left, right = 0.15 * (1.0 - 0.276), 0.15 * (1.0 - 0.236)
-    yaw = (right - left) / CHASSIS.track
+    yaw = (right - left) / CHASSIS.track_width
     Ride(reckoning).roll(1.0, 1.0, yaw, 20.0)
     radius = 0.5 * (left + right) / yaw
     angle = yaw * 20.0
@@ -151,8 +151,8 @@ def test_the_gyro_s_bias_is_the_same_on_the_back():
     assert reckoning.bias == pytest.approx(1e-3, abs=2e-5)
 
 
-def taut(x: float, y: float, drop: float = 10.0) -> Tether:
-    return Tether(math.hypot(x, y, drop), 1.0, 0.0)
+def taut(x: float, y: float, drop: float = 10.0) -> TetherMeasurement:
+    return TetherMeasurement(math.hypot(x, y, drop), 1.0, 0.0)
 
 
 def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
@@ -190,7 +190,7 @@ def test_the_sag_is_that_of_a_shallow_catenary():
     length = 2.0 * a * math.sinh(chord / (2.0 * a))
     end_tension = horizontal * math.cosh(chord / (2.0 * a))
     weight = weight_by_length * length
-    found = chord_of(Tether(length, end_tension + 0.5 * weight, weight), chord)
+    found = chord_of(TetherMeasurement(length, end_tension + 0.5 * weight, weight), chord)
     assert length - found == pytest.approx(length - chord, rel=0.02)
 
 

@@ -11,8 +11,9 @@ from mission_machine import PLAN, MissionMachine, finished, results, start_missi
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal
 from rover_control.locomotion import LocomotionParameters
-from rover_control.mission import Mission, MissionParameters
+from rover_control.mission import Mission
 from rover_control.mission_legs import LegLimits, LegResult, MissionPhase
+from rover_control.mission_parameters import MissionParameters
 from rover_control.mission_plan import Lift, Waypoint
 from rover_control.mission_route import LegKind
 

@@ -15,7 +15,7 @@ from rover_control.ratchet_kinematics import (
     wrapped,
 )
 
-CHASSIS = ChassisParameters(wheel_radius=0.15, track=0.44, axle_offset=0.08)
+CHASSIS = ChassisParameters(wheel_radius=0.15, track_width=0.44, axle_offset=0.08)
 RATCHETS = RatchetKinematics(CHASSIS)
 
 
@@ -38,7 +38,7 @@ def test_the_turn_goes_left_and_takes_the_rover_back():
 
 def test_rates_follow_from_radius_track_and_slip():
     assert RATCHETS.driving_rate(0.1) == pytest.approx(0.1 / (0.15 * (1.0 - 0.256)))
-    # The left wheel's way back on a circle of the track's radius.
+    # The left wheel's way back on a circle of the track_width's radius.
     assert RATCHETS.turning_rate(0.2) == pytest.approx(-0.2 * 0.44 / (0.15 * (1.0 - 0.33)))
 
 

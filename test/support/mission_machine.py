@@ -29,8 +29,9 @@ from msg_schemas.samples import (
     TextSample,
 )
 from msg_schemas.transition import Transition
-from rover_control.mission import Mission, MissionSettings
+from rover_control.mission import Mission
 from rover_control.mission_legs import LegResult, MissionPhase, Request
+from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
 
 STEP = 0.1  # [s]
