@@ -1,1 +1,1 @@
-"""What operators see and do: the table of their commands, the way there and back, command line."""
+"""Operator interface: table of commands, link to the nodes, command line and web page."""

@@ -1,4 +1,4 @@
-"""The bags of one folder that can be replayed: only what is listed there can be asked for."""
+"""The replayable bags of one folder; the page can request no other file."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _BAG_FILES: Final = frozenset({".mcap", ".db3"})
 
 
 class ShelfError(ValueError):
-    """A bag that is not there or cannot be read; the text says why."""
+    """The bag does not exist or cannot be read."""
 
 
 class BagShelf:
-    """The bags in a folder; None: there are none."""
+    """The bags in a folder; None: no bags."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
         self._last: tuple[str, int, str] | None = None
 
     def listed(self) -> list[dict[str, Any]]:
-        """Name, size [B] and time of change [s since 1970] of each bag, the newest first."""
+        """Name, size [B] and modification time [s since 1970] of each bag, the newest first."""
         found = [
             {"name": name, "size": size, "changed": changed}
             for name, (_, size, changed) in self._bags().items()
@@ -33,10 +33,10 @@ class BagShelf:
         return sorted(found, key=lambda bag: -float(bag["changed"]))
 
     def replay(self, name: str) -> str:
-        """A bag as JSON; the last one is kept.
+        """A bag as JSON; the last result is cached.
 
         Raises:
-            ShelfError: There is no such bag, or it cannot be read.
+            ShelfError: no such bag, or it cannot be read.
         """
         bags = self._bags()
         if name not in bags:

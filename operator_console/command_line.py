@@ -1,4 +1,4 @@
-"""The ``rover`` executable: the operators' commands at a terminal, without ``ros2``."""
+"""The command `rover`: operators' commands at a terminal, without `ros2`."""
 
 from __future__ import annotations
 
@@ -19,60 +19,63 @@ import argcomplete
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
 from operator_console.commands import COMMANDS, MISSION, Command, Order
-from operator_console.exchange import Outcome, Verdict
+from operator_console.exchange import OrderStatus, Outcome
 
 if TYPE_CHECKING:
     from operator_console.completion import Completion
-    from operator_console.operator_link import OperatorLink, Sent
+    from operator_console.operator_link import OperatorLink, SentOrder
 
 _ROS_ARGUMENTS = "--ros-args"
-_ANSWER = 10.0  # [s]
-_STATE = 2.0  # for what is told last of the machine [s]
-_SETTLES = 15.0  # for what is brought to rest [s]
+_ANSWER_TIMEOUT = 10.0  # [s]
+_STATE_TIMEOUT = 2.0  # for the state that is printed last [s]
+_REST_TIMEOUT = 15.0  # [s]
 _SHOW, _WATCH = "status", "watch"
 
 
 class Exit(IntEnum):
-    """What the exit code says."""
+    """Exit codes of `rover`."""
 
     DONE = 0
-    CRASH = 1
+    CRASHED = 1
     BAD_ARGUMENTS = 2
     REFUSED = 3
-    NOBODY = 4
+    UNAVAILABLE = 4
     TIMED_OUT = 5
-    ENDED_OTHERWISE = 6
+    NOT_DONE = 6
     INTERRUPTED = 130
 
 
 _EXITS = {
-    Verdict.ACCEPTED: Exit.DONE,
-    Verdict.REFUSED: Exit.REFUSED,
-    Verdict.NOBODY: Exit.NOBODY,
-    Verdict.NO_ANSWER: Exit.TIMED_OUT,
-    Verdict.GIVEN_UP: Exit.INTERRUPTED,
+    OrderStatus.ACCEPTED: Exit.DONE,
+    OrderStatus.REFUSED: Exit.REFUSED,
+    OrderStatus.UNAVAILABLE: Exit.UNAVAILABLE,
+    OrderStatus.NO_ANSWER: Exit.TIMED_OUT,
+    OrderStatus.CANCELLED: Exit.INTERRUPTED,
 }
 
 _EPILOG = """\
 exit codes:
     0  accepted; with --wait: done
     1  crashed
-    2  bad arguments, nothing was sent
-    3  refused; the reason is told
-    4  nobody is there to take it
-    5  no answer, or not done, in time; whether it goes on is told
-    6  accepted, but ended otherwise than asked for
-  130  Ctrl-C; what was begun is brought to rest first
+    2  bad arguments; nothing was sent
+    3  refused; the reason is printed
+    4  no node available for the command
+    5  no answer, or not done, within the timeout; the present state is printed
+    6  accepted, but not done
+  130  interrupted by Ctrl-C; the motion was stopped first
 
-Ctrl-C while an order is waited for sends what ends it safely (hold; for a jump abort), tells what
-state that leaves, and ends; a second one ends at once. Without --wait the command ends when the
-order is accepted, and the machine goes on.
+Ctrl-C while a command waits stops the motion safely (hold; for a jump abort), prints the state and
+ends. A second Ctrl-C ends at once. Without --wait the command ends when a node accepts it, and the
+machine continues.
 
-ROS arguments follow at the end, after --ros-args. ROS_DOMAIN_ID chooses the domain.
-Completion of the shell: eval "$(register-python-argcomplete rover)"
+Give ROS arguments last, after --ros-args. ROS_DOMAIN_ID selects the domain.
+Shell completion: eval "$(register-python-argcomplete mother_rover rover)"
 """
 
-_HINTS = {"not_armed": "`rover arm` arms it", "nobody": "`rover status` shows who is there"}
+_HINTS = {
+    "not_armed": "run `rover arm` first",
+    "unavailable": "`rover status` lists the nodes that run",
+}
 
 
 # --- arguments -----------------------------------------------------------------------------------
@@ -84,49 +87,59 @@ def _positive(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} should be a number above 0 and at most 1e6 s")
+        raise argparse.ArgumentTypeError(f"{text!r} should be a number above 0 and below 1e6 s")
     return value
 
 
 def _common() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
-    common.add_argument("--namespace", metavar="NS", help="of the machine, such as /mother1")
+    common.add_argument(
+        "--namespace", metavar="NS", help="namespace of the machine, such as /mother1"
+    )
     common.add_argument(
         "--timeout", type=_positive, metavar="S",
-        help=f"for the answer, {_ANSWER:g} unless given; with --wait also for the end, any "
-        "unless given",
+        help=f"longest wait for the answer [s] (default {_ANSWER_TIMEOUT:g}); with --wait also for "
+        "the end (default: no limit)",
     )  # fmt: skip
-    common.add_argument("--json", action="store_true", help="print JSON, one object a line")
+    common.add_argument("--json", action="store_true", help="print JSON, one object per line")
     return common
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The parser, made of the table of commands."""
+    """The parser, built from the table of commands."""
     common = _common()
     parser = argparse.ArgumentParser(
         prog="rover",
-        description="Sees and drives the tethered rover and its mother machine.",
+        description="Show and command the tethered rover and its mother machine.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[common],
     )
-    kinds = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    show = kinds.add_parser(_SHOW, parents=[common], help="what is known now")
-    show.description = "Shows what is known now, with the age of what is stale."
-    watch = kinds.add_parser(_WATCH, parents=[common], help="the same, live, until Ctrl-C")
-    watch.description = "Shows what is known, live; lines where the output is no terminal."
-    watch.add_argument("--period", type=_positive, default=1.0, metavar="S", help="default 1")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    show = commands.add_parser(_SHOW, parents=[common], help="show the present state")
+    show.description = "Show the present state; stale values are marked with their age."
+    watch = commands.add_parser(_WATCH, parents=[common], help="show the state live until Ctrl-C")
+    watch.description = "Show the state live; one line per period where the output is no terminal."
+    watch.add_argument(
+        "--period",
+        type=_positive,
+        default=1.0,
+        metavar="S",
+        help="time between updates [s] (default 1)",
+    )
     own = [name.removeprefix(f"{MISSION}-") for name in COMMANDS if name.startswith(MISSION)]
-    mission = kinds.add_parser(MISSION, help=f"a whole mission: {', '.join(own)}")
-    acts = mission.add_subparsers(metavar="ACT", required=True)
+    mission = commands.add_parser(MISSION, help=f"command a whole mission: {', '.join(own)}")
+    mission_commands = mission.add_subparsers(metavar="ACTION", required=True)
     for command in COMMANDS.values():
-        _add_command(acts if command.name.startswith(MISSION) else kinds, command, common)
+        _add_command(
+            mission_commands if command.name.startswith(MISSION) else commands, command, common
+        )
     return parser
 
 
-def _add_command(kinds: argparse._SubParsersAction[argparse.ArgumentParser],
+def _add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser],
                  command: Command, common: argparse.ArgumentParser) -> None:  # fmt: skip
-    own = kinds.add_parser(
+    own = commands.add_parser(
         command.name.removeprefix(f"{MISSION}-"), parents=[common], help=command.about,
         description=f"{command.about[0].upper()}{command.about[1:]}.",
     )  # fmt: skip
@@ -141,48 +154,48 @@ def _add_command(kinds: argparse._SubParsersAction[argparse.ArgumentParser],
             own.add_argument(argument.name, metavar=metavar, nargs="?", help=about)
         else:
             own.add_argument(argument.name, metavar=metavar, help=about)
-    if command.request is not None and command.request.renew:
+    if command.request is not None and command.request.renewal_rate:
         own.add_argument(
             "--for", dest="duration", type=_positive, metavar="S", default=math.inf,
-            help="for so long, then hold; until Ctrl-C unless given",
+            help="duration [s], then hold (default: until Ctrl-C)",
         )  # fmt: skip
     else:
-        own.add_argument("--wait", action="store_true", help="until it is done")
+        own.add_argument("--wait", action="store_true", help="wait until it is done")
 
 
-def _numbers_apart(arguments: Sequence[str]) -> list[str]:
-    """Write numbers such as -1e-2, which argparse takes for options, so that it does not."""
-    told = []
+def _protect_numbers(arguments: Sequence[str]) -> list[str]:
+    """Put a blank before negative numbers: argparse reads -1e-2 as an option."""
+    words = []
     for text in arguments:
         try:
             float(text)
         except ValueError:
-            told.append(text)
+            words.append(text)
         else:
-            told.append(f" {text}" if text.startswith("-") else text)
-    return told
+            words.append(f" {text}" if text.startswith("-") else text)
+    return words
 
 
-# --- doing ---------------------------------------------------------------------------------------
+# --- execution -----------------------------------------------------------------------------------
 
 
 class Terminal:
-    """What is printed, as text for people or as JSON for programs."""
+    """Output as text for people or as JSON for programs."""
 
     def __init__(self, as_json: bool) -> None:
         self.as_json = as_json
 
-    def say(self, line: str) -> None:
-        """Tell how it goes; a program is told what came of it alone."""
+    def line(self, line: str) -> None:
+        """Print progress; omitted with --json."""
         if not self.as_json:
             print(line, flush=True)
 
-    def complain(self, line: str) -> None:
-        """Tell what is wrong."""
+    def error(self, line: str) -> None:
+        """Print an error."""
         print(f"rover: {line}", file=sys.stderr, flush=True)
 
     def result(self, content: Mapping[str, object]) -> None:
-        """Tell a program."""
+        """Print the result with --json."""
         if self.as_json:
             print(json.dumps(content), flush=True)
 
@@ -191,8 +204,8 @@ class Session:
     """One command of an operator at a terminal.
 
     Args:
-        options: as they were given.
-        stop: set by Ctrl-C, or by SIGTERM.
+        options: parsed arguments.
+        stop: set by Ctrl-C or SIGTERM.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -200,108 +213,113 @@ class Session:
         self._stop = stop
         self._terminal = Terminal(getattr(options, "json", False))
         self._timeout: float | None = getattr(options, "timeout", None)
-        self._answer = _ANSWER if self._timeout is None else self._timeout
+        self._answer = _ANSWER_TIMEOUT if self._timeout is None else self._timeout
 
     # --- orders ----------------------------------------------------------------------------------
 
     def order(self, link: OperatorLink, command: Command, given: Mapping[str, object]) -> Exit:
-        """Send an order, and wait for what was wished to be waited for."""
-        given = link.fill_in(command, given, self._answer, self._stop.is_set)
+        """Send an order and wait as the options require."""
+        given = link.with_defaults(command, given, self._answer, self._stop.is_set)
         try:
             order = command.order(given)
         except FieldError as error:
-            self._terminal.complain(f"{command.name}: {error}; it was not told, please give it")
-            return Exit.NOBODY
+            self._terminal.error(
+                f"{command.name}: {error}; no node reported the default, give the argument"
+            )
+            return Exit.UNAVAILABLE
         sent = link.send(order, self._answer, self._stop.is_set)
         outcome = sent.outcome
-        self._terminal.say(outcome_line(order, outcome))
-        if outcome.verdict is Verdict.GIVEN_UP:
+        self._terminal.line(outcome_line(order, outcome))
+        if outcome.status is OrderStatus.CANCELLED:
             return self._interrupted(link, sent)
-        exit_code = _EXITS[outcome.verdict]
-        ending: Completion | None = None
+        exit_code = _EXITS[outcome.status]
+        completion: Completion | None = None
         if outcome.is_accepted and self._is_followed(command):
-            exit_code, ending = self._follow(link, sent)
+            exit_code, completion = self._follow(link, sent)
         self._hint(outcome)
-        self._terminal.result(_as_json(order, outcome, ending, exit_code))
+        self._terminal.result(_as_json(order, outcome, completion, exit_code))
         return exit_code
 
     def _is_followed(self, command: Command) -> bool:
         return getattr(self._options, "wait", False) or _is_renewed(command)
 
-    def _follow(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Completion | None]:
+    def _follow(self, link: OperatorLink, sent: SentOrder) -> tuple[Exit, Completion | None]:
         if _is_renewed(sent.order.command):
             return self._renew(link, sent)
         limit = math.inf if self._timeout is None else self._timeout
-        ending = link.follow(sent, limit, self._stop.is_set, self._publish_on)
-        if ending is None and self._stop.is_set():
+        completion = link.follow(sent, limit, self._stop.is_set, self._print_event)
+        if completion is None and self._stop.is_set():
             return self._interrupted(link, sent), None
-        if ending is None:
-            self._terminal.say(f"not done within {limit:g} s, it goes on; {self._state(link)}")
+        if completion is None:
+            self._terminal.line(
+                f"not done within {limit:g} s, the motion continues; {self._state(link)}"
+            )
             return Exit.TIMED_OUT, None
-        self._terminal.say(f"{'done' if ending.is_done else 'NOT done'}: {ending.reason}")
-        return (Exit.DONE if ending.is_done else Exit.ENDED_OTHERWISE), ending
+        self._terminal.line(f"{'done' if completion.is_done else 'NOT done'}: {completion.reason}")
+        return (Exit.DONE if completion.is_done else Exit.NOT_DONE), completion
 
-    def _renew(self, link: OperatorLink, sent: Sent) -> tuple[Exit, Completion | None]:
+    def _renew(self, link: OperatorLink, sent: SentOrder) -> tuple[Exit, Completion | None]:
         duration: float = self._options.duration
-        told = "until Ctrl-C" if math.isinf(duration) else f"for {duration:g} s"
-        self._terminal.say(f"renewed {told}, then hold")
-        ending = link.follow(sent, duration, self._stop.is_set, self._publish_on)
-        if ending is not None:
-            self._terminal.say(f"NOT done: {ending.reason}")
-            return Exit.ENDED_OTHERWISE, ending
-        rests = self._bring_to_rest(link, sent)
-        return (Exit.DONE if rests else Exit.TIMED_OUT), None
+        limit = "until Ctrl-C" if math.isinf(duration) else f"for {duration:g} s"
+        self._terminal.line(f"renewed {limit}, then hold")
+        completion = link.follow(sent, duration, self._stop.is_set, self._print_event)
+        if completion is not None:
+            self._terminal.line(f"NOT done: {completion.reason}")
+            return Exit.NOT_DONE, completion
+        is_at_rest = self._bring_to_rest(link, sent)
+        return (Exit.DONE if is_at_rest else Exit.TIMED_OUT), None
 
-    def _interrupted(self, link: OperatorLink, sent: Sent) -> Exit:
-        """End halfway what was begun, and tell where that leaves the machine."""
+    def _interrupted(self, link: OperatorLink, sent: SentOrder) -> Exit:
+        """Stop the motion and print the state."""
         was_sent = sent.exchange is not None or bool(sent.outcome.parts)
         if not was_sent and not sent.outcome.is_accepted:
-            self._terminal.say("interrupted")
+            self._terminal.line("interrupted")
         else:
             self._bring_to_rest(link, sent)
         return Exit.INTERRUPTED
 
-    def _bring_to_rest(self, link: OperatorLink, sent: Sent) -> bool:
+    def _bring_to_rest(self, link: OperatorLink, sent: SentOrder) -> bool:
         undo = link.undo(sent.order, self._answer)
         if undo is None:
-            self._terminal.say(f"interrupted, nothing is to be ended; {self._state(link)}")
+            self._terminal.line(f"interrupted, there is no motion to stop; {self._state(link)}")
             return True
-        self._terminal.say(outcome_line(undo.order, undo.outcome))
+        self._terminal.line(outcome_line(undo.order, undo.outcome))
         if not undo.outcome.is_accepted:
-            self._terminal.complain(f"it may still move; {self._state(link)}")
+            self._terminal.error(f"the machine may still move; {self._state(link)}")
             return False
-        rests = link.follow(undo, _SETTLES) is not None
-        told = "at rest" if rests else f"not at rest within {_SETTLES:g} s"
-        self._terminal.say(f"{told}; {self._state(link)}")
-        return rests
+        is_at_rest = link.follow(undo, _REST_TIMEOUT) is not None
+        state = "at rest" if is_at_rest else f"not at rest within {_REST_TIMEOUT:g} s"
+        self._terminal.line(f"{state}; {self._state(link)}")
+        return is_at_rest
 
-    def _publish_on(self, line: str) -> None:
-        self._terminal.say(f"  {line}")
+    def _print_event(self, line: str) -> None:
+        self._terminal.line(f"  {line}")
 
     def _state(self, link: OperatorLink) -> str:
         from operator_console.views import status_line  # noqa: PLC0415
 
-        link.listen_to_all()
+        link.subscribe_all()
         link.wait_until(
-            lambda known: known.depth is not None and bool(known.word(topics.WINCH_MODE)), _STATE
+            lambda known: known.depth is not None and bool(known.text(topics.WINCH_MODE)),
+            _STATE_TIMEOUT,
         )
         return status_line(link.snapshot())
 
     def _hint(self, outcome: Outcome) -> None:
         hint = _HINTS.get(outcome.code, "")
-        if outcome.verdict is Verdict.NOBODY:
-            hint = _HINTS["nobody"]
-        elif outcome.verdict is Verdict.NO_ANSWER:
-            hint = "it may have been taken; `rover hold` brings everything to rest"
+        if outcome.status is OrderStatus.UNAVAILABLE:
+            hint = _HINTS["unavailable"]
+        elif outcome.status is OrderStatus.NO_ANSWER:
+            hint = "a node may have accepted it; `rover hold` stops all motion"
         if hint:
-            self._terminal.say(f"  {hint}")
+            self._terminal.line(f"  {hint}")
 
-    # --- seeing ----------------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     def status(self, link: OperatorLink) -> Exit:
-        """Show what is known, once."""
-        if not self._listen(link):
-            return Exit.INTERRUPTED if self._stop.is_set() else Exit.NOBODY
+        """Print the state once."""
+        if not self._connect(link):
+            return Exit.INTERRUPTED if self._stop.is_set() else Exit.UNAVAILABLE
         now = link.snapshot()
         self._terminal.result(now.as_dict())
         if not self._terminal.as_json:
@@ -313,9 +331,9 @@ class Session:
         return Exit.DONE
 
     def watch(self, link: OperatorLink) -> Exit:
-        """Show what is known until Ctrl-C."""
-        if not self._listen(link):
-            return Exit.INTERRUPTED if self._stop.is_set() else Exit.NOBODY
+        """Print the state until Ctrl-C."""
+        if not self._connect(link):
+            return Exit.INTERRUPTED if self._stop.is_set() else Exit.UNAVAILABLE
         from rich.console import Console  # noqa: PLC0415
         from rich.live import Live  # noqa: PLC0415
 
@@ -327,7 +345,7 @@ class Session:
             while not self._stop.is_set():
                 now = link.snapshot()
                 self._terminal.result(now.as_dict())
-                self._terminal.say(status_line(now))
+                self._terminal.line(status_line(now))
                 self._stop.wait(period)
             return Exit.DONE
         with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -336,49 +354,49 @@ class Session:
                 self._stop.wait(period)
         return Exit.DONE
 
-    def _listen(self, link: OperatorLink) -> bool:
-        """Wait until all who are there have told their health, which they do each second."""
-        heard = link.meet_everyone(self._answer, self._stop.is_set)
-        if not heard and not self._stop.is_set():
+    def _connect(self, link: OperatorLink) -> bool:
+        """Wait until every node has reported its health (1 Hz); return whether there is one."""
+        found = link.wait_for_nodes(self._answer, self._stop.is_set)
+        if not found and not self._stop.is_set():
             where = getattr(self._options, "namespace", "") or "/"
-            self._terminal.complain(f"nobody is heard in the namespace {where}")
-        return heard
+            self._terminal.error(f"no node runs in the namespace {where}")
+        return found
 
 
 def outcome_line(order: Order, outcome: Outcome) -> str:
-    """What became of an order, in a line."""
+    """The result of an order in one line."""
     code = f" [{outcome.code}]" if outcome.code else ""
-    verdict = outcome.verdict.value
+    status = outcome.status.value
     if outcome.is_accepted:
-        reason = "" if outcome.reason == verdict else f": {outcome.reason}"
+        reason = "" if outcome.reason == status else f": {outcome.reason}"
         return f"{order.text}: accepted by {outcome.by}{reason}"
-    return f"{order.text}: {verdict}: {outcome.reason}{code}"
+    return f"{order.text}: {status}: {outcome.reason}{code}"
 
 
 def _is_renewed(command: Command) -> bool:
-    return command.request is not None and command.request.renew > 0.0
+    return command.request is not None and command.request.renewal_rate > 0.0
 
 
 def _as_json(
-    order: Order, outcome: Outcome, ending: Completion | None, exit_code: Exit
+    order: Order, outcome: Outcome, completion: Completion | None, exit_code: Exit
 ) -> dict[str, object]:
     return {
         "order": order.command.name,
         "arguments": dict(order.values),
         **asdict(outcome),
-        "ending": None if ending is None else asdict(ending),
+        "completion": None if completion is None else asdict(completion),
         "exit_code": int(exit_code),
     }
 
 
-# --- the executable ------------------------------------------------------------------------------
+# --- entry point ------------------------------------------------------------------------------
 
 
 def checked_arguments(command: Command, options: argparse.Namespace) -> dict[str, object]:
-    """The command's arguments; those that a node's parameter may stand for need not be there.
+    """Check a command's arguments; one whose default is a node's parameter may be missing.
 
     Raises:
-        FieldError: one is not what the command takes.
+        FieldError: the command does not accept an argument.
     """
     names = [argument.name for argument in command.arguments]
     texts = {name: getattr(options, name, None) for name in names}
@@ -388,14 +406,14 @@ def checked_arguments(command: Command, options: argparse.Namespace) -> dict[str
         for argument in command.arguments
         if argument.parameter is not None
     }
-    command.order({**stand_in, **given})  # refused before anything is sent
+    command.order({**stand_in, **given})  # refuses before anything is sent
     return dict(given)
 
 
-def _heed_signals(stop: threading.Event) -> None:
+def _handle_signals(stop: threading.Event) -> None:
     def on_signal(*_: object) -> None:
         if stop.is_set():
-            sys.stderr.write("\nrover: ended at once; what was begun may go on\n")
+            sys.stderr.write("\nrover: ended at once; a motion may continue\n")
             sys.stderr.flush()
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             signal.raise_signal(signal.SIGINT)
@@ -406,12 +424,12 @@ def _heed_signals(stop: threading.Event) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the executable; returns an ``Exit``."""
+    """Run the command; returns an ``Exit``."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     at = given.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in given else len(given)
     parser = make_parser()
     argcomplete.autocomplete(parser)
-    options = parser.parse_args(_numbers_apart(given[:at]))
+    options = parser.parse_args(_protect_numbers(given[:at]))
     command = COMMANDS.get(options.command)
     values: dict[str, object] = {}
     if command is not None:
@@ -421,21 +439,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"rover {command.name}: {error}", file=sys.stderr)
             return Exit.BAD_ARGUMENTS
     stop = threading.Event()
-    _heed_signals(stop)
+    _handle_signals(stop)
     session = Session(options, stop)
-    act: Callable[[OperatorLink], Exit] = {_SHOW: session.status, _WATCH: session.watch}.get(
+    action: Callable[[OperatorLink], Exit] = {_SHOW: session.status, _WATCH: session.watch}.get(
         options.command, lambda link: session.order(link, COMMANDS[options.command], values)
     )
     from operator_console.operator_link import open_link  # noqa: PLC0415 - not needed for --help
 
     try:
         with open_link("rover", getattr(options, "namespace", ""), given[at:]) as link:
-            return act(link)
-    except BrokenPipeError:  # who read the output has gone
+            return action(link)
+    except BrokenPipeError:  # the reader of the output has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.CRASH
-    except (RuntimeError, ValueError) as error:  # what rclpy's own errors have in common
-        print(f"rover: ROS does not take this: {str(error).splitlines()[0]}", file=sys.stderr)
+        return Exit.CRASHED
+    except (RuntimeError, ValueError) as error:  # the base classes of rclpy's errors
+        print(f"rover: bad ROS arguments: {str(error).splitlines()[0]}", file=sys.stderr)
         return Exit.BAD_ARGUMENTS
 
 

@@ -1,6 +1,6 @@
-"""Every command of an operator, once: the command line and the web page are made of this table.
+"""Operators' commands: one table for the command line `rover` and for the web page.
 
-Units and limits are those of the contract. What a node refuses beyond them it says itself.
+Units and limits are those of the contract. A node may refuse a command that keeps them.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ from operator_console.completion import CompletionCriterion
 
 _DEGREE = math.pi / 180.0
 MISSION = "mission"
-"""With what the commands of the mission begin: at a terminal a word of its own."""
+"""Prefix of the mission commands; at a terminal it is a word of its own."""
 
 
 @dataclass(frozen=True)
 class Argument:
-    """A number that a command is given.
+    """A number that a command takes.
 
     Attributes:
-        name, about: for people.
-        part: of the joint's three numbers: position, velocity or effort.
-        required: whether it must be given; what is left out is what the contract says.
-        unit: in which people give it; empty = the contract's.
-        scale: the contract's units in one of these.
-        parameter: node and parameter of its own that stand for it where it is left out.
-        least: the smallest value, where that is more than the contract's, in `unit`.
+        name: as typed.
+        about: description for help texts.
+        part: field of the joint: position, velocity or effort.
+        required: whether it must be given; the contract's default replaces an optional one.
+        unit: unit for operators; empty = the contract's.
+        scale: contract units per operator unit.
+        parameter: node and parameter that hold the default; None = no default.
+        minimum: smallest value in `unit`, if larger than the contract's.
     """
 
     name: str
@@ -52,63 +53,63 @@ class Argument:
     unit: str = ""
     scale: float = 1.0
     parameter: tuple[str, str] | None = None
-    least: float = -math.inf
+    minimum: float = -math.inf
 
 
 @dataclass(frozen=True)
 class Request:
-    """A message on a topic of requests.
+    """A message on a request topic.
 
     Attributes:
-        joint: whose numbers the arguments are; of a way ahead the vector that it adds to.
-        taker: node that acts on it.
-        ahead: a pose is asked for, straight ahead of where the taker sees the rover.
-        renew: how often it must be said again [Hz]; 0 = once is enough.
+        joint: joint or vector that the arguments fill.
+        node: node that handles the request.
+        renewal_rate: rate at which the request must be repeated [Hz]; 0 = it is sent once.
+        is_relative: whether the goal is a distance straight ahead of the rover.
     """
 
     topic: str
     joint: str
-    taker: str
-    renew: float = 0.0
-    ahead: bool = False
+    node: str
+    renewal_rate: float = 0.0
+    is_relative: bool = False
 
 
 @dataclass(frozen=True)
 class Call:
-    """One call of a service.
+    """One service call.
 
     Attributes:
-        data: what a switch is given.
-        at_rest: it comes after the others, when all rests by them: a descent that is asked to hold
-            while the drum still slows down would take the winch again, to keep its depth.
+        data: argument of a SetBool service, None for a Trigger.
+        after_rest: whether it waits until the winch is at rest. A descent that holds while the drum
+            still decelerates takes the winch again to keep its depth.
     """
 
     service: str
     data: bool | None = None
-    at_rest: bool = False
+    after_rest: bool = False
 
     @property
     def server(self) -> str:
-        """The node that serves it."""
+        """Node that serves it."""
         return SERVICES[self.service].server
 
 
 @dataclass(frozen=True)
 class Command:
-    """What an operator can tell the machine.
+    """One command of an operator.
 
     Attributes:
-        about: what it does, one sentence without its end.
-        group: under which heading people find it.
-        moves: something moves by it, or may from then on: to be confirmed where a slip is easy.
-        request: what is published; or
-        calls: services, all of those that are there; a server that has nothing under way may
-            refuse as long as another one does not.
-        needs_all: they are called in this order, and the first one that refuses ends it.
-        ends: how it is recognised that a request is over; None = when all is at rest.
-        rests: it is over when everything is at rest.
-        undo: the command that ends it halfway, safely.
-        heads: which way its depth must lie from the present one: 1 deeper, -1 higher, 0 either.
+        about: what it does: an imperative without a full stop.
+        group: heading in help texts and on the page.
+        moves: whether something may move; the page then asks for confirmation.
+        request: message to publish; or
+        calls: services to call, every available one; a server that has nothing to stop may refuse
+            if another one accepts.
+        all_required: whether the calls run in this order up to the first refusal.
+        completion: criterion for the end of a request.
+        completes_at_rest: whether it is complete when the machine is at rest.
+        undo: command that stops it safely.
+        direction: allowed side of the present depth: 1 deeper, -1 higher, 0 both.
     """
 
     name: str
@@ -118,29 +119,32 @@ class Command:
     moves: bool = False
     request: Request | None = None
     calls: tuple[Call, ...] = ()
-    needs_all: bool = False
-    ends: CompletionCriterion | None = None
-    rests: bool = False
+    all_required: bool = False
+    completion: CompletionCriterion | None = None
+    completes_at_rest: bool = False
     undo: str = ""
-    heads: int = 0
+    direction: int = 0
 
     def rule(self, argument: Argument) -> Rule:
-        """What an argument accepts, in the unit in which people give it."""
+        """Unit and limits of an argument, in the unit for operators."""
         assert self.request is not None
         row = TOPICS[self.request.topic].by_path[f"{self.request.joint}.{argument.part}"]
         return Rule(
             float,
             argument.unit or row.unit,
             argument.about,
-            max(row.minimum / argument.scale, argument.least),
+            max(row.minimum / argument.scale, argument.minimum),
             row.maximum / argument.scale,
         )
 
     def order(self, given: Mapping[str, object]) -> Order:
-        """The command with its arguments, numbers or texts.
+        """The command with its arguments.
+
+        Args:
+            given: numbers or their texts by the argument's name.
 
         Raises:
-            FieldError: one is missing, not known, no number, or out of the contract's limits.
+            FieldError: an argument is missing, unknown, not a number, or out of limits.
         """
         known = [argument.name for argument in self.arguments]
         for name, value in given.items():
@@ -159,7 +163,7 @@ class Command:
 
 
 def _number(value: object) -> object:
-    """A number that is given as a text; what is none stays what it is."""
+    """Convert a text to a number; return anything else unchanged."""
     if not isinstance(value, str):
         return value
     try:
@@ -170,14 +174,14 @@ def _number(value: object) -> object:
 
 @dataclass(frozen=True)
 class Order:
-    """A command with its arguments, in the units in which people give them."""
+    """A command with its arguments, in the units for operators."""
 
     command: Command
     values: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
-        """As an operator would type it."""
+        """The command as an operator types it."""
         words = [self.command.name]
         for argument in self.command.arguments:
             if argument.name in self.values:
@@ -186,38 +190,38 @@ class Order:
         return " ".join(words)
 
     @property
-    def told(self) -> Mapping[str, float]:
+    def contract_values(self) -> Mapping[str, float]:
         """The arguments in the contract's units."""
         scales = {argument.name: argument.scale for argument in self.command.arguments}
         return {name: value * scales[name] for name, value in self.values.items()}
 
     def contradiction(self, depth: float) -> str:
-        """Why it cannot be meant at the present depth [m]; empty if it can."""
-        heads = self.command.heads
-        if not heads or (self.told["depth"] - depth) * heads >= 0.0:
+        """Explain why the goal contradicts the command at this depth [m]; empty if it does not."""
+        direction = self.command.direction
+        if not direction or (self.contract_values["depth"] - depth) * direction >= 0.0:
             return ""
-        other = next(row.name for row in _TABLE if row.heads == -heads)
-        goal, where = self.told["depth"], "above" if heads > 0 else "below"
+        other = next(row.name for row in _TABLE if row.direction == -direction)
+        goal, where = self.contract_values["depth"], "above" if direction > 0 else "below"
         return f"the rover is at {depth:.2f} m, {goal:g} m is {where} it; `{other} {goal:g}`?"
 
-    def goal(self, seen: OdometrySample, stamp_ns: int) -> PoseSample:
-        """The pose so far ahead of where the rover was seen; the heading there is left open."""
-        (way,) = self.told.values()
-        x, y, z, w = seen.orientation
+    def goal(self, odometry: OdometrySample, stamp_ns: int) -> PoseSample:
+        """The pose at the given distance straight ahead of the rover, with any heading."""
+        (distance,) = self.contract_values.values()
+        x, y, z, w = odometry.orientation
         heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        px, py, pz = seen.position
-        there = (px + way * math.cos(heading), py + way * math.sin(heading), pz)
-        return PoseSample(stamp_ns, there)
+        px, py, pz = odometry.position
+        goal = (px + distance * math.cos(heading), py + distance * math.sin(heading), pz)
+        return PoseSample(stamp_ns, goal)
 
     def sample(self) -> JointSample:
-        """What is published, not stamped: taken as sent on arrival."""
+        """The message to publish; stamp 0 means "now, on arrival"."""
         request = self.command.request
         assert request is not None
-        told = self.told
+        contract_values = self.contract_values
         parts = {
-            argument.part: told[argument.name]
+            argument.part: contract_values[argument.name]
             for argument in self.command.arguments
-            if argument.name in told
+            if argument.name in contract_values
         }
         return JointSample(0, {request.joint: JointValue(**parts)})
 
@@ -225,52 +229,56 @@ class Order:
 # --- the table -----------------------------------------------------------------------------------
 
 
-def _taken_by(word: str) -> str:
-    """The node that says what it is doing on a topic."""
-    return TOPICS[word].publisher
+def _publisher_of(topic: str) -> str:
+    """Node that publishes a phase or mode topic."""
+    return TOPICS[topic].publisher
 
 
-_DESCENT = _taken_by(topics.DESCENT_PHASE)
-_WINCH = _taken_by(topics.WINCH_MODE)
-_JUMP = _taken_by(topics.JUMP_PHASE)
-_DRIVE = _taken_by(topics.DRIVE_PHASE)
+_DESCENT = _publisher_of(topics.DESCENT_PHASE)
+_WINCH = _publisher_of(topics.WINCH_MODE)
+_JUMP = _publisher_of(topics.JUMP_PHASE)
+_DRIVE = _publisher_of(topics.DRIVE_PHASE)
 
-_ELSEWHERE = ("descent_interrupted", "descent_holding", "descent_released")
-_STOP = CompletionCriterion("stop_ended", of={"depth": "depth"}, lost=_ELSEWHERE)
-_TURN = CompletionCriterion("pointing_reached", lost=("pointing_ended", *_ELSEWHERE))
-_NO_MOTION = ("winch_stop", "winch_fault", "winch_disarmed")
-_MOTIONS = ("winch_length", "winch_rate", "winch_tension", "winch_slack", "winch_relax")
+_DESCENT_ABORTED = ("descent_interrupted", "descent_holding", "descent_released")
+_STOP = CompletionCriterion("stop_ended", matching={"depth": "depth"}, aborted_by=_DESCENT_ABORTED)
+_TURN = CompletionCriterion("pointing_reached", aborted_by=("pointing_ended", *_DESCENT_ABORTED))
+_WINCH_ABORTED = ("winch_stop", "winch_fault", "winch_disarmed")
+_OTHER_MOTIONS = ("winch_length", "winch_rate", "winch_tension", "winch_slack", "winch_relax")
 _LENGTH = CompletionCriterion(
-    "winch_hold", near={"length": ("length", 0.05)}, lost=_NO_MOTION + _MOTIONS
+    "winch_hold",
+    tolerances={"length": ("length", 0.05)},
+    aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
 )
-_SLACK = CompletionCriterion("winch_hold", lost=_NO_MOTION + _MOTIONS)
-_UNTIL_LEFT = CompletionCriterion("", lost=("winch_hold", *_NO_MOTION, *_MOTIONS))
-_LEAP = CompletionCriterion("jump_standby", lost=("jump_letting_down", "jump_fault"))
+_SLACK = CompletionCriterion("winch_hold", aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS)
+_WHILE_RENEWED = CompletionCriterion(
+    "", aborted_by=("winch_hold", *_WINCH_ABORTED, *_OTHER_MOTIONS)
+)
+_JUMPED = CompletionCriterion("jump_standby", aborted_by=("jump_letting_down", "jump_fault"))
 
-_WAY = CompletionCriterion(
-    "drive_done", lost=("drive_stopped", "drive_failed", "drive_stuck", "drive_begun")
+_DRIVEN = CompletionCriterion(
+    "drive_done", aborted_by=("drive_stopped", "drive_failed", "drive_stuck", "drive_begun")
 )
 
 _RENEWAL = 5.0  # [Hz]
-_OWN = "; left out: the node's own"
+_DEFAULT = "; default: the node's parameter"
 
 
 def _depth(shallowest: bool) -> tuple[Argument, ...]:
     parameter = (_DESCENT, "min_depth") if shallowest else None
-    about = "to go to, as length at the drum"
+    about = "target depth, as tether length at the drum"
     if shallowest:
-        about += "; left out: the shallowest that the node allows"
+        about += "; default: the shallowest allowed"
     return (
         Argument("depth", about, parameter=parameter),
-        Argument("rate", f"largest rate on the way{_OWN}", "velocity", required=False),
+        Argument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False),
     )
 
 
-def _stop(name: str, about: str, joint: str, heads: int = 0) -> Command:
+def _stop(name: str, about: str, joint: str, direction: int = 0) -> Command:
     return Command(
-        name, about, "descent", _depth(heads < 0), moves=True,
-        request=Request(topics.DESCENT_REQUEST, joint, _DESCENT), ends=_STOP, undo="hold",
-        heads=heads,
+        name, about, "descent", _depth(direction < 0), moves=True,
+        request=Request(topics.DESCENT_REQUEST, joint, _DESCENT), completion=_STOP, undo="hold",
+        direction=direction,
     )  # fmt: skip
 
 
@@ -278,13 +286,14 @@ def _winch(
     name: str,
     about: str,
     joint: str,
-    ends: CompletionCriterion,
+    completion: CompletionCriterion,
     *arguments: Argument,
-    renew: float = 0.0,
+    renewal_rate: float = 0.0,
 ) -> Command:
     return Command(
         name, about, "winch", arguments, moves=True,
-        request=Request(topics.WINCH_REQUEST, joint, _WINCH, renew), ends=ends, undo="hold",
+        request=Request(topics.WINCH_REQUEST, joint, _WINCH, renewal_rate),
+        completion=completion, undo="hold",
     )  # fmt: skip
 
 
@@ -299,106 +308,114 @@ def _of_mission(name: str, about: str, service: str) -> Command:
     )  # fmt: skip
 
 
-_RATE = Argument("rate", f"largest rate{_OWN}", "velocity", required=False)
-_LIMIT = Argument("tension", f"largest tension to use{_OWN}", "effort", required=False)
+_RATE = Argument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False)
+_LIMIT = Argument("tension", f"maximum tension{_DEFAULT}", "effort", required=False)
 
 _TABLE = (
-    # What ends a motion comes first: it must be found at once.
+    # Commands that stop a motion come first, so that operators find them at once.
     Command(
-        "hold", "comes to rest: the winch brakes, the wheels stand, the descent keeps the attitude",
-        "everything", rests=True,
+        "hold", "stop all motion: brake the winch, stop the wheels, keep the attitude",
+        "everything", completes_at_rest=True,
         calls=(
             *_calls(topics.MISSION_HOLD, topics.WINCH_HOLD, topics.DRIVE_STOP),
-            Call(topics.DESCENT_HOLD, at_rest=True),
+            Call(topics.DESCENT_HOLD, after_rest=True),
         ),
     ),
     Command(
-        "abort", "lets a compressed spring down, forgets all stops and comes to rest",
-        "everything", rests=True,
+        "abort", "release the jump spring, cancel all stops and stop all motion",
+        "everything", completes_at_rest=True,
         calls=(
             *_calls(
                 topics.MISSION_ABORT, topics.JUMP_ABORT, topics.WINCH_HOLD, topics.DRIVE_STOP
             ),
-            Call(topics.DESCENT_ABORT, at_rest=True),
+            Call(topics.DESCENT_ABORT, after_rest=True),
         ),
     ),
     Command(
-        "disarm", "closes the winch's brake at once and takes the drives' power",
+        "disarm", "close the winch brake at once and switch the drives off",
         "everything", calls=(Call(topics.WINCH_STOP), Call(topics.DRIVES_ARM, False)),
-        rests=True,
+        completes_at_rest=True,
     ),
     Command(
-        "arm", "powers the drives and arms the winch, when what disarmed them is gone",
-        "everything", moves=True, needs_all=True,
+        "arm", "switch the drives on and arm the winch; refused while a fault persists",
+        "everything", moves=True, all_required=True,
         calls=(Call(topics.DRIVES_ARM, True), Call(topics.WINCH_REARM)),
     ),
-    _stop("descend", "goes down to a depth, damping the swing on the way", PLAIN_STOP, 1),
-    _stop("ascend", "goes up to a depth, damping the swing on the way", PLAIN_STOP, -1),
-    _stop("observe", "goes to a depth, steadies the rover and images the wall", OBSERVATION_STOP),
+    _stop("descend", "lower the rover to a depth while damping its swing", PLAIN_STOP, 1),
+    _stop("ascend", "raise the rover to a depth while damping its swing", PLAIN_STOP, -1),
+    _stop("observe", "move to a depth, steady the rover and image the wall", OBSERVATION_STOP),
     Command(
-        "turn", "turns the hanging rover about the plumb line and holds the heading",
+        "turn", "turn the hanging rover about the plumb line and hold the heading",
         "descent",
-        (Argument("angle", "counter-clockwise from above", unit="deg", scale=_DEGREE),),
-        moves=True, request=Request(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT), ends=_TURN,
-        undo="hold",
+        (
+            Argument(
+                "angle", "rotation, counter-clockwise seen from above", unit="deg", scale=_DEGREE
+            ),
+        ),
+        moves=True, request=Request(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT),
+        completion=_TURN, undo="hold",
     ),
     Command(
-        "resume", "goes on with what a hold has left", "descent", moves=True,
+        "resume", "resume the descent after a hold", "descent", moves=True,
         calls=_calls(topics.DESCENT_RESUME),
     ),
     Command(
-        "release", "gives winch, wheels and flywheel back, once no stops are left", "descent",
+        "release", "hand winch, wheels and flywheel back after the last stop", "descent",
         calls=_calls(topics.DESCENT_RELEASE),
     ),
     _winch(
-        "payout", "pays out or reels in to a length, by the winch alone", WINCH_TO_LENGTH, _LENGTH,
-        Argument("length", "length at the drum"), _RATE, _LIMIT,
+        "payout", "pay out or reel in to a tether length, by the winch alone",
+        WINCH_TO_LENGTH, _LENGTH,
+        Argument("length", "target tether length at the drum"), _RATE, _LIMIT,
     ),
     _winch(
-        "jog", "pays out at a rate, below 0 reels in, for as long as it is renewed",
-        WINCH_AT_RATE, _UNTIL_LEFT, Argument("rate", "payout rate", "velocity"), _LIMIT,
-        renew=_RENEWAL,
+        "jog", "pay out at a rate (negative: reel in) while it is renewed",
+        WINCH_AT_RATE, _WHILE_RENEWED, Argument("rate", "payout rate", "velocity"), _LIMIT,
+        renewal_rate=_RENEWAL,
     ),
     _winch(
-        "pull", "holds a tension at the fairlead, for as long as it is renewed",
-        WINCH_AT_TENSION, _UNTIL_LEFT, Argument("tension", "to hold", "effort"), _RATE,
-        renew=_RENEWAL,
+        "pull", "control the tension at the fairlead while it is renewed",
+        WINCH_AT_TENSION, _WHILE_RENEWED, Argument("tension", "tension setpoint", "effort"), _RATE,
+        renewal_rate=_RENEWAL,
     ),
     _winch(
-        "slack", "gives slack to a rover that stands, or takes it up", WINCH_SLACK, _SLACK,
-        Argument("amount", "beyond the taut length; 0 takes it up"), _RATE,
+        "slack", "give slack to a standing rover, or take it up", WINCH_SLACK, _SLACK,
+        Argument("amount", "tether length beyond taut; 0 takes the slack up"), _RATE,
     ),
     Command(
-        "relax", "lets the pull down until the tether carries little more than itself", "winch",
-        moves=True, calls=_calls(topics.WINCH_RELAX), rests=True, undo="hold",
+        "relax", "lower the tension until the tether carries little more than its own weight",
+        "winch",
+        moves=True, calls=_calls(topics.WINCH_RELAX), completes_at_rest=True, undo="hold",
     ),
     Command(
-        "jump", "compresses the spring and jumps", "jump",
+        "jump", "compress the spring and jump", "jump",
         (
-            Argument("stroke", "compression of the spring at take-off"),
-            Argument("speed", f"of the nut while compressing{_OWN}", "velocity", required=False),
+            Argument("stroke", "spring compression at take-off"),
+            Argument("speed", f"nut speed while compressing{_DEFAULT}", "velocity", required=False),
         ),
-        moves=True, request=Request(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP), ends=_LEAP,
+        moves=True, request=Request(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP), completion=_JUMPED,
         undo="abort",
     ),
     Command(
-        "drive", "drives straight ahead on the floor", "drive",
-        (Argument("way", "from where the rover stands", "x", least=0.05),), moves=True,
-        request=Request(topics.DRIVE_GOAL, "position", _DRIVE, ahead=True), ends=_WAY, undo="hold",
+        "drive", "drive straight ahead on the floor", "drive",
+        (Argument("distance", "distance from the present position", "x", minimum=0.05),),
+        moves=True,
+        request=Request(topics.DRIVE_GOAL, "position", _DRIVE, is_relative=True),
+        completion=_DRIVEN, undo="hold",
     ),
-    _of_mission("go", "begins the mission; after an abort, the way home", topics.MISSION_GO),
-    _of_mission("hold", "brings the mission to rest; its leg waits", topics.MISSION_HOLD),
-    _of_mission("resume", "begins the leg again that a hold has left", topics.MISSION_RESUME),
-    _of_mission("skip", "leaves the mission's present leg out", topics.MISSION_SKIP),
+    _of_mission("go", "start the mission; after an abort, return home", topics.MISSION_GO),
+    _of_mission("hold", "hold the mission in its present leg", topics.MISSION_HOLD),
+    _of_mission("resume", "restart the held leg of the mission", topics.MISSION_RESUME),
+    _of_mission("skip", "skip the mission's present leg", topics.MISSION_SKIP),
     _of_mission(
-        "abort", "brings the mission to rest and forgets its plan; go then leads home",
+        "abort", "stop the mission and cancel its plan; go then returns home",
         topics.MISSION_ABORT,
     ),
     Command(
-        "pause", "stops simulated time", "simulation", calls=(Call(topics.SIM_PAUSE, True),)
+        "pause", "pause simulated time", "simulation", calls=(Call(topics.SIM_PAUSE, True),)
     ),
     Command(
-        "run", "lets simulated time run on", "simulation",
+        "run", "continue simulated time", "simulation",
         calls=(Call(topics.SIM_PAUSE, False),), moves=True,
     ),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""How it is recognised that what an operator asked for is over, done or not. Pure."""
+"""Completion criteria: they recognise from events that a request has ended, done or not."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from msg_schemas.samples import Level, Status
 
 @dataclass(frozen=True)
 class Completion:
-    """That it is over.
+    """The end of a request.
 
     Attributes:
-        is_done: what was asked for is reached.
-        reason: as the node says it.
+        is_done: whether the goal is reached.
+        reason: the node's message.
     """
 
     is_done: bool
@@ -23,32 +23,33 @@ class Completion:
 
 @dataclass(frozen=True)
 class CompletionCriterion:
-    """Events of the node that took the request tell its end.
+    """Events of the node that accepted a request, which show its end.
 
     Attributes:
-        done: the event that ends it; a failure where its level is not OK.
-        of: values of that event, each equal to the argument of that name: another's end is none.
-        near: values of that event that must be near the argument, else it ended elsewhere:
-            name of the argument, and how near.
-        lost: events after which it will not be reached any more.
+        event: event that ends the request; a failure if its level is not OK.
+        matching: values of that event that must equal an argument, by the value's name; another
+            request's event does not match.
+        tolerances: values of that event that must be near an argument for success: the argument's
+            name and the tolerance in its unit.
+        aborted_by: events after which the goal is not reached any more.
     """
 
-    done: str
-    of: Mapping[str, str] = field(default_factory=dict)
-    near: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    lost: tuple[str, ...] = ()
+    event: str
+    matching: Mapping[str, str] = field(default_factory=dict)
+    tolerances: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    aborted_by: tuple[str, ...] = ()
 
-    def judge(self, event: Status, arguments: Mapping[str, float]) -> Completion | None:
-        """What an event means for a request with these arguments; None = it goes on."""
-        if event.name in self.lost:
+    def evaluate(self, event: Status, arguments: Mapping[str, float]) -> Completion | None:
+        """What an event means for a request with these arguments; None = it continues."""
+        if event.name in self.aborted_by:
             return Completion(False, f"{event.name}: {event.message}")
-        if event.name != self.done:
+        if event.name != self.event:
             return None
-        if any(_number(event, value) != arguments[name] for value, name in self.of.items()):
+        if any(_number(event, value) != arguments[name] for value, name in self.matching.items()):
             return None
         reached = all(
-            abs(_number(event, value) - arguments[name]) <= within
-            for value, (name, within) in self.near.items()
+            abs(_number(event, value) - arguments[name]) <= tolerance
+            for value, (name, tolerance) in self.tolerances.items()
         )
         return Completion(reached and event.level is Level.OK, event.message)
 

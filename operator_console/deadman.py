@@ -1,8 +1,8 @@
-"""Orders that last for as long as somebody presses: a dead man's switch over a network.
+"""Dead-man commands: they last while an operator presses a button on the page.
 
-Who presses says so again and again, and each time the order is said again to the machine, once.
-Here nothing runs by itself: where the press, the browser or the network ends, so do the renewals,
-and the winch stops by its own timeout.
+The page repeats that the button is pressed, and each repetition sends the request once. Nothing is
+renewed by a timer here: if the operator, the browser or the network stops, the requests stop, and
+the winch stops by its own timeout.
 """
 
 from __future__ import annotations
@@ -15,64 +15,66 @@ from typing import Final, Generic, NamedTuple, TypeVar
 
 from operator_console.completion import Completion
 
-LONGEST_GAP: Final = 1.0
-"""A press that was not heard for longer is over [s]: as the winch has it."""
+RENEWAL_TIMEOUT: Final = 1.0
+"""A press without renewal for longer has ended [s]; equals the winch's timeout."""
 
-_MOST: Final = 16  # presses that are remembered
+_CAPACITY: Final = 16  # presses kept
 
 O = TypeVar("O")  # noqa: E741 - an order
 
 
 class Renewal(NamedTuple):
-    """What became of one."""
+    """Result of one renewal."""
 
     is_done: bool
     reason: str
 
 
 @dataclass
-class _Held(Generic[O]):
+class _Press(Generic[O]):
     order: O
-    heard: float  # [s]
+    renewed: float  # [s]
 
 
 class DeadmanCommands(Generic[O]):
-    """Those that are pressed.
+    """Orders whose buttons are pressed.
 
     Args:
-        say_again: says an order to the machine once more; returns how it ended, if it has.
-        clock: steady [s].
+        send_again: repeats an order to the machine; returns its completion if it has ended.
+        clock: steady clock [s].
     """
 
     def __init__(
         self,
-        say_again: Callable[[O], Completion | None],
+        send_again: Callable[[O], Completion | None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._say_again = say_again
+        self._send_again = send_again
         self._clock = clock
-        self._held: dict[str, _Held[O]] = {}
+        self._presses: dict[str, _Press[O]] = {}
 
     def begin(self, order: O) -> str:
-        """Hold an order that was accepted; returns the name by which it is renewed."""
+        """Register an accepted order; return the key for its renewals."""
         name = secrets.token_hex(8)
-        self._held[name] = _Held(order, self._clock())
-        while len(self._held) > _MOST:
-            del self._held[next(iter(self._held))]
+        self._presses[name] = _Press(order, self._clock())
+        while len(self._presses) > _CAPACITY:
+            del self._presses[next(iter(self._presses))]
         return name
 
     def renew(self, name: str) -> Renewal:
-        """Say it again, if it is held still."""
-        held = self._held.get(name)
-        if held is None:
-            return Renewal(False, "nothing is held by that name")
-        gap = self._clock() - held.heard
-        if gap > LONGEST_GAP:
-            del self._held[name]
-            return Renewal(False, f"it was not held for {gap:.1f} s")
-        ending = self._say_again(held.order)
-        if ending is not None:
-            del self._held[name]
-            return Renewal(False, ending.reason)
-        held.heard = self._clock()
-        return Renewal(True, "held")
+        """Send the order again if its button is still pressed."""
+        press = self._presses.get(name)
+        if press is None:
+            return Renewal(False, "this press is not known or has ended")
+        gap = self._clock() - press.renewed
+        if gap > RENEWAL_TIMEOUT:
+            del self._presses[name]
+            return Renewal(
+                False, f"the press was not renewed for {gap:.1f} s (limit {RENEWAL_TIMEOUT:g} s)"
+            )
+        completion = self._send_again(press.order)
+        if completion is not None:
+            del self._presses[name]
+            return Renewal(False, completion.reason)
+        press.renewed = self._clock()
+        return Renewal(True, "renewed")

@@ -1,8 +1,7 @@
-"""One order and what comes back for it: how answers are recognised among all that nodes say. Pure.
+"""Match the answers of nodes to one operator's order.
 
-A request bears a name of its own in ``header.frame_id``; the node that takes it repeats that name
-when it accepts (an event) or refuses (on diagnostics). What that node tells by events after the
-acceptance is about what it accepted.
+A request carries a command source in ``header.frame_id``. The node repeats that name when it
+accepts (an event) or refuses (on diagnostics). Its later events belong to the accepted request.
 """
 
 from __future__ import annotations
@@ -19,29 +18,29 @@ from operator_console.commands import Order
 from operator_console.completion import Completion
 
 
-class Verdict(StrEnum):
-    """What became of an order."""
+class OrderStatus(StrEnum):
+    """What happened to an order."""
 
     ACCEPTED = "accepted"
     REFUSED = "refused"
-    NOBODY = "nobody is there to take it"
+    UNAVAILABLE = "no node available"
     NO_ANSWER = "no answer"
-    GIVEN_UP = "given up"
+    CANCELLED = "cancelled"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an order, or of a part of it.
+    """Result of an order, or of one of its parts.
 
     Attributes:
-        verdict: in one word.
-        by: topic or service by which it went.
-        reason: why, as the node says it; of an acceptance what it does.
-        code: of a refusal, as the contract has it; empty where the node gave none.
-        parts: of an order that went several ways, what became of each.
+        status: accepted, refused, ...
+        by: topic or service that carried it.
+        reason: the node's message.
+        code: refusal code of the contract; empty if the node gave none.
+        parts: results of the service calls, if there were several.
     """
 
-    verdict: Verdict
+    status: OrderStatus
     by: str
     reason: str
     code: str = ""
@@ -49,51 +48,51 @@ class Outcome:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether it is done, or being done."""
-        return self.verdict is Verdict.ACCEPTED
+        """Whether a node accepted it."""
+        return self.status is OrderStatus.ACCEPTED
 
     @property
-    def is_trouble(self) -> bool:
-        """Whether somebody was there, and did not do it."""
-        return self.verdict not in {Verdict.ACCEPTED, Verdict.NOBODY}
+    def is_failure(self) -> bool:
+        """Whether an available node did not accept it."""
+        return self.status not in {OrderStatus.ACCEPTED, OrderStatus.UNAVAILABLE}
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """One sentence for operators."""
         code = f" [{self.code}]" if self.code else ""
-        what = self.by if self.verdict is Verdict.ACCEPTED else f"{self.by} {self.verdict.value}"
+        what = self.by if self.status is OrderStatus.ACCEPTED else f"{self.by} {self.status.value}"
         return f"{what}: {self.reason}{code}"
 
 
 class Exchange:
-    """A request on its way: hears all statuses, and keeps what is an answer to it.
+    """A request in progress: filters its answers from all status messages.
 
     Args:
-        order: a command that is a request.
-        commander: the name that the request bears.
+        order: a command with a request.
+        command_source: the name that the request carries.
 
     Attributes:
-        goal: of a request ahead, the pose that is asked for.
+        goal: pose of a relative request.
         outcome: acceptance or refusal; None until it is known.
-        ending: that it is over; None until it is.
-        story: events of the taker since the acceptance.
+        completion: how the request ended; None until it has.
+        events: events of the node since the acceptance.
     """
 
-    def __init__(self, order: Order, commander: str) -> None:
+    def __init__(self, order: Order, command_source: str) -> None:
         request = order.command.request
         assert request is not None
         self.order = order
         self.request = request
-        self.commander = commander
+        self.command_source = command_source
         self.goal: PoseSample | None = None
         self.outcome: Outcome | None = None
-        self.ending: Completion | None = None
-        self.story: list[Status] = []
+        self.completion: Completion | None = None
+        self.events: list[Status] = []
 
-    def hear(self, topic: str, sample: StatusSample) -> None:
-        """Take what was said on events or diagnostics."""
+    def on_statuses(self, topic: str, sample: StatusSample) -> None:
+        """Process a message of the events or diagnostics topic."""
         for status in sample.statuses:
-            if status.hardware_id != self.request.taker:
+            if status.hardware_id != self.request.node:
                 continue
             if topic == topics.EVENTS:
                 self._on_event(status)
@@ -102,62 +101,62 @@ class Exchange:
 
     def _on_event(self, status: Status) -> None:
         if status.name == REQUEST_ACCEPTED:
-            if status.values.get("commander") == self.commander and self.outcome is None:
-                self.outcome = Outcome(Verdict.ACCEPTED, self.request.topic, "accepted")
+            if status.values.get("commander") == self.command_source and self.outcome is None:
+                self.outcome = Outcome(OrderStatus.ACCEPTED, self.request.topic, "accepted")
             return
-        if self.outcome is None or not self.outcome.is_accepted or self.ending is not None:
+        if self.outcome is None or not self.outcome.is_accepted or self.completion is not None:
             return
-        self.story.append(status)
-        ends = self.order.command.ends
-        if ends is not None:
-            self.ending = ends.judge(status, self.order.told)
+        self.events.append(status)
+        criterion = self.order.command.completion
+        if criterion is not None:
+            self.completion = criterion.evaluate(status, self.order.contract_values)
 
     def _on_refusal(self, status: Status) -> None:
-        taker, topic = self.request.taker, self.request.topic
-        if status.name == f"{taker}: refused {topic}":
-            if status.values.get("commander") != self.commander:
+        node, topic = self.request.node, self.request.topic
+        if status.name == f"{node}: refused {topic}":
+            if status.values.get("commander") != self.command_source:
                 return
             code = status.values.get("code", "")
             if self.outcome is None:
-                self.outcome = Outcome(Verdict.REFUSED, topic, status.message, code)
-            elif self.ending is None:  # of what was said again
-                self.ending = Completion(False, f"refused: {status.message} [{code}]")
+                self.outcome = Outcome(OrderStatus.REFUSED, topic, status.message, code)
+            elif self.completion is None:  # a renewal is refused
+                self.completion = Completion(False, f"refused: {status.message} [{code}]")
 
 
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)
 
 
 def answer_of(service: str, success: bool, message: str) -> Outcome:
-    """What a service's answer means."""
+    """Convert a service's response."""
     if success:
-        return Outcome(Verdict.ACCEPTED, service, message or "done")
+        return Outcome(OrderStatus.ACCEPTED, service, message or "done")
     match = _CODED.match(message)
     if match is None or match["code"] not in list(RefusalCode):
-        return Outcome(Verdict.REFUSED, service, message or "no reason given")
-    return Outcome(Verdict.REFUSED, service, match["reason"], match["code"])
+        return Outcome(OrderStatus.REFUSED, service, message or "no reason given")
+    return Outcome(OrderStatus.REFUSED, service, match["reason"], match["code"])
 
 
-# A node that refuses so has nothing under way.
+# A node that refuses with one of these codes has nothing to stop.
 _IDLE = frozenset({RefusalCode.WRONG_PHASE, RefusalCode.NOT_ARMED, RefusalCode.NOT_ACTIVE})
-_WORST_FIRST = (Verdict.GIVEN_UP, Verdict.NO_ANSWER, Verdict.REFUSED)
+_WORST_FIRST = (OrderStatus.CANCELLED, OrderStatus.NO_ANSWER, OrderStatus.REFUSED)
 
 
-def joined(parts: Iterable[Outcome], needs_all: bool) -> Outcome:
-    """What became of an order that went to several servers, or would have."""
+def joined(parts: Iterable[Outcome], all_required: bool) -> Outcome:
+    """Combine the results of several services into one."""
     found = tuple(parts)
     if len(found) == 1:
         return found[0]
     accepted = [part for part in found if part.is_accepted]
-    away = [part.reason for part in found if part.verdict is Verdict.NOBODY]
-    note = f" ({'; '.join(away)})" if away else ""
-    for verdict in _WORST_FIRST:
+    unavailable = [part.reason for part in found if part.status is OrderStatus.UNAVAILABLE]
+    note = f" ({'; '.join(unavailable)})" if unavailable else ""
+    for status in _WORST_FIRST:
         for part in found:
-            is_idle = part.code in _IDLE and accepted and not needs_all
-            if part.verdict is verdict and not is_idle:
-                return Outcome(verdict, part.by, part.reason + note, part.code, found)
+            is_idle = part.code in _IDLE and accepted and not all_required
+            if part.status is status and not is_idle:
+                return Outcome(status, part.by, part.reason + note, part.code, found)
     if not accepted:
         names = ", ".join(part.by for part in found)
-        return Outcome(Verdict.NOBODY, names, "; ".join(away), parts=found)
-    told = "; ".join(part.reason for part in accepted)
+        return Outcome(OrderStatus.UNAVAILABLE, names, "; ".join(unavailable), parts=found)
+    reasons = "; ".join(part.reason for part in accepted)
     by = ", ".join(part.by for part in accepted)
-    return Outcome(Verdict.ACCEPTED, by, told + note, parts=found)
+    return Outcome(OrderStatus.ACCEPTED, by, reasons + note, parts=found)

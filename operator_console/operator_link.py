@@ -1,7 +1,7 @@
-"""The way of an operator's orders to the nodes and of their answers back, over rclpy.
+"""Send operators' orders to the nodes and receive their answers, over rclpy.
 
-What is pure stands elsewhere: ``commands`` (what can be asked for), ``exchange`` (what is an
-answer), ``endings`` (when it is over), ``telemetry`` (what is known). Here is what waits.
+The pure parts are ``commands`` (the table), ``exchange`` (answers), ``completion`` (how an order
+ends) and ``telemetry`` (the known state).
 """
 
 from __future__ import annotations
@@ -28,40 +28,40 @@ from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES
 from operator_console.commands import COMMANDS, Call, Command, Order
 from operator_console.completion import Completion
-from operator_console.exchange import Exchange, Outcome, Verdict, answer_of, joined
-from operator_console.telemetry import HEARD, Snapshot, Telemetry
+from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
+from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
 
-NOT_SENT = "what was asked for"
-"""By what an order is refused that nobody was told of."""
+NOT_SENT = "order"
+"""Endpoint in the outcome of an order that was refused before it was sent."""
 
-PATIENCE = 10.0
-"""How long a node that would take an order, and then its answer, are waited for [s]."""
+ANSWER_TIMEOUT = 10.0
+"""Longest wait for the node of an order, and again for its answer [s]."""
 
-# A participant of Fast DDS that was not met at once is met when one of the two announces itself
-# again, each 3 s; its endpoints follow [s].
-_MET = 4.0
-_DEEP = 200  # messages that may wait: what all nodes have latched comes at one time
-_ONE_S_OWN_NS = 1_000_000
-_LOOK = 0.05  # at what nobody announces, such as the graph [s]
-_MEETING = 3.0  # for nodes that are known and not heard yet [s]
-_SLOWING = 5.0  # for what is asked to come to rest, before the next is asked [s]
-_KNOWN = 0.5  # longest for a server to get to know who calls it [s]
-_GRACE = 1.0  # for what is good to know before an order is sent [s]
+# Two participants of Fast DDS that miss each other at the start discover each other with the next
+# announcement, every 3 s; the endpoints follow [s].
+_DISCOVERY_TIME = 4.0
+_QUEUE_DEPTH = 200  # latched messages of all nodes arrive at the same time
+_STAMP_OFFSET_NS = 1_000_000
+_POLL_PERIOD = 0.05  # for state without notification, such as the graph [s]
+_FIRST_STATUS_TIMEOUT = 3.0  # for the first health report of a discovered node [s]
+_DECELERATION_TIMEOUT = 5.0  # for winch and wheels, before the descent is called [s]
+_MATCHING_TIMEOUT = 0.5  # for a server to discover its client [s]
+_STATE_TIMEOUT = 1.0  # for the state that an order is checked against [s]
 
 
-def never() -> bool:
-    """Nobody gives up."""
+def _never_cancelled() -> bool:
+    """Return False: the default of `cancelled`."""
     return False
 
 
-class Sent:
-    """An order that has gone out.
+class SentOrder:
+    """An order that was sent.
 
     Attributes:
-        order: what was asked for.
-        outcome: what became of it.
-        exchange: of a request, what its taker says from then on.
-        answered: when the answer came, by the steady clock [s].
+        order: the order.
+        outcome: its result.
+        exchange: of a request, the source of later events.
+        answered: steady time of the answer [s].
     """
 
     def __init__(self, order: Order, outcome: Outcome, exchange: Exchange | None = None) -> None:
@@ -72,121 +72,123 @@ class Sent:
 
 
 class OperatorLink:
-    """Sends orders and waits for what becomes of them; hears what there is to know.
+    """Sends orders and waits for their results; receives the machine's state.
 
-    Another thread spins the node. Any thread may send; several may at once. Who ends before its
-    node does, closes it.
+    Another thread spins the node. Any thread may send, several at the same time. Close the link
+    before its node ends, if the node is used further.
 
     Args:
-        node: by whose name and namespace it speaks.
-        who: asks; nodes and bags tell it.
-        changed: called after each sample that was heard, in the spinning thread.
+        node: node that publishes, calls and subscribes.
+        command_source: name that requests carry and that nodes and bags report.
+        changed: called in the spinning thread after each sample that arrived.
     """
 
     def __init__(
         self,
         node: Node,
-        who: str,
+        command_source: str,
         changed: Callable[[str, Any], None] = lambda _topic, _sample: None,
     ) -> None:
         self._node = node
-        self._who = who
+        self._command_source = command_source
         self._on_change = changed
         self._changed = threading.Condition()
-        self._making = threading.Lock()
+        self._creation_lock = threading.Lock()
         self._telemetry = Telemetry()
-        self._pose: tuple[OdometrySample, float] | None = None  # and when it was heard [s]
+        self._pose: tuple[OdometrySample, float] | None = None  # and its arrival [s]
         self._exchanges: WeakSet[Exchange] = WeakSet()
-        self._heard: dict[str, Any] = {}
-        self._everyone_is_met = time.monotonic() + _MET
+        self._subscriptions: dict[str, Any] = {}
+        self._discovery_deadline = time.monotonic() + _DISCOVERY_TIME
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
-        self._acquaintances: dict[str, EndpointMatching] = {}  # by service
-        self._found: dict[str, float] = {}  # when each service was seen to be there [s]
-        self.listen(topics.EVENTS, topics.DIAGNOSTICS)
+        self._matchings: dict[str, EndpointMatching] = {}  # by service
+        self._found_at: dict[str, float] = {}  # first sight of each service [s]
+        self.subscribe(topics.EVENTS, topics.DIAGNOSTICS)
 
     def close(self) -> None:
-        """Hear and say nothing more; the node goes on."""
-        with self._making:
-            for subscription in self._heard.values():
+        """Destroy subscriptions, publishers and clients; the node stays."""
+        with self._creation_lock:
+            for subscription in self._subscriptions.values():
                 self._node.destroy_subscription(subscription)
             for publisher in self._publishers.values():
                 self._node.destroy_publisher(publisher)
             for client in self._clients.values():
                 self._node.destroy_client(client)
-            for discovery in self._acquaintances.values():
+            for discovery in self._matchings.values():
                 discovery.close()
-            self._acquaintances.clear()
-            self._found.clear()
-            self._heard.clear()
+            self._matchings.clear()
+            self._found_at.clear()
+            self._subscriptions.clear()
             self._publishers.clear()
             self._clients.clear()
 
-    # --- hearing ---------------------------------------------------------------------------------
+    # --- receiving -------------------------------------------------------------------------------
 
-    def listen(self, *names: str) -> None:
-        """Hear these topics from now on, and what is latched there."""
+    def subscribe(self, *names: str) -> None:
+        """Subscribe to these topics, with their latched messages."""
         for name in names:
-            if name in self._heard:
+            if name in self._subscriptions:
                 continue
             row = topic_row(name)
-            self._heard[name] = self._node.create_subscription(
-                message_class(row.message), name, self._hearer(name),
-                qos.profile(row.intent, _DEEP),
+            self._subscriptions[name] = self._node.create_subscription(
+                message_class(row.message), name, self._callback(name),
+                qos.profile(row.intent, _QUEUE_DEPTH),
             )  # fmt: skip
 
-    def listen_to_all(self) -> None:
-        """Hear everything that telemetry shows."""
-        self.listen(*HEARD)
+    def subscribe_all(self) -> None:
+        """Subscribe to everything that telemetry shows."""
+        self.subscribe(*TELEMETRY_TOPICS)
 
-    def _hearer(self, name: str) -> Callable[[Any], None]:
-        def hear(message: Any) -> None:
+    def _callback(self, name: str) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
             try:
                 sample = decode(name, message)
             except Refusal:
-                return  # a node that breaks the contract is not believed, its value grows stale
+                return  # a message that breaks the contract is dropped; the value becomes stale
             with self._changed:
-                self._telemetry.hear(name, sample, time.monotonic())
+                self._telemetry.on_sample(name, sample, time.monotonic())
                 if name == topics.ODOMETRY:
                     self._pose = (sample, time.monotonic())
                 if isinstance(sample, StatusSample):
                     for exchange in self._exchanges:
-                        exchange.hear(name, sample)
+                        exchange.on_statuses(name, sample)
                 self._changed.notify_all()
             self._on_change(name, sample)
 
-        return hear
+        return on_message
 
     def snapshot(self) -> Snapshot:
-        """What is known now."""
+        """The present state."""
         with self._changed:
             return self._telemetry.snapshot(time.monotonic())
 
-    def meet_everyone(self, timeout: float, cancelled: Callable[[], bool] = never) -> bool:
-        """Wait until all who are there were heard; whether there is anybody."""
-        self.listen_to_all()
+    def wait_for_nodes(
+        self, timeout: float, cancelled: Callable[[], bool] = _never_cancelled
+    ) -> bool:
+        """Wait until every node has reported its health; return whether there is any node."""
+        self.subscribe_all()
         known = self._telemetry
-        if not self._wait(lambda: known.hears_anybody, timeout, cancelled):
+        if not self._wait(lambda: known.has_any_node, timeout, cancelled):
             return False
-        left = min(timeout, self._everyone_is_met - time.monotonic())
-        self._wait(never, left, cancelled)
+        left = min(timeout, self._discovery_deadline - time.monotonic())
+        self._wait(_never_cancelled, left, cancelled)
 
-        def are_heard() -> bool:
+        def have_reported() -> bool:
             now = time.monotonic()
             there = self._node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
-            return known.knows_phases and all(known.is_heard(p.node_name, now) for p in there)
+            return known.has_all_phases and all(known.is_alive(p.node_name, now) for p in there)
 
-        # Not for long: one that was killed stays among them for a while.
-        self._wait(are_heard, _MEETING, cancelled)
+        # With a limit: a killed node stays in the graph for a while.
+        self._wait(have_reported, _FIRST_STATUS_TIMEOUT, cancelled)
         return not cancelled()
 
     def wait_until(
         self,
         condition: Callable[[Telemetry], bool],
         timeout: float,
-        cancelled: Callable[[], bool] = never,
+        cancelled: Callable[[], bool] = _never_cancelled,
     ) -> bool:
-        """Wait until what is known fulfils a condition; whether it does."""
+        """Wait until telemetry fulfils a condition; return whether it does."""
         return self._wait(lambda: condition(self._telemetry), timeout, cancelled)
 
     def _wait(
@@ -198,136 +200,138 @@ class OperatorLink:
                 left = deadline - time.monotonic()
                 if left <= 0.0 or cancelled():
                     return False
-                self._changed.wait(min(left, _LOOK))
+                self._changed.wait(min(left, _POLL_PERIOD))
             return True
 
     # --- sending ---------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Get to know all takers, so that no order waits for that."""
+        """Create all publishers and clients, so that no order waits for discovery."""
         for command in COMMANDS.values():
             if command.request is not None:
                 self._publisher(command.request.topic)
             for call in command.calls:
                 self._client(call.service)
 
-    def fill_in(
+    def with_defaults(
         self,
         command: Command,
         given: Mapping[str, object],
-        patience: float = PATIENCE,
-        cancelled: Callable[[], bool] = never,
+        timeout: float = ANSWER_TIMEOUT,
+        cancelled: Callable[[], bool] = _never_cancelled,
     ) -> dict[str, object]:
-        """Add to the arguments those left out for which a node's parameter stands, once heard."""
-        filled = dict(given)
+        """Add missing arguments whose default is a node's parameter, once that is known."""
+        completed = dict(given)
         for argument in command.arguments:
-            if argument.parameter is None or filled.get(argument.name) is not None:
+            if argument.parameter is None or completed.get(argument.name) is not None:
                 continue
             node, name = argument.parameter
-            self.listen(topics.CONFIG)
+            self.subscribe(topics.CONFIG)
             self.wait_until(
                 lambda known, n=node, p=name: known.parameter(n, p) is not None,  # type: ignore[misc]
-                patience,
+                timeout,
                 cancelled,
             )
             with self._changed:
-                filled[argument.name] = self._telemetry.parameter(node, name)
-        return filled
+                completed[argument.name] = self._telemetry.parameter(node, name)
+        return completed
 
     def send(
         self,
         order: Order,
-        patience: float = PATIENCE,
-        cancelled: Callable[[], bool] = never,
-    ) -> Sent:
+        timeout: float = ANSWER_TIMEOUT,
+        cancelled: Callable[[], bool] = _never_cancelled,
+    ) -> SentOrder:
         """Send an order and wait for its answer.
 
         Args:
-            order: to send.
-            patience: for who takes it, and then for the answer [s].
-            cancelled: asked while waiting; true gives up.
+            order: the order.
+            timeout: longest wait for the node, and again for the answer [s].
+            cancelled: polled while waiting; True cancels.
         """
         if order.command.request is not None:
-            return self._ask(order, patience, cancelled)
-        return Sent(order, self._call_all(order, patience, cancelled))
+            return self._send_request(order, timeout, cancelled)
+        return SentOrder(order, self._call_all(order, timeout, cancelled))
 
     def follow(
         self,
-        sent: Sent,
+        sent: SentOrder,
         timeout: float,
-        cancelled: Callable[[], bool] = never,
-        tell: Callable[[str], None] = lambda _line: None,
+        cancelled: Callable[[], bool] = _never_cancelled,
+        report: Callable[[str], None] = lambda _line: None,
     ) -> Completion | None:
-        """Wait until what was accepted is over; what must be renewed is, meanwhile.
+        """Wait until an accepted order is complete; renew it meanwhile where required.
 
         Args:
-            sent: an order that was accepted.
-            timeout: for that [s].
-            cancelled: asked while waiting; true gives up.
-            tell: called with each event on the way, as a line of text.
+            sent: an accepted order.
+            timeout: longest wait [s].
+            cancelled: polled while waiting; True cancels.
+            report: called with a line of text for each event.
 
         Returns:
-            How it ended; None = it goes on.
+            How it ended; None = it continues.
         """
         if sent.exchange is None:
             return self._follow_calls(sent, timeout, cancelled)
-        exchange, told = sent.exchange, 0
-        renew = exchange.request.renew
-        pause = 1.0 / renew if renew else _LOOK
+        exchange, reported = sent.exchange, 0
+        renew = exchange.request.renewal_rate
+        pause = 1.0 / renew if renew else _POLL_PERIOD
         deadline = time.monotonic() + timeout
         while True:
             left = min(pause, deadline - time.monotonic())
-            self._wait(lambda: exchange.ending is not None, left, cancelled)
+            self._wait(lambda: exchange.completion is not None, left, cancelled)
             with self._changed:
-                story, told = exchange.story[told:], len(exchange.story)
-                ending = exchange.ending
-            for event in story:
-                tell(f"{event.name}: {event.message}")
-            if ending is not None or cancelled() or time.monotonic() >= deadline:
-                return ending
+                events, reported = exchange.events[reported:], len(exchange.events)
+                completion = exchange.completion
+            for event in events:
+                report(f"{event.name}: {event.message}")
+            if completion is not None or cancelled() or time.monotonic() >= deadline:
+                return completion
             if renew:
                 self._publish(exchange)
 
-    def renew(self, sent: Sent) -> Completion | None:
-        """Say a request again that must be renewed; returns how it ended, and says nothing then."""
+    def renew(self, sent: SentOrder) -> Completion | None:
+        """Send a request again unless it has ended; return its completion."""
         assert sent.exchange is not None
         with self._changed:
-            ending = sent.exchange.ending
-        if ending is None:
+            completion = sent.exchange.completion
+        if completion is None:
             self._publish(sent.exchange)
-        return ending
+        return completion
 
-    def undo(self, order: Order, patience: float = PATIENCE) -> Sent | None:
-        """End halfway, safely, what an order began; None = nothing is to be ended."""
+    def undo(self, order: Order, timeout: float = ANSWER_TIMEOUT) -> SentOrder | None:
+        """Stop safely what an order started; None = nothing moves by it."""
         undo = order.command.undo
-        return self.send(COMMANDS[undo].order({}), patience) if undo else None
+        return self.send(COMMANDS[undo].order({}), timeout) if undo else None
 
     # --- requests --------------------------------------------------------------------------------
 
-    def _ask(self, order: Order, patience: float, cancelled: Callable[[], bool]) -> Sent:
-        exchange = Exchange(order, f"{self._who}#{secrets.token_hex(4)}")
+    def _send_request(
+        self, order: Order, timeout: float, cancelled: Callable[[], bool]
+    ) -> SentOrder:
+        exchange = Exchange(order, f"{self._command_source}#{secrets.token_hex(4)}")
         request = exchange.request
-        if request.ahead:
-            self.listen(topics.ODOMETRY)
-        made = self._publisher(request.topic)
-        if order.command.heads:
-            self.listen(topics.DESCENT_PHASE, topics.WINCH_STATE)
+        if request.is_relative:
+            self.subscribe(topics.ODOMETRY)
+        publisher = self._publisher(request.topic)
+        if order.command.direction:
+            self.subscribe(topics.DESCENT_PHASE, topics.WINCH_STATE)
 
-        at = (request.taker, self._node.get_namespace())
+        at = (request.node, self._node.get_namespace())
 
-        def is_there() -> bool:
-            # Who can be asked must also be heard refusing.
-            heard = self._telemetry.is_heard(request.taker, time.monotonic())
-            return heard and at in listeners(self._node, made)
+        def is_available() -> bool:
+            # A refusal must be able to arrive before a request is sent.
+            is_alive = self._telemetry.is_alive(request.node, time.monotonic())
+            return is_alive and at in listeners(self._node, publisher)
 
-        if not self._wait(is_there, patience, cancelled):
-            verdict = Verdict.GIVEN_UP if cancelled() else Verdict.NOBODY
-            return Sent(order, Outcome(verdict, request.topic, self._absence(request.taker)))
-        if order.command.heads:
+        if not self._wait(is_available, timeout, cancelled):
+            status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
+            return SentOrder(order, Outcome(status, request.topic, self._unavailable(request.node)))
+        if order.command.direction:
             known = self._telemetry
             self._wait(
                 lambda: known.is_idle is False or (known.is_idle and known.depth) is not None,
-                min(patience, _GRACE),
+                min(timeout, _STATE_TIMEOUT),
                 cancelled,
             )
             contradiction = ""
@@ -335,47 +339,47 @@ class OperatorLink:
                 contradiction = order.contradiction(known.depth)
             if contradiction:
                 code = RefusalCode.WRONG_PHASE.value
-                return Sent(order, Outcome(Verdict.REFUSED, NOT_SENT, contradiction, code))
-        if request.ahead and not self._aim(exchange, patience, cancelled):
-            reason = f"{request.taker} does not tell where the rover is ({topics.ODOMETRY})"
-            return Sent(order, Outcome(Verdict.NO_ANSWER, topics.ODOMETRY, reason))
+                return SentOrder(order, Outcome(OrderStatus.REFUSED, NOT_SENT, contradiction, code))
+        if request.is_relative and not self._set_goal(exchange, timeout, cancelled):
+            reason = f"{request.node} does not report the rover's pose ({topics.ODOMETRY})"
+            return SentOrder(order, Outcome(OrderStatus.NO_ANSWER, topics.ODOMETRY, reason))
         with self._changed:
             self._exchanges.add(exchange)
         try:
             self._publish(exchange)
-        except Refusal as refusal:  # by the contract, such as a goal beyond its limits
-            refused = Outcome(Verdict.REFUSED, NOT_SENT, refusal.reason, refusal.code.value)
-            return Sent(order, refused)
-        self._wait(lambda: exchange.outcome is not None, patience, cancelled)
+        except Refusal as refusal:  # the contract refuses it, such as a goal out of limits
+            refused = Outcome(OrderStatus.REFUSED, NOT_SENT, refusal.reason, refusal.code.value)
+            return SentOrder(order, refused)
+        self._wait(lambda: exchange.outcome is not None, timeout, cancelled)
         outcome = exchange.outcome
         if outcome is None:
-            verdict = Verdict.GIVEN_UP if cancelled() else Verdict.NO_ANSWER
-            reason = f"{request.taker} has not said whether it took it"
-            outcome = Outcome(verdict, request.topic, reason)
-        return Sent(order, outcome, exchange)
+            status = OrderStatus.CANCELLED if cancelled() else OrderStatus.NO_ANSWER
+            reason = f"{request.node} has neither accepted nor refused it"
+            outcome = Outcome(status, request.topic, reason)
+        return SentOrder(order, outcome, exchange)
 
-    def _aim(self, exchange: Exchange, patience: float, cancelled: Callable[[], bool]) -> bool:
-        """Aim ahead of where the rover is now; the answer will bear the stamp."""
-        asked = time.monotonic()
-        self._wait(lambda: self._pose is not None and self._pose[1] > asked, patience, cancelled)
-        if self._pose is None or self._pose[1] <= asked:
+    def _set_goal(self, exchange: Exchange, timeout: float, cancelled: Callable[[], bool]) -> bool:
+        """Set the goal ahead of the present pose; the answer carries its stamp."""
+        requested = time.monotonic()
+        self._wait(lambda: self._pose is not None and self._pose[1] > requested, timeout, cancelled)
+        if self._pose is None or self._pose[1] <= requested:
             return False
-        seen, _ = self._pose
-        # One's own, as two who saw the same pose would stamp alike; the clock is the taker's.
-        stamp_ns = seen.stamp_ns + secrets.randbelow(_ONE_S_OWN_NS)
-        exchange.commander = f"{stamp_ns} ns"
-        exchange.goal = exchange.order.goal(seen, stamp_ns)
+        odometry, _ = self._pose
+        # The random offset makes the stamp unique: two sources may use the same pose.
+        stamp_ns = odometry.stamp_ns + secrets.randbelow(_STAMP_OFFSET_NS)
+        exchange.command_source = f"{stamp_ns} ns"
+        exchange.goal = exchange.order.goal(odometry, stamp_ns)
         return True
 
     def _publish(self, exchange: Exchange) -> None:
         topic = exchange.request.topic
         message = encode(topic, exchange.goal or exchange.order.sample())
         if exchange.goal is None:
-            message.header.frame_id = exchange.commander
+            message.header.frame_id = exchange.command_source
         self._publisher(topic).publish(message)
 
     def _publisher(self, topic: str) -> Any:
-        with self._making:
+        with self._creation_lock:
             if topic not in self._publishers:
                 kind = message_class(topic_row(topic).message)
                 self._publishers[topic] = self._node.create_publisher(
@@ -383,116 +387,116 @@ class OperatorLink:
                 )
             return self._publishers[topic]
 
-    def _absence(self, name: str) -> str:
-        """Say that a node is not there, and where there is one of that name."""
+    def _unavailable(self, name: str) -> str:
+        """Report that a node is not available, and other namespaces that have it."""
         here = self._node.get_namespace()
         others = {
             namespace
             for node, namespace in self._node.get_node_names_and_namespaces()
             if node == name and namespace != here
         }
-        hint = f"; there is one in {', '.join(sorted(others))}" if others else ""
-        return f"{name} is not heard in the namespace {here}{hint}"
+        hint = f"; it runs in {', '.join(sorted(others))}" if others else ""
+        return f"{name} does not run in the namespace {here}{hint}"
 
     # --- calls -----------------------------------------------------------------------------------
 
     def _client(self, service: str) -> Any:
-        with self._making:
+        with self._creation_lock:
             if service not in self._clients:
                 kind = message_class(SERVICES[service].service)
                 self._clients[service] = self._node.create_client(kind, service)
             return self._clients[service]
 
-    def _get_known(self, calls: Iterable[Call]) -> None:
-        """Open what is called, and see to it that its server knows of that."""
+    def _discover(self, calls: Iterable[Call]) -> None:
+        """Create the clients, and watch that each server has discovered its client."""
         new = {call.service for call in calls} - self._clients.keys()
         for service in new:
             self._client(service)
         if new:
-            self._acquaintances |= dict.fromkeys(new, EndpointMatching(self._node, self._wake))
+            self._matchings |= dict.fromkeys(new, EndpointMatching(self._node, self._wake))
 
     def _is_ready(self, call: Call) -> bool:
-        """Whether it would be done and answered; nobody is waited for long who is there."""
+        """Whether a call would be executed and answered."""
         if not self._client(call.service).service_is_ready():
             return False
-        discovery = self._acquaintances.get(call.service)
+        discovery = self._matchings.get(call.service)
         if discovery is None or discovery.is_with(call.server):
             return True
         now = time.monotonic()
-        return now > self._found.setdefault(call.service, now) + _KNOWN
+        return now > self._found_at.setdefault(call.service, now) + _MATCHING_TIMEOUT
 
-    def _call_all(self, order: Order, patience: float, cancelled: Callable[[], bool]) -> Outcome:
-        """Call every service that is there: each at once, or in order where all are needed."""
-        calls, in_order = order.command.calls, order.command.needs_all
-        self._get_known(calls)
+    def _call_all(self, order: Order, timeout: float, cancelled: Callable[[], bool]) -> Outcome:
+        """Call every available service: all at the same time, or in order if all are required."""
+        calls, in_order = order.command.calls, order.command.all_required
+        self._discover(calls)
         parts: dict[Call, Outcome] = {}
         if in_order:
-            self._wait(lambda: not self._missing(calls), patience, cancelled)
+            self._wait(lambda: not self._missing(calls), timeout, cancelled)
             for call in calls:
-                parts |= self._call_batch([call], 0.0, patience, cancelled)
-                if parts[call].is_trouble:
+                parts |= self._call_batch([call], 0.0, timeout, cancelled)
+                if parts[call].is_failure:
                     break
             return joined(parts.values(), in_order)
-        begun = time.monotonic()
-        later = [call for call in calls if call.at_rest]
-        at_once = [call for call in calls if not call.at_rest]
-        parts |= self._call_batch(at_once, patience, patience, cancelled)
+        started = time.monotonic()
+        later = [call for call in calls if call.after_rest]
+        at_once = [call for call in calls if not call.after_rest]
+        parts |= self._call_batch(at_once, timeout, timeout, cancelled)
         if later:
-            self._wait(lambda: not self._missing(later), patience, cancelled)
+            self._wait(lambda: not self._missing(later), timeout, cancelled)
             if any(self._client(call.service).service_is_ready() for call in later):
-                self.listen(topics.WINCH_STATE, topics.JUMP_PHASE)
-                limit = min(patience, _SLOWING)
-                self._wait(lambda: self._telemetry.is_at_rest(begun), limit, cancelled)
-            parts |= self._call_batch(later, 0.0, patience, cancelled)
+                self.subscribe(topics.WINCH_STATE, topics.JUMP_PHASE)
+                limit = min(timeout, _DECELERATION_TIMEOUT)
+                self._wait(lambda: self._telemetry.is_at_rest(started), limit, cancelled)
+            parts |= self._call_batch(later, 0.0, timeout, cancelled)
         return joined([parts[call] for call in calls], in_order)
 
     def _missing(self, calls: Iterable[Call]) -> list[Call]:
-        """Those that may still come: their server is known to be there, or not known yet."""
+        """Calls whose server runs or may still be discovered, but is not ready."""
         waited_for = [call for call in calls if not self._is_ready(call)]
         here, now = self._node.get_namespace(), time.monotonic()
-        if now < self._everyone_is_met:
+        if now < self._discovery_deadline:
             return waited_for
         graph = self._node.get_node_names_and_namespaces()
         return [
             call
             for call in waited_for
-            if self._telemetry.is_heard(call.server, now) or (call.server, here) in graph
+            if self._telemetry.is_alive(call.server, now) or (call.server, here) in graph
         ]
 
     def _call_batch(
         self,
         calls: Sequence[Call],
-        patience: float,
+        timeout: float,
         answer: float,
         cancelled: Callable[[], bool],
     ) -> dict[Call, Outcome]:
-        """Call each as soon as it is there, and wait for all answers.
+        """Call each service as soon as it is ready, and wait for all answers.
 
         Args:
-            calls: to be made.
-            patience: for who would serve them [s].
-            answer: patience for the answers [s].
-            cancelled: asked while waiting.
+            calls: the calls.
+            timeout: longest wait for the servers [s].
+            answer: longest wait for the answers [s].
+            cancelled: polled while waiting.
         """
-        begun = time.monotonic()
-        asked: dict[Call, Any] = {}
-        asked_last = begun
+        started = time.monotonic()
+        requested: dict[Call, Any] = {}
+        last_call = started
 
         def are_answered() -> bool:
-            nonlocal asked_last
+            nonlocal last_call
             for call in calls:
-                if call not in asked and self._is_ready(call):
-                    asked[call], asked_last = self._begin(call), time.monotonic()
-            if any(not future.done() for future in asked.values()):
-                return time.monotonic() > asked_last + answer
-            rest = [call for call in calls if call not in asked]
-            # Who has not been found is waited for longer where nobody has done anything yet.
-            accepted = any(future.result().success for future in asked.values())
-            left = begun + patience - time.monotonic()
+                if call not in requested and self._is_ready(call):
+                    requested[call], last_call = self._begin(call), time.monotonic()
+            if any(not future.done() for future in requested.values()):
+                return time.monotonic() > last_call + answer
+            rest = [call for call in calls if call not in requested]
+            # Wait longer for missing servers while none has accepted.
+            accepted = any(future.result().success for future in requested.values())
+            left = started + timeout - time.monotonic()
             return not rest or left <= 0.0 or (accepted and not self._missing(rest))
 
-        self._wait(are_answered, patience + answer, cancelled)
-        return {call: self._outcome_of(call, asked.get(call), cancelled()) for call in calls}
+        self._wait(are_answered, timeout + answer, cancelled)
+        return {call: self._outcome_of(call, requested.get(call), cancelled()) for call in calls}
 
     def _begin(self, call: Call) -> Any:
         client = self._client(call.service)
@@ -503,42 +507,44 @@ class OperatorLink:
         future.add_done_callback(lambda _: self._wake())
         return future
 
-    def _outcome_of(self, call: Call, future: Any, is_given_up: bool) -> Outcome:
+    def _outcome_of(self, call: Call, future: Any, is_cancelled: bool) -> Outcome:
         if future is not None and future.done():
             answer = future.result()
             return answer_of(call.service, answer.success, answer.message)
         if future is None:
-            verdict = Verdict.GIVEN_UP if is_given_up else Verdict.NOBODY
-            return Outcome(verdict, call.service, self._absence(call.server))
+            status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.UNAVAILABLE
+            return Outcome(status, call.service, self._unavailable(call.server))
         self._client(call.service).remove_pending_request(future)
-        verdict = Verdict.GIVEN_UP if is_given_up else Verdict.NO_ANSWER
-        return Outcome(verdict, call.service, f"{call.server} has not said whether it did it")
+        status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.NO_ANSWER
+        return Outcome(status, call.service, f"{call.server} has not answered")
 
     def _wake(self) -> None:
         with self._changed:
             self._changed.notify_all()
 
     def _follow_calls(
-        self, sent: Sent, timeout: float, cancelled: Callable[[], bool]
+        self, sent: SentOrder, timeout: float, cancelled: Callable[[], bool]
     ) -> Completion | None:
-        if not sent.order.command.rests:
+        if not sent.order.command.completes_at_rest:
             return Completion(True, sent.outcome.reason)
-        self.listen_to_all()
-        rests = self.wait_until(lambda known: known.is_at_rest(sent.answered), timeout, cancelled)
-        return Completion(True, "at rest") if rests else None
+        self.subscribe_all()
+        is_at_rest = self.wait_until(
+            lambda known: known.is_at_rest(sent.answered), timeout, cancelled
+        )
+        return Completion(True, "at rest") if is_at_rest else None
 
 
 @contextmanager
 def open_link(
-    name: str, namespace: str = "", arguments: Sequence[str] = (), who: str = ""
+    name: str, namespace: str = "", arguments: Sequence[str] = (), command_source: str = ""
 ) -> Iterator[OperatorLink]:
-    """A link with a node and a thread of its own, for a program that is no node itself.
+    """Open a link with its own node and thread, for a program that is no node.
 
     Args:
-        name: of the node.
-        namespace: in which the machine is; empty = none.
-        arguments: of ROS, ``--ros-args ...``.
-        who: asks; by default the name.
+        name: name of the node; a random suffix is added.
+        namespace: namespace of the machine; empty = none.
+        arguments: ROS arguments, ``--ros-args ...``.
+        command_source: name in requests; empty = the node's name.
     """
     context = Context()
     middleware.choose()
@@ -549,10 +555,10 @@ def open_link(
     )  # fmt: skip
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    ending = threading.Event()
+    stop = threading.Event()
 
     def spin() -> None:
-        while not ending.is_set():
+        while not stop.is_set():
             try:
                 executor.spin_once(timeout_sec=0.1)
             except ExternalShutdownException:
@@ -561,9 +567,9 @@ def open_link(
     thread = threading.Thread(target=spin, name=name, daemon=True)
     thread.start()
     try:
-        yield OperatorLink(node, who or name)
+        yield OperatorLink(node, command_source or name)
     finally:
-        ending.set()
+        stop.set()
         executor.wake()
         thread.join(10.0)
         executor.shutdown()

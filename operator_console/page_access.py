@@ -1,10 +1,11 @@
-"""Who may look at the console, and who may command.
+"""Access rules of the page: who may view and who may command.
 
-Pure: no sockets, no files but those that hold tokens. Three questions are asked of every request:
+Three checks apply to every request:
 
-- Is it meant for this server (``Host``)? A page elsewhere may make a name of its own point here.
-- Does it come from this server's own page (``Origin``)? Browsers send cookies along for others.
-- Whose is it (token)? Without tokens everyone on this machine is the operator.
+- ``Host``: is the request for this server? Another site may point a name of its own here.
+- ``Origin``: does it come from this server's page? Browsers send cookies with requests of other
+  sites.
+- Token: which role has the requester? Without tokens everyone on this machine is the operator.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ _TRIAL_PERIOD: Final = 60.0  # [s]
 
 
 class AccessError(ValueError):
-    """Settings under which the console would be open to others; the text says what to change."""
+    """Settings that would open the console to others; the text states the remedy."""
 
 
 class Role(Enum):
-    """What someone may do."""
+    """Permissions of a requester."""
 
     OPERATOR = "operator"
     VIEWER = "viewer"
@@ -39,13 +40,13 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class Access:
-    """The rules of one server.
+    """Access rules of one server.
 
     Attributes:
-        operator_token: Makes its bearer the operator; empty: everyone is.
-        viewer_token: Lets its bearer look; empty: there is none.
-        view_only: Nobody commands.
-        names: Under which the server is reached, besides its addresses.
+        operator_token: token of the operator; empty: everyone is the operator.
+        viewer_token: token of viewers; empty: none.
+        view_only: whether nobody may command.
+        names: host names of the server, besides its addresses.
     """
 
     operator_token: str = ""
@@ -55,11 +56,11 @@ class Access:
 
     @property
     def needs_token(self) -> bool:
-        """Whether nothing is shown without a token."""
+        """Whether the page requires a token."""
         return bool(self.operator_token or self.viewer_token)
 
     def role(self, token: str) -> Role | None:
-        """What the bearer of a token may do; None: nothing, not even look."""
+        """Role of the bearer of a token; None: no access."""
         if not self.needs_token:
             return Role.VIEWER if self.view_only else Role.OPERATOR
         if _same(token, self.operator_token):
@@ -75,9 +76,9 @@ class Access:
 
 
 def is_own_origin(origin: str | None, host: str) -> bool:
-    """Whether a request comes from the page of the server that it is sent to.
+    """Whether a request comes from this server's page.
 
-    Programs that are no browser send no ``Origin``; no page can make a browser leave it out.
+    Other programs than browsers send no ``Origin``; a page cannot make a browser omit it.
     """
     if origin is None:
         return True
@@ -86,7 +87,7 @@ def is_own_origin(origin: str | None, host: str) -> bool:
 
 
 def is_address(name: str) -> bool:
-    """Whether a host's name is an IP address: no name service can turn it elsewhere."""
+    """Whether a host name is an IP address, which DNS cannot redirect."""
     try:
         ipaddress.ip_address(name)
     except ValueError:
@@ -95,30 +96,30 @@ def is_address(name: str) -> bool:
 
 
 def is_local(address: str) -> bool:
-    """Whether only this machine reaches an address that is listened on."""
+    """Whether only this machine reaches a listening address."""
     return address in _LOCAL_NAMES or (
         is_address(address) and ipaddress.ip_address(address).is_loopback
     )
 
 
 def read_token(path: str) -> str:
-    """Read a token's file: one line that nobody else may read.
+    """Read a token file: one line, readable by its owner alone.
 
     Raises:
-        AccessError: It is not there, too short, or others may read it.
+        AccessError: it is missing, too short, or readable by others.
     """
     file = Path(path).expanduser()
     try:
         mode = file.stat().st_mode
         token = file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise AccessError(f"the token's file {path!r} cannot be read: {error}") from error
+        raise AccessError(f"the token file {path!r} cannot be read: {error}") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise AccessError(f"others may read the token's file {path!r}: chmod 600 {path}")
+        raise AccessError(f"others may read the token file {path!r}; run chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN or len(token.split()) != 1:
         example = secrets.token_urlsafe(24)
         raise AccessError(
-            f"the token in {path!r} must be one word of at least {SHORTEST_TOKEN} characters, "
+            f"the token in {path!r} should be one word of at least {SHORTEST_TOKEN} characters, "
             f"such as {example}"
         )
     return token
@@ -131,39 +132,37 @@ def open_access(
     view_only: bool,
     names: tuple[str, ...] = (),
 ) -> Access:
-    """The rules of a server that listens on an address.
+    """Access rules of a server that listens on an address.
 
     Raises:
-        AccessError: Others could reach it without a token, or a token's file is not good.
+        AccessError: others could reach it without a token, or a token file is bad.
     """
     operator = read_token(token_file) if token_file else ""
     viewer = read_token(viewer_token_file) if viewer_token_file else ""
     if operator and _same(operator, viewer):
         raise AccessError("operator and viewer must have different tokens")
     if viewer and not operator and not view_only:
-        raise AccessError("with a viewer's token an operator's is needed too, or view_only")
+        raise AccessError("a viewer token requires an operator token, or view_only")
     if not is_local(address) and not (operator or viewer):
-        raise AccessError(
-            f"other machines reach {address}: give a token by token_file, or listen on 127.0.0.1"
-        )
+        raise AccessError(f"other machines reach {address}: set token_file, or listen on 127.0.0.1")
     return Access(operator, viewer, view_only, frozenset(name.lower() for name in names if name))
 
 
 class TrialCounter:
-    """Counts wrong tokens, so that they cannot be tried by the thousand."""
+    """Limits the rate of wrong tokens."""
 
     def __init__(self) -> None:
         self._wrong: deque[float] = deque(maxlen=_MOST_TRIALS)
 
     def may_try(self, now: float) -> bool:
-        """Whether another token is looked at now [s]."""
+        """Whether another token may be tried now [s]."""
         return len(self._wrong) < _MOST_TRIALS or now - self._wrong[0] > _TRIAL_PERIOD
 
     def failed(self, now: float) -> None:
-        """Count a wrong one."""
+        """Count a wrong token."""
         self._wrong.append(now)
 
 
-def _same(given: str, wanted: str) -> bool:
-    """Whether tokens are equal, in a time that does not tell where they differ."""
-    return bool(wanted) and hmac.compare_digest(given.encode(), wanted.encode())
+def _same(given: str, expected: str) -> bool:
+    """Compare tokens in constant time."""
+    return bool(expected) and hmac.compare_digest(given.encode(), expected.encode())

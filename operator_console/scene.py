@@ -1,7 +1,7 @@
-"""What is drawn: the place around the machine, and where tether and rover are.
+"""Geometry to draw: the place around the machine, the tether and the rover.
 
-Everything here is plain numbers that can be written as JSON, in the frame ``map``: the page draws
-it from the side (x to the right, z up) and from above (x to the right, y up).
+All values are plain numbers for JSON, in the frame ``map``. The page draws them from the side (x to
+the right, z up) and from above (x to the right, y up).
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from msg_schemas.samples import DrawingSample, OdometrySample, Shape, TetherSamp
 Floats = NDArray[np.float64]
 
 BY_TRUTH: Final = "simulation"
-"""Where the shape comes from: the plant tells it."""
+"""Source of the geometry: the plant publishes it."""
 BY_PAYOUT: Final = "payout"
-"""Where the shape comes from: nobody tells it, a straight line as long as what was paid out."""
+"""Source of the geometry: a straight line of the paid-out length."""
 
 _SECTION: Final = 1e-4
-"""So far beside the meshes' own corners the place is cut [m]."""
+"""Offset of the cutting plane from the meshes' vertices [m]."""
 _LEVEL_STEP: Final = 4.0  # [m]
 _MOST_NODES: Final = 80
-_USUAL_SIZES: Final = {
+_DEFAULT_SIZES: Final = {
     "body1_size": (0.30, 0.24, 0.15),
     "body2_size": (0.24, 0.24, 0.08),
     "attachment": (0.0, 0.0, 0.28),
 }
-_USUAL_WHEELS: Final = {"radius": 0.15, "track": 0.44, "axle_x": 0.08, "axle_z": 0.0}
+_DEFAULT_WHEELS: Final = {"radius": 0.15, "track_width": 0.44, "axle_x": 0.08, "axle_z": 0.0}
 
 
 def place_of(sample: DrawingSample) -> dict[str, Any]:
@@ -62,15 +62,15 @@ def place_of(sample: DrawingSample) -> dict[str, Any]:
 
 
 def cut(triangles: Floats, axis: int, value: float) -> Floats:
-    """Where triangles meet the plane on which one coordinate has a value.
+    """Intersect triangles with the plane on which one coordinate has a value.
 
     Args:
-        triangles: corners, shape (n, 3, 3).
-        axis: whose coordinate.
-        value: of that coordinate [m].
+        triangles: vertices, shape (n, 3, 3) [m].
+        axis: index of the coordinate.
+        value: value of that coordinate [m].
 
     Returns:
-        The lines' ends by the other two coordinates, shape (m, 4).
+        End points of the lines by the other two coordinates, shape (m, 4) [m].
     """
     lines = []
     others = [index for index in range(3) if index != axis]
@@ -88,9 +88,9 @@ def cut(triangles: Floats, axis: int, value: float) -> Floats:
 
 
 def machine_of(configuration: str) -> dict[str, Any] | None:
-    """Sizes of the rover [m] as the simulator configures them; None where it is another node's.
+    """Sizes of the rover [m] from the simulator's configuration; None for another node's.
 
-    What is not told is as in the suite's own machine.
+    Missing sizes are those of the default machine.
     """
     try:
         content = json.loads(configuration)
@@ -102,34 +102,35 @@ def machine_of(configuration: str) -> dict[str, Any] | None:
     rover = scenario.get("rover")
     rover = rover if isinstance(rover, Mapping) else {}
     found: dict[str, Any] = {"scenario": str(scenario.get("name", ""))}
-    for name, usual in _USUAL_SIZES.items():
-        told = rover.get(name)
-        is_told = isinstance(told, Sequence) and len(told) == 3
-        found[name] = [float(value) for value in told] if is_told and told else list(usual)
+    for name, default in _DEFAULT_SIZES.items():
+        given = rover.get(name)
+        is_given = isinstance(given, Sequence) and len(given) == 3
+        found[name] = [float(value) for value in given] if is_given and given else list(default)
     wheels = rover.get("wheels")
-    told_wheels = wheels if isinstance(wheels, Mapping) else {}
+    given_wheels = wheels if isinstance(wheels, Mapping) else {}
     found["wheels"] = {
-        name: float(told_wheels.get(name, usual)) for name, usual in _USUAL_WHEELS.items()
+        name: float(given_wheels.get(name, default)) for name, default in _DEFAULT_WHEELS.items()
     }
     return found
 
 
-USUAL_MACHINE: Final = {
+DEFAULT_MACHINE: Final = {
     "scenario": "",
-    **{name: list(size) for name, size in _USUAL_SIZES.items()},
-    "wheels": dict(_USUAL_WHEELS),
+    **{name: list(size) for name, size in _DEFAULT_SIZES.items()},
+    "wheels": dict(_DEFAULT_WHEELS),
 }
-"""Sizes that are drawn where nobody tells others [m]."""
+"""Default sizes [m]."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where tether and rover are.
+    """Positions of tether and rover.
 
     Attributes:
         source: ``BY_TRUTH`` or ``BY_PAYOUT``.
-        tether: nodes from the fairlead to the rover: x, y, z [m], tension [N] (None: not known).
-        body1, body2: x, y, z [m] and the quaternion x, y, z, w; None where it is not known.
+        tether: nodes from the fairlead to the rover: x, y, z [m], tension [N] (None: unknown).
+        body1: x, y, z [m] and the quaternion x, y, z, w; None: unknown.
+        body2: as body1.
     """
 
     source: str
@@ -144,7 +145,7 @@ def geometry(
     body2: OdometrySample | None,
     payout: float | None,
 ) -> Geometry | None:
-    """What is known of the shape; None where not even the payout [m] is."""
+    """The known geometry; None if not even the payout [m] is known."""
     if tether is not None or body1 is not None:
         nodes = _nodes(tether.nodes) if tether is not None else ()
         return Geometry(BY_TRUTH, nodes, _pose(body1), _pose(body2))

@@ -1,8 +1,8 @@
-"""Serves the console's page and speaks with it; runs in a thread of its own.
+"""HTTP and WebSocket server of the operators' page, in its own thread.
 
-The page is package data: nothing is loaded from elsewhere, and the browser is told so. What
-happens on the ROS side comes in by ``Server.tell`` and ``Server.keep``; what operators ask for
-goes out by ``on_command``, which answers with a future.
+The page is package data; a content security policy forbids the browser to load anything else. The
+node sends state with ``Server.send`` and ``Server.latch``. ``on_command`` receives the operators'
+commands and returns a future with the answer.
 """
 
 from __future__ import annotations
@@ -36,29 +36,30 @@ _POLICY: Final = (
 )
 
 Content = Mapping[str, Any]
-"""What can be written as JSON."""
+"""Content of a JSON message."""
 
 OnCommand = Callable[[Content], "Future[Content]"]
-"""Takes what a page asks for, in the server's thread; the future bears the answer."""
+"""Handles a command of a page, in the server thread; the future holds the answer."""
 
-Past = Callable[[], Content]
-"""What a page that is opened now shall know of the last minutes."""
+GetHistory = Callable[[], Content]
+"""Returns the state of the last minutes for a page that connects."""
 
 
 class ServerError(OSError):
-    """The server cannot listen; the text says why."""
+    """The server cannot listen."""
 
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Where a server listens, and what it has to show.
+    """Where a server listens and what it shows.
 
     Attributes:
-        address: To listen on.
-        port: 0: any that is free.
-        access: Who may do what.
-        shelf: The bags that can be replayed.
-        certificate, key: Files for https; empty: http.
+        address: address to listen on.
+        port: port to listen on; 0: any free one.
+        access: roles and their tokens.
+        shelf: replayable bags.
+        certificate: certificate file for https; empty: http.
+        key: private key file of the certificate.
     """
 
     address: str
@@ -70,15 +71,15 @@ class ServerSettings:
 
 
 class Server:
-    """Starts with ``start``, ends with ``stop``; everything else may be called from any thread."""
+    """Starts with ``start`` and ends with ``stop``; any thread may call the other methods."""
 
-    def __init__(self, settings: ServerSettings, on_command: OnCommand, past: Past) -> None:
+    def __init__(self, settings: ServerSettings, on_command: OnCommand, past: GetHistory) -> None:
         self.settings = settings
         self.on_command = on_command
         self.past = past
         self.trials = TrialCounter()
         self.workers = ThreadPoolExecutor(1, "console-bags")
-        self.kept: dict[str, str] = {}
+        self.latched: dict[str, str] = {}
         self.pages: set[LiveHandler] = set()
         self.answering: set[asyncio.Future[None]] = set()
         self.port = 0
@@ -89,7 +90,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Where a browser finds the page."""
+        """URL of the page."""
         scheme = "https" if self.settings.certificate else "http"
         host = self.settings.address
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}/"
@@ -98,7 +99,7 @@ class Server:
         """Listen.
 
         Raises:
-            ServerError: It cannot.
+            ServerError: the address or port cannot be used.
         """
         self._thread.start()
         try:
@@ -108,30 +109,30 @@ class Server:
             raise ServerError(f"the console cannot listen on {where}: {error}") from error
 
     def stop(self) -> None:
-        """Let go of pages and port."""
+        """Close all connections and the port."""
         if self._loop is not None and self._stop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join()
         self.workers.shutdown(wait=False, cancel_futures=True)
 
-    def tell(self, kind: str, content: Content, *, may_drop: bool = False) -> None:
-        """Tell all pages that look; a page that lags behind may lose what is said anew soon."""
+    def send(self, kind: str, content: Content, *, may_drop: bool = False) -> None:
+        """Send to all connected pages; a slow page may miss content that may be dropped."""
         if self.pages:
-            self._soon(_text({"kind": kind, **content}), may_drop)
+            self._schedule(_text({"kind": kind, **content}), may_drop)
 
-    def keep(self, kind: str, content: Content) -> None:
-        """Tell all pages, and those that come later too; the last of each kind is kept."""
+    def latch(self, kind: str, content: Content) -> None:
+        """Send to all connected pages and to later ones; the last content of each kind is kept."""
         text = _text({"kind": kind, **content})
-        self.kept[kind] = text
-        self._soon(text, may_drop=False)
+        self.latched[kind] = text
+        self._schedule(text, may_drop=False)
 
-    def _soon(self, text: str, may_drop: bool) -> None:
+    def _schedule(self, text: str, may_drop: bool) -> None:
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._broadcast, text, may_drop)
 
     def _broadcast(self, text: str, may_drop: bool) -> None:
         for page in tuple(self.pages):
-            page.tell(text, may_drop)
+            page.send(text, may_drop)
 
     def _run(self) -> None:
         try:
@@ -161,12 +162,12 @@ class Server:
         await self._stop.wait()
         serving.stop()
         for page in tuple(self.pages):
-            page.close(1001, "the console's node has ended")
+            page.close(1001, "the console node has stopped")
         await serving.close_all_connections()
 
 
 def application(server: Server) -> web.Application:
-    """The handlers of a server."""
+    """URL handlers of a server."""
     own = {"server": server}
     return web.Application(
         [
@@ -178,7 +179,7 @@ def application(server: Server) -> web.Application:
             (r"/bags/([^/]+)", BagHandler, own),
             (r"/page/(.*)", FileHandler, {"path": str(PAGE), **own}),
         ],
-        default_handler_class=NothingHandler,
+        default_handler_class=NotFoundHandler,
         default_handler_args=own,
         compress_response=True,
         websocket_ping_interval=_PING,
@@ -188,22 +189,22 @@ def application(server: Server) -> web.Application:
 
 
 class Handler(web.RequestHandler):
-    """Asks of every request whether it is meant for this server, its own page's, and whose."""
+    """Checks the Host, Origin and token of every request."""
 
     server: Server
     needs_role = True
 
     def initialize(self, server: Server, **_: Any) -> None:
-        """Know the server."""
+        """Store the server."""
         self.server = server
 
     @property
     def role(self) -> Role | None:
-        """What who asks may do."""
+        """Role of the requester."""
         return self.server.settings.access.role(self.get_cookie(_COOKIE) or "")
 
     def set_default_headers(self) -> None:
-        """Nothing from elsewhere, nowhere else, nothing guessed."""
+        """Forbid other sites, framing and content sniffing."""
         self.set_header("Content-Security-Policy", _POLICY)
         self.set_header("X-Content-Type-Options", "nosniff")
         self.set_header("Referrer-Policy", "no-referrer")
@@ -212,52 +213,52 @@ class Handler(web.RequestHandler):
         self.clear_header("Server")
 
     def prepare(self) -> None:
-        """Refuse what is not to be answered."""
+        """Refuse requests for other hosts, from other sites or without a token."""
         request = self.request
         if not self.server.settings.access.serves(request.host):
-            raise web.HTTPError(421, reason="not a name of this server")
+            raise web.HTTPError(421, reason="unknown host name; add it to host_names")
         if not is_own_origin(request.headers.get("Origin"), request.host):
-            raise web.HTTPError(403, reason="from another site")
+            raise web.HTTPError(403, reason="request from another site")
         if self.needs_role and self.role is None:
-            raise web.HTTPError(401, reason="a token is needed")
+            raise web.HTTPError(401, reason="token required")
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """A plain sentence."""
+        """Answer with one line of text."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
 
 
-class NothingHandler(Handler):
-    """All other addresses."""
+class NotFoundHandler(Handler):
+    """Every other URL."""
 
     def prepare(self) -> None:
-        """There is nothing."""
+        """Answer with 404."""
         super().prepare()
         raise web.HTTPError(404)
 
 
 class PageHandler(Handler):
-    """The page itself, or the question for a token."""
+    """The page, or the form for a token."""
 
     needs_role = False
 
     async def get(self) -> None:
-        """Show it."""
+        """Send the page."""
         name = "enter.html" if self.role is None else "index.html"
         self.set_header("Content-Type", "text/html; charset=utf-8")
         await self.finish((PAGE / name).read_bytes())
 
 
 class EnterHandler(Handler):
-    """Takes a token and remembers it in the browser."""
+    """Accepts a token and stores it in a cookie."""
 
     needs_role = False
 
     async def post(self) -> None:
-        """Let in who has one."""
+        """Check the token."""
         now = time.monotonic()
         if not self.server.trials.may_try(now):
-            raise web.HTTPError(429, reason="too many wrong tokens, wait a minute")
+            raise web.HTTPError(429, reason="too many wrong tokens; try again in a minute")
         token = self.get_body_argument("token", "").strip()
         if self.server.settings.access.role(token) is None:
             self.server.trials.failed(now)
@@ -271,29 +272,29 @@ class EnterHandler(Handler):
 
 
 class LeaveHandler(Handler):
-    """Forgets the token."""
+    """Deletes the token cookie."""
 
     async def post(self) -> None:
-        """Let go."""
+        """Delete the cookie."""
         self.clear_cookie(_COOKIE)
         self.redirect("/")
 
 
 class FileHandler(web.StaticFileHandler):
-    """Scripts and styles of the page: nothing secret, nothing beyond the page's folder."""
+    """Scripts and styles of the page; nothing outside its folder."""
 
     def initialize(self, path: str, server: Server) -> None:  # type: ignore[override]
-        """Know the server."""
+        """Store the server."""
         super().initialize(path)
         self._access = server.settings.access
 
     def prepare(self) -> None:
-        """Refuse what is not meant for this server."""
+        """Refuse requests for other hosts."""
         if not self._access.serves(self.request.host):
-            raise web.HTTPError(421, reason="not a name of this server")
+            raise web.HTTPError(421, reason="unknown host name; add it to host_names")
 
     def set_extra_headers(self, path: str) -> None:
-        """Types do not depend on the machine; what is cached is asked for again."""
+        """Set the content type independently of the system; browsers revalidate their cache."""
         kind = _TYPES.get(Path(path).suffix)
         if kind:
             self.set_header("Content-Type", f"{kind}; charset=utf-8")
@@ -302,10 +303,10 @@ class FileHandler(web.StaticFileHandler):
 
 
 class BagsHandler(Handler):
-    """What can be replayed."""
+    """The list of bags."""
 
     async def get(self) -> None:
-        """List it."""
+        """Send the list."""
         shelf = self.server.settings.shelf
         self.finish({"bags": await self._read(shelf.listed), "folder": str(shelf.folder or "")})
 
@@ -315,10 +316,10 @@ class BagsHandler(Handler):
 
 
 class BagHandler(BagsHandler):
-    """One bag, as the page replays it."""
+    """One bag as JSON."""
 
     async def get(self, name: str = "") -> None:
-        """Read it."""
+        """Send the bag."""
         shelf = self.server.settings.shelf
         try:
             text = await self._read(lambda: shelf.replay(name))
@@ -331,16 +332,16 @@ class BagHandler(BagsHandler):
 
 
 class LiveHandler(Handler, websocket.WebSocketHandler):
-    """What happens now, and commands."""
+    """WebSocket: live state and commands."""
 
     _pending: asyncio.Future[None] | None = None
 
     def check_origin(self, origin: str) -> bool:
-        """Only this server's own page."""
+        """Accept only this server's own page."""
         return is_own_origin(origin, self.request.host)
 
     def open(self, *_: str, **__: str) -> None:
-        """Tell what is so, from now on."""
+        """Send role, latched content and history."""
         self.set_nodelay(True)
         role = self.role
         self._may_command = role is Role.OPERATOR
@@ -352,16 +353,16 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
                 "by_token": access.needs_token,
             })
         )  # fmt: skip
-        for text in tuple(self.server.kept.values()):
+        for text in tuple(self.server.latched.values()):
             self._send(text)
         self._send(_text({"kind": "past", **self.server.past()}))
         self.server.pages.add(self)
 
     def on_close(self) -> None:
-        """Forget the page."""
+        """Remove the page."""
         self.server.pages.discard(self)
 
-    def tell(self, text: str, may_drop: bool) -> None:
+    def send(self, text: str, may_drop: bool) -> None:
         """Send, unless the page has not even taken what came before and gets the next one."""
         lags = self._pending is not None and not self._pending.done()
         if not (lags and may_drop):
@@ -369,37 +370,41 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
 
     def _send(self, text: str) -> None:
         try:
-            self._pending = asyncio.ensure_future(_quietly(self.write_message(text)))
+            self._pending = asyncio.ensure_future(_ignoring_closed(self.write_message(text)))
         except websocket.WebSocketClosedError:
             self.server.pages.discard(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """A command. It is answered when its outcome is known; others need not wait for that."""
+        """Execute a command; later commands do not wait for its answer."""
         try:
-            asked = json.loads(message)
+            request = json.loads(message)
         except (ValueError, RecursionError):
-            asked = None
-        if not isinstance(asked, dict) or not isinstance(asked.get("command"), str):
-            self.close(1008, "no command")
+            request = None
+        if not isinstance(request, dict) or not isinstance(request.get("command"), str):
+            self.close(1008, "not a command")
             return
-        answering = asyncio.ensure_future(self._answer(asked))
-        self.server.answering.add(answering)  # or nobody keeps it alive
+        answering = asyncio.ensure_future(self._answer(request))
+        self.server.answering.add(answering)  # keeps a reference until it is done
         answering.add_done_callback(self.server.answering.discard)
 
-    async def _answer(self, asked: Content) -> None:
-        told: dict[str, Any] = {"kind": "outcome", "id": asked.get("id"), "name": asked["command"]}
+    async def _answer(self, request: Content) -> None:
+        reply: dict[str, Any] = {
+            "kind": "outcome",
+            "id": request.get("id"),
+            "name": request["command"],
+        }
         if not self._may_command:
-            told |= {"done": False, "reason": "view only: commands are not taken here"}
+            reply |= {"done": False, "reason": "view only: this page accepts no commands"}
         else:
             try:
-                answer: Content = await asyncio.wrap_future(self.server.on_command(asked))
-                told.update(answer)
+                answer: Content = await asyncio.wrap_future(self.server.on_command(request))
+                reply.update(answer)
             except asyncio.CancelledError:
-                told |= {"done": False, "reason": "the console's node is ending"}
-        self._send(_text(told))
+                reply |= {"done": False, "reason": "the console node is stopping"}
+        self._send(_text(reply))
 
 
-async def _quietly(sending: Any) -> None:
+async def _ignoring_closed(sending: Any) -> None:
     try:
         await sending
     except (websocket.WebSocketClosedError, iostream.StreamClosedError):

@@ -1,7 +1,7 @@
-"""What an operator wants to know now: values with their ages, health of every node. Pure.
+"""The machine's state for operators: values with their ages, health of every node.
 
-It is fed with samples of the contract and a steady time of their arrival. A value that is older
-than its topic allows is shown as stale and not hidden: what was last known is still worth knowing.
+It processes samples of the contract with their steady arrival times. A value that is older than its
+topic allows is marked stale, not hidden.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from msg_schemas.samples import (
 )
 
 SILENT_AFTER = 3.0
-"""A node whose health (1 Hz) was not heard for longer is silent [s]."""
+"""A node whose health report (1 Hz) is missing for longer is silent [s]."""
 
 _DEGREES = 180.0 / math.pi
-_SLOWEST = 1.0  # a value that is younger is never stale [s]
-_MISSED = 5.0  # so many messages of a topic may be missed
-_AT_REST = 2e-3  # payout rates below count as rest [m/s]
-_WHILE_NS = 500_000_000  # for which a drum must rest that is at rest
-_DRUM_KEPT = 1000
-_KEPT = 50  # refusals and events
+_MIN_STALE_AGE = 1.0  # a younger value is never stale [s]
+_STALE_PERIODS = 5.0  # missed messages of a topic until its value is stale
+_REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
+_REST_TIME_NS = 500_000_000  # for which the drum must be slow
+_DRUM_SAMPLES = 1000
+_REPORTS = 50  # refusals and events
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,14 @@ class Quantity:
 
     Attributes:
         key: name for programs.
-        label, unit: for people.
-        group: heading under which it stands.
-        sources: topics with the number's path, the best first: the first that is fresh is shown.
-        scale: the shown unit's per contract's unit.
-        digits: behind the point.
-        warn_above: a magnitude beyond which it is told as a warning, in the shown unit.
-        words: of a switch, what 0 and 1 mean.
+        label: name for people.
+        unit: unit for people.
+        group: heading.
+        sources: topics and paths of the number, the best first; the first fresh one is shown.
+        scale: shown units per contract unit.
+        digits: decimals.
+        warn_above: magnitude above which it is a warning, in the shown unit.
+        states: names of 0 and 1, if the number is a switch.
     """
 
     key: str
@@ -61,7 +62,7 @@ class Quantity:
     scale: float = 1.0
     digits: int = 2
     warn_above: float = math.inf
-    words: tuple[str, str] | None = None
+    states: tuple[str, str] | None = None
 
 
 def _of_descent(
@@ -77,7 +78,7 @@ _BUDGETS = tuple(
     for key, label, joint in (
         ("wheels", "wheels", machine.WHEEL_BUDGET),
         ("flywheel", "flywheel", machine.FLYWHEEL_BUDGET),
-        ("travel", "screw's travel", machine.TRAVEL_BUDGET),
+        ("travel", "screw travel", machine.TRAVEL_BUDGET),
     )
 )
 
@@ -105,36 +106,38 @@ QUANTITIES: tuple[Quantity, ...] = (
     ),
     Quantity(
         "brake_released", "brake", "", "tether",
-        ((topics.WINCH_STATE, f"{machine.WINCH_BRAKE}.position"),), words=("closed", "released"),
+        ((topics.WINCH_STATE, f"{machine.WINCH_BRAKE}.position"),), states=("closed", "released"),
     ),
-    _of_descent("depth_goal", "depth aimed at", "m", "descent", machine.DEPTH_GOAL, digits=3),
+    _of_descent("depth_goal", "depth goal", "m", "descent", machine.DEPTH_GOAL, digits=3),
     _of_descent("stops_left", "stops left", "", "descent", machine.STOPS_LEFT, digits=0),
     _of_descent(
-        "swing_major", "swing", "deg", "swing and attitude", machine.SWING_MAJOR, scale=_DEGREES
+        "swing_major", "swing, major axis", "deg", "swing and attitude", machine.SWING_MAJOR,
+        scale=_DEGREES,
     ),
     _of_descent(
-        "swing_minor", "across", "deg", "swing and attitude", machine.SWING_MINOR, scale=_DEGREES
+        "swing_minor", "swing, minor axis", "deg", "swing and attitude", machine.SWING_MINOR,
+        scale=_DEGREES,
     ),
     _of_descent("heading", "heading", "deg", "swing and attitude", machine.HEADING,
                 scale=_DEGREES, digits=1),
-    _of_descent("camera_rate", "camera turns", "deg/s", "swing and attitude", machine.CAMERA_RATE,
+    _of_descent("camera_rate", "camera rate", "deg/s", "swing and attitude", machine.CAMERA_RATE,
                 "velocity", _DEGREES),
     *_BUDGETS,
     Quantity(
-        "driven", "driven", "m", "drive",
+        "driven", "distance driven", "m", "drive",
         ((topics.DRIVE_STATE, f"{machine.FORWARD}.position"),),
     ),
     Quantity(
-        "to_goal", "to the goal", "m", "drive",
+        "to_goal", "distance to goal", "m", "drive",
         ((topics.DRIVE_STATE, f"{machine.GOAL_DISTANCE}.position"),),
     ),
     Quantity(
-        "compression", "nut (+ compresses)", "m", "jump",
+        "compression", "nut position (+ compresses)", "m", "jump",
         ((topics.JUMP_MOTOR_STATE, f"{machine.JUMP_SCREW}.position"),), digits=3,
     ),
 )  # fmt: skip
 
-WORDS: Mapping[str, tuple[str, str]] = {
+PHASE_TOPICS: Mapping[str, tuple[str, str]] = {
     topics.WINCH_MODE: ("winch", "winch"),
     topics.TENSION_WATCH: ("tension_watch", "load"),
     topics.DESCENT_PHASE: ("descent", "descent"),
@@ -142,15 +145,15 @@ WORDS: Mapping[str, tuple[str, str]] = {
     topics.DRIVE_PHASE: ("drive", "drive"),
     topics.TRUTH_PHASE: ("plant", "plant"),
 }
-"""Topics of words: key and label of what each says."""
+"""Topics of phases and modes: key and label of each."""
 
-_SPEAKERS: Mapping[str, frozenset[str]] = {
+_PUBLISHERS: Mapping[str, frozenset[str]] = {
     topic: frozenset(node for node, access in ACCESS.items() if topic in access.publishes)
-    for topic in WORDS
+    for topic in PHASE_TOPICS
 }
-"""Nodes that may say these words: the plant is played by several."""
+"""Nodes that may publish each phase; several nodes may act as the plant."""
 
-HEARD: tuple[str, ...] = tuple(
+TELEMETRY_TOPICS: tuple[str, ...] = tuple(
     dict.fromkeys([
         topics.DIAGNOSTICS,
         topics.EVENTS,
@@ -158,23 +161,23 @@ HEARD: tuple[str, ...] = tuple(
         topics.WINCH_ALARMS,
         topics.LINK_STATUS,
         topics.SIM_STATUS,
-        *WORDS,
+        *PHASE_TOPICS,
         *(topic for row in QUANTITIES for topic, _ in row.sources),
     ])
 )  # fmt: skip
-"""Topics that it is fed with."""
+"""Topics that it processes."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One value as it is known now.
+    """One value at one time.
 
     Attributes:
-        value: number or word; None = never heard.
-        age: since it was heard [s]; None = never heard.
-        is_stale: it should have been heard again, or who said it is silent.
-        is_warning: it is beyond what is right.
-        text: as it is shown.
+        value: number or phase; None = never received.
+        age: time since its arrival [s]; None = never received.
+        is_stale: whether its topic's period is exceeded or its node is silent.
+        is_warning: whether it is outside its normal range.
+        text: as shown.
     """
 
     key: str
@@ -190,13 +193,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class NodeHealth:
-    """What a node says of itself.
+    """Health of a node, as it reports it.
 
     Attributes:
         condition: `ready`, or what it waits for.
-        level: `OK`, `WARN`, `ERROR`; of the worst that it says.
-        is_silent: it was not heard for longer than `SILENT_AFTER`.
-        details: what else it says, where that is not in order.
+        level: `OK`, `WARN`, `ERROR`: the worst of its reports.
+        is_silent: whether no report arrived for `SILENT_AFTER`.
+        details: its other reports that are not OK.
     """
 
     node: str
@@ -208,12 +211,12 @@ class NodeHealth:
 
 
 @dataclass(frozen=True)
-class Told:
-    """A refusal, or an event.
+class StatusReport:
+    """A refusal or an event.
 
     Attributes:
-        stamp: when it was told, by its node's clock [s].
-        age: since it was heard; what is kept for late comers was told before that.
+        stamp: time of the report by the node's clock [s].
+        age: time since its arrival [s]; a latched report is older than that.
     """
 
     node: str
@@ -227,57 +230,57 @@ class Told:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything at one time; plain values throughout."""
+    """The whole state at one time, in plain values."""
 
     readings: tuple[Reading, ...]
-    words: tuple[Reading, ...]
+    phases: tuple[Reading, ...]
     alarms: tuple[str, ...]
     nodes: tuple[NodeHealth, ...]
     link: tuple[NodeHealth, ...]
     simulation: NodeHealth | None
-    refusals: tuple[Told, ...]
-    events: tuple[Told, ...]
+    refusals: tuple[StatusReport, ...]
+    events: tuple[StatusReport, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Convert to a mapping for JSON."""
         return asdict(self)
 
     def reading(self, key: str) -> Reading:
-        """A value or word by its key."""
-        return next(each for each in (*self.readings, *self.words) if each.key == key)
+        """A value or phase by its key."""
+        return next(each for each in (*self.readings, *self.phases) if each.key == key)
 
 
-class _DrumSeen(NamedTuple):
-    heard: float  # [s]
+class _DrumSample(NamedTuple):
+    received: float  # [s]
     stamp_ns: int
-    rests: bool
+    is_at_rest: bool
 
 
-def _rests(drum: JointSample) -> bool:
+def _is_drum_at_rest(drum: JointSample) -> bool:
     brake = drum.joints.get(machine.WINCH_BRAKE)
     is_closed = brake is None or brake.position < 0.5
-    return is_closed and abs(drum.joints[machine.WINCH_DRUM].velocity) < _AT_REST
+    return is_closed and abs(drum.joints[machine.WINCH_DRUM].velocity) < _REST_SPEED
 
 
 class Telemetry:
-    """What was heard last of everything; not locked, whoever shares it does that."""
+    """The latest sample of every topic. Not thread-safe: the caller locks."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, tuple[Mapping[str, float], float]] = {}
-        self._words: dict[str, tuple[str, float]] = {}
+        self._texts: dict[str, tuple[str, float]] = {}
         self._alarms: tuple[str, ...] = ()
         self._health: dict[str, dict[str, Status]] = {}
-        self._heard: dict[str, float] = {}
+        self._last_received: dict[str, float] = {}
         self._link: dict[str, tuple[Status, float]] = {}
         self._simulation: tuple[Status, float] | None = None
-        self._refusals: deque[tuple[Status, int, float]] = deque(maxlen=_KEPT)
-        self._events: deque[tuple[Status, int, float]] = deque(maxlen=_KEPT)
-        self._drum: deque[_DrumSeen] = deque(maxlen=_DRUM_KEPT)
+        self._refusals: deque[tuple[Status, int, float]] = deque(maxlen=_REPORTS)
+        self._events: deque[tuple[Status, int, float]] = deque(maxlen=_REPORTS)
+        self._drum: deque[_DrumSample] = deque(maxlen=_DRUM_SAMPLES)
         self._parameters: dict[str, Mapping[str, Any]] = {}
         self.clock_ns: int | None = None
 
-    def hear(self, topic: str, sample: Any, now: float) -> None:
-        """Take a sample; ``now`` is its arrival by a steady clock [s]."""
+    def on_sample(self, topic: str, sample: Any, now: float) -> None:
+        """Process a sample; ``now`` is its arrival by a steady clock [s]."""
         if isinstance(sample, StatusSample):
             for status in sample.statuses:
                 self._on_status(topic, status, sample.stamp_ns, now)
@@ -287,7 +290,7 @@ class Telemetry:
                 node = str(content.get("node", "")).rpartition("/")[2]
                 self._parameters[node] = content["parameters"]
         elif isinstance(sample, TextSample):
-            self._words[topic] = (sample.text, now)
+            self._texts[topic] = (sample.text, now)
         elif isinstance(sample, ClockSample):
             self.clock_ns = sample.stamp_ns
         elif isinstance(sample, WrenchSample):
@@ -295,7 +298,7 @@ class Telemetry:
         elif isinstance(sample, JointSample):
             self._numbers[topic] = (dict(sample.scalars()), now)
             if topic == topics.WINCH_STATE:
-                self._drum.append(_DrumSeen(now, sample.stamp_ns, _rests(sample)))
+                self._drum.append(_DrumSample(now, sample.stamp_ns, _is_drum_at_rest(sample)))
             if topic == topics.WINCH_ALARMS:
                 joints = sample.joints.items()
                 self._alarms = tuple(name for name, value in joints if value.position > 0.5)
@@ -313,86 +316,90 @@ class Telemetry:
             if what.startswith("refused "):
                 self._refusals.append((status, stamp_ns, now))
             elif what == "node":
-                self._heard[node] = now
-                self._health[node] = {what: status}  # what it says besides follows at once
+                self._last_received[node] = now
+                self._health[node] = {what: status}  # its other reports follow at once
             else:
                 self._health.setdefault(node, {})[what] = status
 
-    # --- asked ---------------------------------------------------------------------------------
+    # --- queries -------------------------------------------------------------------------------
 
-    def is_heard(self, node: str, now: float) -> bool:
-        """Whether a node tells its health."""
-        return now - self._heard.get(node, -math.inf) <= SILENT_AFTER
-
-    @property
-    def hears_anybody(self) -> bool:
-        """Whether a node has told its health."""
-        return bool(self._heard)
+    def is_alive(self, node: str, now: float) -> bool:
+        """Whether a node reports its health."""
+        return now - self._last_received.get(node, -math.inf) <= SILENT_AFTER
 
     @property
-    def knows_phases(self) -> bool:
-        """Whether every node that is heard has said what it is doing."""
-        return all(topic in self._words for topic in WORDS if self._heard.keys() & _SPEAKERS[topic])
+    def has_any_node(self) -> bool:
+        """Whether any node has reported its health."""
+        return bool(self._last_received)
 
-    def word(self, topic: str) -> str:
-        """What a topic of words says; empty = never heard."""
-        return self._words.get(topic, ("", 0.0))[0]
+    @property
+    def has_all_phases(self) -> bool:
+        """Whether every node that reports its health has published its phase."""
+        return all(
+            topic in self._texts
+            for topic in PHASE_TOPICS
+            if self._last_received.keys() & _PUBLISHERS[topic]
+        )
+
+    def text(self, topic: str) -> str:
+        """The latest text of a phase topic; empty = never received."""
+        return self._texts.get(topic, ("", 0.0))[0]
 
     def number(self, topic: str, path: str) -> float | None:
-        """A topic's number; None = never heard."""
+        """The latest number of a topic; None = never received."""
         return self._numbers.get(topic, ({}, 0.0))[0].get(path)
 
     def parameter(self, node: str, name: str) -> Any:
-        """A node's parameter, as it told its configuration last; None = not known."""
+        """A parameter from the latest configuration of a node; None = unknown."""
         return self._parameters.get(node, {}).get(name)
 
     @property
     def is_idle(self) -> bool | None:
-        """Whether no descent is under way; None = not known."""
-        phase = self.word(topics.DESCENT_PHASE)
+        """Whether no descent is active; None = unknown."""
+        phase = self.text(topics.DESCENT_PHASE)
         return phase in {"released", "standby"} if phase else None
 
     @property
     def depth(self) -> float | None:
-        """Length at the drum [m]; None = not known."""
+        """Tether length at the drum [m]; None = unknown."""
         return self.number(topics.WINCH_STATE, f"{machine.WINCH_DRUM}.position")
 
     def is_at_rest(self, since: float) -> bool:
-        """Whether drum and nut have rested for a while, brake closed, since a time of hearing [s].
+        """Whether drum and nut have been at rest, brake closed, after a steady time [s].
 
-        The while counts by the drum's stamps: simulated time may be slow.
+        The drum must rest for 0.5 s by its stamps, since simulated time may be slow.
         """
-        if self.word(topics.JUMP_PHASE) in {"compressing", "letting_down"} or not self._drum:
+        if self.text(topics.JUMP_PHASE) in {"compressing", "letting_down"} or not self._drum:
             return False
         last_ns = self._drum[-1].stamp_ns
-        for seen in reversed(self._drum):
-            if not seen.rests or seen.heard <= since:
+        for sample in reversed(self._drum):
+            if not sample.is_at_rest or sample.received <= since:
                 return False
-            if last_ns - seen.stamp_ns >= _WHILE_NS:
+            if last_ns - sample.stamp_ns >= _REST_TIME_NS:
                 return True
         return False
 
     def snapshot(self, now: float) -> Snapshot:
-        """All of it, at a time."""
+        """The state at a steady time [s]."""
         return Snapshot(
             tuple(self._reading(row, now) for row in QUANTITIES),
-            tuple(self._word_reading(topic, now) for topic in WORDS),
+            tuple(self._phase_reading(topic, now) for topic in PHASE_TOPICS),
             self._alarms,
-            tuple(self._node(name, now) for name in sorted(self._heard)),
-            tuple(_line(status, now - at) for status, at in self._link.values()),
+            tuple(self._node(name, now) for name in sorted(self._last_received)),
+            tuple(_health_of(status, now - at) for status, at in self._link.values()),
             None if self._simulation is None
-            else _line(self._simulation[0], now - self._simulation[1]),
-            tuple(_told(status, stamp, now - at) for status, stamp, at in self._refusals),
-            tuple(_told(status, stamp, now - at) for status, stamp, at in self._events),
+            else _health_of(self._simulation[0], now - self._simulation[1]),
+            tuple(_report(status, stamp, now - at) for status, stamp, at in self._refusals),
+            tuple(_report(status, stamp, now - at) for status, stamp, at in self._events),
         )  # fmt: skip
 
     def _reading(self, row: Quantity, now: float) -> Reading:
         found: tuple[float, float, str] | None = None
         for topic, path in row.sources:
             values, at = self._numbers.get(topic, ({}, 0.0))
-            if path not in values or not _is_known(topic, path, values):
+            if path not in values or not _is_valid(topic, path, values):
                 continue
-            if found is None or _is_old(found[2], now - found[1]):
+            if found is None or _is_stale(found[2], now - found[1]):
                 found = (values[path], at, topic)
         if found is None:
             return Reading(row.key, row.label, row.group, row.unit, None, None, True, False, "–")
@@ -401,19 +408,19 @@ class Telemetry:
         if float(shown) == 0.0:
             shown = shown.lstrip("-")
         text = f"{shown} {row.unit}".rstrip()
-        if row.words is not None:
-            text = row.words[value > 0.5]
-        stale = _is_old(found[2], age)
+        if row.states is not None:
+            text = row.states[value > 0.5]
+        stale = _is_stale(found[2], age)
         warns = abs(value) > row.warn_above
         return Reading(row.key, row.label, row.group, row.unit, value, age, stale, warns, text)
 
-    def _word_reading(self, topic: str, now: float) -> Reading:
-        key, label = WORDS[topic]
-        said = self._words.get(topic)
-        if said is None:
+    def _phase_reading(self, topic: str, now: float) -> Reading:
+        key, label = PHASE_TOPICS[topic]
+        received = self._texts.get(topic)
+        if received is None:
             return Reading(key, label, "phases", "", None, None, True, False, "–")
-        word, at = said
-        stale = not any(self.is_heard(node, now) for node in _SPEAKERS[topic])
+        word, at = received
+        stale = not any(self.is_alive(node, now) for node in _PUBLISHERS[topic])
         warns = word in {"fault", "over_tension", "diverged", "tether_broken"}
         return Reading(key, label, "phases", "", word, now - at, stale, warns, word)
 
@@ -427,29 +434,31 @@ class Telemetry:
             if status.level is not Level.OK and what != "node"
         )
         worst = max((status.level for status in statuses.values()), default=Level.OK)
-        age = now - self._heard[name]
+        age = now - self._last_received[name]
         return NodeHealth(name, condition, worst.name, age, age > SILENT_AFTER, bad)
 
 
-def _is_known(topic: str, path: str, values: Mapping[str, float]) -> bool:
-    """The winch tells an unknown tension as 0, and that it is not valid."""
+def _is_valid(topic: str, path: str, values: Mapping[str, float]) -> bool:
+    """Whether a value is valid; the winch reports an unknown tension as 0 with a validity flag."""
     if topic == topics.WINCH_ESTIMATE and path == f"{machine.TENSION}.effort":
         return values.get(f"{machine.TENSION}.position", 0.0) > 0.5
     return True
 
 
-def _is_old(topic: str, age: float) -> bool:
+def _is_stale(topic: str, age: float) -> bool:
     rate = topic_row(topic).rate
-    return rate is not None and age > max(_SLOWEST, _MISSED / rate)
+    return rate is not None and age > max(_MIN_STALE_AGE, _STALE_PERIODS / rate)
 
 
-def _line(status: Status, age: float) -> NodeHealth:
+def _health_of(status: Status, age: float) -> NodeHealth:
     name = status.name.partition(": ")[2] or status.name
     details = tuple(f"{key}: {value}" for key, value in status.values.items())
     return NodeHealth(name, status.message, status.level.name, age, age > SILENT_AFTER, details)
 
 
-def _told(status: Status, stamp_ns: int, age: float) -> Told:
+def _report(status: Status, stamp_ns: int, age: float) -> StatusReport:
     name = status.name.partition(": ")[2] or status.name
     level, values = status.level.name, dict(status.values)
-    return Told(status.hardware_id, name, status.message, level, stamp_ns * 1e-9, age, values)
+    return StatusReport(
+        status.hardware_id, name, status.message, level, stamp_ns * 1e-9, age, values
+    )

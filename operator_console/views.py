@@ -1,4 +1,4 @@
-"""What is known, as lines and tables for a terminal. Pure."""
+"""The state as lines and tables for a terminal."""
 
 from __future__ import annotations
 
@@ -12,48 +12,48 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from operator_console.telemetry import NodeHealth, Reading, Snapshot, Told
+from operator_console.telemetry import NodeHealth, Reading, Snapshot, StatusReport
 
 _BAD, _WARN, _STALE = "bold red", "yellow", "dim italic"
 _LEVELS = {"OK": "", "WARN": _WARN, "ERROR": _BAD, "STALE": _STALE}
-_LATE_FOR_A_SIMULATION = 1e9  # later stamps are of a clock on a wall [s]
+_SIMULATION_END = 1e9  # later stamps are wall-clock time [s]
 _SHOWN = 5  # refusals and events
 _IN_A_LINE = ("depth", "payout_rate", "tension", "swing_major")
 
 
 def age_text(age: float) -> str:
-    """An age as people say it."""
+    """An age with its unit."""
     if age < 10.0:
         return f"{age:.1f} s"
     return f"{age:.0f} s" if age < 120.0 else f"{age / 60.0:.0f} min"
 
 
 def time_text(stamp: float) -> str:
-    """A stamp as people say it: simulated seconds, or the time of day."""
-    if stamp < _LATE_FOR_A_SIMULATION:
+    """A stamp: simulated seconds, or the time of day."""
+    if stamp < _SIMULATION_END:
         return f"{stamp:.1f} s"
     return datetime.fromtimestamp(stamp).astimezone().strftime("%H:%M:%S")
 
 
 def status_view(now: Snapshot) -> RenderableType:
-    """Everything, group by group, side by side as far as there is room."""
+    """The whole state in groups, side by side if the terminal is wide."""
     boxes = [_panel("phases", _phases(now)), *_numbers(now)]
     parts: list[RenderableType] = [Columns(boxes, padding=(0, 1)), _panel("nodes", _nodes(now))]
     if now.refusals:
-        parts.append(_panel("last refusals", _said(now.refusals)))
+        parts.append(_panel("last refusals", _reports(now.refusals)))
     if now.events:
-        parts.append(_panel("last events", _said(now.events)))
+        parts.append(_panel("last events", _reports(now.events)))
     return Group(*parts)
 
 
 def status_line(now: Snapshot) -> str:
-    """The most important of it in one line, for a log."""
+    """The most important values in one line, for a log."""
     parts = []
     for key in _IN_A_LINE:
         reading = now.reading(key)
         if reading.value is not None:
             parts.append(f"{reading.label} {_with_age(reading)}")
-    parts += [f"{w.label} {_with_age(w)}" for w in now.words if w.value is not None]
+    parts += [f"{w.label} {_with_age(w)}" for w in now.phases if w.value is not None]
     parts += [f"ALARM {name}" for name in now.alarms]
     parts += [f"{node.node} SILENT {age_text(node.age)}" for node in now.nodes if node.is_silent]
     parts += [
@@ -61,7 +61,7 @@ def status_line(now: Snapshot) -> str:
         for node in now.nodes
         if not node.is_silent and node.condition != "ready"
     ]
-    return ", ".join(parts) if parts else "nothing is heard"
+    return ", ".join(parts) if parts else "no data"
 
 
 def _with_age(reading: Reading) -> str:
@@ -72,7 +72,7 @@ def _with_age(reading: Reading) -> str:
 
 def _cell(reading: Reading) -> Text:
     if reading.value is None:
-        return Text("not heard", style=_STALE)
+        return Text("no data", style=_STALE)
     style = _STALE if reading.is_stale else _BAD if reading.is_warning else "bold"
     return Text(_with_age(reading), style=style)
 
@@ -87,7 +87,7 @@ def _panel(title: str, content: RenderableType) -> Panel:
 
 def _phases(now: Snapshot) -> RenderableType:
     grid = _grid()
-    for word in now.words:
+    for word in now.phases:
         grid.add_row(word.label, _cell(word))
     alarms = ", ".join(now.alarms) if now.alarms else "none"
     grid.add_row("alarms", Text(alarms, style=_BAD if now.alarms else ""))
@@ -121,7 +121,7 @@ def _nodes(now: Snapshot) -> RenderableType:
 
 def _health(node: NodeHealth) -> Text:
     if node.is_silent:
-        return Text(f"SILENT for {age_text(node.age)}, said {node.condition}", style=_BAD)
+        return Text(f"SILENT for {age_text(node.age)}, last report: {node.condition}", style=_BAD)
     text = Text(node.condition, style=_LEVELS[node.level])
     if node.level != "OK":
         for detail in node.details:
@@ -129,9 +129,9 @@ def _health(node: NodeHealth) -> Text:
     return text
 
 
-def _said(told: tuple[Told, ...]) -> RenderableType:
+def _reports(reports: tuple[StatusReport, ...]) -> RenderableType:
     grid = _grid()
-    for each in told[-_SHOWN:]:
+    for each in reports[-_SHOWN:]:
         code = f" [{each.values['code']}]" if "code" in each.values else ""
         what = Text(f"{each.name}: {each.message}{code}", style=_LEVELS[each.level])
         grid.add_row(time_text(each.stamp), each.node, what)

@@ -1,11 +1,11 @@
-"""A picture of the operators' page in the middle of a descent, for the documents.
+"""Draw a screenshot of the operators' page after an imaging stop, for the documents.
 
-Starts simulator, winch, descent and page, arms, asks for a stop with pictures, and takes one of the
-page when the rover has imaged the wall there:
+Starts simulator, winch, descent and page, arms the winch, requests a stop with imaging and takes the
+screenshot when it has ended:
 
     python tools/console_picture.py docs/console.png
 
-Needs playwright and Debian's chromium. On a busy machine simulated time should pass more slowly.
+Needs playwright and Debian's chromium. On a slow machine use --factor 0.5 or less.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from rover_verify.harness import NodeHarness, Observer, open_harness
 ROOT = Path(__file__).parents[1]
 SIZE = {"width": 1440, "height": 1000}
 PAGE = r"the page is at (\S+)"
-LONGEST = 1500.0  # wall time until the pictures at the stop [s]
+LONGEST = 1500.0  # wall time until the end of the stop [s]
 
 
-def start(stage: NodeHarness, factor: float) -> str:
-    """Start all processes; returns the page's address."""
-    begin = stage.processes.start
+def start(harness: NodeHarness, factor: float) -> str:
+    """Start all processes; return the address of the page."""
+    begin = harness.processes.start
     begin("rover_sim.sim_node", {**HANGING, "real_time_factor": factor})
     room = ROOT / "config" / "winch_descent.yaml"
     begin("tether_winch.winch_node", {"use_sim_time": True}, params_file=room)
@@ -43,7 +43,7 @@ def start(stage: NodeHarness, factor: float) -> str:
 
 
 def descend(observer: Observer, depth: float) -> None:
-    """Arm, ask for a stop with pictures, and wait for the last of them."""
+    """Arm, request a stop with imaging, and wait for its end."""
     for node in ("winch_node", "descent_node"):
         observer.wait_until_ready(node)
     assert observer.call(topics.WINCH_REARM).success
@@ -54,10 +54,10 @@ def descend(observer: Observer, depth: float) -> None:
 
 
 def take(address: str, picture: Path) -> None:
-    """Open the page and write what it shows."""
+    """Open the page and write a screenshot."""
     chromium = shutil.which("chromium")
     if chromium is None:
-        raise SystemExit("no chromium on this machine: apt-get install chromium")
+        raise SystemExit("chromium is missing: run apt-get install chromium")
     own = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, env=own)
@@ -70,15 +70,19 @@ def take(address: str, picture: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly the descent and take the picture."""
+    """Simulate the descent and write the screenshot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("picture", type=Path, help="file to write, .png")
-    parser.add_argument("--factor", type=float, default=1.0, help="simulated seconds per second")
-    parser.add_argument("--depth", type=float, default=11.0, help="of the stop [m]")
+    parser.add_argument(
+        "--factor", type=float, default=1.0, help="real-time factor (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--depth", type=float, default=11.0, help="depth of the stop [m] (default: %(default)g)"
+    )
     options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as folder, open_harness(Path(folder)) as stage:
-        address = start(stage, options.factor)
-        descend(stage.observer(), options.depth)
+    with tempfile.TemporaryDirectory() as folder, open_harness(Path(folder)) as harness:
+        address = start(harness, options.factor)
+        descend(harness.observer(), options.depth)
         take(address, options.picture.absolute())
     print(f"wrote {options.picture}")
     return 0

@@ -1,14 +1,14 @@
 #!/bin/sh
-# All tests, side by side: first those that stay in one process, on all cores; then those that start
-# processes, two files at a time. One of these that failed beside others, whose load it may have
-# measured, is judged by a second run on a machine that is its own.
+# Run all tests in parallel: first those in one process, on all cores; then those that start processes,
+# two files at a time. A process test may fail under the load of the others, so the failed ones run
+# once more, one after the other.
 #
 #   tools/run_tests.sh PYTHON [PYTEST ARGUMENT ...]      e.g. tools/run_tests.sh .venv/bin/python -k winch
 set -u
 python=$1
 shift
 
-# pass MARKERS ARGUMENT...: pytest's status, where finding no test to run is none of the faults
+# pass MARKERS ARGUMENT...: pytest's status; a run without tests passes
 pass() {
     markers=$1
     shift
@@ -24,7 +24,7 @@ in_one_process=$?
 pass process --numprocesses=2 --dist=loadfile "$@"
 with_processes=$?
 if [ "$with_processes" -eq 1 ]; then
-    printf '\nThe failed ones once more, one after the other:\n'
+    printf '\nRunning the failed tests again, one after the other:\n'
     "$python" -m pytest --timeout=600 -m process --last-failed --last-failed-no-failures=none "$@"
     with_processes=$?
 fi

@@ -4,7 +4,7 @@
 #   tools/set_up.sh DIRECTORY [EXTRA ...]       e.g. tools/set_up.sh .venv test bench
 #
 # PYTHON may name the interpreter to use; otherwise the first Python 3.11 or 3.12 that works is taken.
-# Nothing outside DIRECTORY is touched. A sourced ROS 2 or another active environment does not leak in.
+# Nothing outside DIRECTORY changes. A sourced ROS 2 or another active environment has no effect.
 set -eu
 
 unset PYTHONPATH PYTHONHOME VIRTUAL_ENV LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -25,7 +25,7 @@ fail() {
     exit 1
 }
 
-# Runs, and is 3.11 or 3.12? (-S: without site packages, -I: without the user's settings)
+# Whether an interpreter runs and is 3.11 or 3.12 (-S: no site packages, -I: no user settings)
 is_supported() {
     "$1" -I -S -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
         >/dev/null 2>&1
@@ -35,8 +35,8 @@ can_make_environments() {
     "$1" -I -S -c 'import ensurepip, venv' >/dev/null 2>&1
 }
 
-# Every interpreter worth a try, best first. A name on PATH may be a wrapper that fails when it runs
-# (pyenv does that), so every directory of PATH counts, and pyenv's own versions come last.
+# Candidate interpreters, the best first. A name on PATH may be a wrapper that fails (pyenv), so every
+# directory of PATH is searched; pyenv's own versions come last.
 candidates() {
     if [ -n "${PYTHON:-}" ]; then
         command -v "$PYTHON" || true
@@ -114,23 +114,23 @@ pip_install() {
         return
     fi
     tail -n 15 "$log" >&2
-    # pip names the network only in its retries; otherwise an unreachable index looks like an empty one.
+    # pip reports the network only in its retries; otherwise an unreachable index looks empty.
     if grep -qE 'ConnectionError|ConnectTimeout|ProxyError|Retrying|from versions: none' "$log"; then
-        fail "PyPI cannot be reached from here, and the set-up needs it once." \
+        fail "PyPI cannot be reached; the set-up needs it once." \
             "Check the network; behind a proxy set HTTPS_PROXY, with a mirror set PIP_INDEX_URL," \
             "then run the same command again." "Full log: $log"
     fi
-    fail "pip could not install what is needed." "Full log: $log"
+    fail "pip could not install the requirements." "Full log: $log"
 }
 
 cd "$root"
 if [ -e "$venv/place" ] && [ "$(cat "$venv/place")" != "$root" ]; then
-    echo "Environment $venv: made anew, the tree has moved"
+    echo "Environment $venv: recreated, the tree has moved"
     rm -rf "$venv"
 fi
 if [ -n "${PYTHON:-}" ] && [ -x "$venv/bin/python" ] && is_supported "$PYTHON" &&
     [ "$(version_of "$PYTHON")" != "$(version_of "$venv/bin/python")" ]; then
-    echo "Environment $venv: made anew, PYTHON asks for another version"
+    echo "Environment $venv: recreated for another version of Python"
     rm -rf "$venv"
 fi
 if ! { [ -x "$venv/bin/python" ] && is_supported "$venv/bin/python" &&
@@ -142,7 +142,7 @@ fi
 started=$(date +%s)
 echo "Environment $venv: installing mother_rover${extras:+ with extras $extras} (once; needs PyPI)"
 : >"$log"
-# The build runs in the environment itself, so that a later refresh needs no network.
+# Build without isolation, so that a later refresh needs no network.
 if ! "$venv/bin/python" -c '
 import sys
 from importlib.metadata import version
@@ -150,7 +150,7 @@ sys.exit(int(version("setuptools").split(".")[0]) < 71)' 2>/dev/null; then
     pip_install "setuptools>=71"
 fi
 pip_install --no-build-isolation --editable ".${extras:+[$extras]}"
-# An editable install leaves data_files out: the ament index entry, shims, launch and config files.
+# An editable install omits data_files: the ament index entry, node shims, launch and config files.
 rm -rf "$venv/lib/mother_rover"
 "$venv/bin/python" setup.py --quiet install_data --install-dir "$venv" >>"$log" 2>&1 ||
     fail "could not install the package's data files." "Full log: $log"

@@ -1,14 +1,14 @@
-// The operators' commands: asked again before something moves, refusals shown with their reason. What
-// must be renewed goes on for as long as its button is held, and no longer.
+// The operators' commands: confirm before something moves, refusals shown with their reason. A command
+// that must be renewed lasts while its button is pressed.
 
 import { element, number } from "./format.js";
 
-const HEAD = new Set(["hold", "abort"]); // always at hand in the header, never asked again
-const TITLES = { everything: "whole machine", descent: "descent", winch: "winch alone", jump: "jump", mission: "mission", simulation: "simulation" };
+const HEAD = new Set(["hold", "abort"]); // in the header, without confirmation
+const TITLES = { everything: "whole machine", descent: "descent", winch: "winch only", jump: "jump", mission: "mission", simulation: "simulation" };
 
 export class Commands {
-  // send(name, values): a promise of the outcome. now(): what an operator should see before deciding.
-  // renew(name, held): a promise of whether what is held goes on.
+  // send(name, values): a promise of the outcome. now(): the state to show in the confirmation.
+  // renew(name, press): a promise of whether the command continues.
   constructor({ send, renew, now }) {
     this.send = send;
     this.renew = renew;
@@ -19,7 +19,7 @@ export class Commands {
     this.list = document.getElementById("command-list");
     this.answer = document.getElementById("answer");
     for (const name of HEAD) {
-      document.getElementById(name).addEventListener("click", () => this.carryOut({ name, arguments: [] }, {}));
+      document.getElementById(name).addEventListener("click", () => this.execute({ name, arguments: [] }, {}));
     }
   }
 
@@ -37,21 +37,21 @@ export class Commands {
   form(row) {
     const inputs = row.arguments.map((argument) => {
       const id = `argument-${row.name}-${argument.name}`;
-      const input = element("input", { id, name: argument.name, inputMode: "decimal", autocomplete: "off", placeholder: argument.required ? "" : "own" });
+      const input = element("input", { id, name: argument.name, inputMode: "decimal", autocomplete: "off", placeholder: argument.required ? "" : "default" });
       input.size = 6;
       const range = `${short(argument.minimum)} … ${short(argument.maximum)} ${argument.unit}`;
       input.title = `${argument.about}: ${range}`;
       input.setAttribute("aria-label", `${row.name} ${argument.name} in ${argument.unit}`);
       return element("label", { for: id, title: input.title }, element("span", {}, argument.name), input, element("i", {}, argument.unit));
     });
-    const isHeld = row.renew > 0;
-    const button = element("button", { type: isHeld ? "button" : "submit", "data-command": row.name, title: row.about }, isHeld ? `hold to ${row.name}` : row.name);
+    const isDeadman = row.renewal_rate > 0;
+    const button = element("button", { type: isDeadman ? "button" : "submit", "data-command": row.name, title: row.about }, isDeadman ? `press to ${row.name}` : row.name);
     const problem = element("p", { class: "problem", hidden: true });
     const form = element("form", { class: inputs.length ? "command" : "command plain", title: row.about, noValidate: true }, button, ...inputs, problem);
-    const given = (act) => {
+    const withValues = (action) => {
       problem.hidden = true;
       try {
-        act(read(row, new FormData(form)));
+        action(read(row, new FormData(form)));
       } catch (error) {
         problem.textContent = error.message;
         problem.hidden = false;
@@ -59,18 +59,18 @@ export class Commands {
     };
     form.addEventListener("submit", (event) => {
       event.preventDefault();
-      if (!isHeld) given((values) => this.ask(row, values));
+      if (!isDeadman) withValues((values) => this.confirmAndSend(row, values));
     });
-    if (isHeld) {
-      button.classList.add("held");
-      button.addEventListener("pointerdown", (event) => { if (event.button === 0) given((values) => this.press(row, values, button)); });
+    if (isDeadman) {
+      button.classList.add("deadman");
+      button.addEventListener("pointerdown", (event) => { if (event.button === 0) withValues((values) => this.press(row, values, button)); });
       button.addEventListener("contextmenu", (event) => event.preventDefault());
-      button.addEventListener("keydown", (event) => { if (event.key === " " && !event.repeat) given((values) => this.press(row, values, button)); });
+      button.addEventListener("keydown", (event) => { if (event.key === " " && !event.repeat) withValues((values) => this.press(row, values, button)); });
     }
     return form;
   }
 
-  // Until the button is let go, or the page is left, or the server no longer takes it.
+  // Lasts until the button is released, the page is hidden, or the server refuses a renewal.
   async press(row, values, button) {
     if (!this.enabled || this.pressed) return;
     const pressed = { timer: 0, isOver: false };
@@ -80,26 +80,26 @@ export class Commands {
     const letGo = async () => {
       if (pressed.isOver) return;
       this.release(pressed, over, button);
-      await this.carryOut({ name: "hold", arguments: [] }, {});
+      await this.execute({ name: "hold", arguments: [] }, {});
     };
     for (const name of ["pointerup", "pointercancel", "blur", "keyup", "pagehide"]) window.addEventListener(name, letGo, { signal: over.signal });
     document.addEventListener("visibilitychange", letGo, { signal: over.signal });
-    const text = spoken(row, values);
+    const text = orderText(row, values);
     this.show("…", text, "sent, waiting for the answer", "waiting");
     const outcome = await this.send(row.name, values);
     if (!outcome.done) {
       this.release(pressed, over, button);
-      return this.tell(text, outcome);
+      return this.showFailure(text, outcome);
     }
-    // Let go while the answer was on its way: what was begun then is ended now.
-    if (pressed.isOver) return this.carryOut({ name: "hold", arguments: [] }, {});
-    this.show("✓", `${text}: goes on while you hold it`, outcome.reason ?? "", "ok");
+    // The button was released before the answer arrived: stop now.
+    if (pressed.isOver) return this.execute({ name: "hold", arguments: [] }, {});
+    this.show("✓", `${text}: lasts while you press the button`, outcome.reason ?? "", "ok");
     pressed.timer = setInterval(async () => {
-      const renewed = await this.renew(row.name, outcome.held);
+      const renewed = await this.renew(row.name, outcome.press);
       if (renewed.done || pressed.isOver) return;
       this.release(pressed, over, button);
-      this.tell(text, renewed);
-    }, 1000 / row.renew);
+      this.showFailure(text, renewed);
+    }, 1000 / row.renewal_rate);
   }
 
   release(pressed, over, button) {
@@ -110,23 +110,23 @@ export class Commands {
     this.pressed = null;
   }
 
-  async ask(row, values) {
-    if (row.moves && !(await confirmed(row, values, this.now()))) return;
-    await this.carryOut(row, values);
+  async confirmAndSend(row, values) {
+    if (row.moves && !(await confirm(row, values, this.now()))) return;
+    await this.execute(row, values);
   }
 
-  async carryOut(row, values) {
+  async execute(row, values) {
     if (!(HEAD.has(row.name) ? this.stops : this.enabled)) return this.show("✕", `${row.name} was not sent`, this.note, "error");
-    const text = spoken(row, values);
+    const text = orderText(row, values);
     this.show("…", text, "sent, waiting for the answer", "waiting");
     const outcome = await this.send(row.name, values);
-    if (outcome.done) return this.show("✓", `${text}: taken`, outcome.reason ?? "", "ok");
-    return this.tell(text, outcome);
+    if (outcome.done) return this.show("✓", `${text}: accepted`, outcome.reason ?? "", "ok");
+    return this.showFailure(text, outcome);
   }
 
-  // That something was not done, or not any more, with the reason.
-  tell(text, outcome) {
-    const word = outcome.verdict ?? (outcome.unknown ? "unknown" : "refused");
+  // Show that a command was refused or has ended, with the reason.
+  showFailure(text, outcome) {
+    const word = outcome.status ?? (outcome.unknown ? "unknown" : "refused");
     const code = outcome.code ? ` [${outcome.code}]` : "";
     return this.show("✕", `${text}: ${word}`, `${outcome.reason}${code}`, "error");
   }
@@ -138,7 +138,7 @@ export class Commands {
       element("div", {}, element("b", {}, title), element("span", {}, text)));
   }
 
-  // note: why commands are not to be had.
+  // note: why commands are disabled.
   enable(enabled, note) {
     this.enabled = enabled;
     this.note = note;
@@ -148,7 +148,7 @@ export class Commands {
     this.stops = enabled;
   }
 
-  // Only what ends a motion.
+  // Enable only HOLD and ABORT.
   enableStops() {
     for (const button of document.querySelectorAll("#stops button")) button.disabled = false;
     this.stops = true;
@@ -169,18 +169,18 @@ function read(row, data) {
   return values;
 }
 
-function spoken(row, values) {
+function orderText(row, values) {
   const parts = row.arguments.filter(({ name }) => name in values).map(({ name, unit }, index) =>
     `${index ? `${name} ` : ""}${short(values[name])} ${unit}`);
   return [row.name, ...parts].join(" ");
 }
 
-function confirmed(row, values, now) {
+function confirm(row, values, now) {
   const dialog = document.getElementById("confirm");
-  document.getElementById("confirm-title").textContent = `${spoken(row, values)} ?`;
+  document.getElementById("confirm-title").textContent = `${orderText(row, values)}?`;
   document.getElementById("confirm-text").textContent = `${row.name}: ${row.about}.`;
   document.getElementById("confirm-now").textContent = now;
-  document.getElementById("confirm-yes").textContent = `Send: ${spoken(row, values)}`;
+  document.getElementById("confirm-yes").textContent = `Send: ${orderText(row, values)}`;
   dialog.returnValue = "";
   dialog.showModal();
   document.getElementById("confirm-no").focus();
@@ -189,7 +189,7 @@ function confirmed(row, values, now) {
   });
 }
 
-// No more digits than it needs.
+// As few digits as possible.
 function short(value) {
   return number(value, Math.abs(value) >= 1000 || Number.isInteger(value) ? 0 : 3).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
 }

@@ -1,2 +1,2 @@
-// The question for a token: says so when the last one was wrong.
+// Show that the last token was wrong.
 document.getElementById("wrong").hidden = !location.search.includes("wrong");

@@ -1,4 +1,4 @@
-// How numbers and times are written: always with their unit, a plain dash where nothing is known.
+// Numbers and times as text; a dash stands for an unknown value.
 
 export function number(value, digits) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
@@ -8,7 +8,7 @@ export function number(value, digits) {
 }
 
 export function age(seconds) {
-  if (seconds === null || seconds === undefined) return "never heard";
+  if (seconds === null || seconds === undefined) return "no data";
   if (seconds < 10) return `${seconds.toFixed(1)} s old`;
   if (seconds < 120) return `${Math.round(seconds)} s old`;
   if (seconds < 7200) return `${Math.round(seconds / 60)} min old`;
@@ -24,8 +24,8 @@ export function clock(seconds) {
   return (seconds < 0 ? "−" : "") + text;
 }
 
-// Machine's time: counted from 0 in simulation, a date on hardware.
-export function moment(seconds) {
+// Machine time: from 0 in simulation, time of day on hardware.
+export function machineTime(seconds) {
   if (seconds === null || seconds === undefined) return "–";
   return seconds > 1e8 ? new Date(seconds * 1000).toISOString().slice(11, 19) : clock(seconds);
 }

@@ -1,6 +1,6 @@
-// Numbers with unit and age, budgets as bars, the states in words, alarms and health.
+// Values with unit and age, budgets as bars, phases, alarms and health.
 
-import { LEVELS, SIGNS, age, element, moment, number, setText } from "./format.js";
+import { LEVELS, SIGNS, age, element, machineTime, number, setText } from "./format.js";
 
 // key of the reading, label, unit, digits
 const GAUGES = [
@@ -10,7 +10,7 @@ const GAUGES = [
   ["heading", "Heading", "deg", 1],
   ["depth_goal", "Depth goal", "m", 2],
   ["payout_rate", "Payout rate", "m/s", 3],
-  ["camera_rate", "Camera turns", "deg/s", 2],
+  ["camera_rate", "Camera rate", "deg/s", 2],
   ["stops_left", "Stops left", "", 0],
 ];
 const BUDGETS = [
@@ -18,11 +18,11 @@ const BUDGETS = [
   ["flywheel_budget", "Flywheel"],
   ["travel_budget", "Screw travel"],
 ];
-const WORDS = [
+const PHASES = [
   ["descent", "Descent"],
   ["winch", "Winch"],
   ["jump", "Jump"],
-  ["plant", "Rover is"],
+  ["plant", "Rover"],
 ];
 
 export class Gauges {
@@ -48,18 +48,18 @@ export class Gauges {
       bars.append(box);
       this.budgets.set(name, { box, fill, text, old });
     }
-    this.words = new Map();
+    this.phases = new Map();
     const doing = document.getElementById("doing");
-    for (const [name, label] of WORDS) {
-      const value = element("dd", { "data-word": name });
+    for (const [name, label] of PHASES) {
+      const value = element("dd", { "data-phase": name });
       doing.append(element("div", {}, element("dt", {}, label), value));
-      this.words.set(name, value);
+      this.phases.set(name, value);
     }
     this.time = element("dd", { id: "machine-time" });
-    doing.append(element("div", {}, element("dt", {}, "Machine's time"), this.time));
+    doing.append(element("div", {}, element("dt", {}, "Machine time"), this.time));
   }
 
-  // since: seconds since the frame came, which make everything in it older.
+  // since: age of the frame [s], which adds to the age of every value.
   show(frame, since, isOld) {
     for (const [name, , unit, digits] of GAUGES) {
       const parts = this.gauges.get(name);
@@ -79,25 +79,25 @@ export class Gauges {
       setText(parts.text, value === null ? "–" : `${level === "ok" ? "" : `${SIGNS[level]} `}${number(value, 0)} %`);
       mark(parts.box, parts.old, value, old, isStale || isOld, since);
     }
-    for (const [name] of WORDS) {
-      const node = this.words.get(name);
-      const [word, old, isStale, isBad] = frame.words[name] ?? ["", null, true, false];
-      const stale = word && (isStale || isOld);
+    for (const [name] of PHASES) {
+      const node = this.phases.get(name);
+      const [phase, old, isStale, isBad] = frame.phases[name] ?? ["", null, true, false];
+      const stale = phase && (isStale || isOld);
       node.classList.toggle("bad", Boolean(isBad));
-      setText(node, word ? word.replaceAll("_", " ") + (stale && old !== null ? ` (${age(old + since)})` : "") : "–");
+      setText(node, phase ? phase.replaceAll("_", " ") + (stale && old !== null ? ` (${age(old + since)})` : "") : "–");
       node.classList.toggle("stale", Boolean(stale));
-      node.parentElement.hidden = !word && name === "jump";
+      node.parentElement.hidden = !phase && name === "jump";
     }
-    setText(this.time, moment(frame.time));
+    setText(this.time, machineTime(frame.time));
     this.showHealth(frame, isOld);
   }
 
   showHealth(frame, isOld) {
     const box = document.getElementById("health");
-    const health = isOld ? { level: "stale", word: "out of date", text: "what is shown is not of now" } : frame.health;
+    const health = isOld ? { level: "stale", title: "stale", text: "the values are not current" } : frame.health;
     box.dataset.level = health.level;
     setText(box.querySelector(".sign"), SIGNS[health.level] ?? "?");
-    setText(document.getElementById("health-word"), health.word);
+    setText(document.getElementById("health-title"), health.title);
     setText(document.getElementById("health-text"), health.text);
     const rows = frame.parts.map(({ name, level, text, age: old }) => {
       const shown = isOld ? "stale" : LEVELS.includes(level) ? level : "stale";
@@ -110,12 +110,12 @@ export class Gauges {
     list.replaceChildren(...rows.map((row) => element("li", { "data-level": row.level },
       element("span", { class: "sign", "aria-label": row.level }, SIGNS[row.level]),
       element("b", {}, row.key), element("span", {}, row.text), element("small", {}, row.old))));
-    if (!rows.length) list.append(element("li", { "data-level": "stale" }, "no node was heard yet"));
+    if (!rows.length) list.append(element("li", { "data-level": "stale" }, "no node has reported its health"));
   }
 }
 
 function mark(box, node, value, old, isStale, since) {
   box.classList.toggle("stale", isStale && value !== null);
   box.classList.toggle("unknown", value === null);
-  setText(node, value === null ? (old === null ? "never heard" : "not known") : isStale ? age(old + since) : "");
+  setText(node, value === null ? (old === null ? "no data" : "unknown") : isStale ? age(old + since) : "");
 }

@@ -1,8 +1,8 @@
-// What happened, newest first: events, refusals, and what operators asked for.
+// The journal, newest entry first: events, refusals and operators' commands.
 
-import { SIGNS, element, moment } from "./format.js";
+import { SIGNS, element, machineTime } from "./format.js";
 
-const MOST = 300;
+const LENGTH = 300;
 
 export class Journal {
   constructor(root) {
@@ -13,17 +13,17 @@ export class Journal {
   // entry: {time, level, source, title, text}
   add(entry) {
     this.entries.push(entry);
-    if (this.entries.length > MOST) this.entries.shift();
+    if (this.entries.length > LENGTH) this.entries.shift();
     this.root.prepend(row(entry));
-    while (this.root.children.length > MOST) this.root.lastChild.remove();
+    while (this.root.children.length > LENGTH) this.root.lastChild.remove();
   }
 
   fill(entries) {
-    this.entries = entries.slice(-MOST);
+    this.entries = entries.slice(-LENGTH);
     this.root.replaceChildren(...[...this.entries].reverse().map(row));
   }
 
-  // Entries up to a time are shown, later ones are not yet.
+  // Hide the entries after a time.
   showUpTo(time) {
     [...this.root.children].forEach((child, index) => {
       child.hidden = this.entries[this.entries.length - 1 - index].time > time;
@@ -33,6 +33,6 @@ export class Journal {
 
 function row({ time, level, source, title, text }) {
   return element("li", { "data-level": level },
-    element("time", {}, moment(time)), element("span", { class: "sign", "aria-label": level }, SIGNS[level] ?? "·"),
+    element("time", {}, machineTime(time)), element("span", { class: "sign", "aria-label": level }, SIGNS[level] ?? "·"),
     element("div", {}, element("b", {}, title.replaceAll("_", " ")), element("span", {}, ` ${text}`), element("small", {}, ` ${source}`)));
 }

@@ -1,6 +1,6 @@
-// The connection to the console's server: says when it is lost, and comes back by itself.
+// The connection to the console server: reports a loss and reconnects by itself.
 
-const SILENCE = 2500; // [ms] without a frame after which what is seen counts as old
+const FRAME_TIMEOUT = 2500; // [ms] without a frame until the page is stale
 const FIRST_RETRY = 500;
 const LONGEST_RETRY = 5000;
 
@@ -9,11 +9,11 @@ export class Link {
     this.onContent = onContent;
     this.onState = onState;
     this.state = "lost";
-    this.heardAt = null;
+    this.receivedAt = null;
     this.retry = FIRST_RETRY;
     this.waiting = new Map();
     this.count = 0;
-    setInterval(() => this.look(), 250);
+    setInterval(() => this.check(), 250);
     this.open();
   }
 
@@ -22,19 +22,19 @@ export class Link {
     const socket = new WebSocket(`${scheme}://${location.host}/live`);
     this.socket = socket;
     socket.onopen = () => { this.retry = FIRST_RETRY; };
-    socket.onmessage = (event) => this.take(JSON.parse(event.data));
+    socket.onmessage = (event) => this.receive(JSON.parse(event.data));
     socket.onclose = () => {
       if (this.socket !== socket) return;
-      this.fail("the connection was lost before an answer came: look at what happened");
+      this.fail("the connection was lost before the answer: check the state");
       this.set("lost");
       setTimeout(() => this.open(), this.retry);
       this.retry = Math.min(2 * this.retry, LONGEST_RETRY);
     };
   }
 
-  take(content) {
+  receive(content) {
     if (content.kind === "frame") {
-      this.heardAt = performance.now();
+      this.receivedAt = performance.now();
       this.set("live");
     }
     if (content.kind === "outcome" && this.waiting.has(content.id)) {
@@ -44,37 +44,37 @@ export class Link {
     this.onContent(content);
   }
 
-  look() {
-    if (this.state === "live" && performance.now() - this.heardAt > SILENCE) this.set("silent");
-    if (this.state !== "live") this.onState(this.state, this.silence());
+  check() {
+    if (this.state === "live" && performance.now() - this.receivedAt > FRAME_TIMEOUT) this.set("silent");
+    if (this.state !== "live") this.onState(this.state, this.frameAge());
   }
 
-  // Seconds since the last frame; null before the first.
-  silence() {
-    return this.heardAt === null ? null : (performance.now() - this.heardAt) / 1000;
+  // Age of the last frame [s]; null before the first.
+  frameAge() {
+    return this.receivedAt === null ? null : (performance.now() - this.receivedAt) / 1000;
   }
 
   set(state) {
     if (state === this.state) return;
     this.state = state;
-    this.onState(state, this.silence());
+    this.onState(state, this.frameAge());
   }
 
-  // Sends a command; the promise bears its outcome and never fails.
+  // Send a command; the promise resolves to its outcome and never rejects.
   command(name, values) {
-    return this.ask(name, { arguments: values });
+    return this.request(name, { arguments: values });
   }
 
-  // Says that a button is still held; the promise bears whether what it does goes on.
-  renew(name, held) {
-    return this.ask(name, { renews: held });
+  // Report that a button is still pressed; the promise resolves to whether the command continues.
+  renew(name, press) {
+    return this.request(name, { renew: press });
   }
 
-  ask(name, content) {
+  request(name, content) {
     const id = ++this.count;
     return new Promise((resolve) => {
       if (this.socket.readyState !== WebSocket.OPEN) {
-        resolve({ name, done: false, reason: "no connection to the console's server: nothing was sent" });
+        resolve({ name, done: false, reason: "no connection to the console server: nothing was sent" });
         return;
       }
       this.waiting.set(id, resolve);

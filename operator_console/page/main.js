@@ -1,4 +1,4 @@
-// Puts the page together: what comes from the link or from a bag goes to views, numbers and plots.
+// Connects the link and the replay with views, values, plots and commands.
 
 import { Commands } from "./commands.js";
 import { age, number, setText } from "./format.js";
@@ -10,9 +10,9 @@ import { Replay } from "./replay.js";
 import { View } from "./views.js";
 
 const PLOT_PERIOD = 250; // [ms]
-const SOURCES = { simulation: "as simulated", payout: "a straight line by the payout" };
+const SOURCES = { simulation: "simulated position", payout: "straight line of the paid-out length" };
 
-const state = { frame: null, at: 0, machine: null, place: null, mayCommand: false, link: "lost", silence: null };
+const state = { frame: null, at: 0, machine: null, place: null, mayCommand: false, link: "lost", frameAge: null };
 applyTheme(stored("theme") ?? "auto");
 
 const side = new View(document.getElementById("side"), [0, 2]);
@@ -47,20 +47,20 @@ const replay = new Replay({
 const past = { frames: [], journal: [] };
 const commands = new Commands({
   send: (name, values) => link.command(name, values),
-  renew: (name, held) => link.renew(name, held),
-  now: () => `Now: depth ${reading("depth", 2)} m, tension ${reading("tension", 1)} N, descent ${word("descent")}, winch ${word("winch")}.`,
+  renew: (name, press) => link.renew(name, press),
+  now: () => `Now: depth ${reading("depth", 2)} m, tension ${reading("tension", 1)} N, descent ${phase("descent")}, winch ${phase("winch")}.`,
 });
-const link = new Link({ onContent: take, onState: showLink });
+const link = new Link({ onContent: receive, onState: showLink });
 showLink("lost", null);
 
-function take(content) {
+function receive(content) {
   if (content.kind === "welcome") {
     state.mayCommand = content.may_command;
     document.getElementById("leave").hidden = !content.by_token;
-    showLink(link.state, link.silence());
+    showLink(link.state, link.frameAge());
   } else if (content.kind === "commands") {
     commands.fill(content.commands);
-    showLink(link.state, link.silence());
+    showLink(link.state, link.frameAge());
   } else if (content.kind === "machine" || content.kind === "place") {
     state[content.kind] = content[content.kind];
     if (!replay.isOpen) for (const view of [side, top]) view.set(content.kind, state[content.kind]);
@@ -102,13 +102,13 @@ function show(frame, since, isOld) {
   setText(document.getElementById("top-source"), text);
 }
 
-function showLink(name, silence) {
+function showLink(name, frameAge) {
   state.link = name;
-  state.silence = silence;
+  state.frameAge = frameAge;
   document.body.dataset.link = name;
-  const seen = silence === null ? "Nothing was received yet." : `What is shown is ${age(silence)}.`;
+  const shown = frameAge === null ? "No data was received yet." : `The values are ${age(frameAge)}.`;
   setText(document.getElementById("lost-title"), name === "silent" ? "SERVER SILENT" : "NO CONNECTION");
-  setText(document.getElementById("lost-text"), `${name === "silent" ? "The console's server says nothing." : "The console's server is not reached."} ${seen} Commands are disabled.`);
+  setText(document.getElementById("lost-text"), `${name === "silent" ? "The console server sends no data." : "The console server cannot be reached."} ${shown} Commands are disabled.`);
   showMode();
   refresh();
 }
@@ -118,14 +118,14 @@ function showMode() {
   const box = document.getElementById("mode");
   box.dataset.mode = mode;
   document.body.dataset.mode = replay.isOpen ? "replay" : "live";
-  setText(document.getElementById("plots-title"), replay.isOpen ? "The whole bag (click to go there)" : "Last minutes");
-  setText(document.getElementById("mode-word"), replay.isOpen ? "REPLAY" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
+  setText(document.getElementById("plots-title"), replay.isOpen ? "Whole bag (click to select a time)" : "Recent values");
+  setText(document.getElementById("mode-title"), replay.isOpen ? "REPLAY" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
   const remarks = replay.isOpen ? [replay.bag.name, ...replay.bag.remarks].join("; ") : state.mayCommand ? "" : "view only";
   setText(document.getElementById("mode-text"), remarks);
   document.getElementById("mode-text").title = remarks;
-  const why = state.link !== "live" ? "no connection" : !state.mayCommand ? "view only" : replay.isOpen ? "replay: go back to live to command" : "";
+  const why = state.link !== "live" ? "no connection" : !state.mayCommand ? "view only" : replay.isOpen ? "replay: return to live to send commands" : "";
   commands.enable(!why, why);
-  // What ends a motion is at hand also while a bag is looked at.
+  // HOLD and ABORT stay available during a replay.
   if (replay.isOpen && state.link === "live" && state.mayCommand) commands.enableStops();
 }
 
@@ -134,8 +134,8 @@ function reading(name, digits) {
   return found ? number(found[0], digits) : "–";
 }
 
-function word(name) {
-  return state.frame?.words[name]?.[0]?.replaceAll("_", " ") || "not heard";
+function phase(name) {
+  return state.frame?.phases[name]?.[0]?.replaceAll("_", " ") || "no data";
 }
 
 setInterval(() => { if (!replay.isOpen && state.link === "live") plots.draw(null); }, PLOT_PERIOD);
@@ -144,17 +144,17 @@ for (const button of document.querySelectorAll("[data-view]")) {
   button.addEventListener("click", () => {
     const view = button.dataset.view === "side" ? side : top;
     view.set("extent", button.dataset.extent);
-    press(button, `[data-view="${button.dataset.view}"]`);
+    select(button, `[data-view="${button.dataset.view}"]`);
   });
 }
 for (const button of document.querySelectorAll("[data-minutes]")) {
   button.addEventListener("click", () => {
     plots.window = 60 * Number(button.dataset.minutes);
-    press(button, "[data-minutes]");
+    select(button, "[data-minutes]");
     if (!replay.isOpen) plots.draw(null);
   });
 }
-function press(button, all) {
+function select(button, all) {
   for (const each of document.querySelectorAll(all)) each.setAttribute("aria-pressed", String(each === button));
 }
 
@@ -169,7 +169,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { pl
 
 function applyTheme(name) {
   document.documentElement.dataset.theme = name;
-  try { localStorage.setItem("theme", name); } catch { /* it is asked for again next time */ }
+  try { localStorage.setItem("theme", name); } catch { /* not stored: the theme is chosen again next time */ }
 }
 
 function stored(name) {

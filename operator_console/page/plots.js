@@ -1,6 +1,6 @@
-// Plots of the last minutes, or of a whole bag; one time axis and one cursor for all.
+// Plots of recent values or of a whole bag, with a common time axis and cursor.
 
-import { moment, number } from "./format.js";
+import { machineTime, number } from "./format.js";
 
 const KEY = "console";
 const TITLE = 20; // [px]
@@ -42,11 +42,11 @@ export class Plots {
         legend: { live: true },
         scales: { x: { time: false }, y: { dir: plot.down ? -1 : 1, range: (_, low, high) => span(low, high, plot) } },
         axes: [
-          { ...axis, size: 24, gap: 2, values: (_, ticks) => ticks.map(moment), space: 80, incrs: STEPS },
+          { ...axis, size: 24, gap: 2, values: (_, ticks) => ticks.map(machineTime), space: 80, incrs: STEPS },
           { ...axis, size: 48, space: 24, values: (_, ticks) => ticks.map((tick) => number(tick, decimals(ticks))) },
         ],
         series: [
-          { label: "time", value: (_, value) => moment(value) },
+          { label: "time", value: (_, value) => machineTime(value) },
           ...plot.series.map(([, label, dash], index) => ({
             label, dash, stroke: colour(COLOURS[index]), width: 2, spanGaps: false, points: { show: false },
             value: (_, value) => (value === null || value === undefined ? "" : number(value, plot.digits)),
@@ -62,10 +62,10 @@ export class Plots {
     this.draw();
   }
 
-  // A frame that came now.
+  // Append a live frame.
   add(frame) {
     const times = this.columns.time;
-    if (times.length && frame.time < times.at(-1)) this.clear(); // the clock was put back
+    if (times.length && frame.time < times.at(-1)) this.clear(); // the clock restarts
     if (times.length && frame.time === times.at(-1)) return;
     times.push(frame.time);
     for (const name of this.names) this.columns[name].push(known(frame.values[name]));
@@ -76,7 +76,7 @@ export class Plots {
     }
   }
 
-  // Columns as a whole: what was before this page, or a bag.
+  // Replace the values, by the history or by a bag.
   fill(frames) {
     this.clear();
     for (const frame of frames) {
@@ -89,7 +89,7 @@ export class Plots {
     for (const column of Object.values(this.columns)) column.length = 0;
   }
 
-  // range: both ends of the axis; null: the last minutes up to now. marker: a time to point at.
+  // range: limits of the time axis; null: the recent values. marker: time of the vertical line.
   draw(range = this.range ?? null, marker = null) {
     this.range = range;
     const times = this.columns.time;
@@ -125,7 +125,7 @@ export class Plots {
     for (const plot of this.plots) if (plot.width !== width || plot.height !== height) plot.setSize({ width, height });
   }
 
-  // All of them fill the panel.
+  // The plots fill the panel.
   height() {
     return Math.max(80, Math.floor((this.root.clientHeight - 10) / PLOTS.length) - TITLE);
   }
@@ -135,12 +135,12 @@ function known(value) {
   return value && !value[2] ? value[0] : null;
 }
 
-function lowerBound(times, wanted) {
+function lowerBound(times, time) {
   let low = 0;
   let high = times.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (times[middle] < wanted) low = middle + 1; else high = middle;
+    if (times[middle] < time) low = middle + 1; else high = middle;
   }
   return low;
 }
@@ -150,7 +150,7 @@ function decimals(ticks) {
   return step < 0.1 ? 2 : step < 1 ? 1 : 0;
 }
 
-// Never so near that noise looks like motion.
+// Limits of the value axis, at least `least` apart so that noise does not fill the plot.
 function span(low, high, { limits, least }) {
   if (limits) return [Math.min(limits[0] * 1.1, low ?? 0), Math.max(limits[1] * 1.1, high ?? 0)];
   if (low === null || low === undefined) return [0, 1];

@@ -1,12 +1,12 @@
-// A bag on the same page: its frames played with the same views, its events as marks to go to.
+// Replay of a bag: its frames in the same views, its events as marks on the timeline.
 
 import { clock, element, setText } from "./format.js";
 
-const MOST_MARKS = 100;
+const MAX_MARKS = 100;
 const RANKS = ["ok", "warn", "error"];
 
 export class Replay {
-  // onFrame(frame, replay) shows one; onOpen(replay) and onClose() change the page's mode.
+  // onFrame(frame, replay) shows a frame; onOpen(replay) and onClose() change the mode of the page.
   constructor({ onFrame, onOpen, onClose, onFail }) {
     Object.assign(this, { onFrame, onOpen, onClose, onFail });
     this.bag = null;
@@ -34,7 +34,7 @@ export class Replay {
       this.parts.bags.replaceChildren(first, ...bags.map(({ name, size }) =>
         element("option", { value: name }, `${name} (${(size / 1e6).toFixed(1)} MB)`)));
       this.parts.bags.value = chosen;
-    } catch { /* the lost connection is told elsewhere */ }
+    } catch { /* the page shows the lost connection */ }
   }
 
   async open(name) {
@@ -44,21 +44,21 @@ export class Replay {
       const answer = await fetch(`/bags/${encodeURIComponent(name)}`);
       const content = await answer.json();
       if (!answer.ok) throw new Error(content.error);
-      this.take(content);
+      this.load(content);
     } catch (error) {
       this.parts.bags.value = this.bag?.name ?? "";
       this.onFail(`${name} cannot be replayed: ${error.message}`);
-      this.tellTime();
+      this.showTime();
     } finally {
       this.parts.bags.disabled = false;
     }
   }
 
-  take(bag) {
-    // What is as before was left out.
+  load(bag) {
+    // Unchanged parts and health are omitted in the bag.
     bag.frames.reduce((before, frame) => {
       frame.parts ??= before?.parts ?? [];
-      frame.health ??= before?.health ?? { level: "unknown", word: "nothing heard", text: "" };
+      frame.health ??= before?.health ?? { level: "unknown", title: "no data", text: "" };
       return frame;
     }, null);
     this.bag = bag;
@@ -69,7 +69,7 @@ export class Replay {
     this.parts.live.hidden = false;
     const length = Math.max(this.last - this.first, 1e-6);
     this.parts.marks.replaceChildren(...marks(bag.journal, this.first, length).map(({ entry, more }) => {
-      const others = more ? ` (and ${more} more near by)` : "";
+      const others = more ? ` (and ${more} more nearby)` : "";
       const mark = element("button", { type: "button", class: "mark", "data-level": entry.level, title: `${clock(entry.time - this.first)}  ${entry.title.replaceAll("_", " ")}: ${entry.text}${others}`, tabIndex: -1 });
       mark.style.left = `${(100 * (entry.time - this.first)) / length}%`;
       mark.addEventListener("click", () => this.goTo(entry.time));
@@ -98,11 +98,11 @@ export class Replay {
   go(index) {
     this.index = Math.max(0, Math.min(index, this.bag.frames.length - 1));
     this.parts.scrub.value = this.index;
-    this.tellTime();
+    this.showTime();
     this.onFrame(this.bag.frames[this.index], this);
   }
 
-  tellTime() {
+  showTime() {
     const frame = this.bag?.frames[this.index];
     setText(this.parts["replay-time"], frame ? `${clock(frame.time - this.first)} of ${clock(this.last - this.first)}` : "");
   }
@@ -128,11 +128,11 @@ export class Replay {
   }
 }
 
-// Of entries close together the worst one stands for all.
+// Of entries close together show the most severe one.
 function marks(journal, first, length) {
   const places = new Map();
   for (const entry of journal) {
-    const place = Math.floor((MOST_MARKS * (entry.time - first)) / length);
+    const place = Math.floor((MAX_MARKS * (entry.time - first)) / length);
     const there = places.get(place);
     if (!there) places.set(place, { entry, more: 0 });
     else {

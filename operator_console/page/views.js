@@ -1,13 +1,13 @@
-// The two views: hole, tether and rover from the side and from above, drawn to one scale in metres.
+// Side and top view of hole, tether and rover, to scale [m].
 
 import { number } from "./format.js";
 
-const NEAR = 1.6; // half the height of a near view, at least [m]
-const SLACK = 0.3; // a tether under less tension [N] is drawn slack
-const TRAIL = 90; // [s]
+const NEAR = 1.6; // smallest half height of the near view [m]
+const SLACK = 0.3; // tether below this tension is drawn slack [N]
+const TRAIL = 90; // duration of the drawn track [s]
 
 export class View {
-  // axes: which coordinate goes right and which up.
+  // axes: indices of the coordinates to the right and up.
   constructor(canvas, axes) {
     this.canvas = canvas;
     this.axes = axes;
@@ -24,7 +24,7 @@ export class View {
     this.draw();
   }
 
-  // frame: what is shown; isOld: nothing new comes.
+  // frame: frame to show; isOld: whether no new frames arrive.
   show(frame, isOld) {
     const rover = roverOf(frame?.geometry);
     if (rover && !isOld && frame.geometry.source === "simulation") {
@@ -61,7 +61,7 @@ export class View {
     this.drawPlace(rover);
     if (this.isSide) this.drawDepths(rover);
     if (!geometry) {
-      this.note("no position is known yet");
+      this.note("no position received");
       return;
     }
     pen.globalAlpha = this.isOld || geometry.stale ? 0.4 : 1;
@@ -77,7 +77,7 @@ export class View {
 
   get isSide() { return this.axes[1] === 2; }
 
-  // ---- the map between metres and pixels
+  // ---- transformation between metres and pixels
 
   fit(rover) {
     const [width, height] = this.size;
@@ -101,7 +101,7 @@ export class View {
     this.origin = [width / 2, height / 2 + 4];
   }
 
-  // A tall narrow view does not hold a wide hole: keep the tether in it, and of the walls the nearer.
+  // A wide hole does not fit into a narrow view: show the tether and the nearer wall.
   sideCentre(width, at) {
     const half = width / 2 / this.scale;
     const walls = this.place ? this.place.wall.filter((line) => Math.abs(line[1] + 10) < 40).flatMap((line) => [line[0], line[2]]) : [];
@@ -110,7 +110,7 @@ export class View {
     return Math.sign(nearest) * Math.max(0, Math.abs(nearest) + 0.12 * half - half) * 1 + (Math.abs(nearest) < half ? Math.sign(-nearest) * 0.35 * half : 0);
   }
 
-  // What the whole view must hold: low right, low up, high right, high up.
+  // Bounding box of the whole view: minimum right, minimum up, maximum right, maximum up.
   box(at) {
     const lines = this.isSide ? [...(this.place?.wall ?? []), ...(this.place?.floor ?? [])] : this.outline(at)?.lines ?? [];
     if (!lines.length) {
@@ -144,7 +144,7 @@ export class View {
     return [this.origin[0] + (x - this.centre[0]) * this.scale, this.origin[1] - (y - this.centre[1]) * this.scale];
   }
 
-  // ---- what is drawn
+  // ---- drawing
 
   lines(lines, colour, width) {
     const pen = this.pen;
@@ -166,7 +166,7 @@ export class View {
     pen.fillStyle = this.colour("boulder");
     pen.strokeStyle = this.colour("wall");
     pen.lineWidth = 1;
-    for (const [x, y, z, radius] of environment.boulders) {
+    for (const [x, y, z, radius] of place.boulders) {
       const isNear = this.isSide ? Math.abs(y - (rover?.[1] ?? 0)) < 1.5 + radius : true;
       if (!isNear || radius * this.scale < 1) continue;
       pen.beginPath();
@@ -232,7 +232,7 @@ export class View {
     pen.fillStyle = this.colour("goal");
     pen.textAlign = "right";
     pen.textBaseline = "bottom";
-    this.say(`goal ${number(goal[0], 2)} m`, width - 6, y - 3);
+    this.text(`goal ${number(goal[0], 2)} m`, width - 6, y - 3);
   }
 
   drawTrail() {
@@ -261,7 +261,7 @@ export class View {
     pen.lineWidth = 2.5;
     pen.lineCap = "butt";
     const isSlack = (node) => node[3] !== null && node[3] < SLACK;
-    // One line for each stretch that is all slack or all taut.
+    // One line for each stretch that is slack or taut.
     for (let first = 0, last = 1; first < nodes.length - 1; first = last, last++) {
       const slack = isSlack(nodes[last]);
       while (last < nodes.length - 1 && isSlack(nodes[last + 1]) === slack) last++;
@@ -294,11 +294,11 @@ export class View {
       pen.textAlign = x > this.size[0] - 110 ? "right" : "left";
       pen.textBaseline = "middle";
       pen.font = "600 13px system-ui, sans-serif";
-      this.say("rover", x + (pen.textAlign === "left" ? 15 : -15), y);
+      this.text("rover", x + (pen.textAlign === "left" ? 15 : -15), y);
       pen.font = "12px system-ui, sans-serif";
     }
     if (!this.isSide && geometry.body1) {
-      const forward = turn(geometry.body1.slice(3), [1, 0, 0]);
+      const forward = rotate(geometry.body1.slice(3), [1, 0, 0]);
       const [x, y] = this.to(rover);
       const reach = Math.max(24, 0.35 * this.scale);
       const heading = Math.atan2(-forward[1], forward[0]);
@@ -317,11 +317,11 @@ export class View {
     }
   }
 
-  // A box as the hull of its corners.
+  // A box as the convex hull of its projected corners.
   box3(pose, size, colour) {
     const corners = [];
     for (const i of [-1, 1]) for (const j of [-1, 1]) for (const k of [-1, 1]) {
-      const arm = turn(pose.slice(3), [i * size[0] / 2, j * size[1] / 2, k * size[2] / 2]);
+      const arm = rotate(pose.slice(3), [i * size[0] / 2, j * size[1] / 2, k * size[2] / 2]);
       corners.push(this.to([pose[0] + arm[0], pose[1] + arm[1], pose[2] + arm[2]]));
     }
     const pen = this.pen;
@@ -345,7 +345,7 @@ export class View {
       pen.beginPath();
       for (let step = 0; step <= 24; step++) {
         const angle = (step / 24) * 2 * Math.PI;
-        const arm = turn(pose.slice(3), [
+        const arm = rotate(pose.slice(3), [
           wheels.axle_x + wheels.radius * Math.cos(angle), side * wheels.track_width / 2,
           wheels.axle_z + wheels.radius * Math.sin(angle),
         ]);
@@ -373,8 +373,8 @@ export class View {
     pen.fillText(this.isSide ? "x →   z ↑" : "x →   y ↑", 6, height - 12);
   }
 
-  // A text that lines do not run through.
-  say(text, x, y) {
+  // Text with a background outline.
+  text(text, x, y) {
     this.pen.strokeStyle = this.colour("panel");
     this.pen.lineWidth = 4;
     this.pen.lineJoin = "round";
@@ -395,8 +395,8 @@ export function roverOf(geometry) {
   return geometry.body1 ?? geometry.tether?.at(-1) ?? null;
 }
 
-// A vector turned by a unit quaternion (x, y, z, w).
-export function turn([x, y, z, w], [a, b, c]) {
+// Rotate a vector by a unit quaternion (x, y, z, w).
+export function rotate([x, y, z, w], [a, b, c]) {
   const t = [2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)];
   return [
     a + w * t[0] + y * t[2] - z * t[1],

@@ -1,4 +1,4 @@
-"""The executable `rover`: its arguments, its exit codes, and what an operator is told."""
+"""The command `rover`: arguments, exit codes and messages."""
 
 import json
 import os
@@ -44,7 +44,7 @@ def test_bad_arguments_are_refused_before_anything_is_sent(
     "given",
     [["fly"], [], ["descend"], ["hold", "3"], ["arm", "--timeout", "0"], ["mission"]],
 )
-def test_what_is_no_command_is_refused(given: list[str], capsys: pytest.CaptureFixture[str]):
+def test_an_unknown_command_is_refused(given: list[str], capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as ended:
         main(given)
     assert ended.value.code == Exit.BAD_ARGUMENTS
@@ -59,8 +59,8 @@ def test_help_lists_every_command_and_exit_code():
 
 @pytest.mark.process
 @pytest.mark.ros
-def test_an_operator_is_told_what_became_of_each_order(harness: NodeHarness):
-    # Slow simulated time, and patience: a machine that is busy elsewhere must not brake the winch.
+def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
+    # Slow simulated time and long timeouts: a busy computer must not brake the winch.
     patient = {
         "use_sim_time": True, "max_step_delay": 5.0, "command_timeout": 30.0,
         "encoder_timeout": 1.0, "load_cell_timeout": 10.0,
@@ -70,14 +70,14 @@ def test_an_operator_is_told_what_became_of_each_order(harness: NodeHarness):
     def rover(*given: str) -> Process:
         return harness.processes.start("operator_console.command_line", None, *given)
 
-    def told(*given: str) -> tuple[int, dict[str, Any]]:
+    def result_of(*given: str) -> tuple[int, dict[str, Any]]:
         process = rover(*given, "--json", "--timeout", PATIENCE)
         code = process.wait()
         return code, json.loads(process.output.splitlines()[-1])
 
-    nobody = rover("payout", "20", "--timeout", "0.5")
-    assert nobody.wait() == Exit.NOBODY
-    assert "winch_node is not heard in the namespace /" in nobody.output
+    unavailable = rover("payout", "20", "--timeout", "0.5")
+    assert unavailable.wait() == Exit.UNAVAILABLE
+    assert "winch_node does not run in the namespace /" in unavailable.output
 
     harness.processes.start("rover_sim.mock_plant_node", slow)
     harness.processes.start("tether_winch.winch_node", patient)
@@ -85,18 +85,18 @@ def test_an_operator_is_told_what_became_of_each_order(harness: NodeHarness):
     observer.wait_until_ready("winch_node")
     start = observer.listen(topics.WINCH_STATE).wait().joints[WINCH_DRUM].position
 
-    code, refused = told("payout", str(start + 0.2))
-    assert (code, refused["verdict"], refused["code"]) == (Exit.REFUSED, "refused", "not_armed")
+    code, refused = result_of("payout", str(start + 0.2))
+    assert (code, refused["status"], refused["code"]) == (Exit.REFUSED, "refused", "not_armed")
     assert "winch/rearm arms it" in refused["reason"]
-    code, armed = told("arm")
-    assert (code, armed["verdict"]) == (Exit.DONE, "accepted")
+    code, armed = result_of("arm")
+    assert (code, armed["status"]) == (Exit.DONE, "accepted")
 
-    code, done = told("payout", str(start + 0.2), "--wait")
-    assert (code, done["ending"]["is_done"]) == (Exit.DONE, True)
+    code, done = result_of("payout", str(start + 0.2), "--wait")
+    assert (code, done["completion"]["is_done"]) == (Exit.DONE, True)
     there = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM].position
     assert there == pytest.approx(start + 0.2, abs=0.05)
 
-    # Ctrl-C while it moves: what was begun is brought to rest before the command ends.
+    # Ctrl-C during a motion: the command stops the motion before it ends.
     jog = rover("jog", "0.02", "--timeout", PATIENCE)
     jog.wait_for_output("renewed until Ctrl-C")
     observer.wait_for_text(topics.WINCH_MODE, "rate")

@@ -1,4 +1,4 @@
-"""The table of an operator's commands keeps to the contract, and refuses what the contract does."""
+"""The table of commands keeps the contract and refuses what the contract refuses."""
 
 import math
 
@@ -23,7 +23,7 @@ REQUESTS = [row for row in COMMANDS.values() if row.request is not None]
 
 
 def ordered(command: Command, share: float) -> Order:
-    """An order whose arguments lie at a share of the way between their limits."""
+    """An order whose arguments lie at a share between their limits."""
     values: dict[str, object] = {}
     for argument in command.arguments:
         rule = command.rule(argument)
@@ -33,15 +33,15 @@ def ordered(command: Command, share: float) -> Order:
 
 @pytest.mark.parametrize("command", REQUESTS, ids=lambda row: row.name)
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_what_the_limits_allow_keeps_the_contract(command: Command, share: float):
+def test_arguments_within_the_limits_keep_the_contract(command: Command, share: float):
     assert command.request is not None
     order = ordered(command, share)
-    sample = order.goal(ORIGIN, 5) if command.request.ahead else order.sample()
+    sample = order.goal(ORIGIN, 5) if command.request.is_relative else order.sample()
     check(TOPICS[command.request.topic], sample)
 
 
 @pytest.mark.parametrize("command", REQUESTS, ids=lambda row: row.name)
-def test_what_lies_beyond_the_limits_is_refused_with_what_would_be_right(command: Command):
+def test_arguments_beyond_the_limits_are_refused_with_the_limits(command: Command):
     for argument in command.arguments:
         rule = command.rule(argument)
         given = {a.name: command.rule(a).maximum for a in command.arguments if a.required}
@@ -54,7 +54,7 @@ def test_what_lies_beyond_the_limits_is_refused_with_what_would_be_right(command
 
 
 @pytest.mark.parametrize("given", ["nan", "inf", "-inf", "deep", "", "1,5", True, [1.0], math.nan])
-def test_no_number_is_refused(given: object):
+def test_an_argument_that_is_no_number_is_refused(given: object):
     with pytest.raises(FieldError, match=r"depth = .*should be a number at least 0"):
         COMMANDS["descend"].order({"depth": given})
 
@@ -64,39 +64,39 @@ def test_a_missing_argument_is_named_with_its_unit():
         COMMANDS["jump"].order({})
 
 
-def test_an_argument_that_there_is_not_is_refused():
+def test_an_unknown_argument_is_refused():
     with pytest.raises(FieldError, match="did you mean 'depth'"):
         COMMANDS["descend"].order({"dept": 3.0})
     with pytest.raises(FieldError, match="hold has no such argument"):
         COMMANDS["hold"].order({"depth": 3.0})
 
 
-def test_a_text_is_read_as_a_number_and_what_is_left_out_is_the_node_s_own():
+def test_a_text_is_read_as_a_number_and_missing_arguments_are_the_node_s_defaults():
     order = COMMANDS["descend"].order({"depth": "30"})
     assert order.sample() == JointSample(0, {"plain_stop": JointValue(30.0, 0.0, 0.0)})
     assert order.text == "descend 30"
 
 
-def test_an_angle_is_given_in_degrees_and_told_in_radians():
+def test_an_angle_is_given_in_degrees_and_sent_in_radians():
     order = COMMANDS["turn"].order({"angle": "-90"})
     assert order.sample().joints["heading_turn"].position == pytest.approx(-math.pi / 2)
-    assert order.told["angle"] == pytest.approx(-math.pi / 2)
+    assert order.contract_values["angle"] == pytest.approx(-math.pi / 2)
     assert order.text == "turn -90"
 
 
-def test_a_way_ahead_leads_along_the_heading_and_leaves_that_open():
+def test_a_distance_ahead_is_along_the_heading_and_leaves_the_heading_open():
     half = math.radians(60.0) / 2.0
     turned = (0.0, 0.0, math.sin(half), math.cos(half))
-    seen = OdometrySample(7, (1.0, 2.0, -40.0), turned, ZERO, ZERO)
-    goal = COMMANDS["drive"].order({"way": 2.0}).goal(seen, 9)
+    odometry = OdometrySample(7, (1.0, 2.0, -40.0), turned, ZERO, ZERO)
+    goal = COMMANDS["drive"].order({"distance": 2.0}).goal(odometry, 9)
     assert goal.stamp_ns == 9
     assert goal.position == pytest.approx((2.0, 2.0 + math.sqrt(3.0), -40.0))
     assert goal.orientation == NO_ORIENTATION
-    with pytest.raises(FieldError, match=r"way = 0: should be a number at least 0\.05"):
-        COMMANDS["drive"].order({"way": 0})
+    with pytest.raises(FieldError, match=r"distance = 0: should be a number at least 0\.05"):
+        COMMANDS["drive"].order({"distance": 0})
 
 
-def test_every_service_and_server_is_the_contract_s():
+def test_switch_services_get_data_and_triggers_none():
     calls = [call for row in COMMANDS.values() for call in row.calls]
     assert calls
     for call in calls:
@@ -104,7 +104,7 @@ def test_every_service_and_server_is_the_contract_s():
         assert (call.data is not None) == takes_switch, call
 
 
-def test_a_command_goes_one_way_and_what_moves_can_be_ended():
+def test_a_command_is_a_request_or_calls_and_every_request_can_be_undone():
     for row in COMMANDS.values():
         assert bool(row.calls) != (row.request is not None), row.name
         assert row.undo in {"", *COMMANDS}
@@ -112,15 +112,15 @@ def test_a_command_goes_one_way_and_what_moves_can_be_ended():
             assert row.moves, row.name
             assert row.undo, row.name
             assert not COMMANDS[row.undo].moves, row.name
-            assert row.ends is not None, row.name
+            assert row.completion is not None, row.name
 
 
-def test_what_the_contract_wants_renewed_is_renewed():
-    renewed = {row.request.joint for row in REQUESTS if row.request and row.request.renew}
+def test_requests_that_the_contract_times_out_are_renewed():
+    renewed = {row.request.joint for row in REQUESTS if row.request and row.request.renewal_rate}
     assert renewed == {"winch_rate", "winch_tension"}
-    assert {row.request.taker for row in REQUESTS if row.request} == {
-        TOPICS[word].publisher
-        for word in (
+    assert {row.request.node for row in REQUESTS if row.request} == {
+        TOPICS[topic].publisher
+        for topic in (
             topics.WINCH_MODE,
             topics.DESCENT_PHASE,
             topics.JUMP_PHASE,
@@ -129,12 +129,12 @@ def test_what_the_contract_wants_renewed_is_renewed():
     }
 
 
-def test_an_order_is_told_as_it_is_typed():
+def test_the_text_of_an_order_is_what_an_operator_types():
     order = COMMANDS["payout"].order({"length": 12, "rate": 0.05})
     assert order.text == "payout 12 --rate 0.05"
 
 
-def test_a_depth_on_the_other_side_contradicts_the_word():
+def test_a_depth_on_the_other_side_contradicts_the_command():
     down, up = COMMANDS["descend"].order({"depth": 5}), COMMANDS["ascend"].order({"depth": 5})
     assert down.contradiction(3.0) == up.contradiction(7.0) == ""
     assert down.contradiction(7.0) == "the rover is at 7.00 m, 5 m is above it; `ascend 5`?"

@@ -1,4 +1,4 @@
-"""Orders that are held: renewed while they are, and never after a gap."""
+"""Dead-man orders are renewed while the button is pressed, and never after a gap."""
 
 from __future__ import annotations
 
@@ -7,68 +7,68 @@ from dataclasses import dataclass, field
 import pytest
 
 from operator_console.completion import Completion
-from operator_console.deadman import LONGEST_GAP, DeadmanCommands
+from operator_console.deadman import RENEWAL_TIMEOUT, DeadmanCommands
 
 
 @dataclass
 class Winch:
-    """What hears renewals, with a clock of the test's own."""
+    """Receives renewals; has a simulated clock."""
 
     time: float = 0.0
-    heard: list[str] = field(default_factory=list)
-    ending: Completion | None = None
+    received: list[str] = field(default_factory=list)
+    completion: Completion | None = None
 
-    def say_again(self, order: str) -> Completion | None:
-        if self.ending is None:
-            self.heard.append(order)
-        return self.ending
+    def send_again(self, order: str) -> Completion | None:
+        if self.completion is None:
+            self.received.append(order)
+        return self.completion
 
     def orders(self) -> DeadmanCommands[str]:
-        return DeadmanCommands(self.say_again, lambda: self.time)
+        return DeadmanCommands(self.send_again, lambda: self.time)
 
 
-def test_each_renewal_is_said_once():
+def test_each_renewal_is_sent_once():
     winch = Winch()
     orders = winch.orders()
     name = orders.begin("jog")
-    assert winch.heard == []
+    assert winch.received == []
     for _ in range(3):
-        winch.time += 0.9 * LONGEST_GAP
+        winch.time += 0.9 * RENEWAL_TIMEOUT
         assert orders.renew(name).is_done
-    assert winch.heard == ["jog"] * 3
+    assert winch.received == ["jog"] * 3
 
 
-def test_what_was_not_held_for_a_while_does_not_move_again():
+def test_an_order_does_not_resume_after_a_gap():
     winch = Winch()
     orders = winch.orders()
     name = orders.begin("jog")
-    winch.time += LONGEST_GAP + 0.5
-    assert orders.renew(name) == (False, "it was not held for 1.5 s")
-    assert orders.renew(name) == (False, "nothing is held by that name")
-    assert winch.heard == []
+    winch.time += RENEWAL_TIMEOUT + 0.5
+    assert orders.renew(name) == (False, "the press was not renewed for 1.5 s (limit 1 s)")
+    assert orders.renew(name) == (False, "this press is not known or has ended")
+    assert winch.received == []
 
 
-def test_what_is_over_is_told_and_not_said_again():
+def test_a_completed_order_is_reported_and_not_sent_again():
     winch = Winch()
     orders = winch.orders()
     name = orders.begin("pull")
-    winch.ending = Completion(False, "the drum's end is reached")
+    winch.completion = Completion(False, "the drum's end is reached")
     assert orders.renew(name) == (False, "the drum's end is reached")
-    winch.ending = None
+    winch.completion = None
     assert not orders.renew(name).is_done
-    assert winch.heard == []
+    assert winch.received == []
 
 
 @pytest.mark.parametrize("name", ["", "jog", "0" * 16])
-def test_nobody_renews_what_he_did_not_begin(name: str):
+def test_an_unknown_key_renews_nothing(name: str):
     winch = Winch()
     orders = winch.orders()
     orders.begin("jog")
     assert not orders.renew(name).is_done
-    assert winch.heard == []
+    assert winch.received == []
 
 
-def test_presses_that_nobody_ended_are_forgotten():
+def test_old_presses_are_dropped():
     winch = Winch()
     orders = winch.orders()
     names = [orders.begin(f"jog {number}") for number in range(40)]

@@ -1,4 +1,4 @@
-"""An answer is recognised as one's own, and the end of what was asked for as that."""
+"""An answer is recognised as one's own, and the end of what was exchange_of for as that."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,12 +10,12 @@ from msg_schemas.refusal import REQUEST_ACCEPTED, Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.samples import Level, Status, StatusSample
 from operator_console.commands import COMMANDS
-from operator_console.exchange import Exchange, Outcome, Verdict, answer_of, joined
+from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
 
 ME = "rover#1"
 
 
-def asked(name: str, **values: object) -> Exchange:
+def exchange_of(name: str, **values: object) -> Exchange:
     return Exchange(COMMANDS[name].order(values), ME)
 
 
@@ -28,29 +28,29 @@ def event(
     **values: Any,
 ) -> None:
     texts = {key: str(value) for key, value in values.items()}
-    status = Status(name, message, level, node or exchange.request.taker, texts)
-    exchange.hear(topics.EVENTS, StatusSample(1, (status,)))
+    status = Status(name, message, level, node or exchange.request.node, texts)
+    exchange.on_statuses(topics.EVENTS, StatusSample(1, (status,)))
 
 
-def accept(exchange: Exchange, commander: str = ME) -> None:
-    event(exchange, REQUEST_ACCEPTED, commander=commander)
+def accept(exchange: Exchange, source: str = ME) -> None:
+    event(exchange, REQUEST_ACCEPTED, commander=source)
 
 
-def refuse(exchange: Exchange, commander: str, node: str = "") -> None:
+def refuse(exchange: Exchange, source: str, node: str = "") -> None:
     refusal = Refusal(exchange.request.topic, RefusalCode.WRONG_PHASE, "not now")
-    refusal.commander = commander
-    status = RefusalLog(node or exchange.request.taker).take(refusal)
+    refusal.commander = source
+    status = RefusalLog(node or exchange.request.node).take(refusal)
     assert status is not None
-    exchange.hear(topics.DIAGNOSTICS, StatusSample(1, (status,)))
+    exchange.on_statuses(topics.DIAGNOSTICS, StatusSample(1, (status,)))
 
 
 def ended(exchange: Exchange) -> tuple[bool, str]:
-    assert exchange.ending is not None
-    return exchange.ending.is_done, exchange.ending.reason
+    assert exchange.completion is not None
+    return exchange.completion.is_done, exchange.completion.reason
 
 
-def test_an_acceptance_is_one_s_own():
-    exchange = asked("payout", length=12.0)
+def test_only_an_acceptance_with_the_own_name_counts():
+    exchange = exchange_of("payout", length=12.0)
     accept(exchange, "rover#2")
     assert exchange.outcome is None
     accept(exchange)
@@ -58,25 +58,25 @@ def test_an_acceptance_is_one_s_own():
     assert exchange.outcome.is_accepted
 
 
-def test_a_refusal_is_one_s_own_and_bears_code_and_reason():
-    exchange = asked("payout", length=12.0)
+def test_only_a_refusal_with_the_own_name_counts_with_code_and_reason():
+    exchange = exchange_of("payout", length=12.0)
     refuse(exchange, "rover#2")
     refuse(exchange, "")
     refuse(exchange, ME, node="descent_node")
     assert exchange.outcome is None
     refuse(exchange, ME)
-    refused = Outcome(Verdict.REFUSED, topics.WINCH_REQUEST, "not now", "wrong_phase")
+    refused = Outcome(OrderStatus.REFUSED, topics.WINCH_REQUEST, "not now", "wrong_phase")
     assert exchange.outcome == refused
     assert refused.text == "winch/request refused: not now [wrong_phase]"
 
 
-def test_the_end_of_another_stop_is_not_one_s_own():
-    exchange = asked("descend", depth=12.5)
-    event(exchange, "stop_ended", "reached", depth=12.5)  # said before, and kept for late comers
+def test_the_end_of_another_stop_does_not_complete_the_request():
+    exchange = exchange_of("descend", depth=12.5)
+    event(exchange, "stop_ended", "reached", depth=12.5)  # latched before the request
     accept(exchange)
     event(exchange, "stop_ended", "reached", depth=11.0)
     event(exchange, "stop_ended", "reached", node="winch_node", depth=12.5)
-    assert exchange.ending is None
+    assert exchange.completion is None
     event(exchange, "stop_ended", "reached", depth=12.5)
     assert ended(exchange) == (True, "reached")
 
@@ -86,11 +86,11 @@ def test_the_end_of_another_stop_is_not_one_s_own():
     [
         ("stop_ended", Level.WARN, "not steady within 60 s"),
         ("descent_interrupted", Level.WARN, "the winch is in fault"),
-        ("descent_holding", Level.OK, "asked to hold"),
+        ("descent_holding", Level.OK, "exchange_of to hold"),
     ],
 )
-def test_a_descent_may_end_otherwise(name: str, level: Level, message: str):
-    exchange = asked("observe", depth=12.5)
+def test_a_descent_may_end_without_success(name: str, level: Level, message: str):
+    exchange = exchange_of("observe", depth=12.5)
     accept(exchange)
     event(exchange, name, message, level, depth=12.5)
     done, reason = ended(exchange)
@@ -102,22 +102,22 @@ def test_a_descent_may_end_otherwise(name: str, level: Level, message: str):
     ("values", "done"),
     [({"length": 12.01}, True), ({"length": 9.0}, False), ({"length": "nan"}, False), ({}, False)],
 )
-def test_a_winch_that_holds_elsewhere_has_not_come_there(values: Mapping[str, Any], done: bool):
-    exchange = asked("payout", length=12.0)
+def test_a_winch_that_holds_at_another_length_is_not_done(values: Mapping[str, Any], done: bool):
+    exchange = exchange_of("payout", length=12.0)
     accept(exchange)
     event(exchange, "winch_hold", "holds", **values)
     assert ended(exchange) == (done, "holds")
 
 
-def test_a_jump_is_over_at_rest_on_the_ground_and_lost_when_the_spring_is_let_down():
-    good, bad = asked("jump", stroke=0.2), asked("jump", stroke=0.2)
+def test_a_jump_is_done_at_rest_on_the_ground_and_fails_when_the_spring_is_released():
+    good, bad = exchange_of("jump", stroke=0.2), exchange_of("jump", stroke=0.2)
     for exchange in (good, bad):
         event(exchange, "jump_compressing")
         accept(exchange)
     for name in ("jump_flight", "jump_landed"):
         event(good, name)
-    assert good.ending is None
-    assert [status.name for status in good.story] == ["jump_flight", "jump_landed"]
+    assert good.completion is None
+    assert [status.name for status in good.events] == ["jump_flight", "jump_landed"]
     event(good, "jump_standby", "at rest on the ground")
     assert ended(good) == (True, "at rest on the ground")
     event(bad, "jump_letting_down", "no take-off", Level.ERROR)
@@ -125,9 +125,9 @@ def test_a_jump_is_over_at_rest_on_the_ground_and_lost_when_the_spring_is_let_do
     assert ended(bad) == (False, "jump_letting_down: no take-off")
 
 
-def test_a_goal_in_a_frame_is_answered_by_its_stamp():
-    exchange = asked("drive", way=2.0)
-    exchange.commander = "1500000123 ns"
+def test_a_goal_in_a_frame_is_matched_by_its_stamp():
+    exchange = exchange_of("drive", distance=2.0)
+    exchange.command_source = "1500000123 ns"
     accept(exchange, "1500000000 ns")
     assert exchange.outcome is None
     accept(exchange, "1500000123 ns")
@@ -136,52 +136,52 @@ def test_a_goal_in_a_frame_is_answered_by_its_stamp():
     assert ended(exchange) == (True, "all goals are reached")
 
 
-def test_a_renewal_that_is_refused_ends_what_was_accepted():
-    exchange = asked("jog", rate=-0.01)
+def test_a_refused_renewal_ends_the_accepted_request():
+    exchange = exchange_of("jog", rate=-0.01)
     accept(exchange)
     accept(exchange)
-    assert exchange.ending is None
+    assert exchange.completion is None
     refuse(exchange, ME)
     assert ended(exchange) == (False, "refused: not now [wrong_phase]")
 
 
 def test_a_service_s_answer_is_read_with_its_code():
-    said = str(Refusal(topics.WINCH_HOLD, RefusalCode.NOT_ARMED, "the winch is [odd] in stop"))
-    assert answer_of(topics.WINCH_HOLD, False, said) == Outcome(
-        Verdict.REFUSED, topics.WINCH_HOLD, "the winch is [odd] in stop", "not_armed"
+    answer = str(Refusal(topics.WINCH_HOLD, RefusalCode.NOT_ARMED, "the winch is [odd] in stop"))
+    assert answer_of(topics.WINCH_HOLD, False, answer) == Outcome(
+        OrderStatus.REFUSED, topics.WINCH_HOLD, "the winch is [odd] in stop", "not_armed"
     )
     assert answer_of(topics.SIM_STEP, False, "it runs").code == ""
     assert answer_of(topics.SIM_STEP, False, "it [runs]").reason == "it [runs]"
     assert answer_of(topics.WINCH_HOLD, True, "coming to rest").is_accepted
 
 
-def part(verdict: Verdict, code: str = "") -> Outcome:
-    return Outcome(verdict, "s", verdict.value, code)
+def part(status: OrderStatus, code: str = "") -> Outcome:
+    return Outcome(status, "s", status.value, code)
 
 
-IDLE = part(Verdict.REFUSED, "wrong_phase")
-STALE = part(Verdict.REFUSED, "stale")
-DONE = part(Verdict.ACCEPTED)
-AWAY = part(Verdict.NOBODY)
-LOST = part(Verdict.NO_ANSWER)
+IDLE = part(OrderStatus.REFUSED, "wrong_phase")
+STALE = part(OrderStatus.REFUSED, "stale")
+DONE = part(OrderStatus.ACCEPTED)
+UNAVAILABLE = part(OrderStatus.UNAVAILABLE)
+UNANSWERED = part(OrderStatus.NO_ANSWER)
 
 
 @pytest.mark.parametrize(
-    ("parts", "needs_all", "verdict"),
+    ("parts", "all_required", "status"),
     [
-        ((DONE, AWAY), False, Verdict.ACCEPTED),
-        ((DONE, AWAY), True, Verdict.ACCEPTED),
-        ((AWAY, AWAY), False, Verdict.NOBODY),
-        ((IDLE, DONE), False, Verdict.ACCEPTED),
-        ((IDLE, DONE), True, Verdict.REFUSED),
-        ((IDLE, IDLE), False, Verdict.REFUSED),
-        ((DONE, STALE), False, Verdict.REFUSED),
-        ((DONE, LOST, STALE), False, Verdict.NO_ANSWER),
-        ((IDLE, AWAY), False, Verdict.REFUSED),
-        ((LOST,), False, Verdict.NO_ANSWER),
+        ((DONE, UNAVAILABLE), False, OrderStatus.ACCEPTED),
+        ((DONE, UNAVAILABLE), True, OrderStatus.ACCEPTED),
+        ((UNAVAILABLE, UNAVAILABLE), False, OrderStatus.UNAVAILABLE),
+        ((IDLE, DONE), False, OrderStatus.ACCEPTED),
+        ((IDLE, DONE), True, OrderStatus.REFUSED),
+        ((IDLE, IDLE), False, OrderStatus.REFUSED),
+        ((DONE, STALE), False, OrderStatus.REFUSED),
+        ((DONE, UNANSWERED, STALE), False, OrderStatus.NO_ANSWER),
+        ((IDLE, UNAVAILABLE), False, OrderStatus.REFUSED),
+        ((UNANSWERED,), False, OrderStatus.NO_ANSWER),
     ],
 )
-def test_an_order_that_goes_several_ways_is_as_good_as_its_worst(
-    parts: tuple[Outcome, ...], needs_all: bool, verdict: Verdict
+def test_several_calls_are_as_good_as_their_worst_result(
+    parts: tuple[Outcome, ...], all_required: bool, status: OrderStatus
 ):
-    assert joined(parts, needs_all).verdict is verdict
+    assert joined(parts, all_required).status is status

@@ -1,4 +1,4 @@
-"""The link of an operator within a node: what it opens it can close, and the node goes on."""
+"""The operator's link closes everything it opens; its node continues."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def opened(node: Node) -> list[Any]:
     return [*node.subscriptions, *node.publishers, *node.clients]
 
 
-def test_what_is_opened_is_closed_and_can_be_opened_again(node: Node):
+def test_a_link_closes_what_it_opens_and_can_be_opened_again(node: Node):
     before = opened(node)
     for _ in range(2):
         link = OperatorLink(node, "somebody")
-        link.listen(topics.WINCH_MODE, topics.WINCH_MODE)
+        link.subscribe(topics.WINCH_MODE, topics.WINCH_MODE)
         link.prepare()
-        heard = [each.topic_name.strip("/") for each in node.subscriptions]
-        assert heard.count(topics.EVENTS) == heard.count(topics.WINCH_MODE) == 1
+        received = [each.topic_name.strip("/") for each in node.subscriptions]
+        assert received.count(topics.EVENTS) == received.count(topics.WINCH_MODE) == 1
         assert len(opened(node)) > len(before) + 10
         link.close()
         assert opened(node) == before
 
 
-def test_what_all_nodes_have_latched_is_heard_though_it_comes_at_one_time(node: Node):
+def test_latched_messages_of_all_nodes_arrive_although_they_come_at_once(node: Node):
     row = topic_row(topics.CONFIG)
     names = [f"node_{number}" for number in range(8)]
     publishers = []
@@ -60,9 +60,9 @@ def test_what_all_nodes_have_latched_is_heard_though_it_comes_at_one_time(node: 
             )
         )
         publishers[-1].publish(encode(topics.CONFIG, TextSample(text)))
-    heard: list[str] = []
-    link = OperatorLink(node, "somebody", lambda _, sample: heard.append(sample.text))
-    link.listen(topics.CONFIG)
+    received: list[str] = []
+    link = OperatorLink(node, "somebody", lambda _, sample: received.append(sample.text))
+    link.subscribe(topics.CONFIG)
     arriving = threading.Event()
     for _ in range(100):
         if all(publisher.get_subscription_count() for publisher in publishers):
@@ -72,8 +72,8 @@ def test_what_all_nodes_have_latched_is_heard_though_it_comes_at_one_time(node: 
     executor.add_node(node)
     for _ in range(100):
         executor.spin_once(timeout_sec=0.1)
-        if len(heard) == len(names):
+        if len(received) == len(names):
             break
-    assert {json.loads(text)["node"] for text in heard} == {f"/{name}" for name in names}
+    assert {json.loads(text)["node"] for text in received} == {f"/{name}" for name in names}
     executor.shutdown()
     link.close()

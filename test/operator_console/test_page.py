@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.process]
 
-START, LOW = 5.0, 30.0  # where the rover hangs, and where it is sent [m]
-LOOK = 50  # at what the page shows [ms]
+START, LOW = 5.0, 30.0  # start and target depth [m]
+POLL_PERIOD = 50  # polling period [ms]
 QUICK = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
 
 
 class Pit:
-    """Console, winch and descent as processes, around a mother machine of the test's own."""
+    """Console, winch and descent as processes, with a simulated mother machine."""
 
     def __init__(self, harness: NodeHarness) -> None:
         observer = harness.observer()
         hoist = Hoist(HoistParameters(start_length=START))
-        hoist.step(None, 0.01)  # compiled here, not while time runs
+        hoist.step(None, 0.01)  # compile before time runs
         start = harness.processes.start
         self.console = start("operator_console.console_node", {"port": 0})
-        # The browser is no part of what simulated time waits for.
+        # Simulated time does not wait for the browser.
         start("tether_winch.winch_node", {"use_sim_time": True, "command_timeout": 30.0})
         start("rover_control.descent_node", {"use_sim_time": True, **QUICK})
         self.mother = DescentMother(observer, hoist, START)
@@ -66,17 +66,17 @@ def shown(page: Page, key: str) -> float:
 
 
 def wait_for(page: Page, selector: str, text: str) -> None:
-    """Wait until an element says what matches from the text's beginning to its end."""
-    said = sync_api().expect(page.locator(selector))
-    said.to_have_text(re.compile(f"^(?:{text})$"), timeout=PATIENCE)
+    """Wait until the whole text of an element matches."""
+    element = sync_api().expect(page.locator(selector))
+    element.to_have_text(re.compile(f"^(?:{text})$"), timeout=PATIENCE)
 
 
 def wait_for_depth(page: Page, depth: float) -> None:
-    """Wait until the rover is shown below a depth [m], however fast it passes it."""
-    for _ in range(PATIENCE // LOOK):
+    """Wait until the page shows a larger depth [m]."""
+    for _ in range(PATIENCE // POLL_PERIOD):
         if shown(page, "depth") > depth:
             return
-        page.wait_for_timeout(LOOK)
+        page.wait_for_timeout(POLL_PERIOD)
     raise AssertionError(f"the page shows no depth beyond {depth:g} m")
 
 
@@ -88,38 +88,38 @@ def order(page: Page, name: str, **arguments: float) -> None:
 
 
 def descend(page: Page) -> None:
-    """Until it is taken: on a busy machine sensors may seem old for a moment."""
+    """Until it is accepted: on a busy computer sensors may be stale for a moment."""
     for _ in range(20):
         order(page, "descend", depth=LOW, rate=0.2)
         assert re.search(r"depth \d+\.\d", page.inner_text("#confirm-now"))
         page.click("#confirm-yes")
         answer = page.locator('#answer:is([data-level="ok"], [data-level="error"])')
         wait_for(page, "#answer b", f"descend {LOW:g} m rate 0.2 m/s: .*")
-        if "taken" in answer.inner_text():
+        if "accepted" in answer.inner_text():
             return
         assert "[stale]" in answer.inner_text()
     raise AssertionError("the descent is refused again and again")
 
 
 @pytest.mark.ros
-def test_an_operator_descends_by_click_and_reads_why_an_order_is_refused(pit: Pit):
+def test_an_operator_descends_by_click_and_reads_the_reason_of_a_refusal(pit: Pit):
     with browser_page() as page:
         page.goto(pit.address)
         page.wait_for_selector('body[data-link="live"]')
-        wait_for(page, "[data-word=winch]", "disarmed")
+        wait_for(page, "[data-phase=winch]", "disarmed")
         assert shown(page, "depth") == pytest.approx(START, abs=0.05)
 
-        # What moves something is asked again, and goes nowhere if the answer is no.
+        # A command that moves something needs confirmation; Cancel sends nothing.
         order(page, "arm")
-        assert "arm ?" in page.inner_text("#confirm-title")
+        assert "arm?" in page.inner_text("#confirm-title")
         page.click("#confirm-no")
         assert page.is_hidden("#answer")
         order(page, "arm")
         page.click("#confirm-yes")
         page.wait_for_selector('#answer[data-level="ok"]')
-        wait_for(page, "[data-word=winch]", "hold")
+        wait_for(page, "[data-phase=winch]", "hold")
 
-        # Beyond what the contract allows the page itself says no; beyond the machine's, the node.
+        # The page refuses values beyond the contract, the node values beyond the machine.
         order(page, "descend", depth=5000.0)
         assert "depth: 5000 is outside 0 to 1000 m" in page.inner_text(".problem:visible")
         order(page, "descend", depth=900.0)
@@ -131,27 +131,27 @@ def test_an_operator_descends_by_click_and_reads_why_an_order_is_refused(pit: Pi
         assert re.search(r"\b48\b", refusal), refusal
         assert shown(page, "depth") == pytest.approx(START, abs=0.05)
 
-        # What must be renewed goes on while its button is held, and not a moment longer.
+        # A dead-man command lasts exactly while its button is pressed.
         page.click("details[data-group=winch] summary")
         page.fill("#argument-jog-rate", "0.02")
         page.hover("[data-command=jog]")
         page.mouse.down()
-        wait_for(page, "[data-word=winch]", "rate")
+        wait_for(page, "[data-phase=winch]", "rate")
         wait_for_depth(page, START + 0.01)
         page.mouse.up()
-        wait_for(page, "[data-word=winch]", "hold")
-        wait_for(page, "#answer b", "hold: taken")
+        wait_for(page, "[data-phase=winch]", "hold")
+        wait_for(page, "#answer b", "hold: accepted")
 
         descend(page)
         wait_for_depth(page, shown(page, "depth") + 0.05)
         assert f"descend {LOW:g}" in page.inner_text("#journal")
 
-        # One click, no question.
+        # HOLD needs no confirmation.
         page.click("#hold")
-        wait_for(page, "[data-word=descent]", "holding")
+        wait_for(page, "[data-phase=descent]", "holding")
         assert shown(page, "depth") < LOW
 
-        # A console that ends leaves no doubt.
+        # The page shows that the console has stopped.
         pit.console.stop()
         page.wait_for_selector("#lost", state="visible")
         assert "NO CONNECTION" in page.inner_text("#lost")
@@ -167,7 +167,7 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     made.write(tmp_path / "jump")
     settings = ServerSettings("127.0.0.1", 0, Access(), BagShelf(tmp_path))
     server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})
-    server.keep("commands", {"commands": []})
+    server.latch("commands", {"commands": []})
     server.start()
     try:
         with browser_page() as page:
@@ -183,7 +183,7 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
             wait_for(page, "#replay-time", "00:03 of .*")
             assert shown(page, "tension") == pytest.approx(5.0)
             assert "landed" in page.inner_text("#journal")
-            assert page.inner_text("[data-word=plant]").startswith("landed")
+            assert page.inner_text("[data-phase=plant]").startswith("landed")
             page.click(".mark")
             wait_for(page, "#replay-time", "00:02 of .*")
             page.click("#live")
@@ -192,5 +192,5 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
         server.stop()
 
 
-def _nothing(_asked: Content) -> Future[Content]:
-    raise AssertionError("nothing is asked for")
+def _nothing(_request: Content) -> Future[Content]:
+    raise AssertionError("no command is expected")

@@ -1,4 +1,4 @@
-"""Frames, health in one word, the journal, and what is kept of the last minutes."""
+"""Frames, overall health, journal and history."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def estimate(length: float, tension: float = 16.0) -> JointSample:
     )
 
 
-def told(node: str, message: str, level: Level = Level.OK, what: str = "node") -> StatusSample:
+def report(node: str, message: str, level: Level = Level.OK, what: str = "node") -> StatusSample:
     return StatusSample(0, (Status(f"{node}: {what}", message, level, node),))
 
 
-class Desk:
-    """Telemetry and page_state as the console feeds them."""
+class Console:
+    """Telemetry and page state as the console node uses them."""
 
     def __init__(self) -> None:
         self.telemetry, self.page_state = Telemetry(), PageState()
 
-    def hear(self, topic: str, sample: object, now: float) -> None:
-        self.telemetry.hear(topic, sample, now)
-        self.page_state.see(topic, sample, now, 100.0 + now)
+    def on_sample(self, topic: str, sample: object, now: float) -> None:
+        self.telemetry.on_sample(topic, sample, now)
+        self.page_state.on_sample(topic, sample, now, 100.0 + now)
 
     def frame(self, now: float) -> dict[str, Any]:
         made = frame(self.telemetry.snapshot(now), self.page_state, now, 100.0 + now)
@@ -55,58 +55,60 @@ class Desk:
         return found
 
 
-def test_values_bear_their_age_and_grow_stale():
-    desk = Desk()
-    assert desk.frame(0.0)["values"]["depth"] == [None, None, True]
-    desk.hear(topics.WINCH_ESTIMATE, estimate(12.5), 0.0)
-    assert desk.frame(0.2)["values"]["depth"] == [12.5, 0.2, False]
-    assert desk.frame(4.0)["values"]["depth"] == [12.5, 4.0, True]
-    assert desk.frame(4.0)["geometry"]["stale"]
+def test_values_have_an_age_and_become_stale():
+    console = Console()
+    assert console.frame(0.0)["values"]["depth"] == [None, None, True]
+    console.on_sample(topics.WINCH_ESTIMATE, estimate(12.5), 0.0)
+    assert console.frame(0.2)["values"]["depth"] == [12.5, 0.2, False]
+    assert console.frame(4.0)["values"]["depth"] == [12.5, 4.0, True]
+    assert console.frame(4.0)["geometry"]["stale"]
 
 
-def test_the_shape_falls_back_on_the_payout_when_the_truth_falls_silent():
-    desk = Desk()
+def test_geometry_falls_back_to_the_payout_when_the_truth_is_missing():
+    console = Console()
     body = OdometrySample(0, (0.1, 0.0, -9.0), (0.0, 0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
-    desk.hear(topics.TRUTH_BODY1, body, 0.0)
-    assert desk.frame(0.1)["geometry"]["source"] == "simulation"
-    assert desk.frame(30.0)["geometry"]["stale"], "the last that is known, greyed"
-    desk.hear(topics.WINCH_ESTIMATE, estimate(12.5), 30.0)
-    shape = desk.frame(30.1)["geometry"]
+    console.on_sample(topics.TRUTH_BODY1, body, 0.0)
+    assert console.frame(0.1)["geometry"]["source"] == "simulation"
+    assert console.frame(30.0)["geometry"]["stale"], "the last known geometry is stale"
+    console.on_sample(topics.WINCH_ESTIMATE, estimate(12.5), 30.0)
+    shape = console.frame(30.1)["geometry"]
     assert shape["source"] == "payout"
     assert not shape["stale"]
     assert shape["tether"][-1][2] == -12.5
 
 
-def test_the_worst_part_says_how_it_is():
-    desk = Desk()
-    assert desk.frame(0.0)["health"]["level"] == "unknown"
-    desk.hear(topics.DIAGNOSTICS, told("winch_node", "ready"), 0.0)
-    desk.hear(topics.DIAGNOSTICS, told("descent_node", "ready"), 0.0)
-    assert desk.frame(0.1)["health"]["level"] == "ok"
-    desk.hear(topics.DIAGNOSTICS, told("winch_node", "waiting for x", Level.WARN), 0.2)
-    assert desk.frame(0.3)["health"] == {
-        "level": "warn", "word": "warning", "text": "winch_node: waiting for x",
+def test_the_worst_part_sets_the_overall_health():
+    console = Console()
+    assert console.frame(0.0)["health"]["level"] == "unknown"
+    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "ready"), 0.0)
+    console.on_sample(topics.DIAGNOSTICS, report("descent_node", "ready"), 0.0)
+    assert console.frame(0.1)["health"]["level"] == "ok"
+    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "waiting for x", Level.WARN), 0.2)
+    assert console.frame(0.3)["health"] == {
+        "level": "warn", "title": "warning", "text": "winch_node: waiting for x",
     }  # fmt: skip
-    desk.hear(topics.DIAGNOSTICS, told("descent_node", "lost", Level.ERROR, "descent"), 0.2)
-    found = desk.frame(0.3)["health"]
+    console.on_sample(
+        topics.DIAGNOSTICS, report("descent_node", "lost", Level.ERROR, "descent"), 0.2
+    )
+    found = console.frame(0.3)["health"]
     assert found["level"] == "error"
     assert "lost" in found["text"]
 
 
-def test_a_node_that_falls_silent_is_not_well():
-    desk = Desk()
-    desk.hear(topics.DIAGNOSTICS, told("winch_node", "ready"), 0.0)
-    desk.hear(topics.WINCH_MODE, TextSample("hold"), 0.0)
-    assert desk.frame(1.0)["words"]["winch"][2] is False
-    made = desk.frame(9.0)
+def test_a_silent_node_makes_the_health_stale():
+    console = Console()
+    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "ready"), 0.0)
+    console.on_sample(topics.WINCH_MODE, TextSample("hold"), 0.0)
+    assert console.frame(1.0)["phases"]["winch"][2] is False
+    made = console.frame(9.0)
     assert made["health"]["level"] == "stale"
-    assert made["words"]["winch"][:3] == ["hold", 9.0, True]
+    assert made["phases"]["winch"][:3] == ["hold", 9.0, True]
     (part,) = made["parts"]
     assert part["age"] == 9.0
-    assert "it said: ready" in part["text"]
+    assert "last report: ready" in part["text"]
 
 
-def test_a_fault_is_an_error_whatever_else_is_well():
+def test_a_fault_outranks_warnings():
     parts = [
         {"name": "a", "level": "ok", "text": "ready"},
         {"name": "winch", "level": "error", "text": "fault"},
@@ -117,21 +119,21 @@ def test_a_fault_is_an_error_whatever_else_is_well():
 
 
 def test_the_journal_holds_events_and_refusals_with_their_reasons():
-    desk = Desk()
+    console = Console()
     event = Status("stop_ended", "at 14 m", Level.OK, "descent_node", {})
-    desk.hear(topics.EVENTS, StatusSample(0, (event,)), 1.0)
+    console.on_sample(topics.EVENTS, StatusSample(0, (event,)), 1.0)
     refusal = Status(
         "descent_node: refused x", "too deep", Level.WARN, "descent_node",
         {"code": "out_of_limits"},
     )  # fmt: skip
-    desk.hear(topics.DIAGNOSTICS, StatusSample(0, (refusal,)), 2.0)
-    desk.hear(topics.DIAGNOSTICS, told("descent_node", "ready"), 3.0)
-    first, second = (entry.as_dict() for entry in desk.page_state.journal)
+    console.on_sample(topics.DIAGNOSTICS, StatusSample(0, (refusal,)), 2.0)
+    console.on_sample(topics.DIAGNOSTICS, report("descent_node", "ready"), 3.0)
+    first, second = (entry.as_dict() for entry in console.page_state.journal)
     assert (first["time"], first["title"], first["text"]) == (101.0, "stop_ended", "at 14 m")
     assert (second["level"], second["text"]) == ("warn", "too deep [out_of_limits]")
 
 
-def test_the_past_is_thinned_and_begins_anew_when_the_clock_is_put_back():
+def test_history_is_thinned_and_restarts_with_the_clock():
     history = History(length=10.0, period=0.5)
     for count in range(100):
         history.add({"time": 0.1 * count, "values": {}})

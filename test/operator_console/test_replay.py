@@ -47,10 +47,10 @@ def test_frames_show_what_the_bag_holds_at_their_time(folder: Path):
         assert not tension[2]
 
 
-def test_words_events_and_refusals_come_when_they_came(folder: Path):
+def test_phases_events_and_refusals_appear_at_their_times(folder: Path):
     replay = read_replay(folder / "jump")
-    told = [made["time"] for made in replay.frames if made["words"]["jump"][0] == "flight"]
-    assert told[0] == pytest.approx(1.5, abs=0.11)
+    times = [made["time"] for made in replay.frames if made["phases"]["jump"][0] == "flight"]
+    assert times[0] == pytest.approx(1.5, abs=0.11)
     by_title = {entry["title"]: entry for entry in replay.journal}
     assert by_title["landed"]["time"] == pytest.approx(2.0, abs=0.01)
     refusal = by_title[f"refused {topics.JUMP_REQUEST}"]
@@ -58,13 +58,13 @@ def test_words_events_and_refusals_come_when_they_came(folder: Path):
     assert refusal["text"] == "jump_stroke.position is nan [not_finite]"
 
 
-def test_long_bags_are_shown_more_coarsely_and_say_so(folder: Path):
+def test_a_long_bag_is_replayed_with_fewer_frames_and_a_remark(folder: Path):
     replay = read_replay(folder / "jump", most_frames=11)
     assert len(replay.frames) in {10, 11, 12}
-    assert any("shown every 0.3 s" in remark for remark in replay.remarks)
+    assert any("one frame per 0.3 s" in remark for remark in replay.remarks)
 
 
-def test_a_bag_that_was_cut_off_says_so(folder: Path, tmp_path: Path):
+def test_a_truncated_bag_has_a_remark(folder: Path, tmp_path: Path):
     made = MadeUp()
     made.jumps([JUMP], until=2.0, rate=20.0)
     replay = read_replay(made.write(tmp_path / "cut", close=False))
@@ -72,11 +72,11 @@ def test_a_bag_that_was_cut_off_says_so(folder: Path, tmp_path: Path):
     assert replay.frames
 
 
-def test_samples_come_back_as_they_were(folder: Path):
+def test_samples_are_restored(folder: Path):
     bag = read_bag(folder / "jump")
-    for name, track in bag.time_series.items():
+    for name, series in bag.time_series.items():
         if name != topics.PLACE:
-            assert isinstance(sample_at(track, len(track) - 1), TOPICS[name].sample)
+            assert isinstance(sample_at(series, len(series) - 1), TOPICS[name].sample)
 
 
 def test_only_what_is_listed_can_be_replayed(folder: Path):
@@ -93,7 +93,7 @@ def test_only_what_is_listed_can_be_replayed(folder: Path):
     assert BagShelf(None).listed() == []
 
 
-def test_what_cannot_be_read_is_told(tmp_path: Path):
+def test_an_unreadable_bag_is_reported(tmp_path: Path):
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "broken_0.mcap").write_bytes(b"nothing of the kind")
     with pytest.raises(ShelfError, match="broken: "):

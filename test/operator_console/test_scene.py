@@ -1,4 +1,4 @@
-"""What is drawn: cuts of the place, sizes of the machine, the shape by truth or by payout."""
+"""Sections of the place, sizes of the machine, geometry by truth or by payout."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_cylinder_is_cut_to_a_circle_and_to_two_lines():
     assert cut(wall, 1, 6.0).shape == (0, 4)
 
 
-def test_the_place_is_told_as_plain_lines_and_spheres():
+def test_the_place_is_converted_to_plain_lines_and_spheres():
     points = tuple(map(tuple, tube(5.0, -30.0, 0.0).reshape(-1, 3).tolist()))
     wall = Shape("wall", "triangles", "map", GREY, (1.0, 1.0, 1.0), points)
     boulder = Shape("boulders", "sphere", "map", GREY, (2.0, 2.0, 2.0), (), (1.0, 2.0, -29.5))
@@ -63,8 +63,8 @@ def test_a_place_without_a_wall_has_no_levels():
 
 
 def test_the_machines_sizes_are_those_of_the_configuration():
-    told = {"rover": {"body1_size": [0.4, 0.3, 0.2], "wheels": {"radius": 0.2}}, "name": "pit"}
-    machine = machine_of(json.dumps({"scenario": told}))
+    scenario = {"rover": {"body1_size": [0.4, 0.3, 0.2], "wheels": {"radius": 0.2}}, "name": "pit"}
+    machine = machine_of(json.dumps({"scenario": scenario}))
     assert machine is not None
     assert machine["body1_size"] == [0.4, 0.3, 0.2]
     assert machine["body2_size"] == [0.24, 0.24, 0.08]

@@ -1,4 +1,4 @@
-"""The server as a browser, or somebody else's page, meets it; without ROS."""
+"""The server, as a browser or another site accesses it; without ROS."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ OPERATOR, VIEWER = "operator-token-0123456789", "viewer-token-0123456789"
 
 
 class Desk:
-    """A server, and what was asked of it."""
+    """A server that records its commands."""
 
     def __init__(self, access: Access, folder: Path | None = None, port: int = 0) -> None:
-        self.asked: list[Content] = []
+        self.requests: list[Content] = []
         settings = ServerSettings("127.0.0.1", port, access, BagShelf(folder))
         self.server = Server(settings, self._on_command, lambda: {"frames": [], "journal": []})
-        self.server.keep("commands", {"commands": []})
+        self.server.latch("commands", {"commands": []})
         self.server.start()
 
-    def _on_command(self, asked: Content) -> Future[Content]:
-        self.asked.append(asked)
+    def _on_command(self, request: Content) -> Future[Content]:
+        self.requests.append(request)
         answer: Future[Content] = Future()
-        if asked["command"] == "never_answered":
+        if request["command"] == "never_answered":
             return answer
         answer.set_result({"done": False, "reason": "too deep", "code": "out_of_limits"})
         return answer
@@ -41,13 +41,13 @@ class Desk:
     def get(self, path: str, **options: Any) -> httpclient.HTTPResponse:
         """One request, answered with whatever status."""
 
-        async def ask() -> httpclient.HTTPResponse:
+        async def fetch() -> httpclient.HTTPResponse:
             client = httpclient.AsyncHTTPClient()
             url = f"http://127.0.0.1:{self.server.port}{path}"
             options.setdefault("follow_redirects", False)
             return await client.fetch(url, raise_error=False, **options)
 
-        return asyncio.run(ask())
+        return asyncio.run(fetch())
 
     def talk(
         self, *sent: object, headers: dict[str, str] | None = None, unanswered: int = 0
@@ -60,15 +60,15 @@ class Desk:
             socket = await websocket.websocket_connect(request)
             for message in sent:
                 await socket.write_message(json.dumps(message))
-            heard: list[dict[str, Any]] = []
-            wanted = len(sent) - unanswered + 3  # welcome, commands, past
-            while len(heard) < wanted:
+            received: list[dict[str, Any]] = []
+            expected = len(sent) - unanswered + 3  # welcome, commands, past
+            while len(received) < expected:
                 text = await socket.read_message()
                 if text is None:
                     break
-                heard.append(json.loads(text))
+                received.append(json.loads(text))
             socket.close()
-            return heard
+            return received
 
         return asyncio.run(asyncio.wait_for(speak(), 60.0))
 
@@ -86,7 +86,7 @@ def opened(desks: list[Desk], access: Access | None = None, folder: Path | None 
     return desks[-1]
 
 
-def test_the_page_comes_with_all_it_needs_and_nothing_from_elsewhere(desks: list[Desk]):
+def test_the_page_loads_only_files_of_this_server(desks: list[Desk]):
     desk = opened(desks)
     page = desk.get("/")
     assert page.code == 200
@@ -107,7 +107,7 @@ def test_the_page_comes_with_all_it_needs_and_nothing_from_elsewhere(desks: list
     "file", [path for path in PAGE.rglob("*") if path.suffix in {".js", ".css", ".html"}],
     ids=lambda path: path.name,
 )  # fmt: skip
-def test_no_file_of_the_page_names_another_place(file: Path):
+def test_no_file_of_the_page_refers_to_another_server(file: Path):
     text = file.read_text(encoding="utf-8")
     assert not re.findall(
         r"""(?:url\(|src=|href=|fetch\(|import\()\s*["'`]?\s*(?:https?:)?//""", text
@@ -115,7 +115,7 @@ def test_no_file_of_the_page_names_another_place(file: Path):
     assert "@import" not in text
 
 
-def test_the_licence_of_what_others_made_comes_along():
+def test_the_licence_of_third_party_code_is_included():
     assert "MIT" in (PAGE / "vendor" / "uplot" / "LICENSE").read_text(encoding="utf-8")
 
 
@@ -132,14 +132,14 @@ def test_the_licence_of_what_others_made_comes_along():
         "/access.py",
     ],
 )
-def test_nothing_but_the_page_is_given_away(desks: list[Desk], path: str, tmp_path: Path):
+def test_no_file_outside_the_page_is_served(desks: list[Desk], path: str, tmp_path: Path):
     answer = opened(desks, folder=tmp_path).get(path)
     assert answer.code in {403, 404}
     assert b"root:" not in answer.body
     assert b"def " not in answer.body
 
 
-def test_other_names_and_other_sites_are_turned_away(desks: list[Desk]):
+def test_other_host_names_and_sites_are_refused(desks: list[Desk]):
     desk = opened(desks)
     assert desk.get("/", headers={"Host": "evil.example"}).code == 421
     assert desk.get("/page/main.js", headers={"Host": "evil.example"}).code == 421
@@ -149,44 +149,44 @@ def test_other_names_and_other_sites_are_turned_away(desks: list[Desk]):
     for origin in ("http://evil.example", "null", "http://127.0.0.1:1"):
         with pytest.raises(httpclient.HTTPClientError, match="403"):
             desk.talk({"command": "arm"}, headers={"Origin": origin})
-    assert not desk.asked
+    assert not desk.requests
     assert desk.talk({"command": "arm"}, headers={"Origin": own})[0]["may_command"]
 
 
-def test_a_command_goes_out_and_its_refusal_comes_back_with_the_reason(desks: list[Desk]):
+def test_a_refused_command_returns_the_reason(desks: list[Desk]):
     desk = opened(desks)
     *_, outcome = desk.talk({"id": 7, "command": "descend", "arguments": {"depth": 900}})
     assert outcome["kind"] == "outcome"
     assert (outcome["id"], outcome["name"]) == (7, "descend")
     assert (outcome["done"], outcome["reason"]) == (False, "too deep")
-    assert desk.asked[0]["arguments"] == {"depth": 900}
+    assert desk.requests[0]["arguments"] == {"depth": 900}
 
 
 @pytest.mark.parametrize("message", [[], "arm", {}, {"command": 3}, 5])
-def test_what_is_no_command_ends_the_connection(desks: list[Desk], message: object):
+def test_a_bad_message_closes_the_connection(desks: list[Desk], message: object):
     desk = opened(desks)
-    heard = desk.talk(message)
-    assert all(content["kind"] != "outcome" for content in heard)
-    assert not desk.asked
+    received = desk.talk(message)
+    assert all(content["kind"] != "outcome" for content in received)
+    assert not desk.requests
     assert desk.get("/").code == 200
 
 
 def test_hold_does_not_wait_for_the_answer_to_another_command(desks: list[Desk]):
     desk = opened(desks)
-    told = desk.talk(
+    received = desk.talk(
         {"command": "never_answered", "id": 1}, {"command": "hold", "id": 2}, unanswered=1
     )
-    assert [asked["command"] for asked in desk.asked] == ["never_answered", "hold"]
-    assert told[-1]["id"] == 2
+    assert [request["command"] for request in desk.requests] == ["never_answered", "hold"]
+    assert received[-1]["id"] == 2
 
 
-def test_view_only_takes_no_command(desks: list[Desk]):
+def test_view_only_accepts_no_command(desks: list[Desk]):
     desk = opened(desks, Access(view_only=True))
     welcome, *_, outcome = desk.talk({"id": 1, "command": "arm"})
     assert welcome["may_command"] is False
     assert outcome["done"] is False
     assert "view only" in outcome["reason"]
-    assert not desk.asked
+    assert not desk.requests
 
 
 def test_nothing_is_shown_without_the_token(desks: list[Desk], tmp_path: Path):
@@ -205,7 +205,7 @@ def test_nothing_is_shown_without_the_token(desks: list[Desk], tmp_path: Path):
         assert desk.get("/bags", headers=headers).code == 200
         welcome, *_ = desk.talk({"command": "arm"}, headers=headers)
         assert welcome["may_command"] is may
-    assert len(desk.asked) == 1
+    assert len(desk.requests) == 1
 
 
 def test_wrong_tokens_are_counted(desks: list[Desk]):
@@ -226,7 +226,7 @@ def test_frames_reach_the_pages_that_look(desks: list[Desk]):
             pass
         while not desk.server.pages:
             await asyncio.sleep(0.01)
-        desk.server.tell("frame", {"time": 1.5}, may_drop=True)
+        desk.server.send("frame", {"time": 1.5}, may_drop=True)
         found = json.loads(await socket.read_message() or "{}")
         socket.close()
         assert isinstance(found, dict)
@@ -235,7 +235,7 @@ def test_frames_reach_the_pages_that_look(desks: list[Desk]):
     assert asyncio.run(asyncio.wait_for(look(), 60.0)) == {"kind": "frame", "time": 1.5}
 
 
-def test_a_port_that_is_taken_is_told(desks: list[Desk]):
+def test_a_port_in_use_is_reported(desks: list[Desk]):
     port = opened(desks).server.port
     with pytest.raises(ServerError, match=f"cannot listen on 127.0.0.1 port {port}"):
         Desk(Access(), port=port)

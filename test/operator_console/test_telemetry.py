@@ -1,4 +1,4 @@
-"""What is known is told with its age, and what should have been heard again as stale."""
+"""What is known is report with its age, and what should have been heard again as stale."""
 
 import json
 import math
@@ -19,7 +19,13 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import TOPICS
-from operator_console.telemetry import HEARD, QUANTITIES, SILENT_AFTER, WORDS, Telemetry
+from operator_console.telemetry import (
+    PHASE_TOPICS,
+    QUANTITIES,
+    SILENT_AFTER,
+    TELEMETRY_TOPICS,
+    Telemetry,
+)
 
 
 def health(node: str, message: str = "ready", level: Level = Level.OK, *more: Status):
@@ -44,13 +50,13 @@ def drum(length: float, rate: float = 0.0, brake: float = 0.0, stamp: int = 0) -
     return JointSample(stamp * 10_000_000, joints)
 
 
-def test_every_quantity_and_word_is_the_contract_s_and_heard():
+def test_every_quantity_and_phase_is_in_the_contract_and_subscribed():
     for row in QUANTITIES:
         for topic, path in row.sources:
-            assert topic in HEARD
+            assert topic in TELEMETRY_TOPICS
             assert path in TOPICS[topic].by_path or path == "force", (topic, path)
-    for topic in WORDS:
-        assert topic in HEARD
+    for topic in PHASE_TOPICS:
+        assert topic in TELEMETRY_TOPICS
         assert TOPICS[topic].words
         assert any(topic in access.publishes for access in ACCESS.values())
 
@@ -64,7 +70,7 @@ def test_nothing_is_known_at_first():
 
 def test_a_value_grows_stale_and_stays_readable():
     known = Telemetry()
-    known.hear(topics.WINCH_ESTIMATE, estimate(12.3456, -0.01, 16.2), 10.0)
+    known.on_sample(topics.WINCH_ESTIMATE, estimate(12.3456, -0.01, 16.2), 10.0)
     fresh, old = known.snapshot(10.9).reading("depth"), known.snapshot(12.5).reading("depth")
     assert (fresh.text, fresh.is_stale) == ("12.346 m", False)
     assert (old.text, old.is_stale, old.age) == ("12.346 m", True, 2.5)
@@ -72,9 +78,9 @@ def test_a_value_grows_stale_and_stays_readable():
 
 def test_the_next_source_serves_where_the_best_is_silent_or_does_not_know():
     known = Telemetry()
-    known.hear(topics.WINCH_ESTIMATE, estimate(12.0, 0.0, 0.0, valid=False), 10.0)
-    known.hear(topics.LOAD_CELL, WrenchSample(1, (3.0, 0.0, -4.0)), 10.0)
-    known.hear(topics.WINCH_STATE, drum(12.5, brake=1.0), 13.0)
+    known.on_sample(topics.WINCH_ESTIMATE, estimate(12.0, 0.0, 0.0, valid=False), 10.0)
+    known.on_sample(topics.LOAD_CELL, WrenchSample(1, (3.0, 0.0, -4.0)), 10.0)
+    known.on_sample(topics.WINCH_STATE, drum(12.5, brake=1.0), 13.0)
     now = known.snapshot(13.1)
     assert now.reading("tension").value == pytest.approx(5.0)
     assert now.reading("tension").is_stale
@@ -83,14 +89,14 @@ def test_the_next_source_serves_where_the_best_is_silent_or_does_not_know():
     assert now.reading("brake_released").text == "released"
 
 
-def test_angles_and_budgets_are_told_as_people_read_them():
+def test_angles_are_in_degrees_and_budgets_in_percent():
     known = Telemetry()
     joints = {
         machine.SWING_MAJOR: JointValue(math.radians(1.5)),
         machine.WHEEL_BUDGET: JointValue(-1.2),
         machine.HEADING: JointValue(-1e-9),
     }
-    known.hear(topics.DESCENT_STATE, JointSample(1, joints), 1.0)
+    known.on_sample(topics.DESCENT_STATE, JointSample(1, joints), 1.0)
     now = known.snapshot(1.0)
     assert now.reading("swing_major").text == "1.50 deg"
     assert now.reading("wheels_budget").text == "-120 %"
@@ -98,34 +104,34 @@ def test_angles_and_budgets_are_told_as_people_read_them():
     assert now.reading("heading").text == "0.0 deg"
 
 
-def test_a_word_is_as_fresh_as_the_node_that_said_it():
+def test_a_phase_is_as_fresh_as_its_node():
     known = Telemetry()
-    known.hear(topics.WINCH_MODE, TextSample("fault"), 1.0)
+    known.on_sample(topics.WINCH_MODE, TextSample("fault"), 1.0)
     assert known.snapshot(1.1).reading("winch").is_stale  # kept for late comers by who is gone
-    known.hear(topics.DIAGNOSTICS, health("winch_node"), 50.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 50.0)
     now = known.snapshot(50.5).reading("winch")
     assert (now.value, now.is_stale, now.is_warning) == ("fault", False, True)
     assert known.snapshot(50.5 + SILENT_AFTER).reading("winch").is_stale
 
 
-def test_the_plant_s_word_is_fresh_whoever_plays_the_plant():
+def test_the_plant_s_phase_is_fresh_with_any_plant():
     known = Telemetry()
-    known.hear(topics.TRUTH_PHASE, TextSample("hanging"), 1.0)
-    known.hear(topics.DIAGNOSTICS, health("winch_node"), 1.0)
+    known.on_sample(topics.TRUTH_PHASE, TextSample("hanging"), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 1.0)
     assert known.snapshot(1.1).reading("plant").is_stale
-    known.hear(topics.DIAGNOSTICS, health("mock_plant"), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, health("mock_plant"), 1.0)
     assert not known.snapshot(1.1).reading("plant").is_stale
 
 
-def test_a_node_tells_what_is_not_in_order_and_falls_silent():
+def test_a_node_reports_its_problems_and_becomes_silent():
     known = Telemetry()
     bad = Status("winch_node: mode", "fault: node_late", Level.ERROR, "winch_node")
     good = Status("winch_node: tension", "normal", Level.OK, "winch_node")
-    known.hear(topics.DIAGNOSTICS, health("winch_node", "ready", Level.OK, bad, good), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node", "ready", Level.OK, bad, good), 1.0)
     (node,) = known.snapshot(2.0).nodes
     assert (node.condition, node.level, node.is_silent) == ("ready", "ERROR", False)
     assert node.details == ("mode: fault: node_late",)
-    known.hear(topics.DIAGNOSTICS, health("winch_node"), 3.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 3.0)
     (node,) = known.snapshot(3.1 + SILENT_AFTER).nodes
     assert (node.level, node.is_silent, node.details) == ("OK", True, ())
 
@@ -135,19 +141,23 @@ def test_refusals_are_kept_apart_from_health():
     refusal = Refusal(topics.WINCH_REQUEST, RefusalCode.NOT_ARMED, "the winch is in stop")
     status = RefusalLog("winch_node").take(refusal)
     assert status is not None
-    known.hear(topics.DIAGNOSTICS, health("winch_node"), 1.0)
-    known.hear(topics.DIAGNOSTICS, StatusSample(2_500_000_000, (status,)), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, StatusSample(2_500_000_000, (status,)), 1.0)
     now = known.snapshot(1.5)
-    (told,) = now.refusals
-    assert (told.node, told.message, told.stamp) == ("winch_node", "the winch is in stop", 2.5)
-    assert told.values["code"] == "not_armed"
+    (report,) = now.refusals
+    assert (report.node, report.message, report.stamp) == (
+        "winch_node",
+        "the winch is in stop",
+        2.5,
+    )
+    assert report.values["code"] == "not_armed"
     assert now.nodes[0].level == "OK"
 
 
 def test_alarms_are_those_that_are_on():
     known = Telemetry()
     joints = {name: JointValue(float(name == "snag")) for name in machine.ALARM_NAMES}
-    known.hear(topics.WINCH_ALARMS, JointSample(1, joints), 1.0)
+    known.on_sample(topics.WINCH_ALARMS, JointSample(1, joints), 1.0)
     assert known.snapshot(1.0).alarms == ("snag",)
 
 
@@ -164,14 +174,14 @@ def test_rest_is_a_while_of_resting_by_the_drum_s_own_time(
     rate: float, brake: float, jump: str, rests: bool
 ):
     known = Telemetry()
-    known.hear(topics.JUMP_PHASE, TextSample(jump), 0.5)
+    known.on_sample(topics.JUMP_PHASE, TextSample(jump), 0.5)
     assert not known.is_at_rest(0.0)
     for tick in range(52):  # slow simulated time: 0.01 s of it each 0.1 s
-        known.hear(topics.WINCH_STATE, drum(12.0, 0.2, 1.0, stamp=tick), tick * 0.1)
+        known.on_sample(topics.WINCH_STATE, drum(12.0, 0.2, 1.0, stamp=tick), tick * 0.1)
     for tick in range(52, 102):
-        known.hear(topics.WINCH_STATE, drum(12.0, rate, brake, stamp=tick), tick * 0.1)
+        known.on_sample(topics.WINCH_STATE, drum(12.0, rate, brake, stamp=tick), tick * 0.1)
     assert not known.is_at_rest(0.0)
-    known.hear(topics.WINCH_STATE, drum(12.0, rate, brake, stamp=102), 10.2)
+    known.on_sample(topics.WINCH_STATE, drum(12.0, rate, brake, stamp=102), 10.2)
     assert known.is_at_rest(5.1) is rests
     assert not known.is_at_rest(5.2)
 
@@ -179,17 +189,17 @@ def test_rest_is_a_while_of_resting_by_the_drum_s_own_time(
 def test_a_parameter_is_read_from_the_configuration():
     known = Telemetry()
     content = {"node": "/mother/descent_node", "parameters": {"min_depth": 1.6}}
-    known.hear(topics.CONFIG, TextSample(json.dumps(content)), 1.0)
-    known.hear(topics.CONFIG, TextSample(json.dumps({"node": "/mother/winch_node"})), 1.0)
-    known.hear(topics.CONFIG, TextSample("[1]"), 1.0)
+    known.on_sample(topics.CONFIG, TextSample(json.dumps(content)), 1.0)
+    known.on_sample(topics.CONFIG, TextSample(json.dumps({"node": "/mother/winch_node"})), 1.0)
+    known.on_sample(topics.CONFIG, TextSample("[1]"), 1.0)
     assert known.parameter("descent_node", "min_depth") == 1.6
     assert known.parameter("descent_node", "lowest") is None
     assert known.parameter("winch_node", "min_depth") is None
 
 
-def test_somebody_is_heard_by_the_health_he_tells():
+def test_a_node_that_reports_its_health_is_alive():
     known = Telemetry()
-    known.hear(topics.WINCH_MODE, TextSample("hold"), 1.0)
-    assert not known.hears_anybody
-    known.hear(topics.DIAGNOSTICS, health("a"), 1.0)
-    assert known.hears_anybody
+    known.on_sample(topics.WINCH_MODE, TextSample("hold"), 1.0)
+    assert not known.has_any_node
+    known.on_sample(topics.DIAGNOSTICS, health("a"), 1.0)
+    assert known.has_any_node
