@@ -85,7 +85,9 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         ValueError: it holds no topic of the page.
     """
     bag = _read(path)
-    axes = {name: _time_axis(bag, series) for name, series in bag.time_series.items() if len(series)}
+    axes = {
+        name: _time_axis(bag, series) for name, series in bag.time_series.items() if len(series)
+    }
     if not axes:
         raise ValueError(f"the bag {path.name} has no topic that the page shows")
     page_state, telemetry = PageState(), Telemetry()
@@ -105,7 +107,8 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
             first, last = pointers[name], int(np.searchsorted(axis, now, side="right"))
             pointers[name] = last
             arrivals_now += [
-                (float(axis[row]), name, row) for row in _received(bag.time_series[name], first, last)
+                (float(axis[row]), name, row)
+                for row in _received(bag.time_series[name], first, last)
             ]
         for at, name, row in sorted(arrivals_now, key=lambda item: item[0]):
             sample = sample_at(bag.time_series[name], row)
@@ -136,7 +139,9 @@ def _read(path: Path) -> Bag:
         return read_bag(path, required)
     coarse = read_bag(path, required, max_messages=_MOST_ROWS)
     statuses = [topic for topic in required if TOPICS[topic].sample is StatusSample]
-    return replace(coarse, time_series={**coarse.time_series, **read_bag(path, statuses).time_series})
+    return replace(
+        coarse, time_series={**coarse.time_series, **read_bag(path, statuses).time_series}
+    )
 
 
 def _time_axis(bag: Bag, series: TimeSeries) -> Floats:

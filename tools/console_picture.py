@@ -1,7 +1,7 @@
 """Draw a screenshot of the operators' page after an imaging stop, for the documents.
 
-Starts simulator, winch, descent and page, arms the winch, requests a stop with imaging and takes the
-screenshot when it has ended:
+Starts simulator, winch, descent and page, arms the winch, requests a stop with imaging and takes
+the screenshot when it has ended:
 
     python tools/console_picture.py docs/console.png
 

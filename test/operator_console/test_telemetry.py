@@ -144,13 +144,13 @@ def test_refusals_are_kept_apart_from_health():
     known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 1.0)
     known.on_sample(topics.DIAGNOSTICS, StatusSample(2_500_000_000, (status,)), 1.0)
     now = known.snapshot(1.5)
-    (report,) = now.refusals
-    assert (report.node, report.message, report.stamp) == (
+    (shown,) = now.refusals
+    assert (shown.node, shown.message, shown.stamp) == (
         "winch_node",
         "the winch is in stop",
         2.5,
     )
-    assert report.values["code"] == "not_armed"
+    assert shown.values["code"] == "not_armed"
     assert now.nodes[0].level == "OK"
 
 
