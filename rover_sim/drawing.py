@@ -1,4 +1,4 @@
-"""Shapes to look at: tether, rover, contact forces, and the place around them."""
+"""Shapes for visualization: tether, rover, contact forces and ground."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rover_sim.physics.boulders import cap_radius
 from rover_sim.physics.terrain import Terrain, boulder_list, floor_height, wall_profile, wall_radius
 
 TETHER_COLOUR: Final = (0.95, 0.75, 0.20, 1.0)
-"""Of a tether that carries what usually hangs on it."""
+"""Colour of the tether at the nominal tension."""
 SLACK_COLOUR: Final = (0.45, 0.60, 0.85, 1.0)
 TIGHT_COLOUR: Final = (0.90, 0.15, 0.10, 1.0)
 TIGHT: Final = 3.0
-"""A tether is drawn in `TIGHT_COLOUR` from this many times its usual tension on."""
+"""Ratio to the nominal tension from which the tether has `TIGHT_COLOUR`."""
 FORCE_COLOUR: Final = (0.25, 0.75, 0.35, 1.0)
 FLOOR_COLOUR: Final = (0.42, 0.41, 0.39, 1.0)
 BOULDER_COLOUR: Final = (0.34, 0.32, 0.30, 1.0)
-WALL_COLOUR: Final = (0.50, 0.47, 0.44, 0.35)  # to be looked through
+WALL_COLOUR: Final = (0.50, 0.47, 0.44, 0.35)  # translucent
 BODY1_COLOUR: Final = (0.30, 0.45, 0.65, 1.0)
 BODY2_COLOUR: Final = (0.80, 0.35, 0.25, 1.0)
 WHEEL_COLOUR: Final = (0.35, 0.35, 0.38, 1.0)
@@ -33,34 +33,34 @@ _TETHER_WIDTH = 0.01
 _POINTS_PER_ELEMENT = 4
 _FORCE_SCALE = 0.02  # [m/N]
 _FORCE_SIZE = (0.015, 0.03, 0.04)  # diameters of shaft and head, length of the head [m]
-_BARE_FLOOR = 20.0  # side of the floor that is drawn where there is no patch [m]
+_BARE_FLOOR = 20.0  # side of the drawn floor without a patch [m]
 _FLOOR_MESH = 0.5  # [m]
 _WALL_SECTORS = 48
 _WALL_MESH = 2.0  # over depth [m]
-# The quaternion of a cylinder whose axis, its own z, lies along y.
+# Quaternion that turns a cylinder's axis from z to y.
 _ALONG_Y = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
-def usual_tension(carried: float, line_density: float, length: float, gravity: float) -> float:
-    """Of a tether at rest at its upper end [N]; 1 N where nothing has weight.
+def nominal_tension(mass: float, line_density: float, length: float, gravity: float) -> float:
+    """Return the static tension at the upper end of a hanging tether [N]; 1 N without weight.
 
     Args:
-        carried: by the tether [kg].
+        mass: at the lower end [kg].
         line_density: of the tether [kg/m].
         length: of the tether [m].
         gravity: [m/s^2].
     """
-    return gravity * (carried + line_density * length) or 1.0
+    return gravity * (mass + line_density * length) or 1.0
 
 
-def tether_line(nodes: Array, arc_lengths: Array, tension: Array, usual: float) -> Shape:
-    """The tether as a line through its nodes, along its cubics, coloured by its tension.
+def tether_line(nodes: Array, arc_lengths: Array, tension: Array, nominal: float) -> Shape:
+    """Return the tether as a line along its cubic elements, coloured by the tension.
 
     Args:
         nodes: positions and slopes in map, (n + 1, 2, 3).
         arc_lengths: undeformed, from the fairlead to the nodes [m], (n + 1,).
         tension: at the nodes [N], (n + 1,).
-        usual: tension of a tether that carries what usually hangs on it [N].
+        nominal: tension of the hanging tether [N], see `nominal_tension`.
     """
     inside = np.arange(_POINTS_PER_ELEMENT) / _POINTS_PER_ELEMENT
     weights = ancf.shape_functions(inside, 1.0)
@@ -69,7 +69,7 @@ def tether_line(nodes: Array, arc_lengths: Array, tension: Array, usual: float) 
     points = np.einsum("pk,kei->epi", weights, ends).reshape(-1, 3)
     line = np.concatenate([points, nodes[-1:, 0]])
     along = np.arange(len(line)) / _POINTS_PER_ELEMENT
-    loads = np.interp(along, np.arange(len(tension)), tension) / usual
+    loads = np.interp(along, np.arange(len(tension)), tension) / nominal
     return Shape(
         "tether",
         "line",
@@ -82,7 +82,7 @@ def tether_line(nodes: Array, arc_lengths: Array, tension: Array, usual: float) 
 
 
 def _tether_colour(load: float) -> Colour:
-    """Between the colours of a slack, a usual and a tight tether, by its tension over the usual."""
+    """Interpolate the tether's colour for a ratio of the tension to the nominal tension."""
     stops = (SLACK_COLOUR, TETHER_COLOUR, TIGHT_COLOUR)
     red, green, blue, alpha = (
         float(np.interp(load, (0.0, 1.0, TIGHT), part)) for part in zip(*stops, strict=True)
@@ -91,7 +91,7 @@ def _tether_colour(load: float) -> Colour:
 
 
 def contact_force(name: str, place: ArrayLike, force: ArrayLike) -> Shape:
-    """A force of the ground, an arrow to the place where it acts, 20 mm for each newton."""
+    """Return a force of the ground as an arrow to its point of application, 20 mm/N."""
     to = np.asarray(place, dtype=np.float64)
     tail = to - _FORCE_SCALE * np.asarray(force, dtype=np.float64)
     points = (as_vector(tail), as_vector(to))
@@ -99,7 +99,7 @@ def contact_force(name: str, place: ArrayLike, force: ArrayLike) -> Shape:
 
 
 def ground(terrain: Terrain) -> tuple[Shape, ...]:
-    """Floor, boulders and the wall of the hole, with its rim and the ground around it."""
+    """Return floor, boulders and the wall of the hole with its rim and the surrounding ground."""
     shapes = [_floor(terrain)]
     for x, y, z, diameter, height in boulder_list(terrain).tolist():
         radius = float(cap_radius(np.array(diameter), height / diameter))
@@ -112,20 +112,20 @@ def ground(terrain: Terrain) -> tuple[Shape, ...]:
 
 
 def bare_floor(height: float) -> Shape:
-    """A level piece of floor below the fairlead, at a height in map [m]."""
+    """Return a square of level floor below the fairlead, at a height in map [m]."""
     ends = np.array([-0.5, 0.5]) * _BARE_FLOOR
     grid = np.array([[(x, y, height) for y in ends.tolist()] for x in ends.tolist()])
     return _triangles("floor", FLOOR_COLOUR, _meshes(grid))
 
 
 def _floor(terrain: Terrain) -> Shape:
-    """The patch, and around it as much of the plane as lies in the hole."""
+    """Return the patch, and the plane around it within the hole."""
     corner, width = (terrain.patch_x, terrain.patch_y), terrain.patch_width
     if width == 0.0:
         corner, width = (-0.5 * _BARE_FLOOR, -0.5 * _BARE_FLOOR), _BARE_FLOOR
     cells = [_cells(terrain, corner, width, max(1, round(width / _FLOOR_MESH)))]
     if terrain.has_hole:
-        # Around the patch in squares as large as the patch's side divides into.
+        # Square cells around the patch, of a size that divides the patch's side.
         side = width / max(1, round(width / _WALL_MESH))
         rings = math.ceil(2.0 * wall_radius(terrain, terrain.floor_height)[0] / side)
         start = (corner[0] - rings * side, corner[1] - rings * side)
@@ -143,7 +143,7 @@ def _floor(terrain: Terrain) -> Shape:
 
 
 def _cells(terrain: Terrain, corner: tuple[float, float], width: float, count: int) -> Array:
-    """Corners of a square piece of floor's meshes, in turn, (count^2, 4, 3)."""
+    """Return the corners of the cells of a square of floor, in order, (count^2, 4, 3)."""
     x, y = (start + np.linspace(0.0, width, count + 1) for start in corner)
     return _meshes(
         np.array([[(a, b, floor_height(terrain, a, b)) for b in y.tolist()] for a in x.tolist()])
@@ -168,7 +168,7 @@ def _wall(terrain: Terrain) -> Shape:
 
 
 def _meshes(grid: Array) -> Array:
-    """Corners of the meshes of a surface through a grid of points, (rows, columns, 3)."""
+    """Return the corners of the cells of a surface through a grid of points, (rows, columns, 3)."""
     around = (grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:])
     return np.stack(around, axis=2).reshape(-1, 4, 3)
 
@@ -187,7 +187,7 @@ def solid(
     place: ArrayLike,
     orientation: ArrayLike,
 ) -> Shape:
-    """A box (size along its axes) or a cylinder (diameters, then height along z) in map."""
+    """Return a box (size along its axes) or a cylinder (diameters, height along z) in map."""
     return Shape(
         name, kind, WORLD_FRAME, colour, size, (), as_vector(place), as_quaternion(orientation)
     )
@@ -196,10 +196,10 @@ def solid(
 def rover_solids(
     rover: Rover, centre1: Array, centre2: Array, rotation: Array, orientation: Array
 ) -> tuple[Shape, ...]:
-    """Both bodies and the wheels of a rover in space.
+    """Return both bodies and the wheels of a spatial rover.
 
     Args:
-        rover: its sizes.
+        rover: with the dimensions.
         centre1: centre of mass of Body 1 in map [m], (3,).
         centre2: of Body 2.
         rotation: of both, base_link to map, (3, 3).
@@ -220,19 +220,19 @@ def rover_solids(
 
 
 def as_vector(values: ArrayLike) -> Vector:
-    """Three plain floats."""
+    """Convert to three Python floats."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return (x, y, z)
 
 
 def as_quaternion(values: ArrayLike) -> Quaternion:
-    """Four plain floats, (x, y, z, w)."""
+    """Convert to four Python floats, (x, y, z, w)."""
     x, y, z, w = np.asarray(values, dtype=np.float64).tolist()
     return (x, y, z, w)
 
 
 def _product(first: Array, second: tuple[float, float, float, float]) -> Array:
-    """Product of two quaternions (x, y, z, w): the second rotation, then the first."""
+    """Return the product of two quaternions (x, y, z, w): the second rotation, then the first."""
     x0, y0, z0, w0 = first.tolist()
     x1, y1, z1, w1 = second
     return np.array(

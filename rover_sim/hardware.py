@@ -1,9 +1,9 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
-"""The machine in space: rover with its drives, and winch, as sections of a scenario.
+"""Scenario sections of the hardware: the rover with its drives, and the winch.
 
 Axes: base_link, REP-103; origin in Body 1's centre of mass, x forward, y left along the wheels'
-axle, z up along the slider. Inertias leave out the spin of the rotors (flywheel about x, wheels
-about y), whose momenta the drives keep.
+axle, z up along the slider. The inertias exclude the spin of the rotors (flywheel about x, wheels
+about y), whose angular momenta the drives hold.
 """
 
 from __future__ import annotations
@@ -35,32 +35,34 @@ _WHEEL = wheel_soil.Wheel()
 
 @dataclass(frozen=True)
 class Friction(PhysicsSection):
-    """Friction of a shaft, Stribeck's curve and a viscous part."""
+    """Friction of a shaft: Stribeck curve and viscous friction."""
 
     KIND = shaft.FrictionParameters
 
-    coulomb: float = quantity("N m", "dry torque when turning fast", minimum=0.0)
-    breakaway: float = quantity("N m", "dry torque at rest, at least coulomb", minimum=0.0)
-    stribeck_rate: float = quantity("rad/s", "rate over which it falls", above=0.0)
+    coulomb: float = quantity("N m", "Coulomb friction torque", minimum=0.0)
+    breakaway: float = quantity("N m", "breakaway torque, at least coulomb", minimum=0.0)
+    stribeck_rate: float = quantity("rad/s", "Stribeck velocity", above=0.0)
     viscous: float = quantity("N m s/rad", "viscous coefficient", minimum=0.0)
 
 
 @dataclass(frozen=True)
 class Motor(PhysicsSection):
-    """A motor with its drive, at its own shaft."""
+    """A motor with its drive, referred to the motor shaft."""
 
     KIND = motors.MotorParameters
 
-    max_torque: float = quantity("N m", "current limit of the drive", above=0.0)
+    max_torque: float = quantity("N m", "torque at the drive's current limit", above=0.0)
     stall_torque: float = quantity("N m", "at the bus voltage, without current limit", above=0.0)
-    no_load_rate: float = quantity("rad/s", "where the voltage leaves no torque", above=0.0)
+    no_load_rate: float = quantity("rad/s", "no-load speed at the bus voltage", above=0.0)
     torque_constant: float = quantity("N m/A", "torque per current", above=0.0)
-    servo_bandwidth: float = quantity("rad/s", "of the rate loop", above=0.0, maximum=500.0)
+    servo_bandwidth: float = quantity(
+        "rad/s", "bandwidth of the rate loop", above=0.0, maximum=500.0
+    )
 
 
 @dataclass(frozen=True)
 class Winch(PhysicsSection):
-    """Drum, gear, motor and power-off brake; what it can pay out is the tether's max_length."""
+    """Drum, gear, motor and power-off brake; the tether's max_length limits the payout."""
 
     KIND = DrumParameters
 
@@ -80,22 +82,24 @@ class Winch(PhysicsSection):
     brake_torque: float = quantity(
         "N m", "of the brake, at the drum", _DRUM.brake_torque, minimum=0
     )
-    engage_delay: float = quantity("s", "until the brake bites", _DRUM.engage_delay, minimum=0.0)
-    release_delay: float = quantity("s", "until it is open", _DRUM.release_delay, minimum=0.0)
-    min_length: float = quantity("m", "paid out when fully reeled in", 1.0, minimum=0.0)
+    engage_delay: float = quantity("s", "until the brake holds", _DRUM.engage_delay, minimum=0.0)
+    release_delay: float = quantity(
+        "s", "until the brake is open", _DRUM.release_delay, minimum=0.0
+    )
+    min_length: float = quantity("m", "payout when fully reeled in", 1.0, minimum=0.0)
     layer_pitch: float = quantity(
-        "m", "growth of the radius by layer, 0: one radius", _DRUM.layer_pitch, minimum=0.0
+        "m", "increase of the radius per layer; 0: constant", _DRUM.layer_pitch, minimum=0.0
     )
     turns_per_layer: float = quantity("-", "turns per layer", _DRUM.turns_per_layer, above=0.0)
     motor: Motor = configuration.section(Motor, "the winch motor", Motor.like(_DRUM.motor))
 
     def check(self) -> None:
-        """Refuse what no drum can be; its stops are judged with the tether."""
+        """Accept any values: the drum is checked together with the tether."""
 
 
 @dataclass(frozen=True)
 class Slider(PhysicsSection):
-    """Spring between the bodies, slider bearing and end stops."""
+    """Jump spring between the bodies, slider bearing and end stops."""
 
     KIND = slider.SliderParameters
 
@@ -104,15 +108,19 @@ class Slider(PhysicsSection):
         "m", "l0, between the centres of mass", _SLIDER.free_length, minimum=0.0
     )
     damping: float = quantity("N s/m", "of the bearing", _SLIDER.damping, minimum=0.0)
-    friction: float = quantity("N", "dry, of the bearing's seals", _SLIDER.friction, minimum=0.0)
+    friction: float = quantity("N", "dry friction of the seals", _SLIDER.friction, minimum=0.0)
     friction_rate: float = quantity(
-        "m/s", "over which the dry friction sets in", _SLIDER.friction_rate, above=0.0
+        "m/s", "regularisation speed of the dry friction", _SLIDER.friction_rate, above=0.0
     )
     lower_stop: float = quantity(
         "m", "compression at which the lower stop begins", _SLIDER.lower_stop, above=0.0
     )
-    pad_stiffness: float = quantity("N/m", "of the end stops", _SLIDER.pad_stiffness, above=0.0)
-    pad_damping: float = quantity("s/m", "of the end stops", _SLIDER.pad_damping, minimum=0.0)
+    pad_stiffness: float = quantity(
+        "N/m", "stiffness of the end stops", _SLIDER.pad_stiffness, above=0.0
+    )
+    pad_damping: float = quantity(
+        "s/m", "damping of the end stops", _SLIDER.pad_damping, minimum=0.0
+    )
     nut_stiffness: float = quantity(
         "N/m", "of screw, nut and latch", _SLIDER.nut_stiffness, above=0.0
     )
@@ -136,19 +144,27 @@ class JumpDrive(PhysicsSection):
         Friction, "of shaft and nut", Friction.like(_JUMP.friction)
     )
     free_travel: float = quantity("m", "of the nut above the latch", _JUMP.free_travel, above=0.0)
-    stroke: float = quantity("m", "compression at which it trips at last", _JUMP.stroke, above=0.0)
+    stroke: float = quantity(
+        "m", "compression at which the latch always trips", _JUMP.stroke, above=0.0
+    )
     over_travel: float = quantity("m", "of the nut beyond the stroke", _JUMP.over_travel, above=0.0)
     soft_margin: float = quantity(
-        "m", "before either end of the free travel: flagged", _JUMP.soft_margin, minimum=0.0
+        "m",
+        "distance of the soft limits from the ends of the free travel",
+        _JUMP.soft_margin,
+        minimum=0.0,
     )
     momentum_limit: float = quantity(
-        "N m s", "at which the flywheel counts as saturated", _JUMP.momentum_limit, above=0.0
+        "N m s",
+        "angular momentum at which the flywheel is saturated",
+        _JUMP.momentum_limit,
+        above=0.0,
     )
-    clearance: float = quantity("m", "that separates nut and latch", _JUMP.clearance, above=0.0)
+    clearance: float = quantity("m", "between nut and latch", _JUMP.clearance, above=0.0)
     hook_depth: float = quantity("m", "height of the latch", _JUMP.hook_depth, above=0.0)
-    hook_force: float = quantity("N", "to climb past the latch", _JUMP.hook_force, minimum=0.0)
+    hook_force: float = quantity("N", "to move past the latch", _JUMP.hook_force, minimum=0.0)
     release_time: float = quantity(
-        "s", "in which the latch lets go", _JUMP.release_time, minimum=0.0, maximum=0.1
+        "s", "duration of the latch's release", _JUMP.release_time, minimum=0.0, maximum=0.1
     )
     motor: Motor = configuration.section(Motor, "the jump motor", Motor.like(_JUMP.motor))
 
@@ -190,7 +206,7 @@ class Wheels(PhysicsSection):
     grouser_height: float = quantity("m", "of the grousers", _WHEEL.grouser_height, minimum=0.0)
     grouser_engagement: float = quantity(
         "-",
-        "how far up the grousers the soil shears",
+        "share of the grousers' height at which the soil shears",
         _WHEEL.grouser_engagement,
         minimum=0.0,
         maximum=1.0,
@@ -200,7 +216,7 @@ class Wheels(PhysicsSection):
     axle_z: float = quantity("m", "z of the axle", 0.0)
 
     def parameters(self, **others: object) -> wheel_soil.Wheel:  # noqa: ARG002
-        """One wheel on its own."""
+        """Return the parameters of one wheel."""
         return wheel_soil.Wheel(
             self.radius, self.width, self.grouser_height, self.grouser_engagement
         )
@@ -223,7 +239,7 @@ class Wheels(PhysicsSection):
 
 @dataclass(frozen=True)
 class Rover(Configuration):
-    """Body 1 with wheels, motors and tether, and Body 2 that slides on it and jumps."""
+    """Body 1 with wheels, motors and tether, and Body 2, which slides on it."""
 
     m1: float = quantity("kg", "mass of Body 1 with wheels and rotors", 6.0, above=0.0, maximum=1e5)
     m2: float = quantity("kg", "mass of Body 2", 4.0, above=0.0, maximum=1e5)
@@ -248,7 +264,7 @@ class Rover(Configuration):
     )
     tail: Vector | None = quantity(
         "m",
-        "foot of the tail skid in base_link, or null",
+        "contact point of the tail skid in base_link, or null",
         (-0.24, 0.0, -0.16),
         length=3,
         optional=True,
@@ -257,22 +273,20 @@ class Rover(Configuration):
         "m", "tether's attachment p in base_link", (0.0, 0.0, 0.28), length=3
     )
     slider: Slider = configuration.section(Slider, "spring and slider", Slider())
-    jump_drive: JumpDrive = configuration.section(JumpDrive, "the jump motor's side", JumpDrive())
+    jump_drive: JumpDrive = configuration.section(JumpDrive, "the jump drive", JumpDrive())
     wheels: Wheels = configuration.section(Wheels, "the wheels", Wheels())
-    wheel_drive: WheelDrive = configuration.section(
-        WheelDrive, "the wheel motor's side", WheelDrive()
-    )
+    wheel_drive: WheelDrive = configuration.section(WheelDrive, "the wheel drive", WheelDrive())
 
     def check(self) -> None:
-        """Refuse inertias that no body has, and a screw that is longer than the slider."""
+        """Refuse impossible inertias, and a stroke beyond the slider's lower stop."""
         for name in ("inertia1", "inertia2"):
             moments = sorted(getattr(self, name))
-            # Body 1's moments lack the rotors' spin, so they may miss the triangle by a little.
+            # Body 1's moments exclude the rotors' spin and may violate the triangle inequality.
             if name == "inertia2" and moments[2] > moments[0] + moments[1] + 1e-12:
                 raise ConfigurationError(
                     name,
                     list(getattr(self, name)),
-                    "no body has that: each moment should be at most the sum of the other two",
+                    "each moment of inertia should be at most the sum of the other two",
                 )
         if self.jump_drive.stroke >= self.slider.lower_stop:
             raise ConfigurationError(
@@ -288,19 +302,20 @@ class Rover(Configuration):
 
     @property
     def inertia(self) -> Vector:
-        """Moments of both bodies about their own centres, without rotors [kg m^2]."""
+        """Sum of both bodies' moments of inertia about their centres, without rotors [kg m^2]."""
         a, b = self.inertia1, self.inertia2
         return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
     def centre_of_mass(self, slide: float) -> Array:
-        """Of both bodies in base_link [m], (3,), with Body 2 at the slide s [m]."""
+        """Return the rover's centre of mass in base_link [m], (3,), at the slide s [m]."""
         return np.array([0.0, 0.0, self.m2 / self.mass * slide])
 
     @property
     def corners(self) -> tuple[Array, int]:
-        """Points that can touch the ground, (c, 3), and which of them are Body 2's from.
+        """Contact points of both bodies [m], (c, 3), and the index of Body 2's first.
 
-        Body 1's eight corners and the tail in base_link; Body 2's eight from its centre [m].
+        Body 1's eight corners and the tail are in base_link; Body 2's eight are relative to its
+        centre.
         """
         first = _box(self.body1_size) + np.array(self.body1_centre)
         if self.tail is not None:
@@ -309,15 +324,15 @@ class Rover(Configuration):
 
 
 def _box(size: Vector) -> Array:
-    """Corners of a box about its centre, (8, 3)."""
+    """Return the corners of a box about its centre, (8, 3)."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return np.asarray(signs * np.array(size))
 
 
 def rest_slide(rover: Rover, weight: float) -> float:
-    """The slide s [m] at which the spring carries Body 2's weight component along z [N].
+    """Return the slide s [m] at which the spring carries Body 2's weight component along z [N].
 
-    Positive weights compress; beyond either end of the spring the end stops carry the rest.
+    A positive weight compresses; beyond the spring's travel the end stops carry the rest.
     """
     spring, pads = rover.slider.spring_rate, rover.slider.pad_stiffness
     compression = weight / spring
@@ -330,10 +345,10 @@ def rest_slide(rover: Rover, weight: float) -> float:
 
 
 def jump_height(rover: Rover, gravity: float, compression: float) -> float:
-    """How high a jump from the given compression [m] comes without losses [m].
+    """Return the height of a lossless jump from the given compression [m].
 
-    The spring's energy less Body 2's climb moves Body 2, which takes Body 1 along at the upper
-    stop: a share m2/(m1 + m2) becomes height.
+    The spring's energy minus Body 2's potential energy accelerates Body 2, which takes Body 1 along
+    in a plastic impact at the upper stop: the share m2/(m1 + m2) of the energy becomes height.
     """
     if not (gravity > 0.0 and compression >= 0.0):
         raise ValueError(f"gravity = {gravity}, compression = {compression}: must be above 0")

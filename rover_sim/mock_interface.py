@@ -1,4 +1,4 @@
-"""How the mock plant meets the contract: every topic of the spatial plant, without any error."""
+"""Interface of the mock plant: all topics of the spatial plant, without sensor errors."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ from rover_sim.drawing import (
     as_quaternion,
     as_vector,
     bare_floor,
+    nominal_tension,
     rover_solids,
     tether_line,
-    usual_tension,
 )
 from rover_sim.mock_plant import MockPlant, MockState
 from rover_sim.physics.ancf import Array
 from rover_sim.plant import Phase, StepResult
 from rover_sim.truth_samples import energy_sample, tether_sample
 
-_NONE_SEEN = 1000.0  # what the camera tells where there is no wall [m]
+_OUT_OF_RANGE = 1000.0  # wall distance without a wall [m]
 
 
 class MockInterface:
-    """The mock plant's outside.
+    """Drives and topics of the mock plant.
 
     Args:
-        plant: the plant whose states are told.
+        plant: whose states are published.
     """
 
     available_after_tick: frozenset[str] = frozenset()
@@ -85,12 +85,12 @@ class MockInterface:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """All that the spatial plant tells."""
+        """All topics of the spatial plant."""
         return tuple(self._makers)
 
     @property
     def equipment(self) -> Equipment:
-        """All drives; the drum's where the scenario has a winch."""
+        """All drives; the drum's if the scenario has a winch."""
         scenario, jump = self._scenario, self._rover.jump_drive
         nut = Nut(
             self._rover.slider.spring_rate,
@@ -103,30 +103,30 @@ class MockInterface:
         return Equipment(scenario.name, nut=nut, flywheel=True, wheels=True, fixed_length=held)
 
     def drive_feedback(self, state: MockState) -> DriveFeedback:
-        """What the drives feel."""
+        """Return the state of the drives."""
         held = state.nut > 0.0
         return DriveFeedback(
             state.phase, state.nut, not held, held, state.length, state.payout_rate
         )
 
     def restart(self, state: MockState, stamp_ns: int) -> None:
-        """Take a state with no tick before it."""
+        """Set a state without a preceding tick."""
         self._last = (state, stamp_ns)
 
     def measure(self, state: MockState, stamp_ns: int, result: StepResult) -> None:  # noqa: ARG002
-        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
+        """Set the state at the end of a tick; see `plant_interface.PlantInterface.measure`."""
         self._last = (state, stamp_ns)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
-        """Yield (topic, sample) of what was last taken, for the topics that are due."""
+        """Yield (topic, sample) of the last state for the topics that are due."""
         if self._last is None:
-            raise AssertionError("nothing was measured yet")
+            raise AssertionError("no state was set yet")
         state, stamp_ns = self._last
         for name in due:
             yield name, self._makers[name](state, stamp_ns)
 
     def environment_markers(self, stamp_ns: int) -> DrawingSample:
-        """The level floor that it stands on, if there is one."""
+        """Return the drawing of the level floor, if there is one."""
         height = self._scenario.environment.floor_height
         shapes = (bare_floor(height),) if math.isfinite(height) else ()
         return DrawingSample(stamp_ns, shapes)
@@ -134,7 +134,7 @@ class MockInterface:
     # --- truth -----------------------------------------------------------------------------------
 
     def _centre(self, state: MockState, above: float) -> Array:
-        """A point of the rover above Body 1's centre [m], in map."""
+        """Return a point of the rover at a height [m] above Body 1's centre, in map."""
         x, y, z = self._rover.attachment
         turned = _rotation(state.heading) @ np.array([x, y, z - above])
         attachment = np.array([state.x, state.y, -self.plant.drop(state)])
@@ -158,7 +158,7 @@ class MockInterface:
         )
 
     def _nodes(self, state: MockState) -> tuple[Array, Array, Array]:
-        """Nodes with their slopes (n + 1, 2, 3), arc lengths and tensions (n + 1,)."""
+        """Return nodes with slopes (n + 1, 2, 3), arc lengths and tensions (n + 1,)."""
         nominal = self._scenario.tether.nominal_length
         count = max(1, math.ceil(state.length / nominal - 1e-9))
         arcs = np.linspace(0.0, state.length, count + 1)
@@ -176,7 +176,7 @@ class MockInterface:
 
     def _markers(self, state: MockState, stamp_ns: int) -> Sample:
         scenario = self._scenario
-        usual = usual_tension(
+        nominal = nominal_tension(
             scenario.tip_mass,
             scenario.tether.section.line_density,
             state.length,
@@ -189,7 +189,7 @@ class MockInterface:
             _rotation(state.heading),
             _quaternion(state.heading),
         )
-        return DrawingSample(stamp_ns, (tether_line(*self._nodes(state), usual), *solids))
+        return DrawingSample(stamp_ns, (tether_line(*self._nodes(state), nominal), *solids))
 
     # --- sensors ---------------------------------------------------------------------------------
 
@@ -199,8 +199,8 @@ class MockInterface:
         return ImuSample(stamp_ns, (0.0, 0.0, state.yaw_rate), force)
 
     def _contact(self, state: MockState, stamp_ns: int) -> Sample:
-        stands = JointValue(float(state.phase is Phase.GROUNDED))
-        joints = dict.fromkeys((FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT), stands)
+        on_ground = JointValue(float(state.phase is Phase.GROUNDED))
+        joints = dict.fromkeys((FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT), on_ground)
         return JointSample(stamp_ns, {**joints, BODY_SWITCH: JointValue()})
 
     def _load_cell(self, state: MockState, stamp_ns: int) -> Sample:
@@ -209,22 +209,22 @@ class MockInterface:
     def _rover_load_cell(self, state: MockState, stamp_ns: int) -> Sample:
         return WrenchSample(stamp_ns, (0.0, 0.0, self.plant.tension(state)[1]))
 
-    def _carried(self, state: MockState) -> float:
-        """By the winch's motor [N]: nothing while the brake holds."""
+    def _motor_tension(self, state: MockState) -> float:
+        """Return the tension that the winch's motor carries [N]; 0 while the brake is closed."""
         return self.plant.tension(state)[0] if state.brake_released else 0.0
 
     def _currents(self, state: MockState, stamp_ns: int) -> Sample:
         joints = dict.fromkeys((JUMP_MOTOR, WHEEL_MOTOR, WINCH_MOTOR), JointValue())
         winch = self._scenario.winch
         if winch is not None:
-            # A positive torque pays out; what is carried pulls the other way.
-            torque = -self._carried(state) * winch.radius / winch.gear_ratio
+            # A positive torque pays out; the tension acts against it.
+            torque = -self._motor_tension(state) * winch.radius / winch.gear_ratio
             joints[WINCH_MOTOR] = JointValue(effort=torque / winch.motor.torque_constant)
         return JointSample(stamp_ns, joints)
 
     def _camera(self, state: MockState, stamp_ns: int) -> Sample:  # noqa: ARG002
         hole = self._scenario.environment.hole
-        distance = _NONE_SEEN if hole is None else hole.wall_distance
+        distance = _OUT_OF_RANGE if hole is None else hole.wall_distance
         return JointSample(stamp_ns, {WALL_DISTANCE: JointValue(distance), SMEAR: JointValue()})
 
     def _jump_motor(self, state: MockState, stamp_ns: int) -> Sample:
@@ -242,7 +242,7 @@ class MockInterface:
         return JointSample(stamp_ns, {name: JointValue(*value) for name, value in joints})
 
     def _winch(self, state: MockState, stamp_ns: int) -> Sample:
-        drum = JointValue(state.length, state.payout_rate, self._carried(state))
+        drum = JointValue(state.length, state.payout_rate, self._motor_tension(state))
         brake = JointValue(float(state.brake_released))
         return JointSample(stamp_ns, {WINCH_DRUM: drum, WINCH_BRAKE: brake})
 

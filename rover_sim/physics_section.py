@@ -1,8 +1,8 @@
-"""Sections of a configuration that become parameters of the physics.
+"""Configuration sections that map to parameters of the physics.
 
-The physics states its parameters as plain frozen dataclasses, which hold the default values. A
-`PhysicsSection` has fields of the same names, adds units and ranges, and takes its defaults from
-there, so no number stands twice.
+The physics defines its parameters as frozen dataclasses with the default values. A `PhysicsSection`
+has fields of the same names with units and ranges, and takes its defaults from the dataclass, so
+that each value is defined once.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ from msg_schemas.configuration import Configuration, ConfigurationError
 
 @dataclass(frozen=True)
 class PhysicsSection(Configuration):
-    """A section whose fields are those of the dataclass `KIND`, or some of them."""
+    """A section with the fields of the dataclass `KIND`, or some of them."""
 
     KIND: ClassVar[type]
 
     @classmethod
     def like(cls, parameters: Any) -> Any:
-        """The section that holds the given parameters."""
+        """Build the section from parameters of the physics."""
         names = [item.name for item in dataclasses.fields(cls)]
         return cls(**{name: getattr(parameters, name) for name in names})
 
     def parameters(self, **others: Any) -> Any:
-        """The parameters of the physics; `others` are those that are no fields here."""
+        """Return the parameters of the physics; `others` are those without a field here."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         return self.KIND(**{name: _unwrapped(value) for name, value in values.items()}, **others)
 
     def check(self) -> None:
-        """Refuse what the physics refuses."""
-        refuse_what_is_refused_by(self.parameters)
+        """Apply the checks of the physics."""
+        convert_value_errors(self.parameters)
 
 
-def refuse_what_is_refused_by(build: Any) -> None:
-    """Call `build`; its ValueErrors, ``name = value: what is right``, become refusals."""
+def convert_value_errors(build: Any) -> None:
+    """Call `build`; convert a ValueError ``name = value: expected`` to a ConfigurationError."""
     try:
         build()
     except ConfigurationError:
         raise
     except ValueError as error:
-        what, _, expected = str(error).partition(": ")
-        name, _, value = what.partition(" = ")
+        subject, _, expected = str(error).partition(": ")
+        name, _, value = subject.partition(" = ")
         raise ConfigurationError(name, value, expected) from None
 
 

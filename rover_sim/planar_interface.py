@@ -1,6 +1,6 @@
-"""How the planar plant meets the contract: its drives, and states told as samples.
+"""Interface of the planar plant: its drives, and its states as samples of the contract.
 
-Samples are SI in REP-103 axes. Twists are in the body's own frame.
+Samples are in SI units and REP-103 axes; twists are in the body frame.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from rover_sim.drawing import (
     BODY2_COLOUR,
     as_quaternion,
     as_vector,
+    nominal_tension,
     solid,
     tether_line,
-    usual_tension,
 )
 from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
@@ -69,10 +69,10 @@ _NANO = 1e9
 
 
 class PlanarInterface:
-    """The planar plant's outside.
+    """Drives and topics of the planar plant.
 
     Args:
-        plant: the plant whose states are told.
+        plant: whose states are published.
     """
 
     available_after_tick = frozenset({topics.IMU})
@@ -80,9 +80,9 @@ class PlanarInterface:
     def __init__(self, plant: PlanarPlant) -> None:
         self.plant = plant
         self._scenario = plant.scenario
-        self._moment: _Moment | None = None
-        self._makers: Mapping[str, Callable[[_Moment], Sample]] = {
-            topics.CLOCK: lambda moment: ClockSample(moment.stamp_ns),
+        self._snapshot: _Snapshot | None = None
+        self._makers: Mapping[str, Callable[[_Snapshot], Sample]] = {
+            topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
             topics.TRUTH_BODY1: self._body1,
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
@@ -98,115 +98,119 @@ class PlanarInterface:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that this plant can fill: without a rover there is nothing of a rover."""
+        """Topics of the plant; without a rover, none of the rover."""
         return _ALWAYS if self._scenario.rover is None else (*_ALWAYS, *_OF_ROVER)
 
     @property
     def equipment(self) -> Equipment:
-        """A jump motor where there is a rover; the drum only holds."""
+        """A jump motor if there is a rover; the drum has no motor."""
         rover = self._scenario.rover
         nut = None if rover is None else Nut(rover.spring_rate, holds=True, needs_ground=True)
         return Equipment(self._scenario.name, nut=nut, fixed_length=self._scenario.tether.length)
 
     def drive_feedback(self, state: PlanarState) -> DriveFeedback:
-        """What the jump motor feels."""
+        """Return the state of the jump motor."""
         held = state.compression > 0.0
         return DriveFeedback(
             state.phase, state.compression, not held, held, self._scenario.tether.length
         )
 
     def restart(self, state: PlanarState, stamp_ns: int) -> None:
-        """Take a state with no tick before it."""
-        self._moment = _Moment(self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state))
+        """Set a state without a preceding tick."""
+        self._snapshot = _Snapshot(
+            self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state)
+        )
 
     def measure(self, state: PlanarState, stamp_ns: int, result: StepResult) -> None:
-        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
-        last = self._moment
+        """Set the state at the end of a tick; see `plant_interface.PlantInterface.measure`."""
+        last = self._snapshot
         if last is None:
-            raise AssertionError("no state came before the tick")
+            raise AssertionError("a tick without a preceding state")
         dt = (stamp_ns - last.stamp_ns) / _NANO
-        self._moment = _Moment(self.plant, last.after, state, dt, stamp_ns, result.energies)
+        self._snapshot = _Snapshot(self.plant, last.after, state, dt, stamp_ns, result.energies)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
-        """Yield (topic, sample) of what was last taken, for the topics that are due."""
-        moment = self._moment
-        if moment is None:
-            raise AssertionError("nothing was measured yet")
+        """Yield (topic, sample) of the last state for the topics that are due."""
+        snapshot = self._snapshot
+        if snapshot is None:
+            raise AssertionError("no state was set yet")
         for name in due:
-            yield name, self._makers[name](moment)
+            yield name, self._makers[name](snapshot)
 
-    def _body1(self, moment: _Moment) -> Sample:
-        state = moment.after
-        return _odometry(moment.stamp_ns, state, state.G1, state.G1_rate)
+    def _body1(self, snapshot: _Snapshot) -> Sample:
+        state = snapshot.after
+        return _odometry(snapshot.stamp_ns, state, state.G1, state.G1_rate)
 
-    def _body2(self, moment: _Moment) -> Sample:
-        state = moment.after
-        return _odometry(moment.stamp_ns, state, state.G2, state.G2_rate)
+    def _body2(self, snapshot: _Snapshot) -> Sample:
+        state = snapshot.after
+        return _odometry(snapshot.stamp_ns, state, state.G2, state.G2_rate)
 
-    def _tether(self, moment: _Moment) -> Sample:
-        return tether_sample(moment.stamp_ns, rep103.vector(moment.after.nodes), moment.tension)
+    def _tether(self, snapshot: _Snapshot) -> Sample:
+        return tether_sample(
+            snapshot.stamp_ns, rep103.vector(snapshot.after.nodes), snapshot.tension
+        )
 
-    def _energy(self, moment: _Moment) -> Sample:
-        return energy_sample(moment.stamp_ns, moment.energies)
+    def _energy(self, snapshot: _Snapshot) -> Sample:
+        return energy_sample(snapshot.stamp_ns, snapshot.energies)
 
-    def _imu(self, moment: _Moment) -> Sample:
-        before, after = moment.before, moment.after
+    def _imu(self, snapshot: _Snapshot) -> Sample:
+        before, after = snapshot.before, snapshot.after
         acceleration = np.zeros(2)
-        if moment.dt > 0.0:
-            acceleration = (after.G1_rate - before.G1_rate) / moment.dt
+        if snapshot.dt > 0.0:
+            acceleration = (after.G1_rate - before.G1_rate) / snapshot.dt
         force = acceleration + np.array([0.0, self._scenario.gravity])
-        # Body 1 turns during the tick: the mean force is taken in its mean attitude.
+        # Body 1 rotates during the tick: resolve the mean force in its mean attitude.
         theta = 0.5 * (before.theta + after.theta)
         return ImuSample(
-            moment.stamp_ns,
+            snapshot.stamp_ns,
             as_vector(rep103.rotation_rate(after.omega)),
             as_vector(rep103.vector(_in_body(theta, force))),
         )
 
-    def _contact(self, moment: _Moment) -> Sample:
-        stands = moment.after.phase in (Phase.HELD, Phase.LANDED)
-        return JointSample(moment.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if stands else 0.0)})
+    def _contact(self, snapshot: _Snapshot) -> Sample:
+        on_ground = snapshot.after.phase in (Phase.HELD, Phase.LANDED)
+        return JointSample(snapshot.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if on_ground else 0.0)})
 
-    def _load_cell(self, moment: _Moment) -> Sample:
-        return WrenchSample(moment.stamp_ns, moment.pull)
+    def _load_cell(self, snapshot: _Snapshot) -> Sample:
+        return WrenchSample(snapshot.stamp_ns, snapshot.pull)
 
-    def _rover_load_cell(self, moment: _Moment) -> Sample:
-        slope = -moment.after.nodes[-1, 1]
-        force = float(moment.tension[-1]) / float(np.hypot(*slope)) * slope
-        in_body = rep103.vector(_in_body(moment.after.theta, force))
-        return WrenchSample(moment.stamp_ns, as_vector(in_body))
+    def _rover_load_cell(self, snapshot: _Snapshot) -> Sample:
+        slope = -snapshot.after.nodes[-1, 1]
+        force = float(snapshot.tension[-1]) / float(np.hypot(*slope)) * slope
+        in_body = rep103.vector(_in_body(snapshot.after.theta, force))
+        return WrenchSample(snapshot.stamp_ns, as_vector(in_body))
 
-    def _jump_motor(self, moment: _Moment) -> Sample:
+    def _jump_motor(self, snapshot: _Snapshot) -> Sample:
         rover = self._scenario.rover
         if rover is None:
             raise AssertionError("a plant without a rover has no jump motor")
-        before, after = moment.before, moment.after
+        before, after = snapshot.before, snapshot.after
         released = after.compression == 0.0 and after.phase is Phase.FLIGHT
         rate = 0.0
-        if moment.dt > 0.0 and not released:
-            rate = (after.compression - before.compression) / moment.dt
-            rate = min(max(rate, -MAX_NUT_SPEED), MAX_NUT_SPEED)  # but for rounding it is
+        if snapshot.dt > 0.0 and not released:
+            rate = (after.compression - before.compression) / snapshot.dt
+            rate = min(max(rate, -MAX_NUT_SPEED), MAX_NUT_SPEED)  # rounding may exceed it
         force = rover.spring_rate * after.compression
         return JointSample(
-            moment.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}
+            snapshot.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}
         )
 
-    def _winch(self, moment: _Moment) -> Sample:
+    def _winch(self, snapshot: _Snapshot) -> Sample:
         length = self._scenario.tether.length
         return JointSample(
-            moment.stamp_ns, {WINCH_DRUM: JointValue(length), WINCH_BRAKE: JointValue(0.0)}
+            snapshot.stamp_ns, {WINCH_DRUM: JointValue(length), WINCH_BRAKE: JointValue(0.0)}
         )
 
-    def _markers(self, moment: _Moment) -> Sample:
-        state = moment.after
+    def _markers(self, snapshot: _Snapshot) -> Sample:
+        state = snapshot.after
         length = self._scenario.tether.length
         nodes = rep103.vector(state.nodes)
         rover = self._scenario.rover
         carried = self._scenario.tip_mass if rover is None else rover.mass
         density = self._scenario.tether.section.line_density
-        usual = usual_tension(carried, density, length, self._scenario.gravity)
+        nominal = nominal_tension(carried, density, length, self._scenario.gravity)
         arcs = np.linspace(0.0, length, len(nodes))
-        shapes = [tether_line(nodes, arcs, moment.tension, usual)]
+        shapes = [tether_line(nodes, arcs, snapshot.tension, nominal)]
         if rover is not None:
             orientation = rep103.quaternion(state.theta)
             for name, (width, height), colour, centre in (
@@ -216,15 +220,15 @@ class PlanarInterface:
                 size = (width, width, height)
                 place = rep103.vector(centre)
                 shapes.append(solid(name, "box", colour, size, place, orientation))
-        return DrawingSample(moment.stamp_ns, tuple(shapes))
+        return DrawingSample(snapshot.stamp_ns, tuple(shapes))
 
     def environment_markers(self, stamp_ns: int) -> DrawingSample:
-        """Nothing: the planar model has no ground."""
+        """Return an empty drawing: the planar model has no ground."""
         return DrawingSample(stamp_ns, ())
 
 
-class _Moment:
-    """A tick's end, with what several topics need of it."""
+class _Snapshot:
+    """State at the end of a tick, with derived values that several topics share."""
 
     def __init__(
         self,
@@ -252,14 +256,14 @@ class _Moment:
 
     @property
     def pull(self) -> Vector:
-        """Force of the tether on the fairlead [N]: its tension, along its slope there."""
+        """Force of the tether on the fairlead [N]: the tension along the slope at the root."""
         slope = self.after.nodes[0, 1]
         force = float(self.tension[0]) / float(np.hypot(*slope)) * slope
         return as_vector(rep103.vector(force))
 
 
 def _in_body(theta: float, vector: Array) -> Array:
-    """A planar vector (2,) of the world in the axes of a body turned by theta."""
+    """Resolve a planar world vector (2,) in the axes of a body rotated by theta."""
     c, s = np.cos(theta), np.sin(theta)
     return np.array([c * vector[0] + s * vector[1], c * vector[1] - s * vector[0]])
 

@@ -1,9 +1,9 @@
-"""The machine as URDF, from a scenario's own numbers: for RViz, Foxglove and robot_state_publisher.
+"""URDF of the rover and the winch's drum, from a scenario, for RViz, Foxglove and others.
 
-The root is `map`, at the fairlead; base_link floats in it, as the tether holds nothing rigidly.
-Joints bear the names of the drives. A scenario gives no mass for a wheel: it is drawn as the ring
-that has its spin inertia, I/r^2, which is taken from Body 1. So the links' masses and moments add
-up to the scenario's, to which flywheel and wheels here add their spin.
+The root link is `map`, at the fairlead; base_link has a floating joint to it. Joints have the names
+of the drives. A scenario has no mass of the wheels: a wheel is modelled as a ring with its spin
+inertia, I/r^2, and that mass is subtracted from Body 1. The links' masses and inertias thus add up
+to the scenario's, plus the spin inertias of flywheel and wheels.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _ORIGIN: Final = (0.0, 0.0, 0.0)
 
 
 def robot_description(scenario: SpatialScenario) -> str:
-    """URDF of the rover and, where there is one, the winch's drum.
+    """Return the URDF of the rover and, if there is one, the winch's drum.
 
     Raises:
         ValueError: the scenario has no rover.
@@ -64,7 +64,7 @@ def robot_description(scenario: SpatialScenario) -> str:
     link = _link(robot, CAMERA_FRAME)
     _shape(link, "box", _CAMERA_COLOUR, size=_text(_CAMERA_SIZE))
     _joint(robot, "camera_mount", "fixed", BODY1_FRAME, CAMERA_FRAME, camera.position, look)
-    # REP-103: an optical frame looks along z, x to the right and y down in the picture.
+    # REP-103: optical frame, z along the view, x to the right and y down in the image.
     _link(robot, CAMERA_OPTICAL_FRAME)
     turned = (-_QUARTER, 0.0, -_QUARTER)
     _joint(robot, "camera_optics", "fixed", CAMERA_FRAME, CAMERA_OPTICAL_FRAME, _ORIGIN, turned)
@@ -81,7 +81,7 @@ def robot_description(scenario: SpatialScenario) -> str:
 
 
 def wheel_mass(rover: Rover) -> float:
-    """Of the ring that has a wheel's spin inertia [kg]."""
+    """Return the mass of a ring with a wheel's spin inertia [kg]."""
     return rover.wheel_drive.wheel_inertia / rover.wheels.radius**2
 
 
@@ -108,14 +108,14 @@ def _bodies(robot: ET.Element, rover: Rover) -> None:
 
 
 def _body1_without_wheels(rover: Rover) -> tuple[float, Array, Array]:
-    """Mass [kg], centre of mass in base_link [m], moments about that [kg m^2], (3, 3)."""
+    """Return mass [kg], centre of mass in base_link [m] and inertia about it [kg m^2], (3, 3)."""
     mass = rover.m1 - 2.0 * wheel_mass(rover)
     tensor = np.diag(rover.inertia1)
     tensor[0, 0] += rover.jump_drive.inertia  # the flywheel spins about x
     moment = np.zeros(3)
     for place in (rover.wheels.left, rover.wheels.right):
         own = _wheel_tensor(rover)
-        own[1, 1] = 0.0  # the scenario's moments leave out the wheels' spin
+        own[1, 1] = 0.0  # the scenario's inertias exclude the wheels' spin
         tensor = tensor - own - _of_point(wheel_mass(rover), np.array(place))
         moment -= wheel_mass(rover) * np.array(place)
     centre = moment / mass
@@ -139,7 +139,7 @@ def _wheel(robot: ET.Element, rover: Rover, name: str, place: Sequence[float]) -
 
 
 def _drum(robot: ET.Element, winch: Winch) -> None:
-    # A full cylinder; the tether leaves it at the fairlead.
+    # A solid cylinder; the tether leaves it at the fairlead.
     mass = 2.0 * winch.drum_inertia / winch.radius**2
     across = 0.5 * winch.drum_inertia + mass * _DRUM_WIDTH**2 / 12.0
     tensor = np.diag([across, winch.drum_inertia, across])

@@ -1,17 +1,17 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
-"""Sensors: what the hardware would measure of what is true, with its errors.
+"""Sensor models: readings from the true state, with noise, bias, delay, saturation, resolution.
 
-`SensorSuite.step` takes what is true at the end of a tick and gives readings; its state is a value,
-so the same state and truth give the same readings. A reading is made in this order: the true
-signal, late by `delay` (between ticks it runs linearly); the bias, which starts at random and
-wanders; white noise; the range, beyond which it saturates; the resolution. White noise is given by
-its density N, so that a tick of dt carries N/sqrt(dt), and a wandering bias by the density K of its
-walk, K sqrt(dt) in a tick: both look the same however long the ticks are. Every random number
-follows from the seed, the tick's number and the channel.
+`SensorSuite.step` computes the readings from the truth at the end of a tick. Its state is
+immutable and the step is deterministic. A reading is computed in this order: the true signal, late
+by `delay` (interpolated linearly between ticks); the bias, with a random initial value and a random
+walk; white noise; saturation at the range; the resolution. White noise is given by its density N,
+with the standard deviation N/sqrt(dt) in a tick of dt, and the random walk of the bias by its
+density K, with K sqrt(dt) in a tick; so both are independent of the tick. All random numbers derive
+from the seed, the number of the tick and the channel.
 
-The gyro gives the mean rate of the tick (the rotation from its start to its end) and the
-accelerometer the mean specific force at its place (the change of velocity less gravity), as sensors
-do that integrate over their sample.
+The gyro measures the mean angular velocity of the tick (from the rotation between its start and
+end), the accelerometer the mean specific force at its position (the change of velocity minus
+gravity), as do sensors that integrate over their sample.
 
 Vectors are in base_link; SI units.
 """
@@ -49,13 +49,13 @@ ErrorModel: TypeAlias = Literal["full", "ideal"]
 
 @dataclass(frozen=True)
 class Channel(Configuration):
-    """Errors of one measured quantity; its unit U is the quantity's."""
+    """Errors of one measured quantity with the unit U."""
 
-    noise_density: float = quantity("U/sqrt(Hz)", "of the white noise", 0.0, minimum=0.0)
-    bias: float = quantity("U", "standard deviation of the bias at the start", 0.0, minimum=0.0)
-    bias_walk: float = quantity("U/sqrt(s)", "density of the bias' walk", 0.0, minimum=0.0)
+    noise_density: float = quantity("U/sqrt(Hz)", "density of the white noise", 0.0, minimum=0.0)
+    bias: float = quantity("U", "standard deviation of the initial bias", 0.0, minimum=0.0)
+    bias_walk: float = quantity("U/sqrt(s)", "density of the bias's random walk", 0.0, minimum=0.0)
     range: float = quantity(
-        "U", "largest magnitude; beyond it saturates", math.inf, above=0.0, infinite=True
+        "U", "largest magnitude, where the reading saturates", math.inf, above=0.0, infinite=True
     )
     resolution: float = quantity("U", "step of the readings, 0: none", 0.0, minimum=0.0)
     delay: float = quantity("s", "from truth to reading", 0.0, minimum=0.0, maximum=5.0)
@@ -63,10 +63,10 @@ class Channel(Configuration):
 
 @dataclass(frozen=True)
 class Camera(Configuration):
-    """A camera that looks at the wall, with a range finder along its axis."""
+    """The wall camera, with a range finder along its optical axis."""
 
     position: Vector = quantity("m", "in base_link", (-0.16, 0.0, 0.05), length=3)
-    axis: Vector = quantity("-", "where it looks in base_link", (-1.0, 0.0, 0.0), length=3)
+    axis: Vector = quantity("-", "optical axis in base_link", (-1.0, 0.0, 0.0), length=3)
     pixel_angle: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
     exposure: float = quantity("s", "exposure time", 0.1, above=0.0, maximum=10.0)
     max_range: float = quantity("m", "range of the range finder", 60.0, above=0.0, maximum=500.0)
@@ -75,10 +75,10 @@ class Camera(Configuration):
     )
 
     def check(self) -> None:
-        """Refuse an axis that is none."""
+        """Refuse an axis of length 0."""
         if not any(self.axis):
             raise configuration.ConfigurationError(
-                "axis", list(self.axis), "should point somewhere"
+                "axis", list(self.axis), "should not be the zero vector"
             )
 
 
@@ -95,10 +95,10 @@ _LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_walk=5e-4, range=500.0)
 
 @dataclass(frozen=True)
 class Sensors(Configuration):
-    """All that measures; `error_model: ideal` takes every error away."""
+    """All sensors; `error_model: ideal` removes all errors."""
 
     error_model: ErrorModel = choice(
-        get_args(ErrorModel), "real: with the errors below; perfect: with none", "full"
+        get_args(ErrorModel), "full: with the errors below; ideal: without errors", "full"
     )
     seed: int = quantity("-", "of all errors", 0, kind=int, minimum=0, maximum=2**31 - 1)
     imu_position: Vector = quantity("m", "of the IMU in base_link", (0.05, 0.0, 0.0), length=3)
@@ -126,16 +126,16 @@ class Sensors(Configuration):
     camera: Camera = configuration.section(Camera, "the wall camera", Camera())
 
 
-# ------------------------------------------------------------------------------- true and read
+# --------------------------------------------------------------------------- truth and readings
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What there is to measure at the end of a tick."""
+    """True values of all measured quantities at the end of a tick."""
 
     time: float  # [s]
     body: BodyMotion | None = None  # None: no rover
-    nut: float = 0.0  # counted as compression [m]
+    nut: float = 0.0  # position as compression of the spring [m]
     flywheel_angle: float = 0.0  # [rad]
     flywheel_rate: float = 0.0  # relative to Body 1 [rad/s]
     wheel_angles: tuple[float, float] = (0.0, 0.0)  # left, right [rad]
@@ -152,7 +152,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Readings:
-    """What the sensors tell at the end of a tick."""
+    """Readings of the sensors at the end of a tick."""
 
     time: float  # [s]
     gyro: Vector  # [rad/s]
@@ -171,17 +171,17 @@ class Readings:
     rover_tension: float  # [N]
     wheel_contacts: tuple[bool, bool]  # left, right
     body_contact: bool
-    wall_distance: float  # [m]; inf: out of reach
-    smear: float  # of the wall's picture over the exposure [px]
+    wall_distance: float  # [m]; inf: out of range
+    smear: float  # of the image of the wall over the exposure [px]
 
     @property
     def on_ground(self) -> bool:
-        """Whether anything touches."""
+        """Whether a wheel or a body touches the ground."""
         return self.body_contact or any(self.wheel_contacts)
 
 
 class _Row(IntEnum):
-    """Where the signals stand in a row of all of them."""
+    """Indices into the array of all signals."""
 
     GYRO = 0
     FORCE = 3
@@ -201,21 +201,21 @@ class _Row(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class SensorState:
-    """What the sensors remember; a value like the plant's states."""
+    """State of the sensors; immutable like the plant's states."""
 
     tick: int
     truth: Truth
     bias: Array  # (SIZE,)
-    signals: tuple[tuple[float, Array], ...]  # instants [s] and rows that delays still need
-    angles: Array  # last rows read, for the encoders' rates, (SIZE,)
-    picture: tuple[tuple[float, float, float], ...]  # time [s] and place of the picture [rad]
+    signals: tuple[tuple[float, Array], ...]  # time [s] and signals, as far as delays need them
+    angles: Array  # last readings, for the encoders' rates, (SIZE,)
+    image: tuple[tuple[float, float, float], ...]  # time [s] and position of the image [rad]
 
 
 # ------------------------------------------------------------------------------------ measuring
 
 
 def spread(points: Sequence[tuple[float, float]]) -> float:
-    """Largest distance between two of some points of a plane."""
+    """Return the largest distance between two of the points of a plane."""
     if len(points) < 2:
         return 0.0
     terrain_parameters = np.array(points)
@@ -227,11 +227,11 @@ class SensorSuite:
     """The sensors of a scenario.
 
     Args:
-        parameters: what they are like.
-        gravity: strength [m/s^2].
+        parameters: of the sensors.
+        gravity: magnitude [m/s^2].
         pitch: travel of the nut per angle of the jump motor's shaft [m/rad].
-        terrain: what the camera looks at; None: nothing.
-        seed: of the errors, instead of the parameters' own.
+        terrain: in the camera's view; None: none.
+        seed: of the errors, in place of the parameters' seed.
     """
 
     def __init__(
@@ -248,19 +248,20 @@ class SensorSuite:
         self._pitch = pitch
         self._terrain = terrain
         bits = np.random.Philox(key=parameters.seed if seed is None else seed)
-        # Reached by its generator alone: of numpy 1.26's generators copies have bits of their own.
+        # Access the bit generator through the generator only: in numpy 1.26 a copy of a generator
+        # has a bit generator of its own.
         self._generator = np.random.Generator(bits)
         self._start = bits.state
         self._noise, self._bias, self._walk, self._resolution = np.zeros((4, _Row.SIZE))
         self._range = np.full(_Row.SIZE, math.inf)
         self._delay = np.zeros(_Row.SIZE)
         if parameters.error_model == "full":
-            self._take_over(parameters)
+            self._set_errors(parameters)
         look = _unit(parameters.camera.axis)
         self._look = _vector(look.tolist())
         self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
 
-    def _take_over(self, p: Sensors) -> None:
+    def _set_errors(self, p: Sensors) -> None:
         screw = p.flywheel_encoder.resolution * self._pitch
         nut = replace(p.flywheel_encoder, resolution=screw, noise_density=0.0, bias=0.0)
         for first, count, channel in (
@@ -284,7 +285,7 @@ class SensorSuite:
             self._delay[rows] = channel.delay
 
     def start(self, truth: Truth) -> SensorState:
-        """The sensors switched on, with biases drawn."""
+        """Return the state at the start of the sensors, with random biases."""
         row = self._signals(truth, truth, 0.0)
         return SensorState(
             0,
@@ -299,7 +300,7 @@ class SensorSuite:
         """Measure at the end of a tick that began at the state's truth.
 
         Raises:
-            ValueError: time has not gone on.
+            ValueError: the time is not after the state's.
         """
         dt = truth.time - state.truth.time
         if not dt > 0.0:
@@ -321,13 +322,13 @@ class SensorSuite:
                 if self._resolution[angle + k] > 0.0:
                     turned = read[angle + k] - state.angles[angle + k]
                     read[rate + k] = turned / dt
-        picture, smear = self._smear(state, truth, now[_Row.WALL], dt)
-        after = SensorState(tick, truth, bias, signals, read, picture)
+        image, smear = self._smear(state, truth, now[_Row.WALL], dt)
+        after = SensorState(tick, truth, bias, signals, read, image)
         return after, self._readings(truth, read, smear)
 
     def _numbers(self, tick: int) -> Array:
-        """Standard normal numbers of a tick, (2, SIZE): for the walks and for the noise."""
-        # Set to the tick's number: to make a generator anew takes five times as long.
+        """Return standard normal numbers of a tick, (2, SIZE): for the walks and the noise."""
+        # Set the counter to the tick's number: a new generator takes five times as long.
         start = self._start
         start["state"]["counter"][:] = (0, 0, tick, 0)
         self._generator.bit_generator.state = start
@@ -335,7 +336,7 @@ class SensorSuite:
         return drawn if tick else drawn[0]
 
     def _signals(self, before: Truth, after: Truth, dt: float) -> Array:
-        """All signals without errors, (SIZE,)."""
+        """Return all signals without errors, (SIZE,)."""
         row = np.zeros(_Row.SIZE)
         if after.body is not None:
             row[_Row.GYRO : _Row.GYRO + 3] = after.body.spin
@@ -364,7 +365,7 @@ class SensorSuite:
         return float(distance_to_ground(self._terrain, place, look, camera.max_range))
 
     def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:
-        """Without what is older than the longest delay needs."""
+        """Drop the signals that are older than the longest delay."""
         oldest = signals[-1][0] - float(self._delay.max())
         first = 0
         while first + 1 < len(signals) and signals[first + 1][0] <= oldest:
@@ -372,7 +373,7 @@ class SensorSuite:
         return signals[first:]
 
     def _late(self, signals: tuple[tuple[float, Array], ...], now: float) -> Array:
-        """The row of signals, each late by its delay."""
+        """Return the signals, each late by its delay."""
         if not self._delay.any():
             return signals[-1][1]
         instants = np.array([instant for instant, _ in signals])
@@ -389,30 +390,30 @@ class SensorSuite:
     def _smear(
         self, state: SensorState, truth: Truth, distance: float, dt: float
     ) -> tuple[tuple[tuple[float, float, float], ...], float]:
-        """The picture's way during the last exposure, and its spread [px]."""
+        """Return the path of the image during the last exposure, and its extent [px]."""
         camera = self.parameters.camera
         if truth.body is None or state.truth.body is None:
-            return state.picture, 0.0
+            return state.image, 0.0
         before = image_rate(state.truth.body, camera.position, self._look, distance)
         after = image_rate(truth.body, camera.position, self._look, distance)
-        _, x, y = state.picture[-1]
+        _, x, y = state.image[-1]
         side_x, side_y = (0.5 * dt * (dot(side, before) + dot(side, after)) for side in self._sides)
-        picture = (*state.picture, (truth.time, x + side_x, y + side_y))
+        image = (*state.image, (truth.time, x + side_x, y + side_y))
         opened = truth.time - camera.exposure * (1.0 + 1e-9)
-        while len(picture) > 2 and picture[1][0] <= opened:
-            picture = picture[1:]
-        if picture[0][0] < opened:  # the shutter opened between two ticks
-            (t0, x0, y0), (t1, x1, y1) = picture[:2]
+        while len(image) > 2 and image[1][0] <= opened:
+            image = image[1:]
+        if image[0][0] < opened:  # the shutter opened between two ticks
+            (t0, x0, y0), (t1, x1, y1) = image[:2]
             share = (opened - t0) / (t1 - t0)
             first = (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
-            points = [first, *((px, py) for _, px, py in picture[1:])]
+            points = [first, *((px, py) for _, px, py in image[1:])]
         else:
-            points = [(px, py) for _, px, py in picture]
-        return picture, spread(points) / camera.pixel_angle
+            points = [(px, py) for _, px, py in image]
+        return image, spread(points) / camera.pixel_angle
 
     def _readings(self, truth: Truth, row: Array, smear: float) -> Readings:
         values = row.tolist()
-        switch = self.parameters.contact_threshold
+        threshold = self.parameters.contact_threshold
         return Readings(
             time=truth.time,
             gyro=_vector(values[_Row.GYRO : _Row.GYRO + 3]),
@@ -429,8 +430,8 @@ class SensorSuite:
             currents=_vector(values[_Row.CURRENTS : _Row.CURRENTS + 3]),
             fairlead_tension=values[_Row.FAIRLEAD],
             rover_tension=values[_Row.ROVER],
-            wheel_contacts=(truth.wheel_loads[0] > switch, truth.wheel_loads[1] > switch),
-            body_contact=truth.body_load > switch,
+            wheel_contacts=(truth.wheel_loads[0] > threshold, truth.wheel_loads[1] > threshold),
+            body_contact=truth.body_load > threshold,
             wall_distance=values[_Row.WALL],
             smear=smear,
         )
@@ -442,7 +443,7 @@ def _unit(vector: ArrayLike) -> Array:
 
 
 def _sides_of(look: Array) -> Array:
-    """Two unit vectors across a unit vector, (2, 3)."""
+    """Return two unit vectors perpendicular to a unit vector, (2, 3)."""
     helper = np.array([0.0, 0.0, 1.0]) if abs(look[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = _unit(np.cross(helper, look))
     return np.stack([first, np.cross(look, first)])

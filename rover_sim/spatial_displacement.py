@@ -1,4 +1,4 @@
-"""Starts near a scenario's own: a hanging machine displaced, a standing one ready to jump."""
+"""Variations of a scenario's start: a displaced hanging rover, a compressed jump spring."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Pair: TypeAlias = tuple[float, float]
 
 @dataclass(frozen=True)
 class Displacement:
-    """How a hanging start differs from the scenario's.
+    """Displacement of a hanging start from the scenario's.
 
     Attributes:
-        swing: rotation vector of all about the fairlead, about x and y of map [rad].
+        swing: rotation vector of tether and rover about the fairlead, x and y of map [rad].
         swing_rate: of that rotation [rad/s].
-        tilt: rotation vector of the rover on top, about x and y of base_link [rad].
-        body_rate: angular velocity of the rover on top, in base_link [rad/s].
-        twist: of the tether on top [rad].
+        tilt: additional rotation vector of the rover, x and y of base_link [rad].
+        body_rate: additional angular velocity of the rover in base_link [rad/s].
+        twist: additional twist of the tether [rad].
     """
 
     swing: Pair = (0.0, 0.0)
@@ -37,10 +37,10 @@ class Displacement:
 
 
 def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
-    """The scenario's start, displaced: stretched and with its slider as at rest.
+    """Return the scenario's start, displaced, with the stretch and slide of the equilibrium.
 
     Raises:
-        ScenarioError: the start is none that hangs with the winch at rest.
+        ScenarioError: the start is not hanging with the winch at rest.
     """
     start = plant.scenario.start
     if start.kind != "hanging":
@@ -76,16 +76,16 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
 def compressed(
     plant: SpatialPlant, state: SpatialState, stroke: float, tilt: Pair = (0.0, 0.0)
 ) -> SpatialState:
-    """A rover at rest, its spring compressed and held by the latch, turned a little on top.
+    """Return a state at rest with the spring compressed, held by the latch, and the rover tilted.
 
-    The clock and the energy balances stay as they are: the spring's energy is put in by nobody.
+    The clock and the energy balance do not change: they do not account for the spring's energy.
 
     Args:
-        plant: whose state it is.
-        state: the rover at rest.
-        stroke: compression of the spring [m]; beyond the drive's stroke it stands for a spring
-            that is stiffer than the scenario's.
-        tilt: rotation vector of the rover, about x and y of base_link [rad].
+        plant: of the state.
+        state: with the rover at rest.
+        stroke: compression of the spring [m]; a value above the drive's stroke represents a spring
+            stiffer than the scenario's.
+        tilt: rotation vector of the rover, x and y of base_link [rad].
 
     Raises:
         ScenarioError: the scenario has no rover.
@@ -106,7 +106,7 @@ def compressed(
     body[quaternion] = turned
     body[spatial_rover.SLIDE] = slider.free_length - stroke
     nodes[-1, 0] = state.G1 + rotation_matrix(turned) @ np.array(rover.attachment)
-    # The nut gives way a little under the spring's force.
+    # The nut yields elastically to the spring's force.
     nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
     jump = state.drives.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
     return replace(state, body=body, nodes=nodes, drives=state.drives._replace(jump=jump))

@@ -1,8 +1,7 @@
-"""How the spatial plant meets the contract: its drives, its sensors, and states told as samples.
+"""Interface of the spatial plant: its drives, sensors, and states as samples of the contract.
 
-Samples are SI in REP-103 axes, which are the plant's own. Twists are in the body's own frame.
-Sensors measure at every tick, whether or not anybody listens, so that their errors do not depend on
-who does.
+Samples are in SI units and REP-103 axes, which are the plant's; twists are in the body frame. The
+sensors measure at every tick, so that their errors do not depend on the subscriptions.
 """
 
 from __future__ import annotations
@@ -47,9 +46,9 @@ from rover_sim.drawing import (
     as_vector,
     contact_force,
     ground,
+    nominal_tension,
     rover_solids,
     tether_line,
-    usual_tension,
 )
 from rover_sim.hardware import Rover
 from rover_sim.physics.ancf import Array
@@ -76,10 +75,10 @@ _SENSORS_OF_ROVER = (
 
 
 class SpatialInterface:
-    """The spatial plant's outside.
+    """Drives, sensors and topics of the spatial plant.
 
     Args:
-        plant: the plant whose states are told.
+        plant: whose states are published.
         seed: of the sensors' errors.
     """
 
@@ -98,9 +97,9 @@ class SpatialInterface:
         )
         self._sensors: SensorState | None = None
         self._readings: Readings | None = None
-        self._moment: _Moment | None = None
-        self._truth_makers: Mapping[str, Callable[[_Moment], Sample]] = {
-            topics.CLOCK: lambda moment: ClockSample(moment.stamp_ns),
+        self._snapshot: _Snapshot | None = None
+        self._truth_makers: Mapping[str, Callable[[_Snapshot], Sample]] = {
+            topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
             topics.TRUTH_BODY1: self._body1,
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
@@ -122,14 +121,14 @@ class SpatialInterface:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Topics that this plant can fill: without a rover there is nothing of a rover."""
+        """Topics of the plant; without a rover, none of the rover."""
         if self._scenario.rover is None:
             return (*_TRUTH, *_SENSORS)
         return (*_TRUTH, *_TRUTH_OF_ROVER, *_SENSORS, *_SENSORS_OF_ROVER)
 
     @property
     def equipment(self) -> Equipment:
-        """All drives where there is a rover and a winch."""
+        """The drives of the scenario's rover and winch."""
         scenario, jump = self._scenario, self.plant.model.jump
         nut = None
         if scenario.rover is not None:
@@ -149,7 +148,7 @@ class SpatialInterface:
         )
 
     def drive_feedback(self, state: SpatialState) -> DriveFeedback:
-        """What the drives feel."""
+        """Return the state of the drives."""
         return DriveFeedback(
             state.phase,
             state.nut,
@@ -162,39 +161,39 @@ class SpatialInterface:
     def _length(self, state: SpatialState) -> float:
         return self._scenario.tether.length if self._scenario.winch is None else state.length
 
-    # --- what is taken ---------------------------------------------------------------------------
+    # --- states ----------------------------------------------------------------------------------
 
     def restart(self, state: SpatialState, stamp_ns: int) -> None:
-        """Take a state with no tick before it: sensors are switched on anew."""
-        # Nothing was stepped yet, so no forces are known but what the state remembers.
+        """Set a state without a preceding tick, and restart the sensors."""
+        # Forces are known only after a step.
         forces = Forces()
         self._sensors = self._suite.start(self._truth(state, forces))
         self._readings = None
-        self._moment = _Moment(state, stamp_ns, self.plant.energies(state), forces)
+        self._snapshot = _Snapshot(state, stamp_ns, self.plant.energies(state), forces)
 
     def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
-        """Take the state at a tick's end; see `plant_interface.PlantInterface.measure`."""
+        """Set the state at the end of a tick; see `plant_interface.PlantInterface.measure`."""
         if self._sensors is None:
-            raise AssertionError("sensors were not switched on")
-        # A plant that has stopped for good stands still; its sensors keep their last readings.
+            raise AssertionError("the sensors were not started")
+        # After the plant has stopped, the sensors keep their last readings.
         if state.time > self._sensors.truth.time:
             truth = self._truth(state, result.forces)
             self._sensors, self._readings = self._suite.step(self._sensors, truth)
-        self._moment = _Moment(state, stamp_ns, result.energies, result.forces)
+        self._snapshot = _Snapshot(state, stamp_ns, result.energies, result.forces)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
-        """Yield (topic, sample) of what was last taken, for the topics that are due."""
-        moment = self._moment
-        if moment is None:
-            raise AssertionError("nothing was measured yet")
+        """Yield (topic, sample) of the last state for the topics that are due."""
+        snapshot = self._snapshot
+        if snapshot is None:
+            raise AssertionError("no state was set yet")
         for name in due:
             if name in self._truth_makers:
-                yield name, self._truth_makers[name](moment)
+                yield name, self._truth_makers[name](snapshot)
             elif self._readings is not None:
-                yield name, self._sensor_makers[name](moment.stamp_ns, self._readings)
+                yield name, self._sensor_makers[name](snapshot.stamp_ns, self._readings)
 
     def _truth(self, state: SpatialState, forces: Forces) -> Truth:
-        """What there is to measure."""
+        """Return the true values of all measured quantities."""
         truth = Truth(
             time=state.time,
             length=self._length(state),
@@ -223,43 +222,43 @@ class SpatialInterface:
 
     # --- truth -----------------------------------------------------------------------------------
 
-    def _body1(self, moment: _Moment) -> Sample:
-        return _odometry(moment, moment.state.G1, moment.state.G1_rate)
+    def _body1(self, snapshot: _Snapshot) -> Sample:
+        return _odometry(snapshot, snapshot.state.G1, snapshot.state.G1_rate)
 
-    def _body2(self, moment: _Moment) -> Sample:
-        return _odometry(moment, moment.state.G2, moment.state.G2_rate)
+    def _body2(self, snapshot: _Snapshot) -> Sample:
+        return _odometry(snapshot, snapshot.state.G2, snapshot.state.G2_rate)
 
-    def _tether(self, moment: _Moment) -> Sample:
-        nodes = self.plant.to_full_nodes(moment.state)
-        return tether_sample(moment.stamp_ns, nodes, self.plant.tension(moment.state))
+    def _tether(self, snapshot: _Snapshot) -> Sample:
+        nodes = self.plant.to_full_nodes(snapshot.state)
+        return tether_sample(snapshot.stamp_ns, nodes, self.plant.tension(snapshot.state))
 
-    def _energy(self, moment: _Moment) -> Sample:
-        return energy_sample(moment.stamp_ns, moment.energies)
+    def _energy(self, snapshot: _Snapshot) -> Sample:
+        return energy_sample(snapshot.stamp_ns, snapshot.energies)
 
-    def _markers(self, moment: _Moment) -> Sample:
-        state, rover = moment.state, self._scenario.rover
+    def _markers(self, snapshot: _Snapshot) -> Sample:
+        state, rover = snapshot.state, self._scenario.rover
         scenario = self._scenario
         density = scenario.tether.section.line_density
-        usual = usual_tension(scenario.tip_mass, density, self._length(state), scenario.gravity)
+        nominal = nominal_tension(scenario.tip_mass, density, self._length(state), scenario.gravity)
         shapes = [
             tether_line(
                 self.plant.to_full_nodes(state),
                 self.plant.to_arc_lengths(state),
                 self.plant.tension(state),
-                usual,
+                nominal,
             )
         ]
         if rover is not None:
             shapes += rover_solids(rover, state.G1, state.G2, state.rotation, state.orientation)
-            shapes += self._contact_forces(moment, rover)
-        return DrawingSample(moment.stamp_ns, tuple(shapes))
+            shapes += self._contact_forces(snapshot, rover)
+        return DrawingSample(snapshot.stamp_ns, tuple(shapes))
 
-    def _contact_forces(self, moment: _Moment, rover: Rover) -> list[Shape]:
-        """Normal forces of the ground on wheels and bodies, along the floor's normal."""
-        terrain, forces = self.plant.model.terrain, moment.forces
+    def _contact_forces(self, snapshot: _Snapshot, rover: Rover) -> list[Shape]:
+        """Draw the ground's normal forces on wheels and bodies, along the floor's normal."""
+        terrain, forces = self.plant.model.terrain, snapshot.forces
         normal = terrain.floor_cosine * np.array([-terrain.slope_x, -terrain.slope_y, 1.0])
         below = rover.wheels.radius * normal
-        turned, state = moment.state.rotation, moment.state
+        turned, state = snapshot.state.rotation, snapshot.state
         loads = (
             (
                 WHEEL_LEFT,
@@ -280,16 +279,16 @@ class SpatialInterface:
         ]
 
     def environment_markers(self, stamp_ns: int) -> DrawingSample:
-        """The ground, if there is any; see `plant_interface.PlantInterface.environment_markers`."""
+        """Return the drawing of the ground, if there is one."""
         model = self.plant.model
         return DrawingSample(stamp_ns, ground(model.terrain) if model.has_ground else ())
 
-    # --- sensors that need more than their readings ----------------------------------------------
+    # --- samples that combine readings and the drives' state -------------------------------------
 
     def _jump_motor(self, stamp_ns: int, readings: Readings) -> Sample:
         rover = self._rover
         held = 0.0
-        if self._moment is not None and self._moment.state.latch in (
+        if self._snapshot is not None and self._snapshot.state.latch in (
             Latch.ENGAGED,
             Latch.COMPRESSING,
         ):
@@ -306,10 +305,10 @@ class SpatialInterface:
     def _winch(self, stamp_ns: int, readings: Readings) -> Sample:
         drum = self.plant.model.drum
         tension = 0.0
-        if self._scenario.winch is not None and self._moment is not None:
+        if self._scenario.winch is not None and self._snapshot is not None:
             torque = readings.currents[2] * drum.motor.torque_constant * drum.gear_ratio
-            # A positive torque pays out; what is carried pulls the other way.
-            tension = -torque / self.plant.drum_radius(self._moment.state)
+            # A positive torque pays out; the tension acts against it.
+            tension = -torque / self.plant.drum_radius(self._snapshot.state)
         joints = {
             WINCH_DRUM: JointValue(readings.length, readings.payout_rate, tension),
             WINCH_BRAKE: JointValue(0.0 if readings.brake_closed else 1.0),
@@ -317,8 +316,8 @@ class SpatialInterface:
         return TOPICS[topics.WINCH_STATE].saturated(stamp_ns, joints)
 
 
-class _Moment(NamedTuple):
-    """A tick's end."""
+class _Snapshot(NamedTuple):
+    """State and forces at the end of a tick."""
 
     state: SpatialState
     stamp_ns: int
@@ -326,10 +325,10 @@ class _Moment(NamedTuple):
     forces: Forces
 
 
-def _odometry(moment: _Moment, centre: Array, rate: Array) -> OdometrySample:
-    state = moment.state
+def _odometry(snapshot: _Snapshot, centre: Array, rate: Array) -> OdometrySample:
+    state = snapshot.state
     return OdometrySample(
-        moment.stamp_ns,
+        snapshot.stamp_ns,
         as_vector(centre),
         as_quaternion(state.orientation),
         as_vector(state.rotation.T @ rate),

@@ -1,4 +1,4 @@
-"""Constants of a spatial scenario as the compiled functions take them."""
+"""Convert a spatial scenario and commands to the inputs of the compiled functions."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from rover_sim.plant import (
 from rover_sim.spatial_scenario import SpatialScenario, configuration_of_drum
 
 _OFF = int(MotorMode.OFF)
-# To trip the latch the nut is sent beyond the setpoint [m]: it has to press the latch through.
+# The nut must press the latch through to trip it: its setpoint is beyond the commanded one [m].
 _BEYOND_TRIP = 2.0e-3
 _NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
 _NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
 _NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
-# Studies and identifications make many plants that differ in other things than wheels and soil.
+# Studies and identifications build many plants with equal wheels and soil.
 _known_table = lru_cache(maxsize=16)(wheel_table)
 
 
 def make_model(scenario: SpatialScenario) -> Model:
-    """Everything that is constant during a run."""
+    """Return the constants of a run."""
     tether, environment, integration = scenario.tether, scenario.environment, scenario.integration
     rover = scenario.rover if scenario.rover is not None else Rover()
     winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
@@ -100,7 +100,7 @@ def _rover_contact(scenario: SpatialScenario, rover: Rover) -> RoverContact:
 
 
 def damped(model: Model, axial: float, bending: float) -> Model:
-    """The model with at least these damping times of the tether [s]."""
+    """Return the model with at least these damping times of the tether [s]."""
     tether = model.tether
     return model._replace(
         tether=tether._replace(
@@ -118,14 +118,14 @@ def make_orders(
     free: bool,
     drum_radius: float | None = None,
 ) -> DriveCommands:
-    """What the drives are asked to do during a tick.
+    """Convert a command to the drives' commands of a tick.
 
-    The flywheel's drive is interlocked with the latch: unless the nut is `free` its torque is cut.
-    The winch's drive knows at which radius [m] its tether runs off (None: of the innermost layer).
+    The flywheel's drive is interlocked with the latch: its torque is zero unless the nut is `free`.
+    `drum_radius` is the radius of the tether's layer on the drum [m]; None: the innermost layer.
 
     Raises:
-        ValueError: a command for a motor that the scenario lacks, or a number that is not finite
-            or out of its range.
+        ValueError: the scenario lacks the commanded motor, or a value is not finite or out of
+            range.
     """
     if scenario.rover is None:
         for name in ("jump", "wheel"):
@@ -204,7 +204,7 @@ def _wheel_order(
 
 
 def check_tick(dt: float) -> float:
-    """The tick [s].
+    """Return the tick [s].
 
     Raises:
         ValueError: it is not finite or not above 0.

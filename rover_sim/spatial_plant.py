@@ -1,4 +1,4 @@
-"""The spatial plant: tether, winch, rover with its drives, and the ground, behind the contract."""
+"""The spatial plant: tether, winch, rover with its drives, and ground."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rover_sim.physics.twist import twist_angle
 from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
 from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 from rover_sim.spatial_model import check_tick, damped, make_model, make_orders
-from rover_sim.spatial_start import Pose, hanging, laid_out, straight
+from rover_sim.spatial_start import Pose, hanging, on_ground, straight
 from rover_sim.spatial_state import (
     SpatialState,
     arrays_of,
@@ -43,24 +43,24 @@ _IDLE = Command()
 # A tether that carries more than this share of the rover's weight carries the rover.
 _CARRIES = 0.05
 
-_AS_THEY_ARE = ("hanging", "straight")  # starts that are not settled
+_UNSETTLED_STARTS = ("hanging", "straight")
 
-# Settling: damping times of the tether [s], the tick [s] after which velocities are scaled down and
-# by what, and the speeds below which all is at rest [m/s].
+# Settling: damping times of the tether [s], the tick [s] and the factor of the velocities after it,
+# and the speed below which the system is at rest [m/s].
 _SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
 _SETTLING_TICK, _SETTLING_SCALE = 0.02, 0.97
-_SETTLING_SLOW = 20.0  # after which only soft motions of the tether are left [s]
+_SETTLING_SLOW = 20.0  # time after which only soft modes of the tether move [s]
 _AT_REST = 1.0e-6
 
 
 class SettlingError(RuntimeError):
-    """Rover and tether find no rest where the scenario puts them; says how it went instead."""
+    """Rover and tether do not settle at the start; the message has the reason."""
 
 
 class SpatialPlant:
-    """Winch, tether, rover (or a weight, or a free end) and ground of a scenario, in space.
+    """Spatial plant of a scenario: winch, tether, rover (or a point mass, or a free end), ground.
 
-    Its steps may run in several threads at once; each has its own work arrays.
+    Several threads may step it at once; each has its own work arrays.
 
     Args:
         scenario: a scenario with `model: spatial`.
@@ -83,28 +83,28 @@ class SpatialPlant:
 
     @property
     def model(self) -> Model:
-        """The constants handed to the compiled functions."""
+        """The constants of the compiled functions."""
         return self._model
 
-    # ------------------------------------------------------------------------------ the start
+    # --------------------------------------------------------------------------- initial states
 
     def initial_state(self) -> SpatialState:
-        """The state at the scenario's start.
+        """Return the state at the scenario's start.
 
-        A standing rover is settled by simulating it, once for each plant.
+        A rover on the ground is settled by a simulation, once for each plant.
 
         Raises:
-            SettlingError: it finds no rest.
+            SettlingError: it does not come to rest.
             ScenarioError: the tether does not reach the rover.
         """
-        if self.scenario.start.kind in _AS_THEY_ARE:
+        if self.scenario.start.kind in _UNSETTLED_STARTS:
             return self.unsettled_state()
         if self._settled is None:
-            self._settled = self._at_rest(self.unsettled_state())
+            self._settled = self._settle(self.unsettled_state())
         return self._settled
 
     def unsettled_state(self) -> SpatialState:
-        """As `initial_state`, but a standing rover has not come to rest: it is not simulated.
+        """Return the state at the scenario's start, without settling a rover on the ground.
 
         Raises:
             ScenarioError: the tether does not reach the rover.
@@ -114,7 +114,7 @@ class SpatialPlant:
             return self._state_from(hanging(self.scenario))
         if kind == "straight":
             return self._state_from(straight(self.scenario))
-        return self._state_from(laid_out(self.scenario, self._model.terrain))
+        return self._state_from(on_ground(self.scenario, self._model.terrain))
 
     def state_at(
         self,
@@ -125,14 +125,14 @@ class SpatialPlant:
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         slide: float | None = None,
     ) -> SpatialState:
-        """Tether and rover in a given place and motion; clock, books and drives as at a start.
+        """Return a state with given pose and motion; clock, energy balance and drives are initial.
 
-        Both bodies move with the tether's tip and with the angular velocity, the slider rests.
+        Both bodies move with the tether's tip and the angular velocity; the slider is at rest.
 
         Args:
-            nodes: of all the tether, as `to_full_nodes` gives them: positions [m] and slopes [-],
+            nodes: of the whole tether as from `to_full_nodes`: positions [m] and slopes [-],
                 (m + 1, 2, 3); the first is the fairlead.
-            node_rates: the same per second; None: all at rest.
+            node_rates: rates of the nodes per second; None: at rest.
             orientation: quaternion (x, y, z, w), base_link to map.
             angular_velocity: in base_link [rad/s], (3,).
             slide: s [m]; None: the spring's free length.
@@ -219,10 +219,12 @@ class SpatialPlant:
         )
         if twist is None:
             twist = math.radians(self.scenario.start.twist)
-        return self._started(state, twist, self._carried(float(self.tension(state)[-1])))
+        return self._with_initial_memory(
+            state, twist, self._phase_off_ground(float(self.tension(state)[-1]))
+        )
 
     def _drive_states(self, spin_x: float, spin_y: float) -> DriveStates:
-        """Drives at rest relative to a Body 1 that turns so [rad/s]."""
+        """Return drives at rest relative to Body 1, with its angular velocity [rad/s]."""
         model = self._model
         length = min(max(self.scenario.tether.length, model.drum.min_length), model.drum.max_length)
         return DriveStates(
@@ -231,16 +233,16 @@ class SpatialPlant:
             wheel_drive.WheelState()._replace(body_rate=spin_y),
         )
 
-    def _carried(self, tension: float) -> Phase:
-        """What a rover does that touches nothing."""
+    def _phase_off_ground(self, tension: float) -> Phase:
+        """Return the phase of a rover without ground contact: hanging or in flight."""
         rover = self.scenario.rover
         if rover is None:
             return Phase.FREE
         carries = tension > _CARRIES * rover.mass * self.scenario.gravity and tension > 0.0
         return Phase.HANGING if carries else Phase.FLIGHT
 
-    def _started(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
-        """The state with clock and energy balance at zero, the tether twisted by `twist` [rad]."""
+    def _with_initial_memory(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
+        """Return the state with zero clock and energy balance, and a twist of the tether [rad]."""
         memory = np.zeros(integrator_memory.MEMORY_SIZE)
         for entry in (
             integrator_memory.ELEMENTS,
@@ -278,34 +280,34 @@ class SpatialPlant:
         memory[integrator_memory.INITIAL_ENERGY] = self.energies(fresh).stored
         return replace(fresh, memory=memory)
 
-    def _at_rest(self, state: SpatialState) -> SpatialState:
-        """Simulate with a strongly damped tether and fading velocities until all is at rest."""
+    def _settle(self, state: SpatialState) -> SpatialState:
+        """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling_time
         speed = math.inf
         while state.time < longest:
-            before = _tether_speed(state)
+            before = _mean_square_speed(state)
             state, result = self._advance(model, state, orders, _SETTLING_TICK)
             if state.phase.final:
                 raise SettlingError(
                     f"{self.scenario.name}: {result.outcome.value} while settling, after"
                     f" {state.time:.3g} s"
                 )
-            speed = _fastest(state)
+            speed = _max_speed(state)
             if speed < _AT_REST:
                 break
-            # A slack tether hardly minds how its loop lies about the line of its ends: it is let go
-            # that way while it gains speed, as slowed it would take many minutes.
-            gains = state.time > _SETTLING_SLOW and _tether_speed(state) > before
+            # The rotation of a slack loop about the line of its ends is very soft: it would take
+            # minutes with reduced velocities, so they are not reduced while it gains speed.
+            gains = state.time > _SETTLING_SLOW and _mean_square_speed(state) > before
             tether = 1.0 if gains else _SETTLING_SCALE
-            state = _slowed(state, _SETTLING_SCALE, tether)
+            state = _scaled_velocities(state, _SETTLING_SCALE, tether)
         if speed > max(self.scenario.start.residual_speed, _AT_REST):
             raise SettlingError(
                 f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
                 " settling; give start.settling_time more, or another start.position"
             )
-        return self._started(_slowed(state, 0.0), 0.0, state.phase)
+        return self._with_initial_memory(_scaled_velocities(state, 0.0), 0.0, state.phase)
 
     # -------------------------------------------------------------------------------- stepping
 
@@ -353,12 +355,12 @@ class SpatialPlant:
             return Phase.TETHER_BROKEN
         if memory[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
             return Phase.GROUNDED
-        return self._carried(float(report[integrator_memory.TIP_TENSION]))
+        return self._phase_off_ground(float(report[integrator_memory.TIP_TENSION]))
 
-    # -------------------------------------------------------------------------------- looking
+    # ------------------------------------------------------------------------ derived quantities
 
     def energies(self, state: SpatialState) -> Energies:
-        """Energies of the state, with the balance since the start of the run."""
+        """Return the energies of a state, with the balance since the start of the run."""
         motion, memory = arrays_of(state, self._capacity)
         parts = spatial.energies(self._model, motion, state.drives, memory, self._solvers.own())
         report = np.zeros(integrator_memory.REPORT_SIZE)
@@ -366,9 +368,9 @@ class SpatialPlant:
         return _energies_of(report, state.memory)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
-        """Nodes of all the tether from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
+        """Return the nodes from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
 
-        With a winch the first is the fairlead, where the tether's first element begins.
+        With a winch the fairlead is added as the first node.
         """
         if not self._model.has_winch:
             return state.nodes
@@ -376,16 +378,17 @@ class SpatialPlant:
         return np.concatenate([fairlead, state.nodes])
 
     def to_arc_lengths(self, state: SpatialState) -> Array:
-        """Undeformed arc length from the fairlead to each of `to_full_nodes` [m], (m + 1,)."""
+        """Return the undeformed arc length from the fairlead to the full nodes [m], (m + 1,)."""
         chain = self._model.tether.element_length * np.arange(state.elements + 1)
         if not self._model.has_winch:
             return np.asarray(chain)
         return np.concatenate([[0.0], state.length - chain[-1] + chain])
 
     def tension(self, state: SpatialState) -> Array:
-        """Tension at `to_full_nodes` [N], (m + 1,), strain-rate damping included; below 0: pressed.
+        """Return the tension at the full nodes [N], (m + 1,), damping included; < 0: compression.
 
-        Mean axial forces of the elements, interpolated to the nodes and extrapolated to the ends.
+        The mean axial forces of the elements are interpolated to the nodes and extrapolated to the
+        ends.
         """
         tether = self._model.tether._replace(elements=state.elements)
         means = np.empty(state.elements)
@@ -393,7 +396,7 @@ class SpatialPlant:
         arcs = self.to_arc_lengths(state)
         if self._model.has_winch:
             ends = self.to_full_nodes(state)[:2]
-            # The element grows as the drum pays out: its material comes after its second node.
+            # The element grows as the drum pays out: its first node moves with the material.
             follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
             rates = np.array([[follows, state.fairlead_slope[1]], state.node_rates[0]])
             first = np.empty(1)
@@ -415,33 +418,33 @@ class SpatialPlant:
         return np.concatenate([[first_node], inner, [last_node]])
 
     def payout_rate(self, state: SpatialState) -> float:
-        """Rate of the tether at the drum [m/s], > 0 lengthens it."""
+        """Return the payout rate at the drum [m/s], > 0 lengthens the tether."""
         if not self._model.has_winch:
             return 0.0
         return self.drum_radius(state) * state.drives.drum.rate
 
     def drum_radius(self, state: SpatialState) -> float:
-        """Where the tether runs off the drum [m]."""
+        """Return the radius at which the tether leaves the drum [m]."""
         turns = self._model.drum.full_turns - state.drives.drum.angle / (2.0 * math.pi)
-        # As Python: the compiled one is handed all of the drum's values, which takes far longer.
+        # The Python function: converting the arguments of the compiled one takes far longer.
         return float(drums.radius_at.py_func(self._model.drum, turns))
 
     def _some_state(self) -> SpatialState:
-        """A state that is found without simulating."""
+        """Return a state that needs no simulation."""
         is_straight = self.scenario.start.kind == "straight"
         return self._state_from((straight if is_straight else hanging)(self.scenario))
 
     def parts(self) -> list[tuple[Any, tuple[Any, ...]]]:
-        """What `warm_up` comes to late; see `rover_sim.physics.compile_targets.step_parts`."""
+        """Return the functions that `warm_up` compiles last; see `compile_targets.step_parts`."""
         return step_parts(self._model, self._solvers.own(), self._drive_states(0.0, 0.0))
 
     def compile_parts(self) -> None:
-        """Compile the parts, beside another process that calls `warm_up`."""
+        """Compile the parts, in parallel with another process that calls `warm_up`."""
         for part in self.parts():
             _compile(*part)
 
     def warm_up(self) -> None:
-        """Compile everything a step needs, or load it from the cache."""
+        """Compile the functions of a step, or load them from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
         _compile(*full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders))
         state = self._some_state()
@@ -466,7 +469,7 @@ def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _plain(drives: DriveStates) -> DriveStates:
-    """The drives' states with the types that the compiled functions were made for."""
+    """Convert the drives' states to the types of the compiled functions' signatures."""
     jump, drum, wheels = drives
     return DriveStates(
         jump_drive.JumpState(int(jump.latch), *(float(value) for value in jump[1:])),
@@ -482,8 +485,8 @@ def _plain(drives: DriveStates) -> DriveStates:
     )
 
 
-def _fastest(state: SpatialState) -> float:
-    """Largest speed of a node or of a body [m/s]."""
+def _max_speed(state: SpatialState) -> float:
+    """Return the largest speed of a node or a body [m/s]."""
     speeds = [
         float(np.max(np.linalg.norm(state.node_rates[:, 0], axis=1))),
         float(np.linalg.norm(state.G1_rate)),
@@ -493,13 +496,15 @@ def _fastest(state: SpatialState) -> float:
     return max(speeds)
 
 
-def _tether_speed(state: SpatialState) -> float:
-    """Mean square of the nodes' speeds [m^2/s^2]."""
+def _mean_square_speed(state: SpatialState) -> float:
+    """Return the mean square of the nodes' speeds [m^2/s^2]."""
     return float(np.mean(state.node_rates[:, 0] ** 2))
 
 
-def _slowed(state: SpatialState, factor: float, tether: float | None = None) -> SpatialState:
-    """The state with all velocities scaled down; the drives' are left to their friction.
+def _scaled_velocities(
+    state: SpatialState, factor: float, tether: float | None = None
+) -> SpatialState:
+    """Return the state with scaled velocities, except those of the drives.
 
     Args:
         state: as it is.
@@ -516,7 +521,7 @@ def _slowed(state: SpatialState, factor: float, tether: float | None = None) -> 
 
 
 def _energies_of(report: Array, memory: Array) -> Energies:
-    came, went = energy_balance_sums(memory)
+    received, dissipated = energy_balance_sums(memory)
     rotors = float(memory[integrator_memory.DRIVE_KINETIC])
     return Energies(
         kinetic=float(report[integrator_memory.KINETIC]) - rotors,
@@ -524,8 +529,8 @@ def _energies_of(report: Array, memory: Array) -> Energies:
         axial=float(report[integrator_memory.AXIAL]),
         bending=float(report[integrator_memory.BENDING]),
         spring=float(report[integrator_memory.SPRING]),
-        input=came,
-        dissipated=went,
+        input=received,
+        dissipated=dissipated,
         initial=float(memory[integrator_memory.INITIAL_ENERGY]),
         rotors=rotors,
         contact=float(report[integrator_memory.CONTACT]),

@@ -1,8 +1,8 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
-"""Spatial scenarios: place, tether, winch, rover, sensors and start, typed, frozen and checked.
+"""Spatial scenarios: environment, tether, winch, rover, sensors and start, as frozen typed data.
 
-Axes are those of REP-103: map has its origin at the fairlead, x forward and z up; base_link
-(module `machine`) has x forward, y left along the wheels' axle and z up along the slider.
+Axes are REP-103: map has its origin at the fairlead, x forward and z up; base_link
+(module `hardware`) has x forward, y left along the wheels' axle and z up along the slider.
 """
 
 from __future__ import annotations
@@ -24,42 +24,42 @@ from rover_sim.sensors import Sensors
 Model: TypeAlias = Literal["spatial"]
 StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
-# Undeformed length of the element at the fairlead over the nominal one, smallest and largest.
+# Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpatialTether(CrossSection):
-    """An ANCF cable between fairlead and rover, of elements of one nominal length."""
+    """An ANCF cable between fairlead and rover, with elements of one nominal length."""
 
-    length: float = quantity("m", "paid out at the start, unstretched", above=0.0, maximum=1e3)
+    length: float = quantity("m", "payout at the start, unstretched", above=0.0, maximum=1e3)
     max_length: float | None = quantity(
-        "m", "all there is, with a winch; null: the length", None, above=0.0, maximum=1e3,
+        "m", "total length, with a winch; null: length", None, above=0.0, maximum=1e3,
         optional=True,
     )  # fmt: skip
     elements: int | None = quantity(
-        "-", "number for the length at the start", None, kind=int, minimum=1, maximum=2000,
+        "-", "number of elements at the start", None, kind=int, minimum=1, maximum=2000,
         optional=True,
     )  # fmt: skip
     element_length: float | None = quantity(
-        "m", "nominal length of an element, instead", None, above=0.0, optional=True
+        "m", "nominal length of an element, in place of elements", None, above=0.0, optional=True
     )
     contact: TetherContact | None = configuration.section(
-        TetherContact, "with the ground; null: it falls through", TetherContact(), optional=True
+        TetherContact, "contact with the ground; null: none", TetherContact(), optional=True
     )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
-        "N m", "of the swivel at the rover; 0 free, .inf clamped", 0.0, minimum=0.0, infinite=True
+        "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
     )
 
     def check(self) -> None:
-        """Refuse a mesh that is given in no way or in two."""
+        """Require exactly one of elements and element_length."""
         super().check()
         if (self.elements is None) == (self.element_length is None):
             raise ScenarioError(
                 "elements",
                 self.elements,
-                "should be given exactly one of elements and element_length (that is"
+                "exactly one of elements and element_length should be given (element_length is"
                 f" {configuration.shown(self.element_length)})",
             )
         if self.max_length is not None and self.max_length < self.length:
@@ -77,59 +77,59 @@ class SpatialTether(CrossSection):
 
     @property
     def whole_length(self) -> float:
-        """All the tether there is [m]."""
+        """Total length of the tether [m]."""
         return self.length if self.max_length is None else self.max_length
 
 
 @dataclass(frozen=True)
 class Tip(Configuration):
-    """What hangs at the tether instead of a rover."""
+    """Tip of a tether without a rover."""
 
     mass: float = quantity("kg", "point mass, 0 for a free end", 0.0, minimum=0.0)
 
 
 @dataclass(frozen=True)
 class Start(Configuration):
-    """How tether and rover are at the start.
+    """Tether and rover at the start.
 
     ``hanging``
-        in equilibrium under gravity, then turned as a whole about the fairlead by `swing_angle`
-        towards `swing_heading` and moving as a whole with `swing_rate` (in that vertical plane)
-        and `cone_rate` (about the vertical). base_link's x points to `heading`; `tilt` turns the
-        rover further and `body_rate` is added to its angular velocity. The tether is twisted by
-        `twist`, and already being paid out at `payout_rate`, the brake open.
-    ``standing``
-        on the floor at `position`, facing `heading`, the tether slack: from the fairlead down and
-        along the floor. Rover and tether are settled by simulating them for up to `settling`;
-        what moves faster than `creep` then is refused.
+        in equilibrium under gravity, then rotated about the fairlead by `swing_angle` towards
+        `swing_heading`, and moving with `swing_rate` (in that vertical plane) and `cone_rate`
+        (about the vertical). base_link's x points to `heading`; `tilt` is an additional rotation
+        of the rover and `body_rate` an additional angular velocity. The tether has the twist
+        `twist` and is paid out at `payout_rate`, with the brake open.
+    ``grounded``
+        on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
+        and along the floor. Rover and tether are settled by a simulation of up to
+        `settling_time`; a larger speed than `residual_speed` at its end is refused.
     ``straight``
-        straight and unstretched along `direction`, the tip moving with `tip_velocity` and the
-        rest linearly with arc length; `attitude` is the rover's rotation vector, body to map, and
-        `angular_velocity` its rate in map.
+        straight and unstretched along `direction`, with the velocity `tip_velocity` at the tip,
+        proportional to arc length; `attitude` is the rover's rotation vector, body to map, and
+        `angular_velocity` its angular velocity in map.
     """
 
-    kind: StartKind = choice(get_args(StartKind), "which of the three")
+    kind: StartKind = choice(get_args(StartKind), "kind of start")
     swing_angle: float = quantity("deg", "from the vertical", 0.0, minimum=-180.0, maximum=180.0)
     swing_heading: float = quantity("deg", "from x towards y", 0.0, minimum=-360.0, maximum=360.0)
     swing_rate: float = quantity("deg/s", "rate of the swing angle", 0.0)
-    cone_rate: float = quantity("deg/s", "about the vertical", 0.0)
+    cone_rate: float = quantity("deg/s", "angular velocity about the vertical", 0.0)
     heading: float = quantity(
         "deg", "of base_link's x, from x towards y", 0.0, minimum=-360.0, maximum=360.0
     )
     tilt: Vector = quantity(
-        "deg", "rotation vector in base_link, on top", (0.0, 0.0, 0.0), length=3
+        "deg", "additional rotation vector in base_link", (0.0, 0.0, 0.0), length=3
     )
     body_rate: Vector = quantity(
-        "deg/s", "angular velocity in base_link, on top", (0.0, 0.0, 0.0), length=3
+        "deg/s", "additional angular velocity in base_link", (0.0, 0.0, 0.0), length=3
     )
     twist: float = quantity("deg", "of the tether, rover against fairlead", 0.0)
     position: tuple[float, float] = quantity("m", "x and y of base_link", (0.0, 0.0), length=2)
     settling_time: float = quantity(
-        "s", "longest simulated time of settling", 60.0, above=0.0, maximum=600.0
+        "s", "longest simulated time to settle", 60.0, above=0.0, maximum=600.0
     )
     residual_speed: float = quantity(
-        "m/s", "speed of rover and tether that is borne when that is over, as of wheels that roll "
-        "down a slope", 1.0e-6, above=0.0, maximum=0.1,
+        "m/s", "largest speed of rover and tether after settling; wheels may roll down a slope",
+        1.0e-6, above=0.0, maximum=0.1,
     )  # fmt: skip
     direction: Vector | None = quantity(
         "-", "of the straight tether, any length", None, length=3, optional=True
@@ -140,18 +140,18 @@ class Start(Configuration):
     )
     angular_velocity: Vector = quantity("rad/s", "in map", (0.0, 0.0, 0.0), length=3)
     payout_rate: float = quantity(
-        "m/s", "of the winch, that turns already; > 0 lengthens", 0.0, minimum=-10.0, maximum=10.0
+        "m/s", "payout rate of the winch; > 0 lengthens", 0.0, minimum=-10.0, maximum=10.0
     )
 
     def check(self) -> None:
-        """Refuse what would silently be left unused, and a direction that is none."""
+        """Refuse values that the kind of start would ignore, and a missing direction."""
         used = _USED_BY[self.kind]
         for item in dataclasses.fields(self):
             if item.name not in used and getattr(self, item.name) != item.default:
                 raise ScenarioError(
                     item.name,
                     getattr(self, item.name),
-                    f"is of no use to a {self.kind} start, which takes {', '.join(sorted(used))}",
+                    f"has no effect on a {self.kind} start, which uses {', '.join(sorted(used))}",
                 )
         if self.kind == "straight" and (self.direction is None or not any(self.direction)):
             raise ScenarioError("direction", self.direction, "a straight start needs a direction")
@@ -169,28 +169,28 @@ _USED_BY: dict[str, set[str]] = {
 
 @dataclass(frozen=True)
 class SpatialScenario(Configuration):
-    """Everything that a simulation in space starts from."""
+    """All inputs of a spatial simulation."""
 
     name: str = text("short name, the file's name without .yaml")
     environment: Environment = configuration.section(Environment, "gravity and ground")
     tether: SpatialTether = configuration.section(SpatialTether, "the tether")
-    start: Start = configuration.section(Start, "how all is at the start")
-    about: str = text("what it is and where its numbers come from", "")
+    start: Start = configuration.section(Start, "tether and rover at the start")
+    about: str = text("what is simulated, and sources of the values", "")
     model: Model = choice(get_args(Model), "the plant that integrates it", "spatial")
     winch: Winch | None = configuration.section(
-        Winch, "the winch; null: a root that is pinned", None, optional=True
+        Winch, "the winch; null: a pinned root", None, optional=True
     )
     rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
     tip: Tip | None = configuration.section(
-        Tip, "what ends a tether without a rover", None, optional=True
+        Tip, "tip of a tether without a rover", None, optional=True
     )
-    sensors: Sensors = configuration.section(Sensors, "what measures", Sensors())
+    sensors: Sensors = configuration.section(Sensors, "the sensors", Sensors())
     integration: Integration = configuration.section(
-        Integration, "how the motion is integrated", Integration()
+        Integration, "the integrator's settings", Integration()
     )
 
     def check(self) -> None:
-        """Refuse parts that do not fit one another."""
+        """Refuse inconsistent sections."""
         if self.rover is not None and self.tip is not None:
             raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
         self._check_winch()
@@ -228,15 +228,15 @@ class SpatialScenario(Configuration):
             raise ScenarioError(
                 "winch.min_length",
                 winch.min_length,
-                f"should be at least {least:g} m, {LONGEST_EXIT:g} elements, so that one is left",
+                f"should be at least {least:g} m, {LONGEST_EXIT:g} nominal element lengths",
             )
         configuration_of_drum(winch, tether.whole_length)
 
     def _check_standing(self) -> None:
         if self.rover is None:
-            raise ScenarioError("rover", None, "a standing start needs a rover")
+            raise ScenarioError("rover", None, "a grounded start needs a rover")
         if self.environment.floor is None:
-            raise ScenarioError("environment.floor", None, "a standing start needs a floor")
+            raise ScenarioError("environment.floor", None, "a grounded start needs a floor")
         reach = math.hypot(*self.start.position, self._attachment_height(self.rover))
         if reach >= self.tether.length:
             raise ScenarioError(
@@ -246,7 +246,7 @@ class SpatialScenario(Configuration):
             )
 
     def _attachment_height(self, rover: Rover) -> float:
-        """Of a rover that stands level on the floor, in map [m]."""
+        """Return the height of the attachment of a level rover on the floor, in map [m]."""
         above_floor = rover.attachment[2] - rover.wheels.axle_z + rover.wheels.tip_radius
         return self.environment.floor_height + above_floor
 
@@ -255,37 +255,37 @@ class SpatialScenario(Configuration):
         """Build a scenario from nested plain values.
 
         Raises:
-            ScenarioError: Naming the dotted path, the value and what would be right.
+            ScenarioError: a value is invalid; names the dotted path and what is expected.
         """
         return configuration.read(cls, mapping)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Every value, plain and JSON-ready; `from_mapping` gives the scenario back."""
+        """Return all values as JSON-compatible types, the inverse of `from_mapping`."""
         return configuration.to_mapping(self)
 
     def with_overrides(self, overrides: Mapping[str, object]) -> SpatialScenario:
-        """Copy with values replaced by dotted path, e.g. ``{"tether.length": 20.0}``."""
+        """Return a copy with values replaced by dotted path, e.g. ``{"tether.length": 20.0}``."""
         return SpatialScenario.from_mapping(
             configuration.with_overrides(self.to_mapping(), overrides)
         )
 
     @property
     def gravity(self) -> float:
-        """Strength of gravity [m/s^2]."""
+        """Gravitational acceleration [m/s^2]."""
         return self.environment.gravity
 
     @property
     def tip_mass(self) -> float:
-        """What hangs at the tether [kg]."""
+        """Mass at the tether's tip [kg]."""
         if self.rover is not None:
             return self.rover.mass
         return self.tip.mass if self.tip is not None else 0.0
 
     @property
     def chain(self) -> tuple[int, float]:
-        """Elements of nominal length at the start, and the length of the one at the fairlead [m].
+        """Number of elements of nominal length at the start, and length of the first element [m].
 
-        Without a winch there is no such element, and its length is 0.
+        The first element is the one at the fairlead; without a winch its length is 0.
         """
         tether = self.tether
         count = round(tether.length / tether.nominal_length)
@@ -296,7 +296,7 @@ class SpatialScenario(Configuration):
 
     @property
     def most_elements(self) -> int:
-        """Elements of nominal length that there can be at most."""
+        """Largest number of elements of nominal length."""
         if self.winch is None:
             return self.chain[0]
         tether = self.tether
@@ -304,7 +304,7 @@ class SpatialScenario(Configuration):
 
 
 def configuration_of_drum(winch: Winch, max_length: float) -> DrumParameters:
-    """The drum's parameters, with what the tether's length makes of them.
+    """Return the drum's parameters for the tether's length.
 
     Raises:
         ScenarioError: the physics refuses them.

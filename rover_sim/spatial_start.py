@@ -1,9 +1,9 @@
-"""How tether and rover of a spatial scenario are at the start: hanging, straight, laid out.
+"""Initial pose of tether and rover in a spatial scenario: hanging, straight, or on the ground.
 
-A tether that hangs is straight along its load. Its tension at the undeformed arc length s is
+A hanging tether is straight along its load. Its tension at the undeformed arc length s is
 T = M a + rho A a (L - s) with the acceleration a along the tether and the mass M at its end; the
 stretch x' follows from Green's strain, EA (x'^2 - 1)/2 x' = T, and the nodes from the integral of
-x'. What a node's place misses by the element's cubic is of fourth order in the strain.
+x'. The error of a node's position by the cubic element is of fourth order in the strain.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Pose:
-    """Tether and rover at an instant; world axes but for `spin`."""
+    """Pose and motion of tether and rover; in world axes, except `spin`."""
 
     nodes: Array  # of the chain, (n + 1, 2, 3)
     node_rates: Array
@@ -44,18 +44,18 @@ class Pose:
 
 
 def arc_lengths(scenario: SpatialScenario) -> Array:
-    """Undeformed arc length from the fairlead to the chain's nodes [m], (n + 1,)."""
+    """Return the undeformed arc length from the fairlead to the chain's nodes [m], (n + 1,)."""
     count, first = scenario.chain
     return np.asarray(
         first + scenario.tether.nominal_length * np.arange(count + 1.0), dtype=np.float64
     )
 
 
-# --------------------------------------------------------------------------------- the three kinds
+# ------------------------------------------------------------------------------------ start kinds
 
 
 def hanging(scenario: SpatialScenario) -> Pose:
-    """In equilibrium, then swung, moving and tilted as the scenario says."""
+    """Return the hanging equilibrium with the scenario's swing, motion and tilt."""
     start, g = scenario.start, scenario.gravity
     angle, heading = math.radians(start.swing_angle), math.radians(start.swing_heading)
     outward = np.array([math.cos(heading), math.sin(heading), 0.0])
@@ -69,7 +69,9 @@ def hanging(scenario: SpatialScenario) -> Pose:
     orientation, slide = np.array([1.0, 0.0, 0.0, 0.0]), 0.0
     spin = np.zeros(3)
     if scenario.rover is not None:
-        orientation, slide = _hung(scenario.rover, direction, pull, math.radians(start.heading))
+        orientation, slide = _hanging_pose(
+            scenario.rover, direction, pull, math.radians(start.heading)
+        )
         tilt = quaternion_of(np.radians(start.tilt))
         orientation = product(orientation, tilt)
         if any(start.tilt):
@@ -91,7 +93,7 @@ def hanging(scenario: SpatialScenario) -> Pose:
 
 
 def straight(scenario: SpatialScenario) -> Pose:
-    """Unstretched along a direction, the velocity growing with arc length."""
+    """Return an unstretched straight tether with velocities proportional to arc length."""
     start = scenario.start
     direction = np.array(start.direction, dtype=np.float64)
     direction /= np.linalg.norm(direction)
@@ -116,12 +118,12 @@ def straight(scenario: SpatialScenario) -> Pose:
     )
 
 
-def laid_out(scenario: SpatialScenario, terrain: Terrain) -> Pose:
-    """The rover on the floor below its place, the tether slack; not yet at rest."""
+def on_ground(scenario: SpatialScenario, terrain: Terrain) -> Pose:
+    """Return the rover on the floor at its position with a slack tether, not yet settled."""
     rover, start = scenario.rover, scenario.start
     assert rover is not None
     x, y = start.position
-    turned, height = _standing(rover, terrain, x, y, math.radians(start.heading))
+    turned, height = _grounded_pose(rover, terrain, x, y, math.radians(start.heading))
     matrix = rotation_matrix(turned)
     tip = np.array([x, y, height]) + matrix @ np.array(rover.attachment)
     s = arc_lengths(scenario)
@@ -142,7 +144,7 @@ def laid_out(scenario: SpatialScenario, terrain: Terrain) -> Pose:
 
 
 def stretch(section: TetherSection, tension: Array) -> Array:
-    """Stretch x' >= 1 [-] at tensions >= 0 [N]: x'^3 - x' = 2 T/EA, by Newton's method."""
+    """Return the stretch x' >= 1 [-] at tensions >= 0 [N]: x'^3 - x' = 2 T/EA, by Newton."""
     load = 2.0 * tension / section.axial_stiffness
     x = np.maximum(1.0 + 0.5 * load, np.cbrt(load))
     for _ in range(50):
@@ -153,7 +155,7 @@ def stretch(section: TetherSection, tension: Array) -> Array:
 def _stretched(
     scenario: SpatialScenario, direction: Array, pull: float
 ) -> tuple[Array, Array, float]:
-    """Chain nodes, slope at the fairlead and tension there of a tether that hangs straight."""
+    """Return chain nodes, and slope and tension at the fairlead, of a straight hanging tether."""
     section, length = scenario.tether.section, scenario.tether.length
     end = scenario.tip_mass * pull
     weight = section.line_density * pull
@@ -174,7 +176,7 @@ def _stretched(
 
 
 def _slack(terrain: Terrain, tip: Array, length: float, s: Array) -> tuple[Array, Array]:
-    """Chain nodes at the arc lengths s and slope at the fairlead of a tether that lies about."""
+    """Return chain nodes at the arc lengths s and the slope at the fairlead of a slack tether."""
     distance = float(np.linalg.norm(tip))
     if distance >= length:
         raise ScenarioError(
@@ -208,27 +210,28 @@ def _slack(terrain: Terrain, tip: Array, length: float, s: Array) -> tuple[Array
     return nodes, fairlead_slope
 
 
-_RISE = 0.4  # how far before the rover the tether leaves the floor [m]
-_BEND = 0.25  # over which its corners are rounded [m]
-_FINE = 0.02  # spacing of the path's points [m]
+_RISE_DISTANCE = 0.4  # from the rover, where the tether leaves the floor [m]
+_ROUNDING = 0.25  # length of the rounded corners [m]
+_SPACING = 0.02  # of the path's points [m]
 
 
 def _path(terrain: Terrain, tip: Array, slack: float) -> Array:
-    """A path from the fairlead to the tip, (k, 3), the longer the larger `slack`.
+    """Return a path from the fairlead to the tip, (k, 3), whose length increases with `slack`.
 
-    At 0 it falls plumb to the floor, runs straight along it and rises to the tip. Above, it runs in
-    an arc that bulges by `slack`; below, it meets the floor farther ahead, at -1 before the rover.
+    At 0 it follows the plumb line to the floor, a straight line along it, and rises to the tip.
+    Above 0 the line on the floor becomes an arc with the sagitta `slack`; below 0 the path meets
+    the floor farther ahead, at -1 in front of the rover.
     """
     away = tip[:2]
     run = float(np.linalg.norm(away))
     ahead = away / run if run > 1e-9 else np.array([1.0, 0.0])
-    rise_at = max(run - _RISE, 0.0) if run > _RISE else run
-    foot = ahead * rise_at
+    rise_at = max(run - _RISE_DISTANCE, 0.0) if run > _RISE_DISTANCE else run
+    lift_off = ahead * rise_at
     cut = max(-slack, 0.0)
     corner = ahead * rise_at * cut
-    count = max(8, round((run + 4.0 * max(slack, 0.0)) / _FINE))
+    count = max(8, round((run + 4.0 * max(slack, 0.0)) / _SPACING))
     t = np.linspace(0.0, 1.0, count)
-    plan = corner + (foot - corner) * t[:, None]
+    plan = corner + (lift_off - corner) * t[:, None]
     side = np.array([-ahead[1], ahead[0]])
     plan = plan + max(slack, 0.0) * np.sin(math.pi * t)[:, None] ** 2 * side
     ground = np.array(
@@ -236,18 +239,20 @@ def _path(terrain: Terrain, tip: Array, slack: float) -> Array:
          for k in range(count)]
     )  # fmt: skip
     floor = np.column_stack([plan, ground + 1e-3])
-    down = np.linspace(np.zeros(3), floor[0], max(8, round(float(-floor[0, 2]) / _FINE)))[:-1]
-    up = np.linspace(floor[-1], tip, max(4, round(float(np.linalg.norm(tip - floor[-1])) / _FINE)))
+    down = np.linspace(np.zeros(3), floor[0], max(8, round(float(-floor[0, 2]) / _SPACING)))[:-1]
+    up = np.linspace(
+        floor[-1], tip, max(4, round(float(np.linalg.norm(tip - floor[-1])) / _SPACING))
+    )
     return _rounded(np.vstack([down, floor, up[1:]]))
 
 
 def _rounded(path: Array) -> Array:
-    """The path with its corners rounded, its ends kept."""
+    """Return the path with rounded corners and the same ends."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    count = max(16, round(along[-1] / _FINE))
+    count = max(16, round(along[-1] / _SPACING))
     even = np.linspace(0.0, along[-1], count)
     points = np.column_stack([np.interp(even, along, path[:, d]) for d in range(3)])
-    half = max(1, round(_BEND / (2.0 * along[-1] / count)))
+    half = max(1, round(_ROUNDING / (2.0 * along[-1] / count)))
     for _ in range(2):
         ends = np.vstack(
             [
@@ -269,8 +274,10 @@ def _length(path: Array) -> float:
 # ------------------------------------------------------------------------------------- the rover
 
 
-def _hung(rover: Rover, direction: Array, pull: float, heading: float) -> tuple[Array, float]:
-    """Orientation and slide of a rover at rest on a tether that pulls against `direction`."""
+def _hanging_pose(
+    rover: Rover, direction: Array, pull: float, heading: float
+) -> tuple[Array, float]:
+    """Return orientation and slide of a rover at rest on a tether with the given direction."""
     turned = quaternion_of(heading * _UP)
     slide = rover.slider.free_length
     orientation = turned
@@ -283,29 +290,27 @@ def _hung(rover: Rover, direction: Array, pull: float, heading: float) -> tuple[
     return orientation, slide
 
 
-def _standing(
+def _grounded_pose(
     rover: Rover, terrain: Terrain, x: float, y: float, heading: float
 ) -> tuple[Array, float]:
-    """Orientation and height of a rover whose wheels and tail just touch the floor.
+    """Return orientation and height of a rover whose wheels and tail touch the floor.
 
-    Boulders count: it stands on the highest ground under each foot, and where that tips its nose or
-    its belly into the ground it is put higher; settling does the rest.
+    Each of the three points is on the ground below it, boulders included. If another point would
+    be below the ground, the rover is raised; settling does the rest.
     """
     wheels = rover.wheels
-    rover_contact = [np.array(wheels.left), np.array(wheels.right)]
-    for foot in rover_contact:
-        foot[2] -= wheels.tip_radius
+    supports = [np.array(wheels.left), np.array(wheels.right)]
+    for support in supports:
+        support[2] -= wheels.tip_radius
     third = (
-        rover.tail
-        if rover.tail is not None
-        else (-0.5 * rover.body1_size[0], 0.0, rover_contact[0][2])
+        rover.tail if rover.tail is not None else (-0.5 * rover.body1_size[0], 0.0, supports[0][2])
     )
-    rover_contact.append(np.array(third))
+    supports.append(np.array(third))
     orientation = quaternion_of(heading * _UP)
     place = np.array([x, y, 0.0])
     for _ in range(20):
         matrix = rotation_matrix(orientation)
-        points = np.array([place + matrix @ foot for foot in rover_contact])
+        points = np.array([place + matrix @ support for support in supports])
         ground = np.array([_height(terrain, *point[:2]) for point in points])
         place[2] += float(np.max(ground - points[:, 2]))
         down = np.column_stack([points[:, :2], ground])
@@ -316,7 +321,7 @@ def _standing(
         orientation = product(_between(own, normal), orientation)
     matrix = rotation_matrix(orientation)
     corners, first = rover.corners
-    below = [place + matrix @ point for point in [*corners[:first], *rover_contact]]
+    below = [place + matrix @ point for point in [*corners[:first], *supports]]
     place[2] += max(_height(terrain, *point[:2]) - point[2] for point in below)
     return orientation, float(place[2])
 
@@ -329,7 +334,7 @@ def _height(terrain: Terrain, x: float, y: float) -> float:
 
 
 def quaternion_of(vector: ArrayLike) -> Array:
-    """Quaternion (w, x, y, z) of a rotation vector [rad]."""
+    """Return the quaternion (w, x, y, z) of a rotation vector [rad]."""
     turn = np.asarray(vector, dtype=np.float64)
     angle = float(np.linalg.norm(turn))
     if angle == 0.0:
@@ -338,16 +343,16 @@ def quaternion_of(vector: ArrayLike) -> Array:
 
 
 def product(p: Array, q: Array) -> Array:
-    """Quaternion of the rotation q followed by p."""
+    """Return the quaternion of the rotation q followed by p."""
     vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
     return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]], vector])
 
 
 def _between(before: Array, after: Array) -> Array:
-    """Quaternion of the smallest rotation that turns one direction into another."""
+    """Return the quaternion of the smallest rotation from one direction to another."""
     a, b = before / np.linalg.norm(before), after / np.linalg.norm(after)
     scalar = 1.0 + float(a @ b)
-    if scalar < 1e-12:  # opposite: half a turn about any axis across
+    if scalar < 1e-12:  # opposite: half a turn about any perpendicular axis
         axis = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
         return np.concatenate([[0.0], axis / np.linalg.norm(axis)])
     quaternion = np.concatenate([[scalar], np.cross(a, b)])

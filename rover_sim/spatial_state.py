@@ -1,4 +1,4 @@
-"""The state of the spatial plant, and how it becomes arrays and comes back."""
+"""State of the spatial plant, and its conversion to and from arrays."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ _ENERGY_BALANCE = {
 class SpatialState:
     """State of the spatial plant; its arrays are read-only.
 
-    World axes are those of map: origin at the fairlead, x forward, y left, z up; the rover's those
-    of base_link. Without a rover the fields of the bodies are zero. With a winch the tether's first
-    element runs from the fairlead to nodes[0]; without one nodes[0] is the root at the fairlead.
+    World axes are map: origin at the fairlead, x forward, y left, z up; body axes are base_link.
+    Without a rover the fields of the bodies are zero. With a winch the tether's first element, of
+    variable length, connects the fairlead to nodes[0]; without one nodes[0] is the root at the
+    fairlead. The elements from nodes[0] on form the chain.
     """
 
     phase: Phase
@@ -50,7 +51,7 @@ class SpatialState:
     rover_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
     drives: DriveStates  # states of jump drive, drum and wheel drive
-    memory: Array  # what else is remembered, as in `rover_sim.physics.spatial`, (BOOK_SIZE,)
+    memory: Array  # the integrator's memory, see `rover_sim.physics.integrator_memory`
 
     def __post_init__(self) -> None:
         for name in (
@@ -64,7 +65,7 @@ class SpatialState:
         ):
             given = getattr(self, name)
             if type(given) is np.ndarray and given.base is None and not given.flags.writeable:
-                continue  # nobody can change it
+                continue  # immutable already
             array = np.array(given, dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -126,7 +127,7 @@ class SpatialState:
 
     @property
     def length(self) -> float:
-        """Tether paid out, unstretched, at the drum [m]; with a winch."""
+        """Payout, the unstretched length at the drum [m]; only with a winch."""
         return self.drives.drum.length
 
     @property
@@ -141,17 +142,17 @@ class SpatialState:
 
     @property
     def latch(self) -> Latch:
-        """What nut and latch do."""
+        """State of nut and latch."""
         return Latch(self.drives.jump.latch)
 
     @property
     def nut(self) -> float:
-        """Position of the nut, counted as compression [m]; below 0 it is above the latch."""
+        """Position of the nut as compression of the spring [m]; below 0 it is above the latch."""
         return self.drives.jump.nut
 
     @property
     def flywheel_rate(self) -> float:
-        """Of the jump motor's shaft relative to Body 1 [rad/s], > 0 drives the nut down."""
+        """Rate of the jump motor's shaft relative to Body 1 [rad/s], > 0 drives the nut down."""
         return self.drives.jump.rate
 
     @property
@@ -169,7 +170,7 @@ class SpatialState:
 
     @property
     def elements(self) -> int:
-        """Elements of the chain, n."""
+        """Number of elements of the chain, n."""
         return len(self.nodes) - 1
 
     @property
@@ -179,7 +180,7 @@ class SpatialState:
 
     @property
     def twist(self) -> float:
-        """Angle by which the tether is twisted [rad]."""
+        """Elastic twist of the tether [rad]."""
         return float(
             self.memory[integrator_memory.TWIST] - self.memory[integrator_memory.SWIVEL_SLIP]
         )
@@ -191,12 +192,12 @@ class SpatialState:
 
     @property
     def energy_balance(self) -> Mapping[str, float]:
-        """What came in and went since the start of the run [J], by name."""
+        """Energy input and heat since the start of the run [J], by name."""
         return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}
 
 
 def rotation_matrix(quaternion: Array) -> Array:
-    """Rotation matrix (3, 3), body to world, of a quaternion (w, x, y, z)."""
+    """Return the rotation matrix (3, 3), body to world, of a quaternion (w, x, y, z)."""
     w, x, y, z = quaternion
     return np.array(
         [
@@ -207,13 +208,13 @@ def rotation_matrix(quaternion: Array) -> Array:
     )
 
 
-_CAME = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("input")])
-_WENT = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("heat")])
+_INPUTS = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("input")])
+_HEATS = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("heat")])
 
 
 def energy_balance_sums(memory: Array) -> tuple[float, float]:
-    """Input and heat since the start of the run [J]."""
-    return sum(memory[_CAME].tolist()), sum(memory[_WENT].tolist())
+    """Return total input and heat since the start of the run [J]."""
+    return sum(memory[_INPUTS].tolist()), sum(memory[_HEATS].tolist())
 
 
 def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
@@ -234,7 +235,7 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
 def state_of(
     motion: MotionArrays, drives: DriveStates, memory: Array, phase: Phase
 ) -> SpatialState:
-    """The state that the arrays hold; they become its own and can be changed no more."""
+    """Return the state of the arrays; it takes ownership and makes them read-only."""
     elements = int(memory[integrator_memory.ELEMENTS])
     own = (motion.fairlead_slope, motion.body, motion.rover_anchors, memory)
     for array in own:

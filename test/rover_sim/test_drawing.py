@@ -16,7 +16,7 @@ from rover_sim.drawing import (
     contact_force,
     ground,
     tether_line,
-    usual_tension,
+    nominal_tension,
 )
 from rover_sim.physics.terrain import boulder_list, floor_height, wall_radius
 
@@ -41,8 +41,8 @@ def test_the_tether_is_coloured_by_its_tension():
 
 
 def test_what_usually_hangs_on_it():
-    assert usual_tension(10.0, 5e-3, 40.0, 1.62) == pytest.approx(16.524)
-    assert usual_tension(10.0, 5e-3, 40.0, 0.0) == 1.0
+    assert nominal_tension(10.0, 5e-3, 40.0, 1.62) == pytest.approx(16.524)
+    assert nominal_tension(10.0, 5e-3, 40.0, 0.0) == 1.0
 
 
 def test_a_force_is_an_arrow_to_where_it_acts():

@@ -307,7 +307,7 @@ def test_memory_does_not_grow() -> None:
     for k in range(1, 500):
         state, _ = suite.step(state, still(0.01 * k))
     assert len(state.signals) <= 7
-    assert len(state.picture) <= 13
+    assert len(state.image) <= 13
 
 
 # ------------------------------------------------------------------------------ determinism
