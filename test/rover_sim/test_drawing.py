@@ -15,8 +15,8 @@ from rover_sim.drawing import (
     TIGHT_COLOUR,
     contact_force,
     ground,
-    tether_line,
     nominal_tension,
+    tether_line,
 )
 from rover_sim.physics.terrain import boulder_list, floor_height, wall_radius
 

@@ -354,7 +354,7 @@ def test_commands_are_refused_and_cease_as_with_every_plant():
 
 @pytest.mark.parametrize(
     ("name", "complaint"),
-    [("paper_table1_low", "plays a spatial scenario"), ("spatial_pendulum", "with a rover")],
+    [("paper_table1_low", "should be spatial"), ("spatial_pendulum", "with a rover")],
 )
 def test_a_scenario_that_it_cannot_play_is_refused(name: str, complaint: str):
     with pytest.raises(ScenarioError, match=complaint):

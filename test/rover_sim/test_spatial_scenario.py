@@ -207,7 +207,7 @@ class TestBases:
             load_spatial(path)
         self.write(tmp_path, "a.yaml", "base: b.yaml\n")
         path = self.write(tmp_path, "b.yaml", "base: a.yaml\n")
-        with pytest.raises(ScenarioError, match="lead back"):
+        with pytest.raises(ScenarioError, match="refer back"):
             load_spatial(path)
 
     @pytest.mark.parametrize("name", list_scenarios("spatial"))
@@ -241,13 +241,13 @@ class TestRefusals:
             ("tether.elements", 10, "exactly one of"),
             ("tether.contact.damping", -1.0, "at least 0"),
             ("tether.swivel_friction", -math.inf, "finite"),
-            ("tether.element_length", 5.0, "so that one is left"),
+            ("tether.element_length", 5.0, "nominal element lengths"),
             ("winch.min_length", 25.0, "between the winch's min_length"),
             ("winch.efficiency", 1.2, "at most 1"),
             ("winch.friction.breakaway", 0.01, "must be at least"),
             ("winch.motor.max_torque", 0.0, "above 0"),
             ("rover.m2", 0.0, "above 0"),
-            ("rover.inertia2", [0.01, 0.01, 0.1], "no body has that"),
+            ("rover.inertia2", [0.01, 0.01, 0.1], "sum of the other two"),
             ("rover.slider.lower_stop", 0.1, "above the jump drive's stroke"),
             ("rover.wheels.radius", 0.5, "at most 0.3"),
             ("rover.wheels.grouser_height", 0.2, "below the radius"),
@@ -255,11 +255,11 @@ class TestRefusals:
             ("rover.wheel_drive.gear_ratio", "fast", "a number"),
             ("sensors.error_model", "good", "one of full, ideal"),
             ("sensors.gyro.noise_density", -1.0, "at least 0"),
-            ("sensors.camera.axis", [0.0, 0.0, 0.0], "point somewhere"),
+            ("sensors.camera.axis", [0.0, 0.0, 0.0], "zero vector"),
             ("start.kind", "lying", "one of hanging, grounded, straight"),
             ("start.kind", "grounded", "needs a floor"),
             ("start.kind", "straight", "needs a direction"),
-            ("start.position", [1.0, 0.0], "of no use to a hanging start"),
+            ("start.position", [1.0, 0.0], "no effect on a hanging start"),
             ("tip", {"mass": 1.0}, "should be null"),
             ("integration.h", 0.0, "above 0"),
             ("rover.spring_rate", 824.0, "no such key"),
