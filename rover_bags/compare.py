@@ -1,4 +1,4 @@
-"""Several bags side by side: their figures in columns, differences marked, their lines overlaid."""
+"""Compare bags: metrics in columns with differences marked, and overlaid plots."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from rover_bags.views.plots import (
 from rover_bags.views.summary import as_mapping
 
 DIFFERS: Final = 0.01
-"""Numbers further apart than so much of the largest are marked."""
+"""Relative difference from which metrics are marked as different."""
 _COLOURS: Final = (BLUE, ORANGE, GREEN, PINK, PURPLE, TEAL, YELLOW)
 _DASHES: Final = ("-", "--", "-.", ":")
 _SETTINGS: Final = "settings"
@@ -48,14 +48,14 @@ Value = float | str | None
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of all bags.
+    """One metric of all bags.
 
     Attributes:
-        group: Of what it is.
-        name: With its unit.
-        values: Of each bag; None where it has none.
-        spread: Largest less smallest, where all are numbers.
-        differs: Whether they are marked as different.
+        group: Group of the metric, such as ``descents``.
+        name: Name with unit.
+        values: Value of each bag; None if it has none.
+        spread: Largest value minus smallest; None unless all values are numbers.
+        differs: Whether the values are marked as different.
     """
 
     group: str
@@ -67,7 +67,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Line:
-    """One line to overlay."""
+    """One curve to overlay: times [s] and values, shape (N,) each."""
 
     time: Floats
     values: Floats
@@ -75,13 +75,13 @@ class Line:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Bags side by side.
+    """A comparison of bags.
 
     Attributes:
-        names: Of the bags, each once.
-        reports: The report of each for machines.
-        rows: Their figures.
-        plots: Their lines, overlaid.
+        names: Short unique names of the bags.
+        reports: The JSON report of each bag.
+        rows: The metrics of all bags.
+        plots: Overlaid plots.
     """
 
     names: tuple[str, ...]
@@ -90,7 +90,7 @@ class Comparison:
     plots: tuple[Plot, ...]
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return {
             "bags": list(self.names),
             "differing": sum(row.differs for row in self.rows),
@@ -99,7 +99,7 @@ class Comparison:
         }
 
     def as_text(self) -> str:
-        """For a terminal: differences are marked by a star."""
+        """Return the text for a terminal; an asterisk marks differences."""
         table = [["", "", *self.names, "spread"]]
         group = ""
         for row in self.rows:
@@ -118,23 +118,23 @@ class Comparison:
             for line in table
         ]
         differing = sum(row.differs for row in self.rows)
-        lines.append(f"\n{differing} of {len(self.rows)} figures differ by more than 1 % (*)")
+        lines.append(f"\n{differing} of {len(self.rows)} metrics differ by more than 1 % (*)")
         return "\n".join(lines)
 
     def as_page(self) -> str:
-        """For people: one page that needs nothing else."""
+        """Return the comparison as one self-contained HTML page."""
         names = ", ".join(self.names)
         differing = sum(row.differs for row in self.rows)
         parts = [
-            f"<h1>Bags compared: {escaped(names)}</h1>",
+            f"<h1>Bag comparison: {escaped(names)}</h1>",
             (
-                f'<p class="soft">{differing} of {len(self.rows)} figures differ by more than 1 %: '
-                "they are marked. Times count from each bag's begin.</p>"
+                f'<p class="soft">{differing} of {len(self.rows)} metrics differ by more than 1 %: '
+                "and are marked. Times count from the start of each bag.</p>"
             ),
             plot_grid(self.plots),
             (
                 '<p class="only"><label><input type="checkbox" id="only-differing"> '
-                "show only what differs</label></p>"
+                "show differences only</label></p>"
             ),
         ]
         for group in dict.fromkeys(row.group for row in self.rows):
@@ -142,7 +142,7 @@ class Comparison:
             kind = "" if any(row.differs for row in rows) else ' class="same"'
             parts.append(f"<section{kind}><h2>{escaped(group.capitalize())}</h2>")
             parts.append(f"{self._table(rows)}</section>")
-        return whole_page(f"Bags compared: {names}", parts)
+        return whole_page(f"Bag comparison: {names}", parts)
 
     def _table(self, rows: Sequence[Row]) -> str:
         heads = "".join(f"<th>{escaped(name)}</th>" for name in ("", *self.names, "spread"))
@@ -173,15 +173,15 @@ def compare(
     namespace: str | None = None,
     progress_factory: ProgressFactory | None = None,
 ) -> Comparison:
-    """Read bags one after the other and put their figures side by side.
+    """Read bags one after the other and compare their metrics.
 
     Args:
-        paths: Of the bags.
-        namespace: Which rover, where bags hold several.
-        progress_factory: Makes the progress bar of a pass.
+        paths: Paths of the bags.
+        namespace: Namespace of the rover, if bags hold several.
+        progress_factory: Creates the progress callback of a pass.
 
     Raises:
-        BagError: One of them cannot be read.
+        BagError: A bag cannot be read.
     """
     reports, tables, lines, scenarios = [], [], [], []
     for path in paths:
@@ -209,7 +209,7 @@ def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Short names that differ: as many of a path's last parts as that takes."""
+    """Unique short names: the fewest trailing path components that distinguish the bags."""
     whole = [path.resolve() for path in paths]
     for parts in range(1, 1 + max(len(path.parts) for path in whole)):
         names = ["/".join(path.parts[-parts:]) for path in whole]
@@ -218,7 +218,7 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(f"{path.name} ({number})" for number, path in enumerate(whole, 1))
 
 
-# --- figures --------------------------------------------------------------------------------------
+# --- metrics --------------------------------------------------------------------------------------
 
 Key = tuple[str, str]
 
@@ -227,16 +227,16 @@ _KIND_LABELS: Final = {
     "downward": ("direction", "down", "up"),
     "turning": ("motion", "turn", "drive"),
 }
-"""Of a stretch that is of either kind: what is told of it, and the words."""
+"""Label of a boolean metric, and its texts for true and false."""
 
 
 def _report_metrics(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
-    """Group, name and value of each figure of a report."""
+    """Group, name and value of each metric of a report."""
     for name in ("seed", "package_version", "contract_version"):
         value = report.get(name)
         yield ("recording", name.replace("_", " ")), None if value is None else str(value)
     yield ("recording", "duration [s]"), report["duration_s"]
-    yield ("recording", "simulated [s]"), report["simulated_s"]
+    yield ("recording", "simulated time [s]"), report["simulated_s"]
     yield ("recording", "closed"), "yes" if report["closed"] else "no"
     yield ("recording", "warnings"), float(len(report["warnings"]))
     times: dict[str, list[float]] = {}
@@ -244,12 +244,12 @@ def _report_metrics(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
         times.setdefault(interval["activity"], []).append(interval["end_s"] - interval["begin_s"])
     for what, spans in times.items():
         yield ("activities", f"{what} [s]"), sum(spans)
-        yield ("activities", f"{what}, times"), float(len(spans))
+        yield ("activities", f"{what}, count"), float(len(spans))
     kinds: dict[str, int] = {}
     for event in report["timeline_events"]:
         kinds[event["event"]] = kinds.get(event["event"], 0) + 1
     for what, count in kinds.items():
-        yield ("activities", f"{what.replace('_', ' ')}, times"), float(count)
+        yield ("activities", f"{what.replace('_', ' ')}, count"), float(count)
     for group, one in (("descents", "descent"), ("drives", "drive"), ("imaging_stops", "stop"),
                        ("jumps", "jump")):  # fmt: skip
         for number, item in enumerate(report[group], 1):
@@ -260,26 +260,26 @@ def _report_metrics(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
                     continue
                 if isinstance(value, bool) or not isinstance(value, int | float | None):
                     continue
-                yield (group, f"{one} {number}: {_named(name)}"), value
+                yield (group, f"{one} {number}: {_label(name)}"), value
     yield from _audit_metrics(report["audits"])
     for topic, item in report["topics"].items():
         for name in ("count", "rate_hz", "max_gap_s", "gaps", "latency_p50_ms", "latency_p99_ms",
                      "age_p99_ms", "dropped", "lost_in_transport", "rejected"):  # fmt: skip
             value = item[name]
-            yield ("topics", f"{topic}: {_named(name)}"), None if value is None else float(value)
+            yield ("topics", f"{topic}: {_label(name)}"), None if value is None else float(value)
 
 
 def _audit_metrics(audits: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
     energy = audits["energy"]
     for name in ("turnover_J", "residual_J", "share", "gravity_error_J"):
         if energy is not None:
-            yield ("audits", f"energy: {_named(name)}"), energy[name]
+            yield ("audits", f"energy: {_label(name)}"), energy[name]
     for rotor in audits["rotors"]:
-        name = f"{rotor['name'].replace('_', ' ')}: largest [N m s]"
+        name = f"{rotor['name'].replace('_', ' ')}: max. momentum [N m s]"
         yield ("audits", name), rotor["momentum_max_N_m_s"]
     for number, flight in enumerate(audits["flights"], 1):
         for name in ("momentum_change_N_s", "unexplained_N_s", "angular_momentum_change_N_m_s"):
-            yield ("audits", f"flight {number}: {_named(name)}"), flight[name]
+            yield ("audits", f"flight {number}: {_label(name)}"), flight[name]
 
 
 _UNITS: Final = (("_N_m_s", "N m s"), ("_N_s", "N s"), ("_m_s", "m/s"), ("_hz", "Hz"),
@@ -287,8 +287,8 @@ _UNITS: Final = (("_N_m_s", "N m s"), ("_N_s", "N s"), ("_m_s", "m/s"), ("_hz", 
                  ("_N", "N"), ("_J", "J"))  # fmt: skip
 
 
-def _named(name: str) -> str:
-    """A figure's name in words, with its unit."""
+def _label(name: str) -> str:
+    """A metric's name in words, with its unit in brackets."""
     for suffix, unit in _UNITS:
         if name.endswith(suffix):
             return f"{name.removesuffix(suffix).replace('_', ' ')} [{unit}]"
@@ -312,7 +312,7 @@ def _row(group: str, name: str, values: tuple[Value, ...]) -> Row:
 
 
 def _settings(scenarios: Sequence[Mapping[str, Value]]) -> Iterator[Row]:
-    """Settings of the scenarios that are not the same."""
+    """Scenario settings that differ."""
     for name in dict.fromkeys(key for scenario in scenarios for key in scenario):
         values = tuple(scenario.get(name) for scenario in scenarios)
         if len(set(values)) > 1:
@@ -334,16 +334,16 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 _TITLES: Final = {
     "height": ("Height of Body 1", "z [m]"),
-    "length": ("Length at the drum", "length [m]"),
+    "length": ("Tether length at the drum", "length [m]"),
     "tension": ("Tension at the fairlead", "tension [N]"),
-    "swing": ("Swing while it hangs, from the vertical", "angle [deg]"),
-    "jump": ("The first jump: rise of Body 1", "rise [m]"),
-    "drift": ("What the energy balance misses", "missed [J]"),
+    "swing": ("Swing angle while hanging, from the vertical", "angle [deg]"),
+    "jump": ("First jump: rise of Body 1", "rise [m]"),
+    "drift": ("Residual of the energy balance", "residual [J]"),
 }
 
 
 def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
-    """What is overlaid, thinned to what can be seen."""
+    """The curves to overlay, thinned to the resolution of a plot."""
     found: dict[str, Line] = {}
     body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
     cell, energy = bag.series(topics.LOAD_CELL), bag.series(topics.TRUTH_ENERGY)
@@ -421,7 +421,7 @@ def _plot(
         axes.plot(line.time, line.values, style, color=colour, lw=1.3, alpha=0.85, label=bag)
     axes.set_title(title, pad=10 + 15 * rows, x=-0.155)
     axes.set_ylabel(unit)
-    since = "take-off" if name == "jump" else "the begin"
+    since = "take-off" if name == "jump" else "start"
     axes.set_xlabel(f"time since {since} [s]")
     axes.yaxis.set_major_locator(MaxNLocator(6))
     axes.legend(

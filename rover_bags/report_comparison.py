@@ -1,4 +1,4 @@
-"""``mother_rover bag compare``: several bags side by side, as text, JSON and a page."""
+"""``mother_rover bag compare``: compare bags as text, JSON and an HTML page."""
 
 from __future__ import annotations
 

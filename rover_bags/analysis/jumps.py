@@ -1,11 +1,10 @@
-"""Finds jumps in a bag and says what they amount to.
+"""Find the jumps in a bag and compute their metrics.
 
-Jumps are found from the recorded motion of Body 1: where the recorded phase or the contact switch
-says flight, or, in bags without both, where the body rises from rest and comes down again. Of a
-rover that hangs and stands in space a jump is a flight from the ground, as the timeline finds it.
-Their figures come from the motion itself: instants between samples by Taylor expansion from the
-nearest sample in flight. Angles are the planar model's theta: counter-clockwise seen with x to the
-right and z up, so minus the rotation about y (REP-103).
+In planar runs a jump is a flight of Body 1 by the recorded phase or the contact switch or, in bags
+without both, a rise from rest and the fall back. In spatial runs it is a flight from the ground, as
+found by the timeline. Metrics are computed from the recorded motion, with instants between samples
+by Taylor expansion from the nearest sample in flight. Angles are the planar model's theta:
+counter-clockwise seen with x to the right and z up, so minus the rotation about y (REP-103).
 """
 
 import math
@@ -27,11 +26,11 @@ from rover_bags.time_series import LARGEST
 FLIGHT = "flight"
 _STANDING: Final = ("held", "landed")
 _AT_REST: Final = 1e-3
-"""Speed [m/s] and rate [rad/s] below which a body counts as standing."""
+"""Speed [m/s] and rate [rad/s] below which a body is at rest."""
 _MIN_RISE: Final = 5e-3
-"""Rise [m] from which a motion without phase or contact counts as a jump."""
+"""Smallest rise [m] of a jump in bags without phase and contact switch."""
 _REPORTED_NEAR: Final = 0.1
-"""An event so near to a flight's begin or end is of it [s]."""
+"""Largest time between an event and the start or end of its flight [s]."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +38,23 @@ class Jump:
     """One jump, in simulated time.
 
     Attributes:
-        take_off_s, apex_s, touchdown_s: Instants [s]; touchdown None for a flight that the bag
-            does not see end (the figures then end with the last sample).
-        start_height_m: z of Body 1 at take-off, in the world [m].
-        jump_height_m: Largest rise of Body 1 over its start, H [m].
-        attitude_variation_rad: theta at touchdown minus theta at take-off [rad]; of a rover that
-            turns in space the part of its turn about minus its own y axis, nose up positive.
-        range_m: Horizontal distance from take-off to touchdown, in any direction [m].
-        rotation_rad: Angle by which Body 1 turned in flight, about whatever axis.
-        tilt_rad: Of Body 1 from the vertical at touchdown.
-        landing_speed_m_s: Of Body 1 at the last sample in flight.
-        travel_m: Way of Body 1 over ground from take-off to touchdown, forwards positive [m].
-        flight_time_s: From take-off to touchdown [s].
+        take_off_s, apex_s, touchdown_s: Instants [s]; touchdown is None if the bag ends in flight
+            (the metrics are then of the recorded part).
+        start_height_m: z of Body 1 in the world at take-off [m].
+        jump_height_m: Largest rise of Body 1 above its start, H [m].
+        attitude_variation_rad: theta at touchdown minus theta at take-off [rad]. In space: the
+            component of the rotation about minus the body's y axis, nose up positive.
+        range_m: Horizontal distance from take-off to touchdown [m].
+        rotation_rad: Angle of Body 1's total rotation in flight [rad].
+        tilt_rad: Angle of Body 1 from the vertical at touchdown [rad].
+        landing_speed_m_s: Speed of Body 1 at the last sample in flight [m/s].
+        travel_m: Horizontal displacement of Body 1 in flight, forward positive [m].
+        flight_time_s: Time from take-off to touchdown [s].
         slack: dh/df of the tether's end points before take-off [-].
-        peak_tension_N: Largest tension anywhere in the tether [N].
-        energy_drift_J: What the plant's energy balance missed from take-off to touchdown [J].
-        missing_samples: Samples of Body 1 missing during the flight.
-        reported: What the plant's own events say of this jump, by their names.
+        peak_tension_N: Largest tension along the tether [N].
+        energy_drift_J: Residual of the plant's energy balance over the flight [J].
+        missing_samples: Number of samples of Body 1 missing during the flight.
+        reported: Values in the plant's own events of this jump, by name.
     """
 
     take_off_s: float
@@ -79,15 +78,15 @@ class Jump:
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of a body in the world.
+    """Motion of a body in world axes.
 
     Attributes:
         time: Simulated time [s], shape (N,).
         log_ns: Time of reception [ns since 1970], shape (N,).
-        position: Of its centre [m], shape (N, 3).
-        velocity: Of its centre, in the world's axes [m/s], shape (N, 3).
-        theta: Angle in the plane of x and z [rad], unwrapped, shape (N,).
-        theta_rate: Its rate [rad/s], shape (N,).
+        position: Position of its centre [m], shape (N, 3).
+        velocity: Velocity of its centre [m/s], shape (N, 3).
+        theta: Unwrapped angle in the plane of x and z [rad], shape (N,).
+        theta_rate: Rate of theta [rad/s], shape (N,).
     """
 
     time: Floats
@@ -99,7 +98,7 @@ class Motion:
 
 
 def motion(series: TimeSeries) -> Motion:
-    """World motion from a body's odometry, whose twist is in the body's own frame."""
+    """Return the world motion from a body's odometry, whose twist is in the body frame."""
     turned = rotations(series)
     velocity = np.einsum("nij,nj->ni", turned, series.vector("linear"))
     # The body's x axis against the horizontal, in the plane of x and z.
@@ -115,7 +114,7 @@ def motion(series: TimeSeries) -> Motion:
 
 
 def is_spatial(bag: Bag) -> bool:
-    """Whether the rover may hang as well as stand."""
+    """Return whether the run is spatial: the rover may hang as well as stand."""
     model = bag.scenario.get("model")
     if model is not None:
         return bool(model == "spatial")
@@ -125,7 +124,7 @@ def is_spatial(bag: Bag) -> bool:
 
 
 def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[Jump]:
-    """Every jump."""
+    """Return the metrics of every jump."""
     series = bag.series(topics.TRUTH_BODY1)
     if series is None or len(series) < 3:
         return
@@ -143,7 +142,7 @@ def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[
 
 
 def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
-    """Flights that begin on the ground, and whether they ended in the bag."""
+    """Yield flights that begin on the ground, and whether they end in the bag."""
     starts = {m.log_ns for m in timeline.events if m.kind is TimelineEventKind.TAKE_OFF}
     last = max((interval.log_end for interval in timeline.intervals), default=0)
     for interval in timeline.intervals:
@@ -154,7 +153,7 @@ def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
 def _spatial_jump(
     bag: Bag, body: Motion, part: NDArray[np.intp], *, ended: bool, events: Iterable[Entry]
 ) -> Jump:
-    """Figures of a flight over rough ground: it ends where something touches."""
+    """Metrics of a flight over rough ground, which ends at the first contact."""
     first, last = int(part[0]), int(part[-1])
     events = _events_near(events, body, first, last)
     near = _REPORTED_NEAR
@@ -162,7 +161,7 @@ def _spatial_jump(
     landed = _reported(events, "touchdown", body.time[last] - near, body.time[last] + near)
     take_off = took_off.time_s if took_off is not None else float(body.time[first])
     end = landed.time_s if landed is not None else float(body.time[last])
-    # The sample before the feet leave the ground is the start.
+    # The jump starts at the last sample before the rover leaves the ground.
     first = latest(body, first, take_off)
     last = max(first + 1, latest(body, last, end))
     z0 = float(np.interp(take_off, body.time[first : last + 1], body.position[first : last + 1, 2]))
@@ -196,7 +195,7 @@ def _spatial_jump(
 
 
 def latest(body: Motion, near: int, time: float) -> int:
-    """The last sample at or before a time [s], near a sample and of its run."""
+    """Return the last sample at or before a time [s], searched from a sample within its run."""
     while near > 0 and body.time[near] > time and body.time[near - 1] <= body.time[near]:
         near -= 1
     while near + 1 < len(body.time) and body.time[near] <= body.time[near + 1] <= time:
@@ -205,7 +204,7 @@ def latest(body: Motion, near: int, time: float) -> int:
 
 
 def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
-    """Flights as samples of Body 1: first and last one in the air, and whether it ended."""
+    """Return flights: first and last sample in the air, and whether the flight ended."""
     aloft = _aloft_by_phase(bag, body)
     if aloft is None:
         aloft = _aloft_by_contact(bag, body)
@@ -217,11 +216,11 @@ def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
     for first in (np.flatnonzero(changes == 1) + 1).tolist():
         after = np.flatnonzero(changes[first:] == -1)
         last = first + int(after[0]) if len(after) else len(aloft) - 1
-        # Simulated time that jumps back ends a flight without a landing.
+        # A reset of simulated time ends a flight without a landing.
         cut = restarts[(restarts >= first) & (restarts <= last)]
         ended = bool(len(after)) and not len(cut)
         last = int(cut[0]) if len(cut) else last
-        # Back below its starting height it has landed, whether or not it is stopped there.
+        # Below its starting height the body has landed, even if the plant lets it fall on.
         height = body.position[first : last + 1, 2] - body.position[max(first - 1, 0), 2]
         below = np.flatnonzero((height < 0.0) & (body.velocity[first : last + 1, 2] < 0.0))
         if len(below):
@@ -232,14 +231,14 @@ def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
 
 
 def _aloft_by_phase(bag: Bag, body: Motion) -> Any:
-    """In the air by the recorded phase; samples at a change are settled by their motion."""
+    """Samples in flight by the recorded phase; near a phase change the motion decides."""
     series = bag.series(topics.TRUTH_PHASE)
     if series is None or not set(series.texts) & {FLIGHT, *_STANDING}:
         return None
     index = np.searchsorted(series.log_ns, body.log_ns, side="right") - 1
     words = np.array([*series.texts, series.texts[0]])
     aloft = words[index] == FLIGHT
-    # Phase and motion travel on topics of their own: near a change their order is not theirs.
+    # Phase and motion are separate topics: near a change their order of reception is arbitrary.
     near = np.zeros(len(aloft), dtype=bool)
     for change in series.log_ns:
         near |= np.abs(body.log_ns - change) < 200_000_000
@@ -261,7 +260,7 @@ def _aloft_by_contact(bag: Bag, body: Motion) -> Any:
 
 
 def _aloft_by_motion(body: Motion) -> Any:
-    """Above the last place of rest; a motion that never rises by 5 mm is none."""
+    """Samples above the last position at rest, if the rise exceeds 5 mm."""
     resting = _resting(body)
     aloft = np.zeros(len(resting), dtype=bool)
     start = None
@@ -286,7 +285,7 @@ def _aloft_by_motion(body: Motion) -> Any:
 
 
 def _resting(body: Motion) -> Any:
-    """At rest in this sample and in a neighbour: at the apex a body is slow in one only."""
+    """Samples at rest together with a neighbour: at the apex a body is slow in one sample only."""
     speed = np.linalg.norm(body.velocity, axis=1)
     slow = (speed < _AT_REST) & (np.abs(body.theta_rate) < _AT_REST)
     beside = np.zeros(len(slow), dtype=bool)
@@ -345,14 +344,14 @@ def _jump(
 
 
 def _landing(body: Motion, last: int, z0: float, *, ended: bool) -> tuple[float, Floats, float]:
-    """Time, place and theta at which Body 1 is back at its starting height."""
+    """Time [s], position [m] and theta [rad] at which Body 1 is back at its starting height."""
     if ended and last + 1 < len(body.time):
         beyond = last + 1
         step = _since_level(body, last, z0, back=False)
         step = min(step, float(body.time[beyond] - body.time[last]))
         time = float(body.time[last]) + step
         if _resting(body)[beyond]:
-            # Held where it came down: the first sample at rest is the landing itself.
+            # The plant holds the landed body: the first sample at rest is the landing.
             return time, body.position[beyond], float(body.theta[beyond])
         share = 0.5 * step**2 / float(body.time[beyond] - body.time[last])
         velocity, rate = body.velocity, body.theta_rate
@@ -364,21 +363,21 @@ def _landing(body: Motion, last: int, z0: float, *, ended: bool) -> tuple[float,
 
 
 def _since_level(body: Motion, index: int, z0: float, *, back: bool) -> float:
-    """Time between a sample in flight and the passage of the height z0 nearest to it."""
+    """Time [s] between a sample in flight and the nearest passage of the height z0."""
     other = index + 1 if back else index - 1
     height = float(body.position[index, 2]) - z0
     speed = float(body.velocity[index, 2])
     span = float(body.time[other] - body.time[index])
     gain = float(body.velocity[other, 2] - speed) / span if span else 0.0
-    # height + speed t + gain t^2 / 2 = 0, the root nearest to t = 0 on the side that is asked.
-    roots = np.roots([0.5 * gain, speed, height])  # of a line where there is no gain
+    # height + speed t + gain t^2 / 2 = 0, take the root nearest to t = 0 on the requested side.
+    roots = np.roots([0.5 * gain, speed, height])  # linear if gain is 0
     real = roots[np.isreal(roots)].real
     fitting = -real[real <= 0.0] if back else real[real >= 0.0]
     return float(fitting.min()) if len(fitting) else 0.0
 
 
 def _apex(body: Motion, first: int, last: int) -> tuple[float, float]:
-    """Time and height of the highest point, by cubic Hermite between samples."""
+    """Time [s] and height [m] of the apex, by cubic Hermite interpolation."""
     z, v, t = body.position[:, 2], body.velocity[:, 2], body.time
     best = max(range(first, last + 1), key=lambda index: float(z[index]))
     time, top = float(t[best]), float(z[best])
@@ -402,7 +401,7 @@ def _apex(body: Motion, first: int, last: int) -> tuple[float, float]:
 
 
 class Window(NamedTuple):
-    """A stretch of simulated time [s] and, as that may be passed twice, of log time [ns]."""
+    """A window of simulated time [s] and, as a reset may repeat that, of log time [ns]."""
 
     begin: float
     end: float
@@ -411,7 +410,7 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, body: Motion, first: int, last: int) -> "Window":
-        """From one sample of a body to another."""
+        """Return the window between two samples of a body."""
         margin = 1_000_000_000
         return cls(
             float(body.time[first]) - 1e-9,
@@ -421,13 +420,13 @@ class Window(NamedTuple):
         )
 
     def indices(self, series: TimeSeries) -> NDArray[np.intp]:
-        """Messages of a series inside."""
+        """Return indices of a series' messages in the window."""
         in_time = (series.time >= self.begin) & (series.time <= self.end)
         in_log = (series.log_ns >= self.log_begin) & (series.log_ns <= self.log_end)
         return np.flatnonzero(in_time & in_log)
 
     def before(self, series: TimeSeries) -> int:
-        """The last message of a series up to the beginning."""
+        """Return the index of the last message of a series up to the window's start."""
         near = (series.log_ns <= self.log_end) & (series.time <= self.begin + 2e-9)
         found = np.flatnonzero(near)
         return int(found[-1]) if len(found) else 0
@@ -445,7 +444,7 @@ def _slack(bag: Bag, window: Window) -> float | None:
 
 
 def _peak_tension(bag: Bag, window: Window) -> float | None:
-    """Largest recorded tension during a flight, along the tether and at the load cell."""
+    """Largest recorded tension [N] during a flight, along the tether and at the load cell."""
     peaks = []
     series = bag.series(topics.TRUTH_TETHER)
     if series is not None and LARGEST in series.columns:
@@ -457,7 +456,7 @@ def _peak_tension(bag: Bag, window: Window) -> float | None:
 
 
 def _drift(bag: Bag, window: Window) -> float | None:
-    """Change of the plant's energy balance over a flight."""
+    """Change of the energy balance's residual over a flight [J]."""
     series = bag.series(topics.TRUTH_ENERGY)
     if series is None:
         return None
@@ -469,16 +468,16 @@ def _drift(bag: Bag, window: Window) -> float | None:
 
 
 def _missing(time: Floats) -> int:
-    """Samples that are not there, by the usual step."""
+    """Number of missing samples, judged by the median step."""
     steps = np.diff(time)
     if not len(steps):
         return 0
-    usual = float(np.median(steps))
-    return int(np.maximum(np.round(steps / usual) - 1, 0).sum()) if usual > 0.0 else 0
+    typical = float(np.median(steps))
+    return int(np.maximum(np.round(steps / typical) - 1, 0).sum()) if typical > 0.0 else 0
 
 
 def _events_near(events: Iterable[Entry], body: Motion, first: int, last: int) -> list[Entry]:
-    """What was told while a body went from one sample to another: time may be passed twice."""
+    """Events received between two samples of a body."""
     window = Window.of(body, first, last)
     return [entry for entry in events if window.log_begin <= entry.log_ns <= window.log_end]
 
@@ -489,7 +488,7 @@ def _reported(events: Iterable[Entry], name: str, begin: float, end: float) -> E
 
 
 def _numbers(values: Mapping[str, str]) -> dict[str, float]:
-    """Those values that are finite numbers."""
+    """The values that are finite numbers."""
     found = {}
     for name, text in values.items():
         try:

@@ -1,4 +1,4 @@
-"""Everything that a bag tells in numbers, and how well its topics were recorded."""
+"""All metrics of a bag, including those of its topics' recording."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -28,33 +28,31 @@ from rover_bags.read import Bag, TimeSeries
 
 @dataclass(frozen=True)
 class TopicMetrics:
-    """How one topic was recorded.
+    """Recording metrics of one topic.
 
-    Rates and gaps are by the clock that paces the topic: simulated time, or the machine's for
-    what nodes say of their health.
+    Rates and gaps are by the topic's pacing clock: wall time for status topics, otherwise simulated
+    time.
 
     Attributes:
-        topic: Name in the contract, or the full name of a topic outside it.
+        topic: Contract name, or the full name of a topic outside the contract.
         type: Message type.
-        count: Messages.
-        expected_hz: Rate that the contract promises; None where it promises none.
-        rate_hz: Messages per second between the first and the last, of each run where the clock
-            was put back.
-        wall_rate_hz: The same by the machine's clock.
-        max_gap_s: Longest pause between messages.
-        max_gap_at_s: When it began, in simulated time.
-        slow_hz: Usual rate of a topic that came more slowly than promised all the time, as who sent
-            it did not keep the promise or who recorded it did not take all; None otherwise.
-        gaps: Pauses of more than 1.75 periods, promised or usual.
-        latency_p50_ms, latency_p99_ms, latency_max_ms: From sending to reception, machine's
-            clock; without messages sent before the recorder was listening, and None for latched
-            topics, which may be received long after they were sent.
-        age_p50_ms, age_p99_ms: From the stamp to the reception, by the clock that the stamps
-            follow (simulated time, or the machine's); to within what that clock resolves.
+        count: Number of messages.
+        expected_hz: Rate required by the contract; None if it requires none.
+        rate_hz: Messages per second between the first and the last message of each run.
+        wall_rate_hz: Messages per second of wall time.
+        max_gap_s: Longest time between consecutive messages.
+        max_gap_at_s: Simulated time at which it started.
+        slow_hz: Typical rate of a topic that was slower than the contract throughout, because of
+            its publisher or its recorder; None otherwise.
+        gaps: Number of pauses of more than 1.75 periods, of the contract's or the typical period.
+        latency_p50_ms, latency_p99_ms, latency_max_ms: Wall time from publication to reception.
+            Messages published before the recorder subscribed do not count; None for latched topics.
+        age_p50_ms, age_p99_ms: Time from stamp to reception by the clock of the stamps, within that
+            clock's resolution.
         dropped: Messages that the recorder could not keep.
         lost_in_transport: Messages lost before they reached the recorder.
-        rejected: Messages that break the contract.
-        unverified: Messages that no checksum protects.
+        rejected: Messages that violate the contract.
+        unverified: Messages without a checksum.
     """
 
     topic: str
@@ -80,7 +78,7 @@ class TopicMetrics:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Everything that a bag tells in numbers."""
+    """All metrics of a bag."""
 
     timeline: Timeline
     descents: tuple[Descent, ...]
@@ -97,7 +95,7 @@ class Metrics:
     simulated_s: float | None
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain values for JSON; the figures of the first jump stand at the top as well."""
+        """Return plain values for JSON; metrics of the first jump are repeated at the top level."""
         first = asdict(self.jumps[0]) if self.jumps else {}
         names = (
             "jump_height_m", "attitude_variation_rad", "slack", "peak_tension_N",
@@ -129,7 +127,7 @@ class Metrics:
 
 
 def measure(bag: Bag) -> Metrics:
-    """All figures of a bag."""
+    """Compute all metrics of a bag."""
     clock = bag.timings.get(topics.CLOCK)
     events = tuple(entries_of(bag.series(topics.EVENTS)))
     timeline = timeline_of(bag)
@@ -217,10 +215,10 @@ def _ages(bag: Bag, series: TimeSeries) -> list[float | None]:
         return [None, None]
     log_ns, stamp_ns = series.log_ns[stamped], series.stamp_ns[stamped]
     if bag.clock.is_recorded:
-        came = bag.clock.at_reception(log_ns)
-        # Who does not follow the clock has stamps far from it.
-        follows = np.abs(came - stamp_ns) < _FOLLOWS_NS
-        ages = np.asarray((came - stamp_ns)[follows] * 1e-6, dtype=np.float64)
+        received = bag.clock.at_reception(log_ns)
+        # Nodes that do not use simulated time have stamps far from it.
+        follows = np.abs(received - stamp_ns) < _FOLLOWS_NS
+        ages = np.asarray((received - stamp_ns)[follows] * 1e-6, dtype=np.float64)
     else:
         ages = np.asarray((log_ns - stamp_ns) * 1e-6, dtype=np.float64)
         ages = ages[np.abs(ages) < _FOLLOWS_NS * 1e-6]

@@ -1,4 +1,4 @@
-"""Numbers of several topics at the same instants: what activities are told apart by."""
+"""Sensor signals of several topics, resampled at common instants."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from rover_bags.read import Bag, Floats, Stamps, TimeSeries
 Flags = NDArray[np.bool_]
 
 _FINEST: Final = 0.02
-"""Instants follow one another no closer than this [s]."""
+"""Smallest time between instants [s]."""
 _MAX_AGE: Final = 1.0
-"""What a sensor said is not taken to hold for longer than so [s], or five of its periods."""
+"""Validity of a sensor's last value [s]; or five of its periods, if longer."""
 _SWITCHES: Final = (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH)
 _BASES: Final = (
     topics.CONTACT,
@@ -50,17 +50,17 @@ _NUMBERS: Final[Mapping[str, tuple[str, str]]] = {
 
 @dataclass(frozen=True)
 class Signals:
-    """What a bag tells at common instants; what it does not hold is None.
+    """Sensor signals at common instants, shape (N,) each; None if not recorded.
 
     Attributes:
-        time: Simulated time [s], shape (N,); it jumps back where the clock was put back.
-        log_ns: When the instants' messages were received [ns since 1970].
+        time: Simulated time [s]; it decreases where the clock was reset.
+        log_ns: Reception of the instants' messages [ns since 1970].
         in_contact: Whether any contact switch is closed.
-        pull: Of the tether on the rover [N].
-        numbers: Length [m] and rate [m/s] of the drum, brake (1 released), wheels' rates [rad/s],
-            the wheel motor's current [A], the nut's place [m] and force [N]; NaN where their
-            sensor was silent.
-        phase: The plant's own word for what it does.
+        pull: Tether force on the rover [N].
+        numbers: Tether length [m] and rate [m/s] at the drum, brake (1 released), wheel rates
+            [rad/s], wheel motor current [A], nut position [m] and force [N]; NaN where the last
+            value is too old.
+        phase: Phase published by the plant.
     """
 
     time: Floats
@@ -71,12 +71,12 @@ class Signals:
     phase: NDArray[np.str_] | None
 
     def get(self, name: str) -> Floats | None:
-        """One of the numbers, None where it is not recorded."""
+        """Return one of the numbers, or None if it is not recorded."""
         return self.numbers.get(name)
 
 
 def signals_of(bag: Bag) -> Signals | None:
-    """The bag's signals, None where it holds nothing of a rover or winch."""
+    """Return the bag's signals, or None if it holds no topic of rover or winch."""
     base = next((series for name in _BASES if (series := bag.series(name)) is not None), None)
     if base is None:
         return None
@@ -98,7 +98,7 @@ def signals_of(bag: Bag) -> Signals | None:
 
 
 class _Matcher:
-    """Finds what a series said last at given instants: by stamps, or by arrival after a reset."""
+    """Finds a series' last value at given instants, by stamp or after a reset by reception."""
 
     def __init__(self, base: TimeSeries, chosen: NDArray[np.intp]) -> None:
         self._by_time = bool((np.diff(base.time) >= 0.0).all())
@@ -106,16 +106,16 @@ class _Matcher:
         self._log = base.log_ns[chosen]
 
     def last(self, series: TimeSeries, values: Floats) -> Floats:
-        """The last value at each instant; before the first, the first; NaN while it is silent."""
+        """Last value at each instant, the first value before it; NaN if it is too old."""
         index = self.indices(series)
         found = np.array(values[index], dtype=np.float64)
         if self._follows(series):
-            usual = float(np.median(np.diff(series.time))) if len(series) > 1 else 0.0
+            typical = float(np.median(np.diff(series.time))) if len(series) > 1 else 0.0
             apart = np.abs(self._time - series.time[index])
         else:
-            usual = float(np.median(np.diff(series.log_ns))) * 1e-9 if len(series) > 1 else 0.0
+            typical = float(np.median(np.diff(series.log_ns))) * 1e-9 if len(series) > 1 else 0.0
             apart = np.abs(self._log - series.log_ns[index]) * 1e-9
-        found[apart > max(_MAX_AGE, 5.0 * usual)] = np.nan
+        found[apart > max(_MAX_AGE, 5.0 * typical)] = np.nan
         return found
 
     def indices(self, series: TimeSeries) -> NDArray[np.intp]:
@@ -130,9 +130,9 @@ class _Matcher:
 
 
 def _spaced(time: Floats) -> NDArray[np.intp]:
-    """Indices of samples at least so far apart."""
-    usual = float(np.median(np.diff(time))) if len(time) > 1 else _FINEST
-    every = max(1, round(_FINEST / usual)) if usual > 0.0 else 1
+    """Indices of samples spaced by at least `_FINEST`."""
+    typical = float(np.median(np.diff(time))) if len(time) > 1 else _FINEST
+    every = max(1, round(_FINEST / typical)) if typical > 0.0 else 1
     return np.arange(0, len(time), every)
 
 
@@ -166,7 +166,7 @@ def _phase(bag: Bag, matcher: _Matcher) -> NDArray[np.str_] | None:
 
 
 def runs(flags: NDArray[np.generic]) -> list[tuple[int, int]]:
-    """First and last index of each stretch of equal values."""
+    """Return first and last index of each run of equal values."""
     if not len(flags):
         return []
     edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
@@ -176,7 +176,7 @@ def runs(flags: NDArray[np.generic]) -> list[tuple[int, int]]:
 
 
 def closed(flags: Flags, time: Floats, longest: float) -> Flags:
-    """Flags with gaps no longer than so many seconds filled."""
+    """Morphological closing: fill gaps of at most `longest` seconds."""
     filled = flags.copy()
     for begin, end in runs(flags):
         inside = begin > 0 and end + 1 < len(flags)
@@ -186,7 +186,7 @@ def closed(flags: Flags, time: Floats, longest: float) -> Flags:
 
 
 def opened(flags: Flags, time: Floats, shortest: float) -> Flags:
-    """Flags without stretches shorter than so many seconds."""
+    """Morphological opening: remove runs of less than `shortest` seconds."""
     kept = flags.copy()
     for begin, end in runs(flags):
         after = time[end + 1] if end + 1 < len(time) else time[end]

@@ -1,8 +1,8 @@
-"""What the machine did when, found from what its bag recorded of it.
+"""Timeline of the machine's activities, from the recorded sensors.
 
-From the sensors where they are recorded: contact switches and the pull at the rover tell ground,
-tether and flight apart, encoders of drum, wheels and nut what moves. The plant's own word for its
-phase stands in where the sensors are not in the bag.
+Contact switches and the tether force at the rover distinguish ground, tether and flight; encoders
+of drum, wheels and nut show what moves. Without recorded switches the phase published by the
+plant is used.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from rover_bags.read import Bag, Floats
 
 
 class Activity(StrEnum):
-    """What the machine does."""
+    """Activity of the machine."""
 
     HANGING = "hanging"
     DESCENDING = "descending"
     ASCENDING = "ascending"
     STANDING = "standing"
     SLACK = "slack"
-    """The drum gives or takes slack while the ground carries the rover."""
+    """The drum pays out or takes up slack while the ground supports the rover."""
     DRIVING = "driving"
     TURNING = "turning"
     COMPRESSING = "compressing"
@@ -40,7 +40,7 @@ class Activity(StrEnum):
 
 
 class TimelineEventKind(StrEnum):
-    """What happens at an instant."""
+    """Kind of an event on the timeline."""
 
     TOUCHDOWN = "touchdown"
     LIFT_OFF = "lift_off"
@@ -52,12 +52,12 @@ class TimelineEventKind(StrEnum):
 
 @dataclass(frozen=True)
 class ActivityInterval:
-    """A stretch of one activity, in simulated time [s].
+    """An interval of one activity.
 
     Attributes:
-        activity: What the machine does.
-        begin_s, end_s: When.
-        log_begin, log_end: The same by the recorder's clock [ns since 1970].
+        activity: The activity.
+        begin_s, end_s: Simulated time [s].
+        log_begin, log_end: Time of reception [ns since 1970].
     """
 
     activity: Activity
@@ -68,19 +68,19 @@ class ActivityInterval:
 
     @property
     def duration_s(self) -> float:
-        """How long."""
+        """Duration [s]."""
         return self.end_s - self.begin_s
 
 
 @dataclass(frozen=True)
 class TimelineEvent:
-    """An instant, and why where that is recorded.
+    """An event on the timeline.
 
     Attributes:
-        kind: What happened.
-        time_s: When, in simulated time [s].
-        log_ns: The same by the recorder's clock [ns since 1970].
-        reason: Why.
+        kind: Kind of the event.
+        time_s: Simulated time [s].
+        log_ns: Time of reception [ns since 1970].
+        reason: Reason, if recorded.
     """
 
     kind: TimelineEventKind
@@ -91,53 +91,54 @@ class TimelineEvent:
 
 @dataclass(frozen=True)
 class Timeline:
-    """All phases, one after the other, and the instants that matter."""
+    """Consecutive activity intervals, and events."""
 
     intervals: tuple[ActivityInterval, ...] = ()
     events: tuple[TimelineEvent, ...] = ()
 
     def of(self, *kinds: Activity) -> tuple[ActivityInterval, ...]:
-        """Phases of some kinds."""
+        """Return the intervals of given activities."""
         return tuple(interval for interval in self.intervals if interval.activity in kinds)
 
 
 _CREEP: Final = 5e-3
-"""A drum that is slower stands [m/s]."""
+"""Payout rate below which the drum is at rest [m/s]."""
 _MIN_TRAVEL: Final = 0.03
-"""A drum that moves on by less has not gone anywhere [m]: it only damps a swing."""
+"""Smallest net motion of the drum that counts as travel, not as swing damping [m]."""
 _STROKE: Final = 0.35
-"""Of the length: a stroke that damps a swing is no longer."""
+"""Longest damping stroke, as a fraction of the tether length."""
 _QUARTER: Final = 1.5 * 0.5 * math.pi / math.sqrt(1.62)
-"""A stroke lasts a quarter of the swing's period, on the Moon as long as anywhere: with a margin no
-longer than this times the root of the length [s/m^0.5]."""
+"""Longest damping stroke over the root of the tether length [s/m^0.5].
+
+A stroke lasts a quarter of the swing's period; with lunar gravity and a margin of 1.5."""
 _UNDONE: Final = 2.2
-"""A stroke over the one that undoes it; the first and the last are half as long as others."""
+"""Largest ratio of consecutive strokes; the first and the last are half as long as the others."""
 _STROKE_REST: Final = (0.5, 0.3)
-"""Rest between two strokes: no longer than so much [s], and that share of the shorter one."""
+"""Longest rest between two strokes: constant part [s], and fraction of the shorter stroke."""
 _PAUSE: Final = 0.3
-"""A shorter rest does not end a motion, a shorter motion is none [s]."""
+"""Shortest rest that ends a motion, and shortest motion [s]."""
 _BOUNCE: Final = 0.12
-"""A shorter loss of contact is none [s]."""
+"""Shortest loss of contact that counts [s]."""
 _WHEELS_TURN: Final = 0.08
-"""Wheels that are slower stand [rad/s]."""
+"""Wheel rate below which a wheel is at rest [rad/s]."""
 _MIN_DRIVE: Final = 0.7
-"""Wheels that turn for less are not driven [s]."""
+"""Shortest drive [s]."""
 _NOISE: Final = 6.0
-"""Four standard deviations of a normal error over the median of its size."""
+"""Four standard deviations of a normal error over the median of its magnitude."""
 _UNLOADED_SHARE: Final = 0.3
-"""A tether that carries less of the rover's weight does not hold it."""
+"""Fraction of the rover's weight below which the tether counts as unloaded."""
 _COMPRESSED_FORCE: Final = 2.0
-"""Force of the spring on the nut [N] from which it is compressed."""
+"""Force on the nut [N] from which the spring counts as compressed."""
 _JUST_BEFORE: Final = 0.6
-"""A flight so soon after the latch has tripped is a jump [s]."""
+"""Longest time from a latch trip to the flight of its jump [s]."""
 _HOP: Final = 0.5
-"""A shorter flight without a latch before it is a bounce [s]."""
+"""Shortest flight without a latch trip; a shorter one is a bounce [s]."""
 _BRAKED: Final = 0.05
-"""A brake that closes on a drum so fast is a fault [m/s]."""
+"""Payout rate from which a closing brake is a fault [m/s]."""
 _BRAKE_DELAY: Final = 0.1
-"""So long before it tells that it is closed a brake has not begun to bite [s]."""
+"""Time before the closed signal at which the brake does not act yet [s]."""
 _SAME_FAULT: Final = 0.6
-"""Reports of a fault so near to one another are of one [s]."""
+"""Reports within this time are of the same fault [s]."""
 
 _ACTIVITY_OF_PHASE: Final = {"held": Activity.STANDING, "landed": Activity.STANDING,
                  "grounded": Activity.STANDING, "flight": Activity.FLIGHT,
@@ -145,7 +146,7 @@ _ACTIVITY_OF_PHASE: Final = {"held": Activity.STANDING, "landed": Activity.STAND
 
 
 def timeline_of(bag: Bag) -> Timeline:
-    """Phases and instants of a bag; empty where it tells nothing of what the machine did."""
+    """Return the activities and events of a bag; empty without recorded switches and phase."""
     signals = signals_of(bag)
     if signals is None or len(signals.time) < 2:
         return Timeline()
@@ -171,7 +172,7 @@ def timeline_of(bag: Bag) -> Timeline:
 
 
 def _support(bag: Bag, signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.object_] | None:
-    """STANDING, HANGING or FLIGHT at each instant; None where nothing tells."""
+    """STANDING, HANGING or FLIGHT at each instant; None if it is unknown."""
     time = signals.time
     words = signals.phase
     if signals.in_contact is None:
@@ -189,10 +190,10 @@ def _support(bag: Bag, signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.
         after = time[end + 1] if end + 1 < len(time) else time[end]
         jumped = _follows(time[begin], time[trips])
         unloaded = _tether_unloaded(bag, signals, begin, end)
-        if unloaded is None:  # nothing tells whether the tether holds: it falls, having stood
+        if unloaded is None:  # force unknown: assume a fall after standing
             unloaded = np.full(end - begin + 1, begin > 0)
         if begin > 0 and jumped and unloaded[: max(1, len(unloaded) // 4)].any():
-            # A jump's flight is one, even where the tether snatches in it.
+            # A jump is one flight, even if the tether snatches.
             share = closed(unloaded, time[begin : end + 1], 1.0)
             found[begin : end + 1][share] = Activity.FLIGHT
         elif begin > 0 and unloaded.all() and (after - time[begin] > _HOP or not len(trips)):
@@ -210,7 +211,7 @@ def _follows(begin: float, trips: Floats) -> bool:
 
 
 def _tether_unloaded(bag: Bag, signals: Signals, begin: int, end: int) -> Flags | None:
-    """Where the tether does not hold the rover, of a stretch without contact; None: unknown."""
+    """Where the tether is unloaded, in a span without contact; None if unknown."""
     part = slice(begin, end + 1)
     weight = _weight(bag)
     if signals.pull is not None and weight is not None:
@@ -221,7 +222,7 @@ def _tether_unloaded(bag: Bag, signals: Signals, begin: int, end: int) -> Flags 
 
 
 def _weight(bag: Bag) -> float | None:
-    """Of the rover [N], as configured, or as its load cell tells it while it hangs."""
+    """Weight of the rover [N], as configured, or from its load cell while it hangs."""
     gravity = gravity_of(bag)
     m1, m2 = (setting(bag, "rover", name) for name in ("m1", "m2"))
     if isinstance(m1, float | int) and isinstance(m2, float | int) and gravity is not None:
@@ -237,7 +238,7 @@ def _weight(bag: Bag) -> float | None:
 
 
 def _trips(signals: Signals) -> NDArray[np.intp]:
-    """Instants at which the compressed spring is let go at once."""
+    """Instants at which the latch trips: the force on the nut vanishes."""
     force = signals.get("nut_force")
     if force is None:
         return np.array([], dtype=np.intp)
@@ -261,7 +262,7 @@ def _with_motions(
         charged = opened(closed(force > _COMPRESSED_FORCE, time, _PAUSE), time, _PAUSE)
         found[charged & ~flies] = Activity.COMPRESSING
         for trip in trips.tolist():
-            # From the trip until the feet leave the ground the spring expands.
+            # The spring expands from the trip until the rover leaves the ground.
             stop = trip
             while stop < len(time) and not flies[stop] and time[stop] - time[trip] < _JUST_BEFORE:
                 stop += 1
@@ -271,9 +272,9 @@ def _with_motions(
 
 
 def _travels(signals: Signals, hangs: Flags) -> list[tuple[int, int, int]]:
-    """Motions of the drum but for the strokes to and fro by which it damps a hanging swing."""
+    """Motions of the drum without the strokes that damp a hanging swing."""
     motions = sorted(_drum_motions(signals))
-    # Between two strokes there may be small ones, which go first.
+    # Small strokes may lie between larger ones: remove them first.
     while strokes := _strokes(signals, hangs, motions):
         motions = [motion for motion in motions if motion not in strokes]
     return motions
@@ -282,7 +283,7 @@ def _travels(signals: Signals, hangs: Flags) -> list[tuple[int, int, int]]:
 def _strokes(
     signals: Signals, hangs: Flags, motions: list[tuple[int, int, int]]
 ) -> set[tuple[int, int, int]]:
-    """Motions that the one before or after undoes."""
+    """Motions that their neighbour reverses."""
     time, length = signals.time, signals.get("length")
     found: set[tuple[int, int, int]] = set()
     if length is None:
@@ -306,7 +307,7 @@ def _strokes(
 
 
 def _drum_motions(signals: Signals) -> Iterator[tuple[int, int, int]]:
-    """First and last instant and sense of each motion of the drum that leads somewhere."""
+    """First and last instant and sign of each motion of the drum with a net travel."""
     rate, length = signals.get("rate"), signals.get("length")
     if rate is None or length is None:
         return
@@ -319,12 +320,12 @@ def _drum_motions(signals: Signals) -> Iterator[tuple[int, int, int]]:
 
 
 def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activity]]:
-    """Stretches of driven wheels on the ground."""
+    """Intervals of driven wheels on the ground."""
     left, right, current = signals.get("left"), signals.get("right"), signals.get("wheel_current")
     if left is None or right is None:
         return
     fastest = np.maximum(np.abs(left), np.abs(right))
-    # A wheel that turns for a moment after a landing is not driven; bounces do not end a drive.
+    # Wheels that turn briefly after a landing are not driven; bounces do not end a drive.
     turning = closed((fastest > _WHEELS_TURN) & stands, signals.time, _PAUSE)
     turning = opened(turning, signals.time, _MIN_DRIVE)
     for begin, end in runs(turning):
@@ -333,22 +334,22 @@ def _drives(signals: Signals, stands: Flags) -> Iterator[tuple[int, int, Activit
         part = slice(begin, end + 1)
         if current is not None and np.abs(current[part]).max() < _idle(signals, stands):
             continue
-        # Backward the left wheel turns alone and the rover on the spot; a forward wheel that coasts
-        # longer than the other is none of the motor's doing.
+        # Backward, the ratchet drives the left wheel only and the rover turns on the spot. A wheel
+        # that coasts forward longer than the other is not driven.
         time = signals.time[part]
-        odd = closed(left[part] < -_WHEELS_TURN, time, _MIN_DRIVE)
-        odd = opened(odd, time, _MIN_DRIVE)
-        for first, last in runs(odd):
-            what = Activity.TURNING if odd[first] else Activity.DRIVING
+        backward = closed(left[part] < -_WHEELS_TURN, time, _MIN_DRIVE)
+        backward = opened(backward, time, _MIN_DRIVE)
+        for first, last in runs(backward):
+            what = Activity.TURNING if backward[first] else Activity.DRIVING
             if time[last] - time[first] >= _MIN_DRIVE:
                 yield begin + first, begin + last, what
 
 
 def _idle(signals: Signals, stands: Flags) -> float:
-    """Current [A] that a motor which does nothing does not reach: four times its noise.
+    """Upper bound of an idle motor's current [A]: four standard deviations of its noise.
 
-    By the rover that stands with its wheels at rest, as they hold a hanging one's attitude; in the
-    median, as the motor tries for a moment before they turn.
+    Estimated while the rover stands with its wheels at rest (while it hangs, they control its
+    attitude), by the median, as the motor pushes briefly before the wheels turn.
     """
     left, right, current = (signals.numbers[name] for name in ("left", "right", "wheel_current"))
     rest = stands & (np.abs(left) <= _WHEELS_TURN) & (np.abs(right) <= _WHEELS_TURN)
@@ -356,17 +357,17 @@ def _idle(signals: Signals, stands: Flags) -> float:
     return _NOISE * float(np.median(np.abs(current[rest]))) if rest.any() else 0.0
 
 
-# --- phases and instants ------------------------------------------------------------------------
+# --- intervals and events ----------------------------------------------------------------------
 
 
 _RECORD_PAUSE: Final = 1.0
-"""A longer pause of the record ends what was going on [s]."""
+"""Pause of the record that ends an activity [s]."""
 
 
 def _intervals(signals: Signals, found: NDArray[np.object_]) -> Iterator[ActivityInterval]:
     time, log = signals.time, signals.log_ns
     steps = np.diff(time)
-    # Nothing is known of what lies in a pause of the record, or on the other side of a reset.
+    # Activities do not extend across a pause of the record or a reset.
     pause = max(_RECORD_PAUSE, 5.0 * float(np.median(steps)))
     breaks = set((np.flatnonzero((steps < 0.0) | (steps > pause)) + 1).tolist())
     begin = 0
@@ -393,7 +394,7 @@ _ON_TETHER: Final = frozenset({Activity.HANGING, Activity.DESCENDING, Activity.A
 
 
 def _changes(intervals: Iterable[ActivityInterval]) -> Iterator[TimelineEvent]:
-    """Touchdowns, lift-offs, take-offs and landings between phases."""
+    """Touchdowns, lift-offs, take-offs and landings between intervals."""
     ordered = list(intervals)
     for before, after in itertools.pairwise(ordered):
         if before.log_end != after.log_begin:
@@ -412,11 +413,11 @@ def _changes(intervals: Iterable[ActivityInterval]) -> Iterator[TimelineEvent]:
 
 
 def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
-    """What nodes and drives report as not well, and brakes that close on a turning drum."""
+    """Faults reported by nodes and drives, and brakes that close on a turning drum."""
     reported = list(_reported(bag))
     rate, brake = signals.get("rate"), signals.get("brake")
     if rate is not None and brake is not None:
-        # The rate just before it: the brake may bite within a sample.
+        # Use the rate just before: the brake may stop the drum within a sample.
         running = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(signals.time), 0.0))])
         before = np.abs(rate)[np.searchsorted(running, running - _BRAKE_DELAY)]
         bites = np.flatnonzero((brake[:-1] > 0.5) & (brake[1:] < 0.5)) + 1

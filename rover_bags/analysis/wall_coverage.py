@@ -1,8 +1,8 @@
-"""Which part of the wall a descent's pictures cover, over depth and heading.
+"""Area of the wall covered by a descent's images, over depth and heading.
 
-Each picture covers a rectangle of the wall: the camera's field of view about where it looks, on the
-wall at the distance that the range finder told. Depths are lengths at the drum, headings those of
-the rover since the start, by its gyro.
+The footprint of an image is a rectangle: the camera's field of view projected onto the wall at the
+range finder's distance. Depth is the tether length at the drum, heading the rover's integrated gyro
+heading since the start.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, SMEAR, WALL_DISTANCE
 from rover_bags.read import Floats, TimeSeries
 
-NO_WALL: Final = 999.0  # a distance from which on the range finder sees none [m]
+NO_WALL: Final = 999.0  # range from which the range finder sees no wall [m]
 _TURN: Final = 2.0 * math.pi
 _HEADING_STEP: Final = math.radians(0.5)
-_DEPTH_STEPS: Final = 4000  # at most
-_FINEST: Final = 0.01  # of the depth steps [m]
-_SAME_STOP: Final = 0.25  # pictures nearer to each other in depth are of one stop [m]
+_DEPTH_STEPS: Final = 4000  # maximum number
+_FINEST: Final = 0.01  # smallest depth step [m]
+_SAME_STOP: Final = 0.25  # images within this depth belong to one stop [m]
 
 
 class Observations(NamedTuple):
-    """Pictures of the wall, one value each, shape (N,); NaN where it is not known."""
+    """Observations of the wall, shape (N,) each; NaN if unknown."""
 
     time: Floats  # [s]
     depth: Floats  # [m]
@@ -38,12 +38,12 @@ class Observations(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """The camera as far as coverage depends on it.
+    """Camera parameters that determine the coverage.
 
     Attributes:
         width, height: Field of view [rad]; by default 1000 by 750 pixels of 0.5 mrad.
-        sharp: A picture that smears by no more is sharp [px]; 0.14 deg/s over 0.1 s.
-        wall_distance: Where none was told [m].
+        sharp: Largest smear of a sharp image [px]; 0.5 px is 0.14 deg/s over 0.1 s.
+        wall_distance: Distance to assume if none was measured [m].
     """
 
     width: float = 0.5
@@ -54,19 +54,20 @@ class View:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Figures of the wall that was seen.
+    """Coverage of the wall by images; NaN for values without any image.
 
     Attributes:
-        images: How many.
-        sharp, smeared, unknown: Of which these smear little, too much, or nobody knows how much.
-        stops: Groups of pictures at one depth.
-        depth_first, depth_last: Least and largest depth of a picture [m]; NaN without any.
-        headings: Width of the headings that sharp pictures cover, of 2 pi [rad].
-        area: Of the wall that sharp pictures cover, each part once [m^2].
-        share: That area over the whole wall around between the upper edge of the first picture
-            and the lower edge of the last; NaN without any.
-        smear_median, smear_worst: [px]; NaN without any.
-        rate_worst: Largest estimated rate of the camera [rad/s]; NaN without any.
+        images: Number of images.
+        sharp, smeared, unknown: Number of sharp images, smeared images, and images of unknown
+            smear.
+        stops: Number of groups of images at one depth.
+        depth_first, depth_last: Smallest and largest depth of an image [m].
+        headings: Angle of headings covered by sharp images, at most 2 pi [rad].
+        area: Wall area covered by sharp images [m^2].
+        share: That area over the area of the full circumference between the upper edge of the first
+            image and the lower edge of the last.
+        smear_median, smear_worst: Median and largest smear [px].
+        rate_worst: Largest estimated angular rate of the camera [rad/s].
     """
 
     images: int
@@ -85,21 +86,21 @@ class Coverage:
 
     @property
     def summary(self) -> str:
-        """One sentence."""
+        """Return the coverage in one sentence."""
         if not self.images:
-            return "no pictures of the wall"
+            return "no images of the wall"
         parts = [f"{self.sharp} sharp"]
         parts += [f"{self.smeared} smeared"] if self.smeared else []
         parts += [f"{self.unknown} of unknown smear"] if self.unknown else []
         return (
-            f"{self.images} pictures at {self.stops} stops from {self.depth_first:.1f} to "
+            f"{self.images} images at {self.stops} stops from {self.depth_first:.1f} to "
             f"{self.depth_last:.1f} m, {', '.join(parts)}: {self.area:.2f} m² of the wall, "
-            f"{100.0 * self.share:.1f} % of it between their edges"
+            f"{100.0 * self.share:.1f} % of the circumference between their edges"
         )
 
 
 def observations_of(series: TimeSeries) -> Observations:
-    """The pictures that a bag's series of observations tells of."""
+    """Return the observations in a bag's series of logged images."""
     nothing = np.full(len(series), np.nan)
 
     def column(joint: str, part: str = "position") -> Floats:
@@ -116,7 +117,7 @@ def observations_of(series: TimeSeries) -> Observations:
 
 
 def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
-    """Figures of what was seen."""
+    """Compute the coverage of observations."""
     view = view or View()
     known = np.isfinite(seen.smear)
     sharp = known & (np.nan_to_num(seen.smear) <= view.sharp)
@@ -143,7 +144,7 @@ def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
 
 
 def wall_distances(seen: Observations, view: View) -> Floats:
-    """Distances of the wall [m], shape (N,): as told, or the view's where none was."""
+    """Return distances of the wall [m], shape (N,): measured, or else the view's default."""
     measured = np.isfinite(seen.wall_distance) & (seen.wall_distance < NO_WALL)
     return np.where(measured, seen.wall_distance, view.wall_distance)
 

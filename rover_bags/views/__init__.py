@@ -1,6 +1,6 @@
-"""What people and machines are shown: text, JSON, plots, animations and pages.
+"""Present results as text, JSON, plots, animations and HTML pages.
 
-``summary`` is the terminal's text and the JSON, ``sections`` the tables that text and page share;
-``plots``, ``run_plots`` and ``coverage_plot`` draw, ``animation`` and ``spatial_scene`` move,
-``report_page`` puts a page together from ``markup`` and ``page``.
+``summary`` makes the terminal text and the JSON, ``sections`` the tables shared by text and page,
+``plots``, ``run_plots`` and ``coverage_plot`` the plots, ``animation`` and ``spatial_scene`` the
+animations. ``report_page`` assembles the page from ``markup`` and ``page``.
 """

@@ -1,4 +1,4 @@
-"""Moving pictures of rover and tether: frames for the page's player, and a GIF.
+"""Animations of rover and tether: frames for the page's player, and a GIF.
 
 Side view in the plane of x (forward) and z (up), equal scales, metres.
 """
@@ -24,11 +24,11 @@ LEAD: Final = 0.25
 """Simulated time [s] shown before take-off."""
 TRAIL: Final = 0.45
 """Simulated time [s] shown after touchdown."""
-_MOST_FRAMES: Final = 600
-_MOST_PICTURES: Final = 200
-"""Of a GIF of a whole run."""
+_MAX_FRAMES: Final = 600
+_MAX_GIF_FRAMES: Final = 200
+"""Frames of a GIF of a whole run."""
 _FINE: Final = 2
-"""Pictures are drawn so many times finer and then scaled down, for smooth edges."""
+"""Supersampling factor of the frames, for smooth edges."""
 _SIZES: Final = {"body1_size": (0.30, 0.15), "body2_size": (0.20, 0.10)}
 _TENSION: Final = TETHER_COLUMNS.index("tension")
 # Positions and slopes in the plane, and the tension.
@@ -37,12 +37,12 @@ _TEXT: Final = (33, 37, 41)
 _BODY1: Final = (0, 114, 178)
 _BODY2: Final = (213, 94, 0)
 _SCALE: Final = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (230, 190, 30))
-"""Colours from slack to taut: dark to light, told apart by colour-blind eyes."""
+"""Colour scale from slack to taut, dark to light, readable for colour-blind readers."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What moves, sampled in time.
+    """The moving parts of a scene, sampled in time.
 
     Attributes:
         time: Time of each frame since take-off [s], shape (F,).
@@ -50,17 +50,17 @@ class Scene:
         tether: x, z [m], slopes dx/ds, dz/ds [-] and tension [N] by node, shape (F, n + 1, 5).
         element: Length of a tether element [m].
         sizes: Width and height of the bodies [m].
-        ground: Height of what stands lowest in the first frame [m].
-        low, high: Corners (x, z) of what is in view [m].
-        close_up: Corners of the view of the rover from near [m].
-        tension_max: Tension at the strong end of the colour scale [N]; what is more has its colour.
+        ground: Height of the lowest point of Body 1 in the first frame [m].
+        low, high: Corners (x, z) of the whole view [m].
+        close_up: Corners (x, z) of the close-up view [m].
+        tension_max: Tension at the end of the colour scale [N]; larger tensions have its colour.
         ground_lines: x and z [m] of ground and walls, (k, 2) each; empty: level ground at `ground`.
         wheels: x and z of the wheels' centres and half their width and height as seen [m], shape
             (F, wheels, 4).
-        follow: Half the width of the view from near, which then follows Body 1 [m]; 0: it stands.
-        is_run: Whether times are simulated times of a whole run rather than since a take-off.
-        readout: What is told beside the time: how far the centre of mass of Body 1 has risen since
-            take-off, or in a whole run its depth below the fairlead [m], shape (F,).
+        follow: Half the width of a close-up that follows Body 1 [m]; 0: it is fixed.
+        is_run: Whether times are simulated times of a whole run, not times since a take-off.
+        readout: Value shown beside the time: rise of Body 1 since take-off, or in a whole run its
+            depth below the fairlead [m], shape (F,).
     """
 
     time: Floats
@@ -81,7 +81,7 @@ class Scene:
     is_run: bool = False
 
     def to_mapping(self) -> dict[str, Any]:
-        """Plain values for the player."""
+        """Return plain values for the player."""
         return {
             "time": np.round(self.time, 5).tolist(),
             "body1": np.round(self.body1, 5).tolist(),
@@ -105,7 +105,7 @@ class Scene:
 
 
 def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
-    """The scene of a jump, or of the whole bag; None where bodies or tether are not recorded."""
+    """Return the scene of a jump or of the whole bag; None if bodies or tether are not recorded."""
     all_series = [
         bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
     ]
@@ -122,7 +122,7 @@ def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
         chosen = shown(body1, jump).indices(tether)
         origin = jump.take_off_s
     chosen = chosen[np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])]
-    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MOST_FRAMES))]
+    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MAX_FRAMES))]
     if len(chosen) < 2:
         return None
     time = tether.time[chosen]
@@ -150,9 +150,10 @@ def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
 
 
 def tension_scale_max(tension: Floats) -> float:
-    """Where the colour scale of tensions [N], shape (F, points), ends.
+    """Return the end of the colour scale of tensions [N], shape (F, points).
 
-    A little above what most moments reach, as a single snatch would leave all the rest dark.
+    It is 1.2 times the 90th percentile of the frames' peaks: a single snatch shall not darken the
+    rest.
     """
     peaks = tension.max(axis=1)
     usual = 1.2 * float(np.percentile(peaks, 90))
@@ -171,7 +172,7 @@ def _close_up(
 
 
 def shown(body: Motion, jump: Jump) -> Window:
-    """The stretch of a bag that pictures of a jump show."""
+    """Return the time window that drawings of a jump show."""
     end = jump.take_off_s + jump.flight_time_s
     at = int(np.argmin(np.abs(body.time - jump.take_off_s)))
     window = Window.of(body, at, at)
@@ -181,7 +182,7 @@ def shown(body: Motion, jump: Jump) -> Window:
 
 
 def _poses(body: Motion, time: Floats, log_ns: NDArray[np.int64]) -> Floats:
-    """x, z, theta of a body at given times, by interpolation between its samples near them."""
+    """Pose x, z [m], theta [rad] of a body at given times, by linear interpolation."""
     margin = 2_000_000_000
     near = (body.log_ns >= log_ns[0] - margin) & (body.log_ns <= log_ns[-1] + margin)
     t = body.time[near]
@@ -212,26 +213,24 @@ def _element(bag: Bag, nodes: Floats) -> float:
 def write_gif(
     scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 20.0
 ) -> None:
-    """Writes a GIF.
+    """Write a GIF.
 
     Args:
-        scene: What to show.
+        scene: Scene to show.
         path: File to write.
-        width: Of the picture [pixel].
-        slower: Simulated time runs so many times slower.
-        rate: Pictures per second.
+        width: Width of the image [pixel].
+        slower: Factor by which playback is slower than simulated time.
+        rate: Frames per second.
     """
     span = float(scene.time[-1] - scene.time[0])
-    most = _MOST_PICTURES if scene.is_run else _MOST_FRAMES
+    most = _MAX_GIF_FRAMES if scene.is_run else _MAX_FRAMES
     step = max(1.0 / (rate * slower), span / most)
     times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
     pace = step * rate
-    words = f"{1.0 / pace:.3g} times slower" if pace < 1.0 else f"{pace:.3g} times faster"
-    palette = _picture(scene, float(times[len(times) // 2]), width, words).quantize(64)
+    words = f"{1.0 / pace:.3g} x slower" if pace < 1.0 else f"{pace:.3g} x faster"
+    palette = _frame(scene, float(times[len(times) // 2]), width, words).quantize(64)
     frames = [
-        _picture(scene, float(time), width, words).quantize(
-            palette=palette, dither=Image.Dither.NONE
-        )
+        _frame(scene, float(time), width, words).quantize(palette=palette, dither=Image.Dither.NONE)
         for time in times
     ]
     duration = [round(1000.0 / rate)] * len(frames)
@@ -247,7 +246,7 @@ def write_gif(
 
 
 class _View:
-    """Maps metres to pixels of a panel that shows a box with equal scales."""
+    """Maps metres to pixels of a panel with equal scales."""
 
     def __init__(
         self,
@@ -266,8 +265,8 @@ class _View:
         return (self._x + self.scale * x, self._z - self.scale * z)
 
 
-def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
-    """Left the whole scene, right the rover from near."""
+def _frame(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
+    """One frame: the whole scene on the left, a close-up of the rover on the right."""
     height = round(0.62 * width)
     image = Image.new("RGB", (_FINE * width, _FINE * height), "white")
     draw = ImageDraw.Draw(image)
@@ -296,7 +295,7 @@ def _picture(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
 
 
 def _close_up_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Corners of the view from near."""
+    """Corners of the close-up view."""
     half = scene.follow
     if not half:
         return scene.close_up
@@ -365,7 +364,7 @@ def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
         draw.line([view.at(x, z) for x, z in line], fill=(120, 110, 100), width=4)
     if scene.ground_lines:
         return
-    # Only under the rover: where the mother machine stands there is none at this height.
+    # Draw the ground under the rover only: the mother machine stands at another height.
     reach = scene.body1[:, 0]
     left, right = float(reach.min()) - 0.35, float(reach.max()) + 0.35
     top, bottom = view.at(left, scene.ground), view.at(right, scene.ground)
@@ -383,13 +382,13 @@ def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Fl
 
 
 def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Floats:
-    """Points (pieces + 1, 2) of a tether element's cubic.
+    """Return points on a tether element's Hermite cubic, shape (pieces + 1, 2) [m].
 
     Args:
         left: One end: x, z [m] and slopes dx/ds, dz/ds [-], as in ``Scene.tether``.
         right: The other end.
-        length: Of the element [m].
-        pieces: How many straight pieces stand for the curve.
+        length: Length of the element [m].
+        pieces: Number of straight pieces.
     """
     s = np.linspace(0.0, 1.0, pieces + 1)[:, None]
     cubic: Floats = (
@@ -402,7 +401,7 @@ def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Fl
 
 
 def tension_colour(tension: float, tension_max: float) -> tuple[int, int, int]:
-    """Colour of a tension on the scale that the player uses, too."""
+    """Return the colour of a tension [N] on the scale of the player."""
     place = min(max(tension / tension_max, 0.0), 1.0) * (len(_SCALE) - 1)
     index = min(int(place), len(_SCALE) - 2)
     share = place - index
@@ -414,14 +413,14 @@ def tension_colour(tension: float, tension_max: float) -> tuple[int, int, int]:
 
 
 def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:
-    """A bar of a round length, so that sizes can be read off."""
+    """Draw a scale bar of a round length."""
     span = view.size[0] / view.scale
     length = next((v for v in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if v <= 0.35 * span), 0.05)
     y, x = view.size[1] - 14 * _FINE, 12 * _FINE
     end = x + view.scale * length
     label, font, corner = f"{length:g} m", _font(12), (end + 6 * _FINE, y - 8 * _FINE)
     left, top, right, bottom = draw.textbbox(corner, label, font=font)
-    margin = 4 * _FINE  # of a clear ground, as the tether may lie there
+    margin = 4 * _FINE  # of the white background, as the tether may cross the label
     plate = (min(x, left) - margin, top - margin, right + margin, bottom + margin)
     draw.rectangle(plate, fill="white")
     draw.line([(x, y), (end, y)], fill=_TEXT, width=2 * _FINE)

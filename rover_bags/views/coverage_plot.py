@@ -1,4 +1,4 @@
-"""Draws which part of the wall a descent's pictures cover."""
+"""Plot of the wall area covered by a descent's images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GREY: Final = "#868e96"
 
 
 def draw_coverage(seen: Observations, view: View | None = None) -> Figure | None:
-    """The pictures on the unrolled wall, depth downward; None without any."""
+    """Draw the image footprints on the unrolled wall, depth downward; None without images."""
     view = view or View()
     if not len(seen.depth):
         return None
@@ -33,13 +33,13 @@ def draw_coverage(seen: Observations, view: View | None = None) -> Figure | None
     heading = np.degrees(np.remainder(seen.heading + math.pi, 2.0 * math.pi) - math.pi)
     marks = []
     for chosen, colour, name in (
-        (sharp, BLUE, f"sharp, at most {view.sharp:g} px"),
+        (sharp, BLUE, f"sharp (at most {view.sharp:g} px)"),
         (known & ~sharp, ORANGE, "smeared"),
-        (~known, GREY, "smear not known"),
+        (~known, GREY, "of unknown smear"),
     ):
         if not chosen.any():
             continue
-        # What reaches over the edge of the map comes in again at its other side.
+        # Footprints wrap around at the edges of the map.
         boxes = [
             Rectangle(
                 (heading[at] - 0.5 * width + turn, seen.depth[at] - half[at]), width, 2.0 * half[at]
@@ -59,9 +59,9 @@ def draw_coverage(seen: Observations, view: View | None = None) -> Figure | None
     low, high = float(np.min(seen.depth - half)), float(np.max(seen.depth + half))
     margin = 0.05 * (high - low)
     axes.set_ylim(high + margin, low - margin)
-    axes.set_xlabel("heading of the rover since the start [deg]")
+    axes.set_xlabel("heading relative to the start [deg]")
     axes.set_ylabel("depth [m]")
-    axes.set_title("Wall covered by pictures", pad=26, loc="left", x=-0.055)
+    axes.set_title("Wall coverage of the images", pad=26, loc="left", x=-0.055)
     axes.legend(
         handles=marks, loc="lower left", bbox_to_anchor=(-0.02, 0.985), ncol=3,
         handletextpad=0.3, columnspacing=1.4, borderaxespad=0.0,

@@ -1,4 +1,4 @@
-"""Lines of long records, as plots draw them."""
+"""Curves of long records, thinned for plotting."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ import numpy as np
 from rover_bags.read import Floats
 
 _BUCKETS: Final = 1600
-"""So many places a line has across a plot; within each its extremes are drawn."""
-_SILENT: Final = 1.0
-"""A line does not go on over longer than so [s], or five of its usual periods, without values."""
+"""Number of bins across a plot; the extremes of each bin are drawn."""
+_BREAK: Final = 1.0
+"""A curve breaks at a pause longer than this [s] or than five typical periods."""
 
 
 def envelope(time: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """A line through the extremes of a long record: no peak is lost, however far it is zoomed out.
+    """Return a curve through the extremes of a long record, so that no peak is lost.
 
     Args:
-        time: Of each value [s], shape (N,).
+        time: Time of each value [s], shape (N,).
         low: Smallest value at each time, shape (N,).
-        high: Largest value at each time; the same array where all values are held.
+        high: Largest value at each time; the same array if all values are held.
 
     Returns:
-        Times and values of the line; it breaks where time jumps back and where nothing was
-        recorded.
+        Times and values of the curve, with NaN where time jumps back or the record pauses.
     """
     if not len(time):
         return time, low
@@ -46,8 +45,8 @@ def envelope(time: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _breaks(time: Floats) -> np.ndarray[tuple[int], np.dtype[np.int_]]:
-    """First value of each stretch but the first."""
+    """Index of the first value after each break."""
     steps = np.diff(time)
     ahead = steps[steps > 0.0]
-    usual = float(np.median(ahead)) if len(ahead) else 0.0
-    return np.flatnonzero((steps < 0.0) | (steps > max(_SILENT, 5.0 * usual))) + 1
+    typical = float(np.median(ahead)) if len(ahead) else 0.0
+    return np.flatnonzero((steps < 0.0) | (steps > max(_BREAK, 5.0 * typical))) + 1

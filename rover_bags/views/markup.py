@@ -1,4 +1,4 @@
-"""Pieces of HTML that all pages of the bags are made of."""
+"""HTML fragments shared by the pages of reports."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rover_bags.views.plots import Plot
 
 
 def escaped(text: object) -> str:
-    """Text as it stands in a page."""
+    """Return text escaped for HTML."""
     return html.escape(str(text))
 
 
 def whole_page(title: str, parts: Iterable[str], script: str = "") -> str:
-    """A page that needs nothing else."""
+    """Return a self-contained page."""
     tail = f"<script>{script}</script>" if script else ""
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -25,16 +25,18 @@ def whole_page(title: str, parts: Iterable[str], script: str = "") -> str:
     )
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], wordy: Collection[str] = ()) -> str:
-    """A table; the cells of its rows are given with their tags.
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Collection[str] = ()
+) -> str:
+    """Return a table.
 
     Args:
         head: Headings.
-        rows: Cells, row by row.
-        wordy: Headings of columns that hold words, which stand to the left.
+        rows: Cells with their tags, row by row.
+        text_columns: Headings of columns that hold text and are aligned left.
     """
     heads = "".join(
-        f"<th{' class=words' if text in wordy else ''}>{escaped(text)}</th>" for text in head
+        f"<th{' class=words' if text in text_columns else ''}>{escaped(text)}</th>" for text in head
     )
     body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
     return (
@@ -44,7 +46,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], wordy: Collection[
 
 
 def plot_grid(plots: Sequence[Plot], prefix: str = "") -> str:
-    """Plots side by side; ``prefix`` keeps the inner names of several of a kind apart."""
+    """Return plots side by side; ``prefix`` makes the identifiers in repeated plots unique."""
     shown = []
     for plot in plots:
         timed = (

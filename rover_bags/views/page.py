@@ -1,4 +1,4 @@
-"""Style sheet and player of the report's page; they stand inside it, so that it opens offline."""
+"""Style sheet and animation player, embedded in the report page so that it opens offline."""
 
 from typing import Final
 

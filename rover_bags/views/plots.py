@@ -1,7 +1,7 @@
-"""Plots of a bag as SVG, drawn by matplotlib, to stand inside a page.
+"""Plots of a bag as SVG, drawn by matplotlib for inclusion in a page.
 
-Colours are Okabe and Ito's, which colour-blind readers tell apart; legends stand above the axes,
-never on the data.
+Colours are those of Okabe and Ito, which colour-blind readers can distinguish. Legends stand above
+the axes and never cover data.
 """
 
 import io
@@ -74,12 +74,12 @@ class Plot:
 
     Attributes:
         name: Identifier for the page.
-        svg: The drawing, without anything that a page would have to load.
-        left, right: Where the time axis begins and ends, as shares of the drawing's width; both
-            0 for drawings without one.
-        begin, end: Times there [s].
-        wide: Whether it wants the page's full width.
-        alt: What it shows, in words.
+        svg: The drawing, without external resources.
+        left, right: Ends of the time axis, as fractions of the drawing's width; both 0 for
+            drawings without a time axis.
+        begin, end: Times at these ends [s].
+        wide: Whether it takes the full width of the page.
+        alt: Text alternative.
     """
 
     name: str
@@ -93,7 +93,7 @@ class Plot:
 
 
 def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
-    """Height, attitude, tension and energy over a jump, and its path in the plane."""
+    """Draw height, attitude, tension and energy over a jump, and its path in the plane."""
     with mpl.rc_context(STYLE):
         plots = [
             _height(bag, jump),
@@ -109,7 +109,7 @@ def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
 
 
 def bag_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
-    """The whole recording: height over time, and how steadily each topic came."""
+    """Draw the height over the whole recording, and the rates and gaps of the topics."""
     with mpl.rc_context(STYLE):
         plots = [_overview(bag, metrics), _strips(bag)]
     return [plot for plot in plots if plot is not None]
@@ -121,7 +121,7 @@ def bag_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
 def _time_axes(
     jump: Jump, name: str, title: str, unit: str, *, rows: int = 1
 ) -> tuple[Figure, Axes]:
-    """Axes over the time of a jump; ``rows``: of the legend above them."""
+    """Axes over the time of a jump, below a legend of a number of ``rows``."""
     figure = Figure(figsize=(5.6, 3.4))
     axes = figure.add_axes((0.15, 0.15, 0.835, 0.71 - 0.06 * rows))
     axes.set_title(title, pad=8 + 15 * rows, x=-0.148)
@@ -136,7 +136,7 @@ def _time_axes(
 
 
 def legend(axes: Axes, columns: int) -> None:
-    """A legend above the axes."""
+    """Add a legend above the axes."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(-0.02, 0.985), ncol=columns, handlelength=1.3,
         columnspacing=1.1, handletextpad=0.5, borderaxespad=0.0, labelspacing=0.25,
@@ -152,7 +152,7 @@ def _time_plot(figure: Figure, axes: Axes, alt: str) -> Plot:
 
 
 def _of_body(bag: Bag, jump: Jump) -> tuple[TimeSeries, Motion, NDArray[np.intp], Floats] | None:
-    """TimeSeries and motion of Body 1, what of it is shown, and the time of that since take-off."""
+    """Time series and motion of Body 1, indices to show, and their times since take-off [s]."""
     series = bag.series(topics.TRUTH_BODY1)
     if series is None:
         return None
@@ -167,7 +167,7 @@ def _height(bag: Bag, jump: Jump) -> Plot | None:
         return None
     _, body, chosen, time = found
     rise = body.position[chosen, 2] - jump.start_height_m
-    figure, axes = _time_axes(jump, "height", "Height of Body 1 over its start", "rise [m]")
+    figure, axes = _time_axes(jump, "height", "Rise of Body 1 above its start", "rise [m]")
     axes.plot(time, rise, color=BLUE, label="centre of Body 1")
     apex = jump.apex_s - jump.take_off_s
     axes.plot([apex], [jump.jump_height_m], "o", color=ORANGE, ms=6, label="apex")
@@ -177,12 +177,12 @@ def _height(bag: Bag, jump: Jump) -> Plot | None:
     )  # fmt: skip
     axes.margins(y=0.16)
     legend(axes, 2)
-    alt = f"Height over time; the apex is {jump.jump_height_m:.4f} m over the start"
+    alt = f"Height over time; the apex is {jump.jump_height_m:.4f} m above the start"
     return _time_plot(figure, axes, alt)
 
 
 def _tilt(bag: Bag, jump: Jump) -> Plot | None:
-    """Tilt and turn of a body that turns in space."""
+    """Tilt and heading of a rover in space."""
     found = _of_body(bag, jump)
     if found is None:
         return None
@@ -190,9 +190,9 @@ def _tilt(bag: Bag, jump: Jump) -> Plot | None:
     figure, axes = _time_axes(jump, "attitude", "Attitude of the rover", "angle [deg]")
     heading = np.degrees(headings(series)[chosen])
     axes.plot(time, np.degrees(tilts(series)[chosen]), color=BLUE, label="tilt from the vertical")
-    axes.plot(time, heading - heading[0], color=GREEN, label="turn about the vertical")
+    axes.plot(time, heading - heading[0], color=GREEN, label="heading change")
     legend(axes, 2)
-    alt = f"Attitude over time; it lands tilted by {math.degrees(jump.tilt_rad):.1f} degrees"
+    alt = f"Attitude over time; tilt at touchdown {math.degrees(jump.tilt_rad):.1f} degrees"
     return _time_plot(figure, axes, alt)
 
 
@@ -256,7 +256,7 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
         values = series.columns[f"{name}.position"][chosen]
         changes[name] = values - values[0]
     largest = max(float(np.abs(change).max()) for change in changes.values())
-    # What cannot be seen at this scale is not drawn.
+    # Skip terms that are invisible at this scale.
     seen = {
         name: change
         for name, change in changes.items()
@@ -264,7 +264,7 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
     }
     rows = 1 if len(seen) <= 5 else 2
     figure, axes = _time_axes(
-        jump, "energy", "Energy, change since before the jump", "energy [J]", rows=rows
+        jump, "energy", "Energy change since before take-off", "energy [J]", rows=rows
     )
     for name, change in seen.items():
         style = "--" if name in {"input", "dissipated"} else "-"
@@ -286,18 +286,18 @@ def _drift(bag: Bag, jump: Jump) -> Plot | None:
     drift = series.columns["drift.position"][chosen]
     size = float(np.abs(drift).max())
     power = 0 if size == 0.0 or 1e-2 <= size < 1e3 else math.floor(math.log10(size))
-    unit = "drift [J]" if power == 0 else f"drift [$10^{{{power}}}$ J]"
-    figure, axes = _time_axes(jump, "drift", "What the energy balance misses", unit)
+    unit = "residual [J]" if power == 0 else f"residual [$10^{{{power}}}$ J]"
+    figure, axes = _time_axes(jump, "drift", "Residual of the energy balance", unit)
     axes.plot(
         series.time[chosen] - jump.take_off_s, drift / 10.0**power, color=RED,
         label="stored - initial - input + dissipated",
     )  # fmt: skip
     legend(axes, 1)
-    return _time_plot(figure, axes, "Drift of the energy balance over time")
+    return _time_plot(figure, axes, "Residual of the energy balance over time")
 
 
 def _along(bag: Bag, jump: Jump) -> Plot | None:
-    """Tension by place along the tether and time."""
+    """Tension over time and position along the tether."""
     body, tether = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_TETHER)
     if body is None or tether is None or not tether.shapes:
         return None
@@ -314,7 +314,7 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
     axes.set_title("Tension along the tether", pad=10, x=-0.172)
     axes.yaxis.set_label_coords(-0.11, 0.5)
     axes.set_xlabel("time since take-off [s]")
-    axes.set_ylabel("from fairlead to rover [m]")
+    axes.set_ylabel("distance from the fairlead [m]")
     tension_max = tension_scale_max(tension.T)
     image = axes.pcolormesh(
         time, place, np.maximum(tension, 0.0), cmap="viridis", shading="nearest", vmin=0.0,
@@ -333,22 +333,22 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
 
 
 def _path(scene: Scene, jump: Jump) -> Plot:
-    """Tether and rover at start, apex and touchdown: the whole, and the rover from near."""
+    """Tether and rover at start, apex and touchdown: the whole scene and a close-up."""
     figure = Figure(figsize=_PATH_SIZE)
     figure.set_label("path")
     whole = figure.add_axes((0.06, 0.11, 0.44, 0.74))
-    near = figure.add_axes((0.56, 0.11, 0.43, 0.74))
-    moments = (
+    close_up = figure.add_axes((0.56, 0.11, 0.43, 0.74))
+    instants = (
         ("before take-off", 0.0, "#868e96"),
         ("apex", jump.apex_s - jump.take_off_s, BLUE),
         ("touchdown", jump.flight_time_s, ORANGE),
     )
-    for axes, (low, high) in ((whole, (scene.low, scene.high)), (near, scene.close_up)):
+    for axes, (low, high) in ((whole, (scene.low, scene.high)), (close_up, scene.close_up)):
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_xlabel("x, forward from the fairlead [m]")
         axes.set_ylabel("z, up [m]")
         axes.axhline(scene.ground, color="#b8ad9e", lw=1.2, zorder=0)
-        for label, time, colour in moments:
+        for label, time, colour in instants:
             index = int(np.argmin(np.abs(scene.time - time)))
             index = max(index - 1, 0) if time == 0.0 else index
             curve = _curve(scene.tether[index], scene.element)
@@ -362,22 +362,22 @@ def _path(scene: Scene, jump: Jump) -> Plot:
                     box[:, 0], box[:, 1], facecolor=colour, alpha=0.3, edgecolor=colour, lw=1.2
                 )
         axes.plot(
-            scene.body1[:, 0], scene.body1[:, 1], ":", color=BLACK, lw=1.4, label="way of Body 1"
+            scene.body1[:, 0], scene.body1[:, 1], ":", color=BLACK, lw=1.4, label="path of Body 1"
         )
         _fit(axes, low, high)
     whole.plot(*scene.tether[0, 0, :2], "s", color=BLACK, ms=6, label="fairlead")
     whole.set_title("Tether and rover in the plane of the jump", pad=24, x=-0.115)
-    near.set_title("The rover from near", pad=24, x=-0.115)
+    close_up.set_title("Close-up of the rover", pad=24, x=-0.115)
     whole.legend(
         loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncol=5, handlelength=1.4,
         columnspacing=1.1, handletextpad=0.5, borderaxespad=0.0,
     )  # fmt: skip
-    alt = "Tether and rover before take-off, at the apex and at touchdown, drawn to scale"
+    alt = "Tether and rover before take-off, at the apex and at touchdown, to scale"
     return Plot("path", as_svg(figure), alt, wide=True)
 
 
 def _fit(axes: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:
-    """Limits that show a box with equal scales and fill the axes."""
+    """Set limits that show a box with equal scales and fill the axes."""
     box = axes.get_position()
     shape = _PATH_SIZE[0] * box.width / (_PATH_SIZE[1] * box.height)
     span_x, span_z = high[0] - low[0], high[1] - low[1]
@@ -408,7 +408,7 @@ def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
     body = motion(series)
     figure = Figure(figsize=(11.4, 2.8))
     axes = figure.add_axes((0.07, 0.2, 0.915, 0.58))
-    axes.set_title("The whole recording", pad=18, x=-0.06)
+    axes.set_title("Height of Body 1 over the recording", pad=18, x=-0.06)
     axes.set_xlabel("simulated time [s]")
     axes.set_ylabel("z of Body 1 [m]")
     time, height = body.time, body.position[:, 2]
@@ -428,7 +428,7 @@ def _overview(bag: Bag, metrics: Metrics) -> Plot | None:
 
 
 def _strips(bag: Bag) -> Plot | None:
-    """When each steady topic came as promised, and when it paused."""
+    """When each periodic topic was at its rate, and its gaps."""
     rows = [
         (name, float(rate), series)
         for name, series in bag.time_series.items()
@@ -441,7 +441,7 @@ def _strips(bag: Bag) -> Plot | None:
     figure = Figure(figsize=(11.4, 0.25 * len(rows) + 1.55))
     tall = figure.get_figheight()
     axes = figure.add_axes((0.165, 0.62 / tall, 0.82, 1.0 - 1.45 / tall))
-    axes.set_title("When the topics came", pad=26, x=-0.2)
+    axes.set_title("Topic rates and gaps", pad=26, x=-0.2)
     axes.set_xlabel("simulated time [s]")
     for row, (_, rate, series) in enumerate(rows):
         promised = series.stride / rate
@@ -453,9 +453,9 @@ def _strips(bag: Bag) -> Plot | None:
                 facecolors=colour,
             )  # fmt: skip
     for colour, label in (
-        (SKY, "at the promised rate"),
-        (YELLOW, "more slowly, all the time"),
-        (RED, f"pause of over {GAP:g} periods"),
+        (SKY, "at the contract's rate"),
+        (YELLOW, "slower throughout"),
+        (RED, f"gap of more than {GAP:g} periods"),
     ):
         axes.plot([], [], color=colour, lw=6, label=label)
     axes.legend(
@@ -471,12 +471,12 @@ def _strips(bag: Bag) -> Plot | None:
         max(float(series.time.max()) for _, _, series in rows),
     )
     figure.set_label("strips")
-    alt = "For each topic when it came at its promised rate and when it paused"
+    alt = "Times at which each topic was published at its rate, and its gaps"
     return Plot("strips", as_svg(figure), alt, wide=True)
 
 
 def _spans(series: TimeSeries, longest: float, *, steady: bool) -> list[tuple[float, float]]:
-    """Stretches in which messages follow within ``longest`` seconds, or those in between."""
+    """Time spans in which messages follow within ``longest`` seconds, or the gaps between."""
     time, steps = series.time, np.diff(pacing_times(series))
     kind = (steps <= longest) & (steps >= 0.0) if steady else steps > longest
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kind, [False]]).astype(np.int8)))
@@ -487,7 +487,7 @@ def _spans(series: TimeSeries, longest: float, *, steady: bool) -> list[tuple[fl
 
 
 def as_svg(figure: Figure) -> str:
-    """The figure as an element for a page: scalable, no metadata, no addresses."""
+    """Return the figure as a scalable SVG element without metadata and external addresses."""
     target = io.StringIO()
     FigureCanvasSVG(figure).print_svg(target, metadata={"Date": None, "Creator": None})
     text = target.getvalue()
@@ -495,7 +495,7 @@ def as_svg(figure: Figure) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", text)
     text = text.replace("xlink:href", "href").replace(f"'{_FONT}'", _PAGE_FONTS)
-    # Several drawings in one page: their inner names must differ.
+    # Identifiers must be unique in a page with several drawings.
     label = str(figure.get_label())
     text = re.sub(r'\bid="([^"]+)"', rf'id="{label}-\1"', text)
     text = re.sub(r'href="#([^"]+)"', rf'href="#{label}-\1"', text)

@@ -1,4 +1,4 @@
-"""The report as a page: it stands alone, opens offline in any browser, and loads nothing."""
+"""The report as a self-contained HTML page that opens offline in any browser."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -15,9 +15,9 @@ from rover_bags.views.sections import (
     activity_sections,
     audit_sentences,
     energy_balance_section,
+    interval_section,
     metric_sections,
     momentum_sections,
-    phase_section,
 )
 from rover_bags.views.summary import (
     JUMP_METRICS,
@@ -33,7 +33,7 @@ _SHOWN_ROWS = 30
 
 
 def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
-    """The report as one HTML page that needs nothing else."""
+    """Return the report as one self-contained HTML page."""
     title = f"Bag report: {bag.path.resolve().name}"
     parts = [
         f"<h1>{escaped(title)}</h1>",
@@ -57,7 +57,7 @@ def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
 
 
 def _run_section(metrics: Metrics, drawings: Drawings) -> str:
-    """The whole run: what it did, in pictures and tables."""
+    """The whole run: animation, plots and tables."""
     parts = []
     if drawings.run is not None:
         poster = float(drawings.run.time[0])
@@ -66,14 +66,17 @@ def _run_section(metrics: Metrics, drawings: Drawings) -> str:
     sections = [*activity_sections(metrics), *metric_sections(metrics)]
     parts += [f"<h3>{escaped(item.name)}</h3>{item.as_html()}" for item in sections]
     if metrics.coverage is not None:
-        parts.append(f"<h3>Wall</h3><p>{escaped(metrics.coverage.summary)}.</p>")
-    phases = phase_section(metrics)
-    if phases is not None:
+        parts.append(f"<h3>Wall coverage</h3><p>{escaped(metrics.coverage.summary)}.</p>")
+    intervals = interval_section(metrics)
+    if intervals is not None:
         count = len(metrics.timeline.intervals)
-        parts.append(f"<details><summary>All {count} phases</summary>{phases.as_html()}</details>")
+        parts.append(
+            f"<details><summary>All {count} activity intervals</summary>"
+            f"{intervals.as_html()}</details>"
+        )
     if not metrics.jumps:
         parts.append("<p>No jump in this bag.</p>")
-    return f"<section><h2>The run</h2>{''.join(parts)}</section>" if parts else ""
+    return f"<section><h2>Run</h2>{''.join(parts)}</section>" if parts else ""
 
 
 def _audit_section(metrics: Metrics) -> str:
@@ -88,7 +91,11 @@ def _audit_section(metrics: Metrics) -> str:
         else f"<details><summary>{escaped(item.name)}</summary>{item.as_html()}</details>"
         for item in sections
     )
-    return f"<section><h2>Audits</h2>{words}{tables}</section>" if words or tables else ""
+    return (
+        f"<section><h2>Energy and momentum audits</h2>{words}{tables}</section>"
+        if words or tables
+        else ""
+    )
 
 
 def _origin(bag: Bag) -> str:
@@ -109,7 +116,7 @@ def _notes(texts: Sequence[str]) -> str:
         return ""
     items = "".join(f"<li>{escaped(text)}</li>" for text in texts[:30])
     more = f"<li>and {len(texts) - 30} more</li>" if len(texts) > 30 else ""
-    return f'<div class="note"><b>Before you trust it</b><ul>{items}{more}</ul></div>'
+    return f'<div class="note"><b>Data quality</b><ul>{items}{more}</ul></div>'
 
 
 def _cards(jump: Jump) -> str:
@@ -126,7 +133,7 @@ def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> st
     heading = "Jump" if count == 1 else f"Jump {number}"
     when = f"take-off at {jump.take_off_s:.3f} s of simulated time"
     if jump.touchdown_s is None:
-        when += "; the recording ends in flight, and so do the metrics"
+        when += "; the recording ends in flight, metrics are of its recorded part"
     player = _player(scene, jump.apex_s - jump.take_off_s) if scene is not None else ""
     return (
         f'<section id="jump-{number}"><h2>{heading}</h2><p class="soft">{escaped(when)}</p>'
@@ -136,7 +143,7 @@ def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> st
 
 
 def _agreement(jump: Jump) -> str:
-    """How the figures from the recorded motion compare with what the plant itself reported."""
+    """Difference between the metrics of the recorded motion and those published by the plant."""
     pairs = (("height", jump.jump_height_m, "m"),
              ("attitude_variation", jump.attitude_variation_rad, "rad"))  # fmt: skip
     words = [
@@ -148,7 +155,7 @@ def _agreement(jump: Jump) -> str:
     if not words:
         return ""
     return (
-        '<p class="soft">Found from the recorded motion. The plant itself reported '
+        '<p class="soft">Computed from the recorded motion. The plant published '
         f"{escaped(' and '.join(words))}.</p>"
     )
 
@@ -166,9 +173,9 @@ def _player(scene: Scene, poster: float) -> str:
         f'<option value="{value}"{" selected" if value == usual else ""}>{label}</option>'
         for value, label in choices
     )
-    about = "Left the whole scene, right the rover from near, both to scale, seen along y. "
+    about = "Left: whole scene. Right: close-up of the rover. Both to scale, viewed along y. "
     if not scene.follow:
-        about += "The ground line marks the level at which the rover stood. "
+        about += "The ground line marks the level on which the rover stood. "
     return (
         f'<div class="player" data-poster="{poster:.4f}">'
         '<canvas role="img" aria-label="Side view of rover and tether"></canvas>'
@@ -176,7 +183,7 @@ def _player(scene: Scene, poster: float) -> str:
         f'<select aria-label="Speed">{speeds}</select>'
         '<input type="range" aria-label="Time"><output></output></div>'
         f'<script type="application/json">{data}</script></div>'
-        f'<p class="soft">{about}Click into a plot to go to that time.</p>'
+        f'<p class="soft">{about}Click in a plot to move the animation to that time.</p>'
     )
 
 
@@ -212,9 +219,9 @@ def _topic_table(items: Iterable[TopicMetrics]) -> str:
             cells.append(f"<td{mark}>{text}</td>")
         rows.append(cells)
     return (
-        "<h3>Topics</h3><p class='soft'>Rates and gaps in simulated time (health and status: by "
-        "the machine's clock); delay from sending to reception by the machine's clock. "
-        "Lost: on the way to the recorder; dropped: by the recorder; refused: breaking the "
+        "<h3>Topics</h3><p class='soft'>Rates and gaps are in simulated time (status topics: wall "
+        "time). Latency: publication to reception, wall time. Age: stamp to reception. Lost: in "
+        "transport to the recorder; dropped: by the recorder; rejected: violates the "
         "contract.</p>"
         f"{table(head, rows)}"
     )
@@ -236,8 +243,8 @@ def _entries(heading: str, entries: Sequence[Entry]) -> str:
                 f'<td class="words soft">{escaped(values)}</td>',
             ]
         )
-    words = ("node", "what", "why", "values")
-    shown = table(["time [s]", *words], rows, wordy=words)
+    words = ("node", "event", "message", "values")
+    shown = table(["time [s]", *words], rows, text_columns=words)
     more = f"<p>and {len(entries) - _ROWS} more</p>" if len(entries) > _ROWS else ""
     return f"<section><h2>{heading}</h2>{shown}{more}</section>"
 

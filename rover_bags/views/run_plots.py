@@ -1,4 +1,4 @@
-"""Plots of a whole run: what it did when, winch, swing, pictures, the way on the floor, audits."""
+"""Plots of a whole run: activities, winch, swing, images, path on the floor, audits."""
 
 from __future__ import annotations
 
@@ -53,22 +53,22 @@ COLOURS: Final = {
     Activity.STANDING: "#d9cdb8", Activity.SLACK: BROWN, Activity.DRIVING: GREEN,
     Activity.TURNING: "#7fc97f", Activity.COMPRESSING: YELLOW, Activity.FLIGHT: ORANGE,
 }  # fmt: skip
-"""Of each activity, on every plot."""
+"""Colour of each activity in all plots."""
 _WIDE: Final = 11.4
 _LEFT, _WIDTH = 0.068, 0.915
 _DEFLECTED: Final = 1e-3
 _HEAD: Final = 0.62
-"""Room for a plot's title and the legend below it [inch]."""
+"""Height of a plot's title and legend [inch]."""
 
 
 def run_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
-    """Every plot of a whole run for which the bag holds what is needed."""
+    """Draw every plot of a whole run for which the bag holds the data."""
     with mpl.rc_context(STYLE):
         plots = [
             _timeline(bag, metrics),
             _winch(bag, metrics),
             _swing(bag, metrics),
-            _pictures(bag),
+            _images(bag),
             _coverage(bag),
             _floor(bag, metrics),
             _energy_balance(bag),
@@ -86,13 +86,13 @@ def _line(axes: Axes, series: TimeSeries, path: str, scale: float = 1.0, **style
     axes.plot(*envelope(series.time, low, high), **style)
 
 
-# --- figures with one or more rows over the run's time --------------------------------------------
+# --- figures with one or more axes over the run's time --------------------------------------------
 
 
 def _rows(name: str, title: str, heights: tuple[float, ...], top: float = 0.62) -> tuple[
     Figure, list[Axes]
 ]:  # fmt: skip
-    """Axes below one another; ``top``: inches for the legend above each."""
+    """Axes below one another, each with ``top`` inches for its legend."""
     bottom = 0.5
     head = max(_HEAD - top, 0.0)
     tall = head + sum(heights) + len(heights) * top + bottom
@@ -122,7 +122,7 @@ def _plot(figure: Figure, axes: list[Axes], alt: str, bag: Bag) -> Plot:
 
 
 def _span(bag: Bag) -> tuple[float, float]:
-    """Begin and end of the run [s], the same on every plot."""
+    """Start and end of the run [s], the same in every plot."""
     for name in (topics.CLOCK, topics.TRUTH_BODY1, topics.WINCH_STATE, topics.CONTACT):
         series = bag.series(name)
         if series is not None and len(series) > 1:
@@ -132,7 +132,7 @@ def _span(bag: Bag) -> tuple[float, float]:
 
 
 def _shade(axes: Axes, metrics: Metrics) -> None:
-    """Faint colours of the activities behind a line."""
+    """Shade the activities in the background."""
     for interval in metrics.timeline.intervals:
         if interval.activity not in {Activity.HANGING, Activity.STANDING}:
             axes.axvspan(
@@ -146,18 +146,18 @@ def _shade(axes: Axes, metrics: Metrics) -> None:
 
 
 def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
-    phases = metrics.timeline.intervals
+    intervals = metrics.timeline.intervals
     body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
-    if not phases or (body is None and drum is None):
+    if not intervals or (body is None and drum is None):
         return None
-    figure, (strip, depth) = _rows("timeline", "What it did", (0.42, 2.0), top=0.5)
-    for interval in phases:
+    figure, (strip, depth) = _rows("timeline", "Activities and height", (0.42, 2.0), top=0.5)
+    for interval in intervals:
         strip.axvspan(interval.begin_s, interval.end_s, color=COLOURS[interval.activity], lw=0)
     strip.set_yticks([])
     strip.grid(visible=False)
     for spine in strip.spines.values():
         spine.set_visible(False)
-    seen = dict.fromkeys(interval.activity for interval in phases)
+    seen = dict.fromkeys(interval.activity for interval in intervals)
     strip.legend(
         handles=[Patch(color=COLOURS[what], label=what.value) for what in seen],
         loc="lower left", bbox_to_anchor=(-0.005, 1.0), ncol=9, handlelength=1.0,
@@ -167,7 +167,15 @@ def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
         _line(depth, body, "position.z", color=BLUE, label="Body 1", lw=1.6)
         depth.set_ylabel("z [m]")
     elif drum is not None:
-        _line(depth, drum, f"{WINCH_DRUM}.position", -1.0, color=BLUE, label="paid out", lw=1.6)
+        _line(
+            depth,
+            drum,
+            f"{WINCH_DRUM}.position",
+            -1.0,
+            color=BLUE,
+            label="tether length at the drum",
+            lw=1.6,
+        )
         depth.set_ylabel("-length [m]")
     depth.margins(y=0.1)
     _mark(depth, metrics)
@@ -204,8 +212,8 @@ def _winch(bag: Bag, metrics: Metrics) -> Plot | None:
     heights = (1.6, 1.2, 1.5) if cell is not None else (1.6, 1.2)
     figure, rows = _rows("winch", "Winch and tether", heights, top=0.42)
     length, rate = rows[0], rows[1]
-    _line(length, drum, f"{WINCH_DRUM}.position", color=BLUE, label="paid out at the drum")
-    _line(rate, drum, f"{WINCH_DRUM}.velocity", color=BLUE, label="rate at the drum", lw=1.2)
+    _line(length, drum, f"{WINCH_DRUM}.position", color=BLUE, label="tether length at the drum")
+    _line(rate, drum, f"{WINCH_DRUM}.velocity", color=BLUE, label="payout rate at the drum", lw=1.2)
     if estimate is not None:
         style: dict[str, Any] = {"color": ORANGE, "ls": "--", "lw": 1.2}
         _line(length, estimate, f"{REFERENCE}.position", label="reference", **style)
@@ -242,7 +250,7 @@ def _swing(bag: Bag, metrics: Metrics) -> Plot | None:
     time, angle = swing
     if not np.isfinite(angle).any() or np.nanmax(angle) < _DEFLECTED:
         return None
-    figure, (axes,) = _rows("swing", "Swing of the hanging rover from the vertical", (1.6,))
+    figure, (axes,) = _rows("swing", "Swing angle of the hanging rover, from the vertical", (1.6,))
     degrees = np.degrees(angle)
     axes.plot(*envelope(time, degrees, degrees), color=PURPLE, lw=1.0, label="Body 1")
     axes.set_ylabel("angle [deg]")
@@ -252,7 +260,7 @@ def _swing(bag: Bag, metrics: Metrics) -> Plot | None:
     return _plot(figure, [axes], "Swing angle over time", bag)
 
 
-def _pictures(bag: Bag) -> Plot | None:
+def _images(bag: Bag) -> Plot | None:
     camera = bag.series(topics.CAMERA)
     if camera is None:
         return None
@@ -260,30 +268,30 @@ def _pictures(bag: Bag) -> Plot | None:
     sees = wall < NO_WALL
     if sees.sum() < 10:
         return None
-    figure, (axes,) = _rows("pictures", "Smear of the wall camera's pictures", (1.7,))
+    figure, (axes,) = _rows("pictures", "Motion smear of the wall images", (1.7,))
     smear = camera.columns[f"{SMEAR}.position"]
     axes.plot(
         camera.time[sees], np.maximum(smear[sees], 1e-3), ".", ms=2.5, color=BLUE,
-        label="pictures that see the wall", rasterized=bool(sees.sum() > 4000),
+        label="images of the wall", rasterized=bool(sees.sum() > 4000),
     )  # fmt: skip
     axes.axhline(SMEAR_LIMIT_PX, color=RED, lw=1.0, ls="--", label=f"limit {SMEAR_LIMIT_PX:g} px")
     axes.set_yscale("log")
     axes.set_ylabel("smear [px]")
     legend(axes, 2)
-    return _plot(figure, [axes], "Smear of the pictures over time", bag)
+    return _plot(figure, [axes], "Motion smear of the images over time", bag)
 
 
 def _coverage(bag: Bag) -> Plot | None:
-    """Where on the wall the pictures lie that the descent has logged."""
+    """Footprints on the wall of the images that the descent has logged."""
     series = bag.series(topics.DESCENT_OBSERVATION)
     figure = None if series is None else draw_coverage(observations_of(series))
     if figure is None:
         return None
-    alt = "Pictures on the unrolled wall, over heading and depth"
+    alt = "Footprints of images on the unrolled wall, over heading and depth"
     return Plot(str(figure.get_label()), as_svg(figure), alt, wide=True)
 
 
-# --- the way on the floor -------------------------------------------------------------------------
+# --- path on the floor ----------------------------------------------------------------------------
 
 
 def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
@@ -294,7 +302,7 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
     figure = Figure(figsize=(5.6, 4.6))
     figure.set_label("floor")
     axes = figure.add_axes((0.13, 0.11, 0.84, 0.72))
-    axes.set_title("Way on the floor, from above", pad=26, x=-0.128)
+    axes.set_title("Path on the floor, seen from above", pad=26, x=-0.128)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x, forward from the fairlead [m]")
     axes.set_ylabel("y, left [m]")
@@ -320,7 +328,7 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
         )
     first = inside(body, moves[0].begin_s, moves[0].begin_s + 0.1, (moves[0].log_begin,) * 2)
     last = inside(body, moves[-1].end_s - 0.1, moves[-1].end_s, (moves[-1].log_end,) * 2)
-    for part, sign, label in ((first[:1], "o", "begin"), (last[-1:], "s", "end")):
+    for part, sign, label in ((first[:1], "o", "start"), (last[-1:], "s", "end")):
         if len(part):
             axes.plot(
                 place[part, 0], place[part, 1], sign, color=BLACK, ms=6, label=label, zorder=5
@@ -330,7 +338,7 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
         loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncol=5, handlelength=1.4,
         columnspacing=1.0, handletextpad=0.5, borderaxespad=0.0,
     )  # fmt: skip
-    return Plot("floor", as_svg(figure), "Way of Body 1 on the floor, from above")
+    return Plot("floor", as_svg(figure), "Path of Body 1 on the floor, seen from above")
 
 
 # --- audits ---------------------------------------------------------------------------------------
@@ -347,8 +355,8 @@ def _energy_balance(bag: Bag) -> Plot | None:
         "dissipated": (parts["dissipated"], SKY),
         "stored": (stored, ORANGE),
     }
-    figure, (axes, missed) = _rows(
-        "energy_balance", "Energy, change since the begin", (1.7, 1.0), top=0.46
+    figure, (axes, residual) = _rows(
+        "energy_balance", "Energy change since the start", (1.7, 1.0), top=0.46
     )
     for name, (values, colour) in lines.items():
         change = values - values[0]
@@ -356,13 +364,13 @@ def _energy_balance(bag: Bag) -> Plot | None:
     axes.set_ylabel("energy [J]")
     rest = lines["stored"][0] - lines["input"][0] + lines["dissipated"][0]
     rest = 1e3 * (rest - rest[0])
-    missed.plot(
+    residual.plot(
         *envelope(series.time, rest, rest), color=RED, lw=1.2, label="stored - input + dissipated"
     )
-    missed.set_ylabel("missed [mJ]")
+    residual.set_ylabel("residual [mJ]")
     legend(axes, 3)
-    legend(missed, 1)
-    return _plot(figure, [axes, missed], "Energy put in, stored and dissipated over time", bag)
+    legend(residual, 1)
+    return _plot(figure, [axes, residual], "Energy put in, stored and dissipated over time", bag)
 
 
 def _rotors(bag: Bag) -> Plot | None:
@@ -379,9 +387,9 @@ def _rotors(bag: Bag) -> Plot | None:
     moving = [line for line in lines if np.ptp(line[0].columns[line[1]]) > 0.0]
     if not moving:
         return None
-    figure, (axes,) = _rows("rotors", "Angular momentum of what spins in the rover", (1.6,))
+    figure, (axes,) = _rows("rotors", "Angular momentum of flywheel and wheels", (1.6,))
     for series, path, scale, label, colour in moving:
         _line(axes, series, path, scale, color=colour, label=label, lw=1.2)
-    axes.set_ylabel("momentum [N m s]")
+    axes.set_ylabel("angular momentum [N m s]")
     legend(axes, 4)
-    return _plot(figure, [axes], "Momentum of flywheel and wheels over time", bag)
+    return _plot(figure, [axes], "Angular momentum of flywheel and wheels over time", bag)

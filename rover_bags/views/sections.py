@@ -1,4 +1,4 @@
-"""Tables of the report: what the machine did, descents, drives, pictures and audits."""
+"""Tables of the report: activities, descents, drives, imaging stops and audits."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _ROWS: Final = 200
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table: heading with unit, and how a row's value is written."""
+    """One column of a table: heading with unit, value of a row, and number format."""
 
     heading: str
     value: Callable[[Any], float | str | None]
     form: str = ".2f"
 
     def text(self, row: Any) -> str:
-        """The cell."""
+        """Return the text of a cell."""
         value = self.value(row)
         if isinstance(value, str):
             return value
@@ -39,9 +39,9 @@ class Section:
 
     Attributes:
         name: Heading.
-        columns: Its columns.
-        rows: What stands in its rows.
-        about: A sentence above it.
+        columns: Columns.
+        rows: Objects shown in the rows.
+        about: Explanation above the table.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Section:
     about: str = ""
 
     def as_text(self) -> list[str]:
-        """Lines for a terminal."""
+        """Return lines for a terminal."""
         cells = [[column.text(row) for column in self.columns] for row in self.rows[:_ROWS]]
         heads = [column.heading for column in self.columns]
         widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
@@ -67,7 +67,7 @@ class Section:
         return lines
 
     def as_html(self) -> str:
-        """A table for the page."""
+        """Return a table for the page."""
         rows = [
             [_cell(column.value(row), column.text(row)) for column in self.columns]
             for row in self.rows[:_ROWS]
@@ -75,11 +75,11 @@ class Section:
         about = f'<p class="soft">{escaped(self.about)}</p>' if self.about else ""
         more = f"<p>and {len(self.rows) - _ROWS} more</p>" if len(self.rows) > _ROWS else ""
         heads = [column.heading for column in self.columns]
-        return f"{about}{table(heads, rows, wordy=self._text_columns)}{more}"
+        return f"{about}{table(heads, rows, text_columns=self._text_columns)}{more}"
 
     @property
     def _text_columns(self) -> set[str]:
-        """Headings of columns that hold words."""
+        """Headings of columns that hold text."""
         return {
             column.heading
             for column in self.columns
@@ -97,120 +97,120 @@ def _degrees(value: float | None) -> float | None:
 
 
 _WHEN: Final = (
-    Column("begin s", lambda row: row.begin_s),
-    Column("end s", lambda row: row.end_s),
+    Column("start [s]", lambda row: row.begin_s),
+    Column("end [s]", lambda row: row.end_s),
 )
 
 _DESCENTS: Final = (
-    Column("way", lambda d: "down" if d.downward else "up"),
+    Column("direction", lambda d: "down" if d.downward else "up"),
     *_WHEN,
-    Column("duration s", lambda d: d.end_s - d.begin_s),
-    Column("from m", lambda d: d.from_m, ".3f"),
-    Column("to m", lambda d: d.to_m, ".3f"),
-    Column("depth from m", lambda d: d.depth_from_m, ".3f"),
-    Column("to m", lambda d: d.depth_to_m, ".3f"),
-    Column("mean m/s", lambda d: d.rate_m_s, ".3f"),
-    Column("fastest m/s", lambda d: d.rate_max_m_s, ".3f"),
+    Column("duration [s]", lambda d: d.end_s - d.begin_s),
+    Column("length from [m]", lambda d: d.from_m, ".3f"),
+    Column("to [m]", lambda d: d.to_m, ".3f"),
+    Column("depth from [m]", lambda d: d.depth_from_m, ".3f"),
+    Column("to [m]", lambda d: d.depth_to_m, ".3f"),
+    Column("mean rate [m/s]", lambda d: d.rate_m_s, ".3f"),
+    Column("max. rate [m/s]", lambda d: d.rate_max_m_s, ".3f"),
     Column(
-        "off reference mm",
+        "tracking error [mm]",
         lambda d: None if d.tracking_error_m is None else 1e3 * d.tracking_error_m,
     ),
-    Column("tension N", lambda d: d.tension_mean_N),
-    Column("ripple %", lambda d: None if d.ripple is None else 100.0 * d.ripple),
-    Column("peak N", lambda d: d.peak_tension_N),
-    Column("swing max deg", lambda d: _degrees(d.swing_max_rad)),
-    Column("RMS deg", lambda d: _degrees(d.swing_rms_rad)),
+    Column("mean tension [N]", lambda d: d.tension_mean_N),
+    Column("ripple [%]", lambda d: None if d.ripple is None else 100.0 * d.ripple),
+    Column("peak tension [N]", lambda d: d.peak_tension_N),
+    Column("max. swing [deg]", lambda d: _degrees(d.swing_max_rad)),
+    Column("RMS swing [deg]", lambda d: _degrees(d.swing_rms_rad)),
 )
 
 _DRIVES: Final = (
-    Column("what", lambda d: "turn" if d.turning else "drive"),
+    Column("motion", lambda d: "turn" if d.turning else "drive"),
     *_WHEN,
-    Column("path m", lambda d: d.path_m, ".3f"),
-    Column("distance m", lambda d: d.distance_m, ".3f"),
-    Column("heading deg", lambda d: _degrees(d.heading_rad), "+.1f"),
-    Column("rolled m", lambda d: d.rolled_m, ".3f"),
-    Column("slip %", lambda d: None if d.slip is None else 100.0 * d.slip, ".1f"),
-    Column("odometry off m", lambda d: d.odometry_error_m, ".3f"),
+    Column("path [m]", lambda d: d.path_m, ".3f"),
+    Column("displacement [m]", lambda d: d.distance_m, ".3f"),
+    Column("heading change [deg]", lambda d: _degrees(d.heading_rad), "+.1f"),
+    Column("rolled [m]", lambda d: d.rolled_m, ".3f"),
+    Column("slip [%]", lambda d: None if d.slip is None else 100.0 * d.slip, ".1f"),
+    Column("odometry error [m]", lambda d: d.odometry_error_m, ".3f"),
 )
 
 _TRAVERSES: Final = (
     *_WHEN,
     Column("drives", lambda t: t.drives, "d"),
-    Column("path m", lambda t: t.path_m, ".3f"),
-    Column("begin to end m", lambda t: t.closing_distance_m, ".3f"),
+    Column("path [m]", lambda t: t.path_m, ".3f"),
+    Column("start to end [m]", lambda t: t.closing_distance_m, ".3f"),
 )
 
 _IMAGING_STOPS: Final = (
     *_WHEN,
-    Column("depth m", lambda e: e.depth_m),
-    Column("wall m", lambda e: e.wall_m),
-    Column("pictures", lambda e: e.images, "d"),
-    Column("sharp %", lambda e: 100.0 * e.sharp, ".1f"),
-    Column("smear median px", lambda e: e.smear_median_px),
-    Column("largest px", lambda e: e.smear_max_px),
+    Column("depth [m]", lambda e: e.depth_m),
+    Column("wall distance [m]", lambda e: e.wall_m),
+    Column("images", lambda e: e.images, "d"),
+    Column("sharp [%]", lambda e: 100.0 * e.sharp, ".1f"),
+    Column("median smear [px]", lambda e: e.smear_median_px),
+    Column("max. smear [px]", lambda e: e.smear_max_px),
 )
 
 _ACTIVITIES: Final = (
     Column("activity", lambda row: row[0]),
-    Column("times", lambda row: row[1], "d"),
-    Column("in all s", lambda row: row[2]),
-    Column("share %", lambda row: row[3], ".1f"),
+    Column("count", lambda row: row[1], "d"),
+    Column("total [s]", lambda row: row[2]),
+    Column("share [%]", lambda row: row[3], ".1f"),
 )
 
-_PHASES: Final = (
+_INTERVALS: Final = (
     Column("activity", lambda interval: interval.activity.value),
     *_WHEN,
-    Column("duration s", lambda interval: interval.duration_s),
+    Column("duration [s]", lambda interval: interval.duration_s),
 )
 
 _EVENTS: Final = (
-    Column("moment", lambda event: event.kind.value.replace("_off", "-off").replace("_", " ")),
-    Column("time s", lambda event: event.time_s, ".3f"),
-    Column("why", lambda event: event.reason),
+    Column("event", lambda event: event.kind.value.replace("_off", "-off").replace("_", " ")),
+    Column("time [s]", lambda event: event.time_s, ".3f"),
+    Column("reason", lambda event: event.reason),
 )
 
 _ENERGY_BALANCE: Final = (
     Column("activity", lambda line: line.activity),
     *_WHEN,
-    Column("input J", lambda line: line.input_J, "+.3f"),
-    Column("dissipated J", lambda line: line.dissipated_J, "+.3f"),
-    Column("stored J", lambda line: line.stored_J, "+.3f"),
-    Column("missed J", lambda line: line.residual_J, "+.1e"),
+    Column("input [J]", lambda line: line.input_J, "+.3f"),
+    Column("dissipated [J]", lambda line: line.dissipated_J, "+.3f"),
+    Column("stored [J]", lambda line: line.stored_J, "+.3f"),
+    Column("residual [J]", lambda line: line.residual_J, "+.1e"),
 )
 
 _ROTORS: Final = (
     Column("rotor", lambda rotor: rotor.name.replace("_", " ")),
-    Column("largest N m s", lambda rotor: rotor.momentum_max_N_m_s, ".4f"),
-    Column("limit N m s", lambda rotor: rotor.momentum_limit_N_m_s, ".3f"),
-    Column("share %", lambda r: None if r.share is None else 100.0 * r.share, ".1f"),
-    Column("at the end N m s", lambda rotor: rotor.momentum_final_N_m_s, ".4f"),
+    Column("max. [N m s]", lambda rotor: rotor.momentum_max_N_m_s, ".4f"),
+    Column("limit [N m s]", lambda rotor: rotor.momentum_limit_N_m_s, ".3f"),
+    Column("share [%]", lambda r: None if r.share is None else 100.0 * r.share, ".1f"),
+    Column("final [N m s]", lambda rotor: rotor.momentum_final_N_m_s, ".4f"),
 )
 
 _FLIGHTS: Final = (
     *_WHEN,
-    Column("gained N s", lambda f: f.momentum_change_N_s, ".4f"),
-    Column("tether explains N s", lambda f: f.tether_impulse_N_s, ".4f"),
-    Column("unexplained N s", lambda f: f.unexplained_N_s, ".4f"),
-    Column("spin changed N m s", lambda f: f.angular_momentum_change_N_m_s, ".4f"),
-    Column("spin N m s", lambda f: f.angular_momentum_max_N_m_s, ".4f"),
+    Column("momentum change [N s]", lambda f: f.momentum_change_N_s, ".4f"),
+    Column("tether impulse [N s]", lambda f: f.tether_impulse_N_s, ".4f"),
+    Column("unexplained [N s]", lambda f: f.unexplained_N_s, ".4f"),
+    Column("angular momentum change [N m s]", lambda f: f.angular_momentum_change_N_m_s, ".4f"),
+    Column("max. angular momentum [N m s]", lambda f: f.angular_momentum_max_N_m_s, ".4f"),
 )
 
 
 def activity_sections(metrics: Metrics) -> list[Section]:
-    """What the machine did, in short, and the instants that matter."""
+    """Return the tables of total times by activity and of timeline events."""
     found = []
     timeline = metrics.timeline
     if timeline.intervals:
         found.append(Section("Activities", _ACTIVITIES, tuple(_shares(metrics))))
     if timeline.events:
-        found.append(Section("Moments", _EVENTS, timeline.events))
+        found.append(Section("Timeline events", _EVENTS, timeline.events))
     return found
 
 
-def phase_section(metrics: Metrics) -> Section | None:
-    """Every interval."""
-    phases = metrics.timeline.intervals
-    return Section("Phases", _PHASES, phases) if phases else None
+def interval_section(metrics: Metrics) -> Section | None:
+    """Return the table of all activity intervals."""
+    intervals = metrics.timeline.intervals
+    return Section("Activity intervals", _INTERVALS, intervals) if intervals else None
 
 
 def _shares(metrics: Metrics) -> Iterable[tuple[str, int, float, float]]:
@@ -223,67 +223,78 @@ def _shares(metrics: Metrics) -> Iterable[tuple[str, int, float, float]]:
 
 
 def metric_sections(metrics: Metrics) -> list[Section]:
-    """Descents, pictures and drives, those that there are."""
+    """Return the tables of descents, imaging stops, drives and traverses that the bag holds."""
     sections = [
         Section(
             "Descents", _DESCENTS, metrics.descents,
-            "Lengths at the drum, depths of Body 1 below the fairlead; tension at the fairlead, "
-            "its mean and ripple in steady payout; swing of Body 1 about the fairlead.",
+            "Length: at the drum. Depth: of Body 1 below the fairlead. Tension: at the fairlead; "
+            "mean and ripple (RMS of the detrended tension over its mean) during steady payout. "
+            "Swing: angle from the vertical of the line from the fairlead to Body 1.",
         ),
         Section(
-            "Pictures", _IMAGING_STOPS, metrics.imaging_stops,
-            "Of the wall, taken while the rover hung at one place; sharp: smeared by no more than "
-            "1 px.",
+            "Imaging stops", _IMAGING_STOPS, metrics.imaging_stops,
+            "Images of the wall taken while the rover hung at one depth. Sharp: motion smear of at "
+            "most 1 px.",
         ),
         Section(
             "Drives", _DRIVES, metrics.drives,
-            "Path and distance of Body 1 over ground; rolled: by the wheels, mean of both; slip: "
-            "1 - path/rolled; odometry off: where encoders and gyro alone put it, against where "
-            "it is.",
+            "Path and displacement: of Body 1 over ground. Rolled: mean of both wheels. Slip: "
+            "1 - path/rolled. Odometry error: dead reckoning from encoders and gyro against the "
+            "true position.",
         ),
-        Section("Travels", _TRAVERSES, metrics.traverses),
+        Section(
+            "Traverses", _TRAVERSES, metrics.traverses,
+            "Consecutive drives between two times off the floor.",
+        ),
     ]  # fmt: skip
     return [section for section in sections if section.rows]
 
 
 def energy_balance_section(metrics: Metrics) -> Section | None:
-    """Energy phase by interval."""
+    """Return the energy balance of each activity interval."""
     energy = metrics.audits.energy
-    return None if energy is None else Section("Energy by phase", _ENERGY_BALANCE, energy.intervals)
+    return (
+        None
+        if energy is None
+        else Section("Energy balance by activity interval", _ENERGY_BALANCE, energy.intervals)
+    )
 
 
 def momentum_sections(metrics: Metrics) -> list[Section]:
-    """Rotors and flights."""
+    """Return the tables of rotors and flights."""
     audits = metrics.audits
     found = []
     if audits.rotors:
-        found.append(Section("Momentum of rotors", _ROTORS, audits.rotors))
+        found.append(Section("Angular momentum of rotors", _ROTORS, audits.rotors))
     if audits.flights:
         found.append(
             Section(
                 "Momentum in flight", _FLIGHTS, audits.flights,
-                "Gained: linear momentum of both bodies beyond gravity's. What the tether's pull "
-                "does not explain is unexplained. Spin: angular momentum about the common centre "
-                "of mass, rotors included; the tether's moment and the slider's friction change "
-                "it.",
+                "Momentum change: linear momentum of both bodies beyond gravity's impulse. "
+                "Unexplained: change beyond the tether's impulse. Angular momentum: about the "
+                "common centre of mass, rotors included; the tether and the slider's friction "
+                "change it.",
             )
         )  # fmt: skip
     return found
 
 
 def audit_sentences(metrics: Metrics) -> list[str]:
-    """What the audits come to, in sentences."""
+    """Return the results of the audits in sentences."""
     energy, lines = metrics.audits.energy, []
     if energy is not None:
-        share = "" if energy.share is None else f", {100.0 * energy.share:.2g} % of it"
+        share = (
+            ""
+            if energy.share is None
+            else f", {100.0 * energy.share:.2g} % of the turnover of {energy.turnover_J:.4g} J"
+        )
         lines.append(
-            f"Energy: of {energy.turnover_J:.4g} J turned over the books miss at most "
-            f"{energy.residual_J:.2g} J{share}; the plant's own drift is "
-            f"{energy.drift_error_J:.1g} J from what its entries add up to."
+            f"Energy: the balance closes within {energy.residual_J:.2g} J{share}. The published "
+            f"drift agrees with the recorded terms within {energy.drift_error_J:.1g} J."
         )
         if energy.gravity_error_J is not None:
             lines.append(
-                "Gravity: the recorded entry agrees with the recorded positions of bodies and "
+                "Gravity: the recorded term agrees with the recorded positions of bodies and "
                 f"tether within {energy.gravity_error_J:.2g} J."
             )
     lines += [f"Not audited: {text}." for text in metrics.audits.not_audited]
@@ -291,5 +302,5 @@ def audit_sentences(metrics: Metrics) -> list[str]:
 
 
 def texts(sections: Sequence[Section]) -> list[str]:
-    """All sections for a terminal."""
+    """Return all sections as lines for a terminal."""
     return [line for section in sections for line in section.as_text()]

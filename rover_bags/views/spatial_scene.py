@@ -1,4 +1,4 @@
-"""What moves in a run of a rover that hangs, stands and flies in space, seen from the side."""
+"""Side view of a spatial run, as a scene for the animation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rover_bags.read import Bag, Floats, TimeSeries
 from rover_bags.views.animation import Scene, tension_scale_max
 from rover_sim import ScenarioError, scenario_from_mapping
 
-_MOST_FRAMES: Final = 700
+_MAX_FRAMES: Final = 700
 _POINTS: Final = 25
-"""Of the tether as drawn."""
-_NEAR: Final = 0.75
-"""Half the width of the view from near [m]."""
+"""Points of the drawn tether."""
+_CLOSE_UP: Final = 0.75
+"""Half the width of the close-up view [m]."""
 _MARGIN: Final = 0.6
 _SIZES: Final = {"body1_size": (0.30, 0.24, 0.15), "body2_size": (0.24, 0.24, 0.08)}
 _TENSION: Final = TETHER_COLUMNS.index("tension")
@@ -33,13 +33,13 @@ def spatial_scene(
     since: float | None = None,
     level: float = 0.0,
 ) -> Scene | None:
-    """The scene of a whole run, or of a stretch of it; None where it is not recorded.
+    """Return the scene of a run or of a part of it; None if bodies or tether are not recorded.
 
     Args:
-        bag: What was read.
-        begin: Of the stretch, in simulated time [s].
-        end: Of the stretch.
-        since: The take-off from which the scene's time counts [s]; None: it is simulated time.
+        bag: The bag.
+        begin: Start of the part, in simulated time [s].
+        end: End of the part [s].
+        since: Take-off from which the scene's time counts [s]; None: simulated time.
         level: Height of Body 1 at that take-off [m].
     """
     first, second, tether = (
@@ -49,15 +49,15 @@ def spatial_scene(
         return None
     chosen = np.flatnonzero((tether.time >= begin) & (tether.time <= end))
     forward = np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])
-    if not forward.all():  # after a reset another run begins
+    if not forward.all():  # a reset starts another run
         chosen = chosen[: int(np.argmin(forward))]
-    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MOST_FRAMES))]
+    chosen = chosen[:: max(1, math.ceil(len(chosen) / _MAX_FRAMES))]
     if len(chosen) < 2:
         return None
     time = tether.time[chosen]
     sizes = {name: _size(bag, name, usual) for name, usual in _SIZES.items()}
-    body1 = _seen(first, time, sizes["body1_size"], _centre(bag))
-    body2 = _seen(second, time, sizes["body2_size"], (0.0, 0.0, 0.0))
+    body1 = _side_view(first, time, sizes["body1_size"], _centre(bag))
+    body2 = _side_view(second, time, sizes["body2_size"], (0.0, 0.0, 0.0))
     shapes = np.stack([_drawn(tether.shapes[index]) for index in chosen.tolist()])
     points = np.concatenate([shapes[:, :, :2].reshape(-1, 2), body1[:, :2], body2[:, :2]])
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
@@ -78,7 +78,7 @@ def spatial_scene(
         tension_max=tension_scale_max(shapes[:, :, -1]),
         ground_lines=tuple(line for line in lines if len(line) > 1),
         wheels=_wheels(bag, first, time),
-        follow=_NEAR,
+        follow=_CLOSE_UP,
         is_run=since is None,
         readout=-height if since is None else height - level,
     )
@@ -101,15 +101,15 @@ def _centre(bag: Bag) -> tuple[float, float, float]:
 
 
 def _samples(series: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
-    """Places, shape (F, 3), and rotations, shape (F, 3, 3), of the samples nearest to times."""
+    """Positions [m], shape (F, 3), and rotations, shape (F, 3, 3), at given times."""
     index = np.clip(np.searchsorted(series.time, time), 0, len(series) - 1)
     return series.vector("position")[index], rotations(series)[index]
 
 
-def _seen(
+def _side_view(
     series: TimeSeries, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
 ) -> Floats:
-    """x, z, tilt in the plane and width of a box as seen from the side, shape (F, 4)."""
+    """Side view of a box: x, z [m], tilt [rad] and projected width [m], shape (F, 4)."""
     place, turned = _samples(series, time)
     place = place + turned @ np.asarray(centre)
     up = turned[:, :, 2]
@@ -119,7 +119,7 @@ def _seen(
 
 
 def _wheels(bag: Bag, series: TimeSeries, time: Floats) -> Floats | None:
-    """Centres and half axes of both wheels as seen, shape (F, 2, 4)."""
+    """Projected centres and half axes of both wheels [m], shape (F, 2, 4)."""
     names = ("radius", "width", "track", "axle_x", "axle_z")
     configured = [setting(bag, "rover", "wheels", name) for name in names]
     if any(not isinstance(value, float | int) for value in configured):
@@ -136,12 +136,12 @@ def _wheels(bag: Bag, series: TimeSeries, time: Floats) -> Floats | None:
 
 
 def _drawn(nodes: Floats) -> Floats:
-    """x, z, their slopes by pieces, and tension along the tether, shape (points, 5)."""
+    """x, z, their slopes per piece, and tension along the tether, shape (points, 5)."""
     steps = np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1)
     nodes, steps = nodes[np.concatenate([[True], steps > 0.0])], steps[steps > 0.0]
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.linspace(0.0, along[-1], _POINTS)
-    # Slopes are by undeformed length: along chords they keep their direction.
+    # Slopes are per undeformed length; the chord length needs their direction only.
     slopes = nodes[:, 3:6] / np.linalg.norm(nodes[:, 3:6], axis=1)[:, None]
     curve = CubicHermiteSpline(along, nodes[:, [0, 2]], slopes[:, [0, 2]])
     tension = np.interp(at, along, nodes[:, _TENSION])
@@ -149,21 +149,21 @@ def _drawn(nodes: Floats) -> Floats:
 
 
 def _ground(bag: Bag, y: float) -> tuple[Floats, ...]:
-    """Ground and walls as the scenario has them."""
+    """Outlines of ground and walls of the scenario."""
     if not bag.scenario:
         return ()
     try:
         environment = getattr(scenario_from_mapping(dict(bag.scenario)), "environment", None)
     except (ScenarioError, TypeError, KeyError):
-        return ()  # of another version: the rover moves over nothing
+        return ()  # a scenario of another version: draw no ground
     return () if environment is None else tuple(environment.outline(y))
 
 
 def _near_by(line: Floats, low: Floats, high: Floats) -> Floats:
-    """The part of a line that may come into view, and whereto its ends lead."""
+    """The part of a line that may come into view, with one point beyond each end."""
     reach = 2.0 + 0.7 * float((high - low).max())
     middle = 0.5 * (low + high)
     near = np.all(np.abs(line - middle) <= reach + 0.5 * (high - low), axis=1)
-    # Each point beside a near one, too.
+    # Include the neighbours of near points.
     kept = np.convolve(near, np.ones(3), "same") > 0.5
     return np.asarray(line[kept])

@@ -1,4 +1,4 @@
-"""The report for a terminal and for machines."""
+"""The report as terminal text and as JSON."""
 
 import math
 from collections.abc import Iterable
@@ -17,23 +17,23 @@ from rover_bags.views.sections import (
 JUMP_METRICS = (
     ("jump_height_m", "jump height", "m", ".4f"),
     ("attitude_variation_rad", "attitude variation", "rad", "+.4f"),
-    ("slack", "slack dh/df", "", ".3f"),
+    ("slack", "tether slack dh/df", "", ".3f"),
     ("flight_time_s", "flight time", "s", ".4f"),
-    ("travel_m", "travel", "m", "+.4f"),
+    ("travel_m", "forward travel", "m", "+.4f"),
     ("range_m", "range", "m", ".4f"),
-    ("rotation_rad", "turned in all", "rad", ".4f"),
+    ("rotation_rad", "total rotation", "rad", ".4f"),
     ("peak_tension_N", "peak tension", "N", ".2f"),
-    ("energy_drift_J", "energy drift", "J", ".1e"),
+    ("energy_drift_J", "energy residual", "J", ".1e"),
 )
 
 
 def as_text(bag: Bag, metrics: Metrics) -> str:
-    """The report for a terminal."""
+    """Return the report for a terminal."""
     lines = [f"{bag.path}: {recording_summary(bag, metrics)}"]
     lines += [f"! {text}" for text in data_warnings(bag, metrics)]
     lines += texts([*activity_sections(metrics), *metric_sections(metrics)])
     if metrics.coverage is not None:
-        lines += ["", f"wall: {metrics.coverage.summary}"]
+        lines += ["", f"wall coverage: {metrics.coverage.summary}"]
     for number, jump in enumerate(metrics.jumps, 1):
         lines += ["", f"jump {number}, take-off at {jump.take_off_s:.3f} s"]
         lines += [
@@ -55,7 +55,7 @@ def as_text(bag: Bag, metrics: Metrics) -> str:
 
 
 def recording_summary(bag: Bag, metrics: Metrics) -> str:
-    """How much was recorded, in a line."""
+    """Return number of messages, topics and duration in one line."""
     simulated = (
         f", {metrics.simulated_s:.2f} s of simulated time"
         if metrics.simulated_s is not None
@@ -68,43 +68,43 @@ def recording_summary(bag: Bag, metrics: Metrics) -> str:
 
 
 def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
-    """What a reader must know before trusting the rest."""
+    """Return the warnings about lost, damaged or invalid data."""
     found = list(bag.file_defects)
     found += [
-        f"{name}: {count} messages that the bag should hold cannot be read"
+        f"{name}: {count} messages counted in the bag's index cannot be read"
         for name, count in sorted(bag.unreadable.items())
     ]
     if bag.unverified:
         count = sum(bag.unverified.values())
-        found.append(f"{count} messages carry no checksum: they cannot be vouched for")
+        found.append(f"{count} messages carry no checksum: their contents cannot be verified")
     for losses, what in (
-        (bag.dropped, "the recorder could not keep"),
-        (bag.lost_in_transport, "were lost on the way to the recorder"),
+        (bag.dropped, "were dropped by the recorder"),
+        (bag.lost_in_transport, "were lost in transport to the recorder"),
     ):
         for name, count in sorted(losses.items()):
             found.append(f"{name}: {count} messages {what}")
     for name, count in sorted(bag.rejected.items()):
         example = next((item.reason for item in bag.rejected_examples if item.topic == name), "")
-        found.append(f"{name}: {count} messages break the contract, such as: {example}")
+        found.append(f"{name}: {count} messages violate the contract, for example: {example}")
     slow = [
         f"{topic.topic} {topic.slow_hz:.3g} of {topic.expected_hz:.3g} Hz"
         for topic in metrics.topics.values()
         if topic.slow_hz is not None
     ]
     if slow:
-        found.append(f"more slowly than promised, all the time: {', '.join(slow)}")
+        found.append(f"slower than the contract's rate throughout: {', '.join(slow)}")
     for topic in metrics.topics.values():
         if topic.gaps:
-            pauses = "1 gap" if topic.gaps == 1 else f"{topic.gaps} gaps"
+            gaps = "1 gap" if topic.gaps == 1 else f"{topic.gaps} gaps"
             found.append(
-                f"{topic.topic}: {pauses}, the longest {topic.max_gap_s:.3f} s at "
+                f"{topic.topic}: {gaps}, the longest {topic.max_gap_s:.3f} s at "
                 f"{topic.max_gap_at_s:.3f} s"
             )
     return found
 
 
 def formatted(value: float | None, unit: str, form: str) -> str:
-    """A figure with its unit."""
+    """Return a number with its unit, or "-" if it is not known."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:{form}} {unit}".rstrip()
@@ -112,18 +112,18 @@ def formatted(value: float | None, unit: str, form: str) -> str:
 
 TOPIC_COLUMNS = (
     ("messages", "count", "d"),
-    ("promised Hz", "expected_hz", ".4g"),
-    ("rate Hz", "rate_hz", ".4g"),
-    ("longest gap s", "max_gap_s", ".3f"),
+    ("contract [Hz]", "expected_hz", ".4g"),
+    ("rate [Hz]", "rate_hz", ".4g"),
+    ("longest gap [s]", "max_gap_s", ".3f"),
     ("gaps", "gaps", "d"),
-    ("delay ms p50", "latency_p50_ms", ".2f"),
-    ("p99", "latency_p99_ms", ".2f"),
-    ("max", "latency_max_ms", ".2f"),
-    ("age ms p50", "age_p50_ms", ".1f"),
-    ("p99", "age_p99_ms", ".1f"),
+    ("latency p50 [ms]", "latency_p50_ms", ".2f"),
+    ("p99 [ms]", "latency_p99_ms", ".2f"),
+    ("max [ms]", "latency_max_ms", ".2f"),
+    ("age p50 [ms]", "age_p50_ms", ".1f"),
+    ("p99 [ms]", "age_p99_ms", ".1f"),
     ("lost", "lost_in_transport", "d"),
     ("dropped", "dropped", "d"),
-    ("refused", "rejected", "d"),
+    ("rejected", "rejected", "d"),
 )
 
 
@@ -141,13 +141,13 @@ def _columns(items: Iterable[TopicMetrics]) -> str:
 
 
 def topic_cells(item: TopicMetrics) -> list[str]:
-    """A topic's figures as they stand in a table."""
+    """Return the table cells of a topic's metrics."""
     values = [(getattr(item, name), form) for _, name, form in TOPIC_COLUMNS]
     return ["" if value is None else f"{value:{form}}" for value, form in values]
 
 
 def as_mapping(bag: Bag, metrics: Metrics) -> dict[str, Any]:
-    """The report for machines; every number is finite or null."""
+    """Return the report as plain values for JSON; every number is finite or null."""
     content = {
         "bag": str(bag.path),
         "seed": bag.seed,
@@ -162,7 +162,7 @@ def as_mapping(bag: Bag, metrics: Metrics) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """Plain values with null for what is not finite."""
+    """Replace numbers that are not finite by None."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

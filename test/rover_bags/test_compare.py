@@ -1,4 +1,4 @@
-"""Several bags side by side."""
+"""Comparison of bags."""
 
 import json
 import shutil
@@ -24,25 +24,25 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [first, again, other]
 
 
-def test_the_same_bag_twice_differs_in_nothing(bags: list[Path]):
+def test_identical_bags_have_no_differences(bags: list[Path]):
     found = compare(bags[:2])
     assert found.names == ("a/bag", "b/bag")
     assert [row.name for row in found.rows if row.differs] == []
     assert len(found.rows) > 100
 
 
-def test_what_differs_is_marked_and_what_does_not_is_not(bags: list[Path]):
+def test_only_different_metrics_are_marked(bags: list[Path]):
     rows = {(row.group, row.name): row for row in compare(bags[::2]).rows}
     rate = rows["descents", "descent 1: rate [m/s]"]
     assert rate.differs
     assert [float(value or 0.0) for value in rate.values] == pytest.approx([0.25, 0.2], rel=0.01)
     assert rate.spread == pytest.approx(0.05, rel=0.05)
     assert rows["descents", "descent 1: direction"].values == ("down", "down")
-    assert not rows["activities", "hanging, times"].differs
+    assert not rows["activities", "hanging, count"].differs
     assert not rows["jumps", "jump 1: jump height [m]"].differs
 
 
-def test_a_figure_that_a_bag_lacks_is_a_difference(bags: list[Path], tmp_path: Path):
+def test_a_metric_missing_in_one_bag_is_a_difference(bags: list[Path], tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=1.8)
     found = compare([bags[0], made.write(tmp_path / "planar")])
@@ -53,7 +53,7 @@ def test_a_figure_that_a_bag_lacks_is_a_difference(bags: list[Path], tmp_path: P
     assert any(row.group == "settings" and row.name == "environment.gravity" for row in found.rows)
 
 
-def test_page_json_and_terminal(
+def test_page_json_and_text_agree(
     bags: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert main(["bag", "compare", *map(str, bags), "--quiet", "--out", str(tmp_path / "out")]) == 0
@@ -72,5 +72,5 @@ def test_page_json_and_terminal(
     assert "http" not in page
 
 
-def test_one_bag_that_cannot_be_read_is_refused(bags: list[Path], tmp_path: Path):
+def test_an_unreadable_bag_is_refused(bags: list[Path], tmp_path: Path):
     assert main(["bag", "compare", str(bags[0]), str(tmp_path / "none")]) == report.ExitCode.REFUSED

@@ -38,7 +38,9 @@ def contents(scan: BagScan) -> list[Recorded]:
 @every_kind
 @pytest.mark.parametrize("described", [True, False])
 @pytest.mark.parametrize("version", [8, 9])
-def test_whole_bags_are_read_whole(tmp_path: Path, kind: Kind, described: bool, version: int):
+def test_undamaged_bags_are_read_completely(
+    tmp_path: Path, kind: Kind, described: bool, version: int
+):
     recorded = messages(60)
     write(tmp_path / "bag", kind, recorded, version=version)
     if not described:
@@ -53,7 +55,7 @@ def test_whole_bags_are_read_whole(tmp_path: Path, kind: Kind, described: bool, 
 
 
 @pytest.mark.parametrize("text", ["", "\x00\xff", "rosbag2_bagfile_information: 7", "a: [1"])
-def test_a_damaged_description_is_no_hindrance(tmp_path: Path, text: str):
+def test_a_damaged_metadata_file_is_ignored(tmp_path: Path, text: str):
     recorded = messages(30)
     write(tmp_path / "bag", SQLITE, recorded)
     (tmp_path / "bag" / METADATA).write_text(text, encoding="utf-8")
@@ -64,7 +66,7 @@ def test_a_damaged_description_is_no_hindrance(tmp_path: Path, text: str):
 
 
 @every_kind
-def test_split_bags_are_one(tmp_path: Path, kind: Kind):
+def test_split_bags_are_read_as_one(tmp_path: Path, kind: Kind):
     parts = [messages(30, first=30 * number) for number in range(12)]
     split(tmp_path / "bag", kind, parts)
     found = contents(BagScan(tmp_path / "bag"))
@@ -72,7 +74,7 @@ def test_split_bags_are_one(tmp_path: Path, kind: Kind):
 
 
 @every_kind
-def test_a_missing_part_is_named_with_its_time_and_number(tmp_path: Path, kind: Kind):
+def test_a_missing_file_is_reported_with_its_time_and_message_count(tmp_path: Path, kind: Kind):
     parts = [messages(30, first=30 * number) for number in range(3)]
     bag = split(tmp_path / "bag", kind, parts)
     next(bag.glob("bag_1.*")).unlink()
@@ -92,7 +94,7 @@ def test_a_missing_part_is_named_with_its_time_and_number(tmp_path: Path, kind: 
     assert "whether files are missing after the last" in undescribed.defects(START)[0]
 
 
-def test_a_part_that_is_nothing_does_not_take_the_others_with_it(tmp_path: Path):
+def test_an_invalid_file_does_not_affect_the_others(tmp_path: Path):
     parts = [messages(30, first=30 * number) for number in range(3)]
     bag = split(tmp_path / "bag", SQLITE, parts)
     next(bag.glob("bag_1.*")).write_bytes(b"")
@@ -120,7 +122,7 @@ def test_a_cut_sqlite_file_is_read_up_to_the_cut(tmp_path: Path, share: float, d
         assert sum(scan.lost.values()) == len(recorded) - len(found)
 
 
-def test_a_page_of_nonsense_inside_costs_its_messages_and_no_more(tmp_path: Path):
+def test_a_corrupt_page_loses_only_its_own_messages(tmp_path: Path):
     recorded = messages(1500, size=300)
     file = write(tmp_path / "bag", SQLITE, recorded)
     data = bytearray(file.read_bytes())
@@ -139,7 +141,7 @@ def test_a_page_of_nonsense_inside_costs_its_messages_and_no_more(tmp_path: Path
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
 @pytest.mark.parametrize("storage", StoragePlugin)
-def test_a_cut_compressed_file_is_read_as_far_as_it_unpacks(
+def test_a_cut_compressed_file_is_read_as_far_as_it_decompresses(
     tmp_path: Path, share: float, storage: StoragePlugin
 ):
     recorded = messages(4000, size=300)
@@ -157,7 +159,7 @@ def test_a_cut_compressed_file_is_read_as_far_as_it_unpacks(
     assert sum(scan.lost.values()) == len(recorded) - len(found)
 
 
-def test_a_message_that_does_not_unpack_is_lost_and_named(tmp_path: Path):
+def test_a_message_that_fails_to_decompress_is_reported_as_lost(tmp_path: Path):
     recorded = messages(30)
     file = write(tmp_path / "bag", Kind(StoragePlugin.SQLITE3, CompressionMode.MESSAGE), recorded)
     with sqlite3.connect(file) as database:
@@ -171,7 +173,7 @@ def test_a_message_that_does_not_unpack_is_lost_and_named(tmp_path: Path):
     assert scan.lost == {recorded[6][0]: 1}
 
 
-def test_a_journal_that_a_killed_recorder_left_is_read(tmp_path: Path):
+def test_the_journal_of_a_killed_recorder_is_read(tmp_path: Path):
     recorded = messages(40)
     file = write(tmp_path / "bag", SQLITE, recorded)
     (tmp_path / "bag" / METADATA).unlink()
@@ -208,7 +210,7 @@ def test_other_files_are_refused_with_the_reason(tmp_path: Path):
 
 
 @every_kind
-def test_a_clean_bag_is_made_of_each(tmp_path: Path, kind: Kind):
+def test_every_kind_of_bag_is_recovered(tmp_path: Path, kind: Kind):
     recorded = messages(40)
     write(tmp_path / "bag", kind, recorded)
     recovery = recover(tmp_path / "bag", tmp_path / "clean")
@@ -217,7 +219,7 @@ def test_a_clean_bag_is_made_of_each(tmp_path: Path, kind: Kind):
     assert storage_file(tmp_path / "clean").suffix == ".mcap"
 
 
-def test_the_report_says_what_is_lost(tmp_path: Path):
+def test_the_report_lists_losses(tmp_path: Path):
     recorded = messages(1500, size=300)
     cut(write(tmp_path / "bag", SQLITE, recorded), 0.6)
     bag = read_bag(tmp_path / "bag")

@@ -30,7 +30,7 @@ def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(path, HANG, real, SHORT, seed=11)
 
 
-def test_what_a_bounce_shows_is_found_and_what_it_does_not_is_named(
+def test_observable_parameters_are_found_and_others_are_reported(
     short_bag: Path, capsys: pytest.CaptureFixture[str]
 ):
     sought = ("EA", "axial_damping", "wheel_friction", "EI")
@@ -54,7 +54,7 @@ def test_what_a_bounce_shows_is_found_and_what_it_does_not_is_named(
     assert "moves nothing" in wheel["words"]
 
 
-def test_readings_that_are_no_information_are_left_out(short_bag: Path):
+def test_uninformative_readings_are_excluded(short_bag: Path):
     (experiment,) = read_experiments(short_bag)
     names = [str(signal) for signal in experiment.signals]
     assert len(names) < len(SIGNALS)  # wheels and flywheel never turned
@@ -71,7 +71,7 @@ def refusal(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err
 
 
-def test_refusals_say_what_is_wrong(
+def test_refusals_state_the_reason(
     short_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert "no bag is given" in refusal([], capsys)
@@ -93,7 +93,7 @@ def test_refusals_say_what_is_wrong(
     assert "planar" in refusal([str(planar.write(tmp_path / "planar"))], capsys)
 
 
-def test_what_comes_after_a_gap_does_not_count(short_bag: Path, tmp_path: Path):
+def test_readings_after_a_gap_are_excluded(short_bag: Path, tmp_path: Path):
     whole = BagScan(short_bag)
     for name, (first, last) in {"late": (0.0, 0.5), "middle": (2.1, 2.5)}.items():
         with BagWriter(tmp_path / name, sync=False) as writer:

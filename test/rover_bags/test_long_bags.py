@@ -1,4 +1,4 @@
-"""Long bags: many messages taken apart at once, time series thinned, stretches read again."""
+"""Long bags: block decoding, thinned time series, windows read again."""
 
 import dataclasses
 import json
@@ -35,38 +35,38 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("bag", ["jumps", "mission"])
-def test_what_is_taken_at_once_is_what_the_decoder_gives(bag: str, request: pytest.FixtureRequest):
+def test_block_extraction_agrees_with_the_decoder(bag: str, request: pytest.FixtureRequest):
     path = request.getfixturevalue(bag)
     read = read_bag(path)
     place = dict.fromkeys(read.time_series, 0)
-    for arrival in received_messages(BagScan(path)):
-        series, index = read.time_series[arrival.name], place[arrival.name]
-        place[arrival.name] += 1
-        assert series.log_ns[index] == arrival.log_ns
-        assert series.publish_ns[index] == arrival.publish_ns
-        if isinstance(arrival.sample, TetherSample):
-            np.testing.assert_array_equal(series.shapes[index], arrival.sample.nodes)
-            assert series.columns[LARGEST][index] == arrival.sample.nodes[:, 6].max()
-        elif isinstance(arrival.sample, TextSample):
-            assert series.texts[index] == arrival.sample.text
+    for message in received_messages(BagScan(path)):
+        series, index = read.time_series[message.name], place[message.name]
+        place[message.name] += 1
+        assert series.log_ns[index] == message.log_ns
+        assert series.publish_ns[index] == message.publish_ns
+        if isinstance(message.sample, TetherSample):
+            np.testing.assert_array_equal(series.shapes[index], message.sample.nodes)
+            assert series.columns[LARGEST][index] == message.sample.nodes[:, 6].max()
+        elif isinstance(message.sample, TextSample):
+            assert series.texts[index] == message.sample.text
         else:
-            for column, value in arrival.sample.scalars():
+            for column, value in message.sample.scalars():
                 assert series.columns[column][index] == value
     assert all(place[name] == len(series) for name, series in read.time_series.items())
 
 
-def test_a_bad_message_among_good_ones_is_turned_away_alone(tmp_path: Path):
+def test_only_the_invalid_message_of_a_block_is_rejected(tmp_path: Path):
     made = MadeUp()
     good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
     data = cdr(topics.JUMP_MOTOR_COMMAND, good)
     number = data.index(np.float64(10.0).tobytes())
-    spoilt = {
+    invalid = {
         3: data[:number] + np.float64(math.inf).tobytes() + data[number + 8 :],
         7: data.replace(JUMP_SCREW.encode(), JUMP_SCREW.upper().encode()),
         8: data[:number] + np.float64(-5.0).tobytes() + data[number + 8 :],
     }
     for index in range(20):
-        made.add_raw(0.1 * index, topics.JUMP_MOTOR_COMMAND, spoilt.get(index, data))
+        made.add_raw(0.1 * index, topics.JUMP_MOTOR_COMMAND, invalid.get(index, data))
     bag = read_bag(made.write(tmp_path / "bag"))
     assert len(bag.time_series[topics.JUMP_MOTOR_COMMAND]) == 17
     assert bag.rejected == {topics.JUMP_MOTOR_COMMAND: 3}
@@ -76,7 +76,7 @@ def test_a_bad_message_among_good_ones_is_turned_away_alone(tmp_path: Path):
     assert "-5.0" in reasons
 
 
-def assert_same_figures(full: Bag, thin: Bag) -> None:
+def assert_same_metrics(full: Bag, thin: Bag) -> None:
     before, after = measure(full).topics, measure(thin).topics
     for name, row in before.items():
         for field in ("count", "rate_hz", "wall_rate_hz", "max_gap_s", "max_gap_at_s", "gaps",
@@ -84,11 +84,11 @@ def assert_same_figures(full: Bag, thin: Bag) -> None:
             assert getattr(after[name], field) == pytest.approx(getattr(row, field)), (name, field)
 
 
-def test_thinned_time_series_keep_extremes_and_topics_their_figures(mission: Path):
+def test_thinned_time_series_keep_extremes_and_topic_metrics(mission: Path):
     full, thin = read_bag(mission), read_bag(mission, max_messages=100)
     assert thin.thinned
     assert not full.thinned
-    assert_same_figures(full, thin)
+    assert_same_metrics(full, thin)
     for name in (topics.TRUTH_BODY1, topics.LOAD_CELL, topics.TRUTH_ENERGY):
         a, b = full.time_series[name], thin.time_series[name]
         assert len(b) <= 200
@@ -102,7 +102,7 @@ def test_thinned_time_series_keep_extremes_and_topics_their_figures(mission: Pat
             np.testing.assert_array_equal(b.highest(path), high)
 
 
-def test_a_stretch_read_again_is_the_whole_truth(mission: Path):
+def test_a_window_read_again_holds_every_message(mission: Path):
     full, thin = read_bag(mission), read_bag(mission, max_messages=100)
     body = full.time_series[topics.TRUTH_BODY1]
     spans = [(int(body.log_ns[a]), int(body.log_ns[b])) for a, b in ((100, 300), (250, 500))]
@@ -133,7 +133,7 @@ def test_jumps_of_a_thinned_bag_are_measured_in_full(bag: str, request: pytest.F
     ]
 
 
-def test_a_pass_shows_how_far_it_has_come(jumps: Path, capsys: pytest.CaptureFixture[str]):
+def test_each_pass_shows_its_progress(jumps: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["bag", "report", str(jumps), "--json"]) == 0
     shown = capsys.readouterr()
     assert "reading" in shown.err
@@ -143,6 +143,6 @@ def test_a_pass_shows_how_far_it_has_come(jumps: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == ""
 
 
-def test_every_kind_of_number_has_a_layout(mission: Path):
+def test_every_fast_topic_has_a_layout(mission: Path):
     names = {name for name, row in TOPICS.items() if row.rate == 100.0}
     assert len(names & set(read_bag(mission).time_series)) >= 8

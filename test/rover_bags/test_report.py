@@ -1,4 +1,4 @@
-"""The report as people and machines get it."""
+"""The report as page, text and JSON."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def written(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Page(HTMLParser):
-    """Holds that tags close in order; collects addresses, texts and scripts."""
+    """Asserts that tags close in order; collects addresses, identifiers and scripts."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -86,21 +86,21 @@ def page(written: Path) -> Page:
     return parsed
 
 
-def test_the_page_is_well_formed_and_its_names_are_unique(page: Page):
+def test_the_page_is_well_formed_and_its_identifiers_are_unique(page: Page):
     assert page.open == []
     assert len(page.names) == len(set(page.names))
     assert page.seen.count("svg") >= 12
     assert page.seen.count("canvas") == 2
 
 
-def test_the_page_needs_nothing_from_elsewhere(written: Path, page: Page):
+def test_the_page_needs_no_external_resources(written: Path, page: Page):
     text = (written / "report.html").read_text()
     assert all(a.startswith(("#", "data:image/png;base64,")) for a in page.addresses)
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.names)
     assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", text)
 
 
-def test_what_the_bag_says_stands_in_the_page_as_text(written: Path):
+def test_texts_of_the_bag_are_escaped_in_the_page(written: Path):
     text = (written / "report.html").read_text()
     assert "the &lt;latch&gt; has tripped &amp; flown" in text
     assert "position is nan" in text
@@ -108,19 +108,19 @@ def test_what_the_bag_says_stands_in_the_page_as_text(written: Path):
     assert "1 gap, the longest 0.300 s at 0.500 s" in text
 
 
-def test_the_players_data_are_the_bags(page: Page, bag: Path):
+def test_the_player_shows_the_recorded_motion(page: Page, bag: Path):
     scenes = [json.loads(text) for text in page.data if text.startswith("{")]
     assert len(scenes) == 2
     scene = scenes[0]
     assert len(scene["time"]) == len(scene["body1"]) == len(scene["tether"])
     jump = Parabola()
     for time, (x, z, theta) in zip(scene["time"], scene["body1"], strict=True):
-        wanted, _ = jump.at(time + jump.take_off)
-        assert (x, z, theta) == pytest.approx(tuple(wanted), abs=2e-4)
+        expected, _ = jump.at(time + jump.take_off)
+        assert (x, z, theta) == pytest.approx(tuple(expected), abs=2e-4)
     assert scene["time"][0] < 0.0 < jump.flight_time < scene["time"][-1]
 
 
-def test_the_numbers_for_machines_have_the_agreed_names(written: Path):
+def test_the_json_report_has_its_documented_keys(written: Path):
     content = json.loads((written / "metrics.json").read_text(), parse_constant=_refuse)
     jump = Parabola()
     assert content["jump_height_m"] == pytest.approx(jump.height)
@@ -139,7 +139,7 @@ def _refuse(text: str) -> float:
     raise AssertionError(f"{text} is no JSON")
 
 
-def test_the_animation_moves(written: Path):
+def test_the_animation_has_different_frames(written: Path):
     with Image.open(written / "animation.gif") as picture:
         frames = int(getattr(picture, "n_frames", 1))
         assert frames > 60
@@ -149,7 +149,7 @@ def test_the_animation_moves(written: Path):
         assert picture.convert("RGB").tobytes() != first
 
 
-def test_the_plots_are_pictures_on_their_own(written: Path):
+def test_the_plots_are_valid_svg_files(written: Path):
     plots = sorted(path.stem for path in written.glob("*.svg"))
     assert plots == [
         "along", "attitude", "drift", "energy", "height", "overview", "path", "strips", "tension",
@@ -161,7 +161,7 @@ def test_the_plots_are_pictures_on_their_own(written: Path):
         assert "[" in words, f"{name} has axes without units"
 
 
-def test_the_terminal_gets_the_same(bag: Path, tmp_path: Path, capsys: Any):
+def test_the_terminal_shows_the_same_values(bag: Path, tmp_path: Path, capsys: Any):
     assert main(["bag", "report", str(bag), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert f"{Parabola().height:.4f} m" in printed
@@ -171,7 +171,7 @@ def test_the_terminal_gets_the_same(bag: Path, tmp_path: Path, capsys: Any):
 
 
 @pytest.mark.parametrize("option", ["--json", "--html"])
-def test_one_format_to_the_terminal_writes_nothing(bag: Path, capsys: Any, option: str):
+def test_printing_one_format_writes_no_files(bag: Path, capsys: Any, option: str):
     before = sorted(bag.parent.iterdir())
     assert main(["bag", "report", str(bag), option]) == 0
     printed = capsys.readouterr().out
@@ -182,9 +182,7 @@ def test_one_format_to_the_terminal_writes_nothing(bag: Path, capsys: Any, optio
     assert sorted(bag.parent.iterdir()) == before
 
 
-def test_a_reader_that_leaves_early_does_not_keep_the_report_from_being_written(
-    bag: Path, tmp_path: Path
-):
+def test_a_closed_pipe_does_not_stop_the_report_from_being_written(bag: Path, tmp_path: Path):
     out = tmp_path / "out"
     command = [
         sys.executable,
@@ -201,13 +199,13 @@ def test_a_reader_that_leaves_early_does_not_keep_the_report_from_being_written(
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
-        said = process.stderr.read().decode()
-    assert process.returncode == report.ExitCode.OK, said
-    assert "Error" not in said
+        errors = process.stderr.read().decode()
+    assert process.returncode == report.ExitCode.OK, errors
+    assert "Error" not in errors
     assert (out / "report.html").exists()
 
 
-def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):
+def test_a_bag_without_a_jump_makes_a_report(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola(take_off=99.0)], until=1.0)
     path = made.write(tmp_path / "bag")
@@ -218,7 +216,7 @@ def test_a_bag_without_a_jump_still_makes_a_report(tmp_path: Path):
     assert (folder / "animation.gif").exists()
 
 
-def test_a_bag_with_hardly_anything_still_makes_a_report(tmp_path: Path):
+def test_an_almost_empty_bag_makes_a_report(tmp_path: Path):
     made = MadeUp()
     made.refusal(0.1, topics.JUMP_REQUEST, "position is nan")
     assert (
@@ -228,7 +226,9 @@ def test_a_bag_with_hardly_anything_still_makes_a_report(tmp_path: Path):
     assert not (tmp_path / "out" / "animation.gif").exists()
 
 
-def test_refused_and_unwritable_have_their_exit_codes(tmp_path: Path, bag: Path, capsys: Any):
+def test_refused_bags_and_unwritable_folders_have_exit_codes(
+    tmp_path: Path, bag: Path, capsys: Any
+):
     assert main(["bag", "report", str(tmp_path / "none")]) == report.ExitCode.REFUSED
     assert "there is no bag" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
@@ -236,11 +236,11 @@ def test_refused_and_unwritable_have_their_exit_codes(tmp_path: Path, bag: Path,
     assert code == report.ExitCode.NOT_WRITTEN
 
 
-def test_numbers_that_are_not_finite_become_null():
+def test_non_finite_numbers_become_null():
     assert summary.finite({"a": [math.nan, 1.0], "b": math.inf}) == {"a": [None, 1.0], "b": None}
 
 
-def test_the_scene_holds_everything_that_moves(bag: Path):
+def test_the_scene_contains_all_bodies(bag: Path):
     read = read_bag(bag)
     scene = scene_of(read, measure(read).jumps[0])
     assert scene is not None

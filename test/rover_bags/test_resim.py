@@ -1,4 +1,4 @@
-"""Recorded runs simulated once more: to the last bit, and where they differ, where."""
+"""Re-simulation of recorded runs: bit-identical results and the location of differences."""
 
 import json
 from dataclasses import replace
@@ -40,7 +40,7 @@ def jump_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorder.made.write(tmp_path_factory.mktemp("resim") / "bag")
 
 
-def test_a_lockstep_jump_comes_out_to_the_last_bit(jump_bag: Path):
+def test_a_lockstep_jump_is_bit_identical(jump_bag: Path):
     found = resimulate(jump_bag)
     assert found.identical, found.text()
     assert found.compared > 800
@@ -51,7 +51,7 @@ def test_a_lockstep_jump_comes_out_to_the_last_bit(jump_bag: Path):
 
 
 @pytest.mark.usefixtures("compiled_in_space")
-def test_a_lockstep_run_in_space_comes_out_with_its_noise(tmp_path: Path):
+def test_a_spatial_lockstep_run_is_bit_identical_with_noise(tmp_path: Path):
     recorder = Recorder(SPATIAL, seed=11)
     recorder.run(25, all_drives)
     bag = recorder.made.write(tmp_path / "bag")
@@ -64,7 +64,7 @@ def test_a_lockstep_run_in_space_comes_out_with_its_noise(tmp_path: Path):
     assert found.refused == 0
 
 
-def test_a_hole_in_the_record_is_told_before_what_differs_for_it(tmp_path: Path):
+def test_a_gap_in_the_record_is_reported(tmp_path: Path):
     recorder = Recorder(PLANAR)
     recorder.run(120, nut_until_trip)
     made = recorder.made
@@ -72,14 +72,14 @@ def test_a_hole_in_the_record_is_told_before_what_differs_for_it(tmp_path: Path)
     bag = made.write(tmp_path / "bag")
     (bag / "metadata.yaml").unlink()
     found = resimulate(bag)
-    unknown, hole = found.notes
+    unknown, gap = found.notes
     assert unknown.startswith("metadata.yaml is missing")
     between = f"from {20 * TICK:.3f} s to {81 * TICK:.3f} s"
-    assert between in hole
+    assert between in gap
     assert between in found.text()
 
 
-def test_commands_that_came_later_than_sent_are_found_by_the_record(tmp_path: Path):
+def test_delays_of_commands_are_inferred_from_the_record(tmp_path: Path):
     recorder = Recorder(PLANAR)
     recorder.run(60, nut_until_trip, late=2)
     found = resimulate(recorder.made.write(tmp_path / "bag"))
@@ -117,7 +117,7 @@ def test_the_first_difference_is_located(tmp_path: Path, size: float, within: bo
     assert "truth/body2, linear.z" in found.text() if within else "outside" in found.text()
 
 
-def test_another_scenario_than_recorded_does_not_pass(tmp_path: Path):
+def test_a_different_scenario_fails(tmp_path: Path):
     recorder = Recorder(PLANAR, tether__elements=5)
     recorder.run(60, nut_until_trip)
     content = {
@@ -145,7 +145,7 @@ def test_resets_of_plant_and_clock_are_followed(tmp_path: Path):
     recorder.wall += 0.5
     recorder.record()
     recorder.run(30, nut_until_trip)
-    # An accelerometer tells nothing before the first tick.
+    # An accelerometer has no sample before the first tick.
     recorder.made.rows = [
         row for row in recorder.made.rows if not (row[1] == topics.IMU and is_at_start(row[2]))
     ]
@@ -160,11 +160,11 @@ def is_at_start(data: bytes) -> bool:
 
 def event(recorder: Recorder, stamp: float, name: str) -> tuple[float, str, bytes]:
     made = MadeUp()
-    made.event(stamp, name, "put back", {})
+    made.event(stamp, name, "reset", {})
     return (recorder.wall + 0.001, *made.rows[0][1:])
 
 
-def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys: Any):
+def test_a_bag_without_a_scenario_is_refused(tmp_path: Path, capsys: Any):
     made = MadeUp()
     made.add(0.0, topics.CLOCK, ClockSample(0))
     bag = made.write(tmp_path / "bag")
@@ -175,7 +175,7 @@ def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys
     assert "there is no bag" in capsys.readouterr().err
     made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": {"name": "x"}, "seed": 1})))
     with pytest.raises(ResimError, match="cannot be simulated here"):
-        resimulate(made.write(tmp_path / "strange"))
+        resimulate(made.write(tmp_path / "unknown"))
     other = MadeUp()
     other.add(0.0, topics.CLOCK, ClockSample(0))
     scenario = load_scenario(PLANAR).to_mapping()
@@ -184,18 +184,18 @@ def test_a_bag_that_does_not_tell_its_scenario_is_refused(tmp_path: Path, capsys
         resimulate(other.write(tmp_path / "lacking"))
 
 
-def test_the_executable_tells_by_text_json_and_exit_code(jump_bag: Path, capsys: Any):
+def test_the_command_reports_by_text_json_and_exit_code(jump_bag: Path, capsys: Any):
     assert main(["bag", "resim", str(jump_bag), "--exact"]) == 0
     assert "every recorded sample" in capsys.readouterr().out
     assert main(["bag", "resim", str(jump_bag), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["identical"] is True
-    assert told["differing"] == 0
-    assert told["topics"][topics.TRUTH_BODY1]["compared"] == 120
+    result = json.loads(capsys.readouterr().out)
+    assert result["identical"] is True
+    assert result["differing"] == 0
+    assert result["topics"][topics.TRUTH_BODY1]["compared"] == 120
     assert main(["bag", "resim", str(jump_bag), "--tolerance", "nan"]) == 2
 
 
-def test_a_fork_goes_on_alike_and_by_itself():
+def test_a_fork_is_identical_and_independent():
     simulation = Recorder(PLANAR).simulation
     twin = simulation.fork()
     twin.accept_command(topics.JUMP_MOTOR_COMMAND, JointSample(0, NUT))

@@ -546,7 +546,7 @@ def test_a_missing_metadata_file_does_not_matter(tmp_path: Path):
 
 
 @pytest.mark.parametrize("content", [b"", b"no bag at all, only words " * 50, b"\x06" * 5000])
-def test_what_is_no_bag_is_refused_and_leaves_nothing(
+def test_a_path_without_a_bag_is_refused_and_leaves_no_output(
     tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "thing.mcap").write_bytes(content)

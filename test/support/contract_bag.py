@@ -1,4 +1,4 @@
-"""Bags of made-up contract samples whose figures are known in closed form."""
+"""Synthetic bags of contract samples with closed-form metrics."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ GRAVITY = 9.81
 
 @dataclasses.dataclass(frozen=True)
 class Parabola:
-    """A jump without tether forces: every figure in closed form."""
+    """A jump without tether forces: every metric has a closed form."""
 
     take_off: float = 1.003
     up: float = 2.0
@@ -51,7 +51,7 @@ class Parabola:
         return 2.0 * self.up / GRAVITY
 
     def at(self, time: float, *, held: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """x, z, theta and their rates; ``held``: stopped at the landing."""
+        """Pose x, z, theta and rates; ``held``: the plant stops the body at the landing."""
         since = time - self.take_off
         start = np.array(self.start)
         if since < 0.0:
@@ -64,7 +64,7 @@ class Parabola:
 
     @property
     def landing(self) -> tuple[float, float, float]:
-        """Where it ends: x, z, theta."""
+        """Pose at touchdown: x, z, theta."""
         x, z, theta = self.start
         return (x + self.forward * self.flight_time, z, theta + self.turning * self.flight_time)
 
@@ -111,7 +111,7 @@ SCENARIO = {
 
 
 class MadeUp:
-    """Collects samples with their times and writes them as a bag."""
+    """Collects timed samples and writes them as a bag."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[float, str, bytes]] = []
@@ -132,35 +132,35 @@ class MadeUp:
         without: Iterable[str] = (),
         offset: float = 0.0,
     ) -> None:
-        """All steady topics over jumps that follow one another.
+        """Add all periodic topics over consecutive jumps.
 
         Args:
             jumps: in the order of their take-offs.
             until: end [s].
-            rate: of the bodies, the sensors and the energy [Hz].
-            held: stopped at the landing.
-            without: topics to leave out.
-            offset: of the time of arrival [s], for what happens after a reset of the clock.
+            rate: rate of bodies, sensors and energy [Hz].
+            held: whether the plant stops the body at the landing.
+            without: topics to omit.
+            offset: added to the time of reception [s], for messages after a clock reset.
         """
         order = sorted(jumps, key=lambda jump: jump.take_off)
-        left_out = set(without)
+        omitted = set(without)
 
         def put(time: float, name: str, sample: Sample) -> None:
-            if name not in left_out:
+            if name not in omitted:
                 self.add(time + offset, name, sample)
 
         config = json.dumps({"node": "/sim_node", "scenario": SCENARIO, "seed": 7})
         put(0.0, topics.CONFIG, TextSample(config))
-        told = ""
+        published = ""
         for count in range(round(until * rate) + 1):
             time = count / rate
             jump = next((j for j in reversed(order) if j.take_off <= time), order[0])
             pose, rates = jump.at(time, held=held)
             phase = jump.phase(time)
             put(time, topics.CLOCK, ClockSample(ns(time)))
-            if phase != told:
+            if phase != published:
                 put(time, topics.TRUTH_PHASE, TextSample(phase))
-                told = phase
+                published = phase
             put(time, topics.TRUTH_BODY1, odometry(time, pose, rates))
             above = pose + np.array([-0.2 * math.sin(pose[2]), 0.2 * math.cos(pose[2]), 0.0])
             put(time, topics.TRUTH_BODY2, odometry(time, above, rates))
@@ -188,7 +188,7 @@ class MadeUp:
         self.add(time, topics.DIAGNOSTICS, StatusSample(ns(time), (status,)))
 
     def write(self, path: Path, *, prefix: str = "/", close: bool = True) -> Path:
-        """Writes the bag, as a recorder would have received it."""
+        """Write the bag as a recorder would."""
         writer = BagWriter(path, sync=False, chunk_period=1e6, chunk_bytes=20_000)
         channels: dict[str, int] = {}
         for time, name, data in sorted(self.rows, key=lambda row: row[0]):

@@ -1,4 +1,4 @@
-"""A made-up mission of a rover in space, whose activities and figures are known in closed form."""
+"""A synthetic mission of a spatial rover with closed-form activities and metrics."""
 
 import json
 import math
@@ -63,7 +63,7 @@ SCENARIO = {
 
 @dataclass(frozen=True)
 class Leg:
-    """One activity, its length in time and its rate [m/s or rad/s]."""
+    """One activity with its duration [s] and rate [m/s or rad/s]."""
 
     what: str
     duration: float
@@ -107,16 +107,16 @@ FORWARD = 0.3
 def write_mission(
     path: Path, *, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf
 ) -> Path:
-    """Write the mission's bag into a folder; the rest as of `mission`."""
+    """Write the mission's bag; see `mission` for the other arguments."""
     return mission(legs=legs, brake_at=brake_at).write(path)
 
 
 def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> MadeUp:
-    """Make up the mission's messages.
+    """Make the mission's messages.
 
     Args:
-        legs: what is done.
-        brake_at: when the winch is found in fault, its brake closed [s].
+        legs: activities in their order.
+        brake_at: time at which the winch faults and closes its brake [s].
     """
     made = MadeUp()
     made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": SCENARIO, "seed": 3})))
@@ -141,10 +141,10 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
             elif leg.what == "flight":
                 vx, vz = FORWARD, UP - GRAVITY * since
             force = 824.0 * nut if leg.what == "compressing" else 0.0
-            # The brake closes a moment after the drum has come to rest.
+            # The brake closes shortly after the drum has come to rest.
             released = time < brake_at and (drum != 0.0 or since < 0.3 < time)
             _put(made, time, leg, length, drum, hangs, nut, force, released)
-            # The rover's nose is always forward: a turn shows in its rate alone.
+            # The body x axis stays forward: a turn shows in the angular rate only.
             pose = OdometrySample(
                 ns(time), (x, 0.0, z), (0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)),
                 (vx * math.cos(heading), -vx * math.sin(heading), vz), (0.0, 0.0, spin),
@@ -161,7 +161,7 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
                 for name, a, w in zip((WHEEL_LEFT, WHEEL_RIGHT), angle, wheels, strict=True)
             }
             made.add(time, topics.WHEEL_STATE, JointSample(ns(time), joints))
-            # A hanging rover's attitude is held by wheels that do not turn; the rest is noise.
+            # While hanging, the wheel motor holds the attitude, wheels at rest; else noise.
             current = _HOLDING if hangs else _NOISE * math.sin(40.0 * time)
             if leg.what in {"driving", "turning"}:
                 current = math.copysign(_DRIVING, leg.rate)

@@ -1,4 +1,4 @@
-"""What is told of bags whose record pauses, starts anew or lacks messages."""
+"""Analysis of bags whose record pauses, restarts or lacks messages."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +27,7 @@ def shown(metrics: Metrics) -> list[str]:
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
-    """Two runs in one bag, the clock put back between them; the second goes down slower."""
+    """Two runs in one bag with a clock reset between them; the second descends more slowly."""
     made = mission(legs=SHORT)
     slower = tuple(
         dataclasses.replace(leg, rate=0.2) if leg.what == "descending" else leg for leg in SHORT
@@ -36,7 +36,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
     return measured(made, tmp_path_factory.mktemp("twice"))
 
 
-def test_each_of_two_runs_has_its_own_phases_and_instants(twice: Metrics):
+def test_each_of_two_runs_has_its_own_activities_and_events(twice: Metrics):
     words = [leg.what for leg in SHORT]
     assert shown(twice) == [*words, *words]
     kinds = [event.kind for event in twice.timeline.events]
@@ -46,8 +46,8 @@ def test_each_of_two_runs_has_its_own_phases_and_instants(twice: Metrics):
     assert [d.rate_m_s for d in twice.descents] == pytest.approx([0.25, 0.2], rel=0.01)
     assert len(twice.jumps) == 2
     assert len(twice.traverses) == 2
-    for travel in twice.traverses:
-        assert travel.path_m == pytest.approx((1.0 - SLIP) * 0.6, rel=0.02)
+    for traverse in twice.traverses:
+        assert traverse.path_m == pytest.approx((1.0 - SLIP) * 0.6, rel=0.02)
 
 
 def test_each_of_two_runs_has_its_own_energy_balance(twice: Metrics):
@@ -62,26 +62,26 @@ def test_each_of_two_runs_has_its_own_energy_balance(twice: Metrics):
         assert other.input_J == pytest.approx(one.input_J, rel=1e-6)
 
 
-def test_rates_and_time_are_those_of_both_runs(twice: Metrics):
+def test_rates_and_duration_include_both_runs(twice: Metrics):
     assert twice.simulated_s == pytest.approx(2 * LENGTH, abs=0.1)
     for name in (topics.CLOCK, topics.CONTACT, topics.TRUTH_BODY1):
         assert twice.topics[name].rate_hz == pytest.approx(50.0, rel=1e-3)
 
 
-def test_events_are_those_of_their_own_run(tmp_path: Path):
+def test_events_belong_to_their_own_run(tmp_path: Path):
     made = MadeUp()
     jump = Parabola()
     for offset, height in ((0.0, 0.25), (5.0, 0.5)):
         made.jumps([jump], until=1.8, offset=offset)
         landing = jump.take_off + jump.flight_time
         made.event(landing, "touchdown", "down", {"height": str(height)})
-        told = made.rows.pop()
-        made.rows.append((told[0] + offset, *told[1:]))
+        row = made.rows.pop()
+        made.rows.append((row[0] + offset, *row[1:]))
     found = measured(made, tmp_path).jumps
     assert [jump.reported for jump in found] == [{"height": 0.25}, {"height": 0.5}]
 
 
-def test_a_pause_of_the_record_ends_what_went_on_and_invents_nothing(tmp_path: Path):
+def test_a_pause_of_the_record_ends_the_activity(tmp_path: Path):
     legs = (Leg("hanging", 3.0), Leg("descending", 5.0, 0.2), Leg("standing", 6.0))
     made = mission(legs=legs)
     made.rows = [row for row in made.rows if not 5.0 < row[0] < 10.0]
@@ -89,10 +89,10 @@ def test_a_pause_of_the_record_ends_what_went_on_and_invents_nothing(tmp_path: P
     assert shown(found) == ["hanging", "descending", "standing"]
     assert found.timeline.intervals[1].end_s == pytest.approx(5.0, abs=0.05)
     assert found.timeline.intervals[2].begin_s == pytest.approx(10.0, abs=0.05)
-    assert found.timeline.events == ()  # the touchdown was not seen
+    assert found.timeline.events == ()  # the touchdown lies in the pause
 
 
-def test_a_sensor_that_falls_silent_goes_on_with_nothing(tmp_path: Path):
+def test_a_timed_out_sensor_ends_the_activity(tmp_path: Path):
     legs = (Leg("standing", 2.0), Leg("driving", 3.0, 2.0), Leg("standing", 10.0))
     made = mission(legs=legs)
     made.rows = [row for row in made.rows if row[1] != topics.WHEEL_STATE or row[0] < 4.0]
@@ -100,7 +100,7 @@ def test_a_sensor_that_falls_silent_goes_on_with_nothing(tmp_path: Path):
     assert drive.end_s <= 5.1
 
 
-def test_a_missing_sample_of_one_body_gives_no_momentum(tmp_path: Path):
+def test_a_missing_sample_of_one_body_changes_no_momentum(tmp_path: Path):
     made = mission(legs=(Leg("standing", 2.0), Leg("compressing", 2.0, 0.06), Leg("flight", 1.2),
                          Leg("standing", 2.0)))  # fmt: skip
     made.rows = [
@@ -113,14 +113,14 @@ def test_a_missing_sample_of_one_body_gives_no_momentum(tmp_path: Path):
 def test_a_brake_is_judged_by_simulated_time(tmp_path: Path):
     legs = (Leg("hanging", 1.0), Leg("descending", 9.0, 0.3), Leg("hanging", 3.0))
     made = mission(legs=legs)
-    # The run came fifty times faster than real time; the brake closed long after the drum stood.
+    # The run was fifty times faster than real time; the brake closed long after the drum stopped.
     made.rows = [(row[0] / 50.0, *row[1:]) for row in made.rows]
     found = measured(made, tmp_path)
     assert "descending" in shown(found)
     assert [m for m in found.timeline.events if m.kind is TimelineEventKind.FAULT] == []
 
 
-def test_the_way_up_a_slope_is_longer_than_its_plan():
+def test_a_path_up_a_slope_is_longer_than_its_projection():
     time = np.linspace(0.0, 5.0, 251)
-    way = np.stack([0.3 * time, np.zeros_like(time), 0.4 * time], axis=1)
-    assert path_length(time, way) == pytest.approx(2.5)
+    path = np.stack([0.3 * time, np.zeros_like(time), 0.4 * time], axis=1)
+    assert path_length(time, path) == pytest.approx(2.5)

@@ -1,4 +1,4 @@
-"""Figures of made-up bags against closed forms."""
+"""Metrics of synthetic bags against closed forms."""
 
 import dataclasses
 import json
@@ -61,7 +61,7 @@ def test_a_parabola_gives_its_closed_form(tmp_path: Path, without: tuple[str, ..
     assert_is(found[0], jump)
 
 
-def test_backwards_downwards_and_turned_the_other_way(tmp_path: Path):
+def test_a_jump_backward_and_downward_has_negative_signs(tmp_path: Path):
     jump = Parabola(forward=-0.7, turning=-4.0, start=(1.0, 3.0, -0.5))
     made = MadeUp()
     made.jumps([jump], until=1.8)
@@ -89,7 +89,7 @@ def test_a_jump_straight_up_without_turning_is_one_flight(tmp_path: Path):
     assert_is(found[0], jump)
 
 
-def test_several_jumps_have_a_row_each(tmp_path: Path):
+def test_several_jumps_are_measured_separately(tmp_path: Path):
     first = Parabola()
     second = Parabola(take_off=2.0, up=1.0, forward=-0.2, turning=0.3, start=Parabola().landing)
     made = MadeUp()
@@ -101,7 +101,7 @@ def test_several_jumps_have_a_row_each(tmp_path: Path):
     assert found.to_mapping()["jump_height_m"] == found.jumps[0].jump_height_m
 
 
-def test_slack_tension_and_drift_are_those_of_the_flight(tmp_path: Path):
+def test_slack_tension_and_residual_are_of_the_flight(tmp_path: Path):
     jump = Parabola()
     made = MadeUp()
     made.jumps([jump], until=1.8)
@@ -112,7 +112,7 @@ def test_slack_tension_and_drift_are_those_of_the_flight(tmp_path: Path):
     assert found.energy_drift_J == pytest.approx(1e-6 * (1.42 - 1.0), rel=1e-6)
 
 
-def test_the_latest_sample_before_an_event_is_found_on_either_side_and_not_in_another_run():
+def test_the_latest_sample_before_an_event_is_searched_within_its_run():
     time = np.array([0.0, 0.01, 0.02, 0.03, 0.0, 0.01, 0.02])
     places = np.zeros((7, 3))
     body = jumps.Motion(time, np.arange(7), places, places, time, time)
@@ -123,7 +123,7 @@ def test_the_latest_sample_before_an_event_is_found_on_either_side_and_not_in_an
     assert jumps.latest(body, 2, 9.0) == 3
 
 
-def test_what_is_not_recorded_is_not_invented(tmp_path: Path):
+def test_metrics_of_missing_topics_are_none(tmp_path: Path):
     made = MadeUp()
     absent = (topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.LOAD_CELL, topics.TRUTH_BODY2)
     made.jumps([Parabola()], until=1.8, without=absent)
@@ -134,7 +134,7 @@ def test_what_is_not_recorded_is_not_invented(tmp_path: Path):
     assert found.energy_drift_J is None
 
 
-def test_a_bag_that_ends_in_flight_says_so(tmp_path: Path):
+def test_a_bag_that_ends_in_flight_has_no_touchdown(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=1.3)
     found = measured(made, tmp_path).jumps[0]
@@ -142,7 +142,7 @@ def test_a_bag_that_ends_in_flight_says_so(tmp_path: Path):
     assert found.jump_height_m == pytest.approx(Parabola().height)
 
 
-def test_standing_still_is_no_jump(tmp_path: Path):
+def test_standing_is_not_a_jump(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola(take_off=99.0)], until=1.0)
     found = measured(made, tmp_path)
@@ -150,7 +150,7 @@ def test_standing_still_is_no_jump(tmp_path: Path):
     assert found.to_mapping()["jump_height_m"] is None
 
 
-def test_a_reset_of_simulated_time_parts_the_jumps(tmp_path: Path):
+def test_a_reset_of_simulated_time_separates_jumps(tmp_path: Path):
     jump = Parabola()
     made = MadeUp()
     made.jumps([jump], until=1.2)
@@ -161,7 +161,7 @@ def test_a_reset_of_simulated_time_parts_the_jumps(tmp_path: Path):
     assert found[1].peak_tension_N == pytest.approx(7.5)
 
 
-def test_the_plants_own_events_date_take_off_and_touchdown(tmp_path: Path):
+def test_events_of_the_plant_date_take_off_and_touchdown(tmp_path: Path):
     jump = Parabola()
     made = MadeUp()
     made.jumps([jump], until=1.8)
@@ -175,14 +175,14 @@ def test_the_plants_own_events_date_take_off_and_touchdown(tmp_path: Path):
 
 
 def with_rows(path: Path, until: float, is_kept: Callable[[float, str], bool]) -> Metrics:
-    """A jump of which only some rows were recorded, by their time [s] and topic."""
+    """Metrics of a jump of which only some messages were recorded, by time [s] and topic."""
     made = MadeUp()
     made.jumps([Parabola()], until=until)
     made.rows = [row for row in made.rows if is_kept(row[0], row[1])]
     return measured(made, path)
 
 
-def test_rates_and_gaps_are_told(tmp_path: Path):
+def test_rates_and_gaps_are_measured(tmp_path: Path):
     def is_kept(time: float, topic: str) -> bool:
         return not ((topic == topics.LOAD_CELL and 0.5 < time < 0.8) or time == 1.5)
 
@@ -200,7 +200,7 @@ def test_rates_and_gaps_are_told(tmp_path: Path):
     assert load.slow_hz is None
 
 
-def test_gaps_of_a_thinned_record_are_judged_by_its_own_rate(tmp_path: Path):
+def test_gaps_of_a_slow_topic_are_counted_by_its_typical_rate(tmp_path: Path):
     def is_kept(time: float, topic: str) -> bool:
         thinned = round(time * 100) % 8 == 0 and not 0.5 < time < 0.8
         return topic != topics.LOAD_CELL or thinned
@@ -210,7 +210,7 @@ def test_gaps_of_a_thinned_record_are_judged_by_its_own_rate(tmp_path: Path):
     assert load.gaps == 1
 
 
-def test_a_topic_that_was_slow_at_first_alone_has_gaps(tmp_path: Path):
+def test_a_topic_that_was_slow_only_at_first_has_gaps(tmp_path: Path):
     def is_kept(time: float, topic: str) -> bool:
         return topic != topics.LOAD_CELL or time > 1.4 or round(time * 100) % 2 == 0
 
@@ -219,11 +219,11 @@ def test_a_topic_that_was_slow_at_first_alone_has_gaps(tmp_path: Path):
     assert load.gaps == 70
 
 
-def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
+def test_status_topics_are_paced_by_the_wall_clock(tmp_path: Path):
     made = MadeUp()
     status = Status("sim_node: plant", "running")
     for count in range(21):
-        # Simulated time runs five times faster than the machine's.
+        # Simulated time runs five times faster than wall time.
         made.add(count * 0.1, topics.SIM_STATUS, StatusSample(ns(count * 0.5), (status,)))
         made.add(count * 0.1, topics.CLOCK, ClockSample(ns(count * 0.5)))
     rows = measured(made, tmp_path).topics
@@ -234,7 +234,7 @@ def test_health_is_paced_by_the_machines_clock(tmp_path: Path):
     assert rows[topics.CLOCK].wall_rate_hz == pytest.approx(10.0)
 
 
-def test_latency_is_from_sending_to_reception(tmp_path: Path):
+def test_latency_is_from_publication_to_reception(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=1.8)
     rows = measured(made, tmp_path).topics
@@ -276,7 +276,7 @@ def test_columns_follow_the_contract(tmp_path: Path):
     assert bag.seed == 7
 
 
-def test_requests_of_several_kinds_stand_in_one_series(tmp_path: Path):
+def test_requests_of_several_kinds_share_one_series(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
     for time, joint, value in (
@@ -292,7 +292,7 @@ def test_requests_of_several_kinds_stand_in_one_series(tmp_path: Path):
     np.testing.assert_array_equal(rates, [math.nan, 0.3, math.nan])
 
 
-def test_world_velocity_is_the_twist_turned_by_the_attitude(tmp_path: Path):
+def test_world_velocity_is_the_twist_rotated_by_the_attitude(tmp_path: Path):
     made = MadeUp()
     pose, rates = np.array([0.0, 0.0, 0.9]), np.array([0.3, -1.2, 2.0])
     for time in (0.0, 0.1):
@@ -302,7 +302,7 @@ def test_world_velocity_is_the_twist_turned_by_the_attitude(tmp_path: Path):
     np.testing.assert_allclose(moved.theta_rate, 2.0)
 
 
-def test_a_message_that_breaks_the_contract_is_counted_and_named(tmp_path: Path):
+def test_messages_that_violate_the_contract_are_counted_and_reported(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
     good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
@@ -327,7 +327,7 @@ def test_a_bag_of_a_namespace_is_found_by_its_topics(tmp_path: Path):
     assert_is(measure(bag).jumps[0], Parabola())
 
 
-def test_several_rovers_in_one_bag_want_a_choice(tmp_path: Path):
+def test_several_rovers_in_one_bag_need_a_namespace(tmp_path: Path):
     kind = standard_type(TOPICS[topics.TRUTH_BODY1].message)
     with BagWriter(tmp_path / "bag", sync=False) as writer:
         for number in (1, 2):
@@ -350,7 +350,7 @@ def test_a_bag_without_a_clock_counts_from_its_start(tmp_path: Path):
     assert found.simulated_s is None
 
 
-def test_a_killed_and_a_damaged_bag_are_read_as_far_as_they_are_whole(tmp_path: Path):
+def test_interrupted_and_damaged_bags_are_read_partially(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=1.8)
     path = made.write(tmp_path / "bag", close=False)
@@ -368,7 +368,7 @@ def test_a_killed_and_a_damaged_bag_are_read_as_far_as_they_are_whole(tmp_path: 
         read_bag(path)
 
 
-def test_what_is_no_bag_is_refused(tmp_path: Path):
+def test_a_path_without_a_bag_is_refused(tmp_path: Path):
     with pytest.raises(ScanError, match="there is no bag"):
         read_bag(tmp_path / "nothing")
     (tmp_path / "empty").mkdir()

@@ -1,4 +1,4 @@
-"""Activities, and the figures of each, of a made-up mission."""
+"""Activities of a synthetic mission and their metrics."""
 
 import math
 from itertools import accumulate
@@ -26,13 +26,13 @@ def metrics(tmp_path_factory: pytest.TempPathFactory) -> Metrics:
     return measure(read_bag(write_mission(tmp_path_factory.mktemp("mission") / "bag")))
 
 
-def test_every_activity_is_found_where_it_is(metrics: Metrics):
+def test_every_activity_is_found_at_its_time(metrics: Metrics):
     found = [(interval.activity.value, interval.begin_s) for interval in metrics.timeline.intervals]
     assert [what for what, _ in found] == [leg.what for leg in MISSION]
     np.testing.assert_allclose([at for _, at in found], BEGINS[:-1], atol=0.05)
 
 
-def test_the_instants_between_them_are_told(metrics: Metrics):
+def test_timeline_events_are_found(metrics: Metrics):
     found = {event.kind: event.time_s for event in metrics.timeline.events}
     assert found[TimelineEventKind.TOUCHDOWN] == pytest.approx(BEGINS[6], abs=0.05)
     assert found[TimelineEventKind.LATCH_TRIP] == pytest.approx(BEGINS[13], abs=0.05)
@@ -42,7 +42,7 @@ def test_the_instants_between_them_are_told(metrics: Metrics):
     assert TimelineEventKind.LIFT_OFF not in found
 
 
-def test_a_descent_has_the_figures_of_its_drum_and_tension(metrics: Metrics):
+def test_a_descent_has_metrics_of_drum_and_tension(metrics: Metrics):
     assert [descent.downward for descent in metrics.descents] == [True, False, True]
     first = metrics.descents[0]
     assert first.to_m - first.from_m == pytest.approx(8.0 * 0.25, abs=0.01)
@@ -55,17 +55,17 @@ def test_a_descent_has_the_figures_of_its_drum_and_tension(metrics: Metrics):
     assert first.swing_max_rad == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_drive_has_its_way_and_its_slip(metrics: Metrics):
+def test_a_drive_has_path_and_slip(metrics: Metrics):
     drive, turn = metrics.drives
-    way = 4.0 * 2.0 * RADIUS
-    assert drive.path_m == pytest.approx((1.0 - SLIP) * way, rel=0.02)
-    assert drive.rolled_m == pytest.approx(way, rel=0.02)
+    rolled = 4.0 * 2.0 * RADIUS
+    assert drive.path_m == pytest.approx((1.0 - SLIP) * rolled, rel=0.02)
+    assert drive.rolled_m == pytest.approx(rolled, rel=0.02)
     assert drive.slip == pytest.approx(SLIP, abs=0.01)
     assert turn.turning
     assert turn.heading_rad == pytest.approx(3.0 * 0.5, rel=0.02)
-    (travel,) = metrics.traverses
-    assert travel.drives == 2
-    assert travel.closing_distance_m == pytest.approx((1.0 - SLIP) * way, rel=0.02)
+    (traverse,) = metrics.traverses
+    assert traverse.drives == 2
+    assert traverse.closing_distance_m == pytest.approx((1.0 - SLIP) * rolled, rel=0.02)
 
 
 def test_a_jump_over_the_ground_has_range_and_attitude(metrics: Metrics):
@@ -78,14 +78,14 @@ def test_a_jump_over_the_ground_has_range_and_attitude(metrics: Metrics):
     assert jump.tilt_rad == pytest.approx(0.0, abs=1e-6)
 
 
-def test_pictures_count_where_the_rover_hangs_and_sees_the_wall(metrics: Metrics):
+def test_images_count_while_the_rover_hangs_and_sees_the_wall(metrics: Metrics):
     assert len(metrics.imaging_stops) == 3
     assert [stop.sharp for stop in metrics.imaging_stops] == [1.0, 0.0, 0.0]
     assert metrics.imaging_stops[0].images == pytest.approx(30, abs=1)
     assert metrics.imaging_stops[0].wall_m == 3.0
 
 
-def test_pictures_that_a_descent_has_logged_are_mapped(tmp_path: Path):
+def test_images_logged_by_a_descent_are_mapped(tmp_path: Path):
     made = MadeUp()
     for index, smear in enumerate((0.1, 0.2, 3.0)):
         joints = {
@@ -106,7 +106,7 @@ def test_pictures_that_a_descent_has_logged_are_mapped(tmp_path: Path):
     assert "coverage" in [plot.name for plot in run_plots(bag, found)]
 
 
-def test_the_audits_add_up_what_is_recorded(metrics: Metrics):
+def test_the_audits_sum_the_recorded_terms(metrics: Metrics):
     energy = metrics.audits.energy
     assert energy is not None
     span = BEGINS[-1]
@@ -121,7 +121,7 @@ def test_the_audits_add_up_what_is_recorded(metrics: Metrics):
     assert flywheel.momentum_max_N_m_s == pytest.approx(0.15)
     assert flywheel.share == pytest.approx(0.5)
     (flight,) = metrics.audits.flights
-    # Falling freely nothing but gravity changes the momentum.
+    # In free fall only gravity changes the momentum.
     assert flight.momentum_change_N_s < 1e-9
     assert flight.unexplained_N_s is not None
     assert flight.unexplained_N_s < 1e-9
@@ -137,7 +137,7 @@ def test_a_brake_that_closes_on_a_turning_drum_is_a_fault(tmp_path: Path):
     assert "0.300 m/s" in faults[0].reason
 
 
-def test_a_short_trim_of_the_drum_is_no_descent(tmp_path: Path):
+def test_a_short_trim_of_the_drum_is_not_a_descent(tmp_path: Path):
     legs = (
         Leg("hanging", 2.0),
         *(Leg("descending" if n % 2 else "ascending", 0.4, 0.05 * (-1) ** n) for n in range(10)),
@@ -147,10 +147,10 @@ def test_a_short_trim_of_the_drum_is_no_descent(tmp_path: Path):
     assert [interval.activity.value for interval in measure(bag).timeline.intervals] == ["hanging"]
 
 
-def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(tmp_path: Path):
+def test_damping_strokes_are_not_descents_but_travels_beside_them_are(tmp_path: Path):
     def stroke(n: int) -> Leg:
         side = -1 if n % 2 else 1
-        # Half as long at the begin, fading to the end.
+        # The first stroke is half as long; the strokes decay.
         duration = (1.0 if n == 0 else 2.0) * 0.9**n
         return Leg("descending" if side > 0 else "ascending", duration, 0.2 * side)
 
@@ -177,7 +177,7 @@ def test_strokes_that_damp_a_swing_are_no_descents_and_travels_next_to_them_are(
     ("down", "rest", "up"),
     [pytest.param(11.0, 3.0, 5.0, id="after a rest"), pytest.param(8.0, 2.1, 7.7, id="long")],
 )
-def test_an_ascent_that_descents_undo_is_a_travel_where_no_swing_asks_for_it(
+def test_an_ascent_between_descents_is_a_travel_unless_it_damps_a_swing(
     tmp_path: Path, down: float, rest: float, up: float
 ):
     legs = (
@@ -204,7 +204,7 @@ def test_a_bag_without_switches_or_phase_has_no_activities(tmp_path: Path):
     assert len(found.jumps) == 1
 
 
-def test_gaps_are_filled_and_blips_taken_out():
+def test_closing_fills_gaps_and_opening_removes_blips():
     time = np.arange(10.0)
     flags = np.array([1, 1, 0, 1, 1, 0, 0, 0, 1, 0], dtype=bool)
     assert closed(flags, time, 2.0).tolist() == [1, 1, 1, 1, 1, 0, 0, 0, 1, 0]

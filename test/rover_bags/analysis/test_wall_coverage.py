@@ -1,4 +1,4 @@
-"""Wall coverage: figures against closed forms, the drawing, and the way from a bag's series."""
+"""Wall coverage: metrics against closed forms, the plot, and observations from a bag."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from rover_bags.read import TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 
 VIEW = View(width=0.5, height=0.4, sharp=0.5, wall_distance=3.0)
-HIGH = 2.0 * 3.0 * math.tan(0.2)  # of a picture on the wall [m]
-WIDE = 0.5 * 3.0  # of the same [m]
+HIGH = 2.0 * 3.0 * math.tan(0.2)  # height of a footprint [m]
+WIDE = 0.5 * 3.0  # width of a footprint [m]
 
 
-def pictures(*rows: tuple[float, float, float]) -> Observations:
-    """Pictures from depth [m], heading [rad] and smear [px]."""
+def images(*rows: tuple[float, float, float]) -> Observations:
+    """Images from depth [m], heading [rad] and smear [px]."""
     depth, heading, smear = np.array(rows, dtype=float).reshape(-1, 3).T
     count = len(depth)
     return Observations(
@@ -35,8 +35,8 @@ def pictures(*rows: tuple[float, float, float]) -> Observations:
     )
 
 
-def test_a_picture_covers_its_view_on_the_wall_at_its_distance():
-    found = measure_coverage(pictures((10.0, 0.3, 0.1)), VIEW)
+def test_an_image_covers_its_footprint_at_the_wall_distance():
+    found = measure_coverage(images((10.0, 0.3, 0.1)), VIEW)
     assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
     assert found.headings == pytest.approx(VIEW.width, abs=math.radians(0.6))
     assert found.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
@@ -44,23 +44,23 @@ def test_a_picture_covers_its_view_on_the_wall_at_its_distance():
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi, -math.pi + 0.1, 40.0])
-def test_where_it_looks_does_not_matter_also_across_the_turn(heading: float):
-    found = measure_coverage(pictures((10.0, heading, 0.1)), VIEW)
+def test_coverage_is_independent_of_heading(heading: float):
+    found = measure_coverage(images((10.0, heading, 0.1)), VIEW)
     assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
 
 
-def test_what_is_seen_twice_counts_once_and_halves_overlap_by_half():
-    twice = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0, 2.0 * math.pi, 0.1)), VIEW)
+def test_overlapping_footprints_count_once():
+    twice = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 2.0 * math.pi, 0.1)), VIEW)
     assert twice.area == pytest.approx(WIDE * HIGH, rel=0.03)
-    beside = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0, 0.25, 0.1)), VIEW)
+    beside = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 0.25, 0.1)), VIEW)
     assert beside.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
-    below = measure_coverage(pictures((10.0, 0.0, 0.1), (10.0 + 0.5 * HIGH, 0.0, 0.1)), VIEW)
+    below = measure_coverage(images((10.0, 0.0, 0.1), (10.0 + 0.5 * HIGH, 0.0, 0.1)), VIEW)
     assert below.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
     assert below.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
 
 
-def test_only_sharp_pictures_cover_and_stops_are_told_apart():
-    seen = pictures((10.0, 0.0, 0.2), (10.01, 0.0, 0.9), (20.0, 0.0, math.nan), (20.0, 1.0, 0.4))
+def test_only_sharp_images_cover_and_stops_are_separated_by_depth():
+    seen = images((10.0, 0.0, 0.2), (10.01, 0.0, 0.9), (20.0, 0.0, math.nan), (20.0, 1.0, 0.4))
     found = measure_coverage(seen, VIEW)
     assert (found.images, found.sharp, found.smeared, found.unknown) == (4, 2, 1, 1)
     assert found.stops == 2
@@ -69,30 +69,30 @@ def test_only_sharp_pictures_cover_and_stops_are_told_apart():
     assert (found.smear_median, found.smear_worst) == (0.4, 0.9)
     whole = (10.0 + HIGH) * 2.0 * math.pi * 3.0
     assert found.share == pytest.approx(found.area / whole, rel=1e-6)
-    assert found.summary.startswith("4 pictures at 2 stops from 10.0 to 20.0 m, 2 sharp, 1 smeared")
+    assert found.summary.startswith("4 images at 2 stops from 10.0 to 20.0 m, 2 sharp, 1 smeared")
 
 
-@pytest.mark.parametrize("told", [math.nan, NO_WALL])
-def test_where_no_wall_was_measured_the_view_s_own_distance_holds(told: float):
-    seen = pictures((10.0, 0.0, 0.1))._replace(wall_distance=np.array([told]))
+@pytest.mark.parametrize("distance", [math.nan, NO_WALL])
+def test_the_default_distance_holds_without_a_range(distance: float):
+    seen = images((10.0, 0.0, 0.1))._replace(wall_distance=np.array([distance]))
     assert measure_coverage(seen, VIEW).area == pytest.approx(WIDE * HIGH, rel=0.03)
 
 
-def test_without_pictures_there_is_nothing_to_tell_or_draw():
-    found = measure_coverage(pictures(), VIEW)
+def test_no_images_give_no_coverage_and_no_plot():
+    found = measure_coverage(images(), VIEW)
     assert found.images == found.stops == 0
     assert math.isnan(found.share)
-    assert found.summary == "no pictures of the wall"
-    assert draw_coverage(pictures(), VIEW) is None
+    assert found.summary == "no images of the wall"
+    assert draw_coverage(images(), VIEW) is None
 
 
-def test_each_picture_is_drawn_where_it_looks_also_at_both_sides_of_the_turn():
-    seen = pictures((10.0, 0.0, 0.1), (12.0, math.pi, 0.1), (14.0, 0.0, 0.9), (16.0, 0.0, math.nan))
+def test_footprints_are_drawn_at_their_heading_and_wrap_around():
+    seen = images((10.0, 0.0, 0.1), (12.0, math.pi, 0.1), (14.0, 0.0, 0.9), (16.0, 0.0, math.nan))
     figure = draw_coverage(seen, VIEW)
     assert figure is not None
     (axes,) = figure.axes
     boxes = [len(each.get_paths()) for each in axes.collections]
-    assert boxes == [3, 1, 1]  # the one at the turn stands at both edges
+    assert boxes == [3, 1, 1]  # the one at 180 degrees appears at both edges
     first = axes.collections[0].get_paths()[0].get_extents()
     assert (first.width, first.height) == pytest.approx((math.degrees(0.5), HIGH), rel=1e-6)
     top, bottom = axes.get_ylim()
@@ -104,7 +104,7 @@ def test_each_picture_is_drawn_where_it_looks_also_at_both_sides_of_the_turn():
     figure.savefig(io.BytesIO(), format="svg")
 
 
-def test_a_track_without_the_camera_s_words_is_read_too():
+def test_observations_without_smear_and_range_are_read():
     sample = JointSample(
         5_000_000_000,
         {PICTURE: JointValue(1.0), DEPTH: JointValue(10.0), HEADING: JointValue(0.2),

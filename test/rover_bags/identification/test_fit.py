@@ -46,7 +46,7 @@ def made_up(generator: np.random.Generator, amplitude: float, rate: float) -> Ex
     )  # fmt: skip
 
 
-def test_intervals_hold_as_often_as_they_say():
+def test_intervals_have_their_nominal_coverage():
     inside = np.zeros(2)
     for seed in range(100):
         experiment = made_up(np.random.default_rng(seed), 2.0, 0.5)
@@ -59,7 +59,7 @@ def test_intervals_hold_as_often_as_they_say():
     assert np.all(inside >= 85), inside
 
 
-def test_what_moves_nothing_and_what_moves_together_is_not_shown():
+def test_insensitive_and_collinear_parameters_are_not_shown():
     experiment = made_up(np.random.default_rng(1), 2.0, 0.5)
     guesses = {"EA": 1.7, "EI": 0.6, "axial_damping": 1.0, "twist_stiffness": 1e-4}
     fitted = Fit([experiment], guesses, decay([experiment])).solve()
@@ -71,7 +71,7 @@ def test_what_moves_nothing_and_what_moves_together_is_not_shown():
     assert np.count_nonzero(fitted.singular > 1.0) == 2
 
 
-def test_noise_beyond_the_sensor_s_widens_the_intervals():
+def test_excess_noise_widens_the_intervals():
     quiet = made_up(np.random.default_rng(2), 2.0, 0.5)
     loud = replace(
         quiet,
@@ -84,7 +84,7 @@ def test_noise_beyond_the_sensor_s_widens_the_intervals():
     assert np.all((ratio > 3.5) & (ratio < 7.0))
 
 
-def test_errors_that_the_model_lacks_are_told_and_widen_the_intervals():
+def test_model_errors_are_reported_and_widen_the_intervals():
     experiment = made_up(np.random.default_rng(2), 2.0, 0.5)
     wave = 0.03 * np.sin(9.0 * experiment.times)[:, None]
     off = replace(experiment, readings=experiment.readings + wave)
@@ -118,7 +118,7 @@ def fitted_beside(tilt: float) -> Fitted:
     return Fit([one], guesses, turning_over([one], tilt)).solve()
 
 
-def test_where_two_values_fit_alike_the_interval_holds_both():
+def test_the_interval_holds_both_of_two_equal_minima():
     fitted = fitted_beside(tilt=0.0)
     low, high = fitted.interval(1, 1.96)
     assert fitted.shown.all()
@@ -129,7 +129,7 @@ def test_where_two_values_fit_alike_the_interval_holds_both():
     assert set(fitted.profiles) == {1}
 
 
-def test_a_lower_minimum_is_gone_to():
+def test_the_search_moves_to_a_lower_minimum():
     fitted = fitted_beside(tilt=0.015)
     low, high = fitted.interval(1, 1.96)
     assert fitted.converged
@@ -138,7 +138,7 @@ def test_a_lower_minimum_is_gone_to():
     assert high - low < 0.2
 
 
-def test_the_reach_of_a_profile_is_where_its_root_passes_the_limit():
+def test_the_reach_of_a_profile_ends_where_its_root_crosses_the_limit():
     offsets = np.arange(-3.0, 4.0)
     profile = Profile(offsets, offsets**2)
     assert profile.reach(1.5) == pytest.approx((-1.5, 1.5))
@@ -147,7 +147,7 @@ def test_the_reach_of_a_profile_is_where_its_root_passes_the_limit():
     assert profile.others(1.5).size == 0
 
 
-def test_a_second_valley_belongs_to_the_reach():
+def test_a_second_minimum_belongs_to_the_reach():
     offsets = np.arange(-3.0, 4.0)
     profile = Profile(offsets, np.array([25.0, 16.0, 9.0, 0.0, 9.0, -1.0, 16.0]))
     assert profile.reach(2.0) == pytest.approx((-2.0 / 3.0, 2.5))

@@ -20,7 +20,7 @@ def sensed(
 
 
 @pytest.mark.parametrize("walk", [0.0, 2.0])
-def test_innovations_of_a_sensor_as_stated_are_white_and_of_variance_one(walk: float):
+def test_innovations_of_a_specified_sensor_are_white_with_unit_variance(walk: float):
     errors = Errors(white=0.04, walk=walk, bias=9.0)
     times, read = sensed(np.random.default_rng(3), errors, 4000, 0.02)
     known = np.ones((4000, 1), dtype=bool)
@@ -33,7 +33,7 @@ def test_innovations_of_a_sensor_as_stated_are_white_and_of_variance_one(walk: f
     assert np.all(innovations[1000:1500] == 0.0)
 
 
-def test_a_walk_that_is_not_stated_is_found_out():
+def test_an_unspecified_random_walk_is_detected():
     times, read = sensed(np.random.default_rng(4), Errors(0.04, 2.0, 9.0), 4000, 0.02)
     whitening = Whitening(times, [Errors(0.04, 0.0, 9.0)], np.ones((4000, 1), dtype=bool))
     innovations = whitening(read[:, None])
@@ -41,7 +41,7 @@ def test_a_walk_that_is_not_stated_is_found_out():
     assert whitening.scales(innovations)[0] > 2.0
 
 
-def test_a_constant_offset_does_not_count():
+def test_a_constant_bias_has_no_effect():
     known = np.ones((500, 1), dtype=bool)
     whitening = Whitening(0.02 * np.arange(500.0), [Errors(1.0, 0.0, 0.0)], known)
     innovations = whitening(np.full((500, 1), 7.0))

@@ -15,7 +15,7 @@ from rover_bags.identification.parameters import (
 from rover_sim import load_spatial
 
 
-def test_values_are_put_where_they_belong():
+def test_values_are_set_in_the_scenario():
     base = with_stiffness(load_spatial("spatial_table1"))
     values = {name: 1.25 * (value_of(base, name) or math.nan) for name in PARAMETERS
               if value_of(base, name) is not None}  # fmt: skip
