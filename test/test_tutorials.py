@@ -115,10 +115,10 @@ def test_a_device_that_is_there_itself_is_not_played():
 @pytest.mark.parametrize(
     ("given", "complaint"),
     [
-        ({"real_devices": "camera"}, "'camera' is no device: should be of jump, wheel"),
+        ({"real_devices": "camera"}, "'camera' is no device: should be one of jump, wheel"),
         (
             {"real_devices": "imu, load_cell", "impairments": "{kind: cut, target: load_cell}"},
-            "is on load_cell, which is one of the real_devices",
+            "targets load_cell, one of the real_devices",
         ),
     ],
 )

@@ -1,6 +1,6 @@
-"""A load cell of one's own on the link; it needs the `canopen` library and the EDS file, no more.
+"""A load cell on the link, with the `canopen` library and the EDS file only.
 
-python3 own_load_cell.py INTERFACE CHANNEL      such as: socketcan can0
+python3 own_load_cell.py INTERFACE CHANNEL      example: socketcan can0
 """
 
 import struct
@@ -15,7 +15,7 @@ SYNC_ID, TPDO1_ID = 0x080, 0x180
 
 
 class OwnLoadCell:
-    """Answers each SYNC with what the cell reads."""
+    """Answers each SYNC with the measured tension."""
 
     def __init__(self, network: canopen.Network, eds: str, read: Callable[[], float]) -> None:
         """Boot; ``read`` returns the tension [N]."""
@@ -24,8 +24,8 @@ class OwnLoadCell:
         self.node = network.create_node(5, self._dictionary)
         self._scale = self._dictionary[0x7130][1].factor  # of one count [N]
         network.subscribe(SYNC_ID, self._on_sync)
-        self.node.nmt.send_command(129)  # boots: tells that it is there
-        self.node.nmt.send_command(128)  # pre-operational, its heart beats
+        self.node.nmt.send_command(129)  # boot-up message
+        self.node.nmt.send_command(128)  # pre-operational, starts the heartbeat
 
     def _on_sync(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
         sampled = time.monotonic_ns()
@@ -39,7 +39,7 @@ class OwnLoadCell:
 
 
 def main() -> None:
-    """Run until Ctrl-C; a cell with 12.5 N on it stands in for the amplifier."""
+    """Run until Ctrl-C, with a constant 12.5 N in place of an amplifier."""
     interface, channel = sys.argv[1:]
     network = canopen.Network()
     network.connect(interface=interface, channel=channel)

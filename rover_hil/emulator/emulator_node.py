@@ -378,7 +378,7 @@ class EmulatorNode(ContractNode):
             "real_time": str(real_time).lower(),
             "real_time_factor": "lockstep" if lockstep else "1.0",
             "measured_real_time_factor": measured,
-            "wall_time_dropped": f"{scheduler.given_up:.4g}",
+            "wall_time_dropped": f"{scheduler.dropped:.4g}",
             "sync_count": str(machine.sync_count),
         }
         if link is not None:
@@ -390,7 +390,7 @@ class EmulatorNode(ContractNode):
             level, message = Level.ERROR, f"the plant has stopped: {machine.simulation.phase.value}"
         elif not lockstep and scheduler.measured is not None and not real_time:
             level = Level.WARN
-            message = f"NOT real time: factor {measured}, skipped {scheduler.given_up:.3g} s"
+            message = f"NOT real time: factor {measured}, dropped {scheduler.dropped:.3g} s"
         return Status(f"{self.NAME}: plant", message, level, self.NAME, values)
 
 

@@ -2,7 +2,7 @@
 
 A tick follows its SYNC after a delay, in which answers are sent and commands arrive. Without SYNC,
 ticks follow the wall clock. The scheduler measures the real-time factor and counts the wall time
-that was skipped because it could not be caught up.
+that was dropped because it could not be caught up.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class TickScheduler:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self.given_up = 0.0
+        self.dropped = 0.0
         self.measured: float | None = None
         self._anchor: float | None = None
         self._done = 0
         self._marks: deque[tuple[float, int]] = deque()
         self._total = 0
-        self._given_up_at = -math.inf
+        self._dropped_at = -math.inf
 
     def synchronise(self, wall: float) -> None:
         """Lock the phase of the ticks to a SYNC at a steady time [s]."""
@@ -54,8 +54,8 @@ class TickScheduler:
         periods = (wall - self._anchor) / self._period - _TICK_DELAY
         behind = math.floor(periods + _ROUNDING) + 1 - self._done
         if behind * self._period > _CATCH_UP:
-            self.given_up += (behind - 1) * self._period
-            self._given_up_at = wall
+            self.dropped += (behind - 1) * self._period
+            self._dropped_at = wall
             self._done += behind - 1
         ticks = int(behind > 0)
         self._done += ticks
@@ -70,8 +70,8 @@ class TickScheduler:
         return max(self._anchor + (self._done + _TICK_DELAY) * self._period - wall, 0.0)
 
     def is_real_time(self, wall: float) -> bool:
-        """Whether the plant keeps real time and skipped no wall time lately."""
-        kept = wall - self._given_up_at > _WINDOW
+        """Whether the plant keeps real time and dropped no wall time lately."""
+        kept = wall - self._dropped_at > _WINDOW
         return kept and self.measured is not None and self.measured >= _REAL_TIME
 
     def _mark(self, wall: float) -> None:

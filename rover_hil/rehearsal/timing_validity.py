@@ -1,7 +1,7 @@
 """Whether an emulated machine kept real time; otherwise its measured times are invalid.
 
 Bridge, emulator and rehearsal share one computer then. The emulator reports the wall time that it
-skipped, and the bridge reports its cycles. A real machine is always held to its times.
+dropped, and the bridge reports its cycles. A real machine is always held to its times.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ def timing_fault(history: MessageHistory, since_ns: int) -> str:
         status.values.get("real_time_factor") == "lockstep" for _, status in plant
     ):
         return "the emulated machine did not keep real time"
-    skipped = _increase(plant, "wall_time_dropped")
-    if skipped:
-        return f"the emulated machine skipped {skipped:.2g} s of wall time"
+    dropped = _increase(plant, "wall_time_dropped")
+    if dropped:
+        return f"the emulated machine dropped {dropped:.2g} s of wall time"
     lag = _longest_lag(_reports(history.of(topics.LINK_STATUS), since_ns, ": link"))
     if lag > _LAG_LIMIT:
         return f"the bridge lagged by {lag:.2g} s on the emulating computer"

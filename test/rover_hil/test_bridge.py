@@ -1,4 +1,4 @@
-"""Bridge and emulated machine together, cycle by cycle: what moves, and what never does."""
+"""Bridge and emulated machine together, cycle by cycle: motion, watchdogs, refusals."""
 
 from __future__ import annotations
 
@@ -75,18 +75,18 @@ def paying_out(bench: HilBench) -> None:
     assert brake_is_open(bench)
 
 
-def assert_it_stops(bench: HilBench, within: float) -> None:
-    """The drum stands with its brake closed, by the plant itself, whoever is heard."""
+def assert_stops(bench: HilBench, within: float) -> None:
+    """The plant's drum stands still with its brake closed."""
     bench.cycles(within)
     state = bench.simulation.state
     assert bench.simulation.interface.drive_feedback(state).payout_rate == 0.0
     assert not bench.machine.drives["winch"].automaton.enabled
 
 
-# ----------------------------------------------------------------------------------- what is told
+# ------------------------------------------------------------------------------- published topics
 
 
-def test_all_sensors_and_drives_are_told_as_the_simulator_tells_them(bench: HilBench):
+def test_all_topics_equal_those_of_the_direct_simulation(bench: HilBench):
     bench.cycles(0.1)
     assert set(bench.published) == set(PUBLISHED)
     stamp_ns = bench.simulation.stamp_ns - round(SYNC_PERIOD * 1e9)
@@ -98,7 +98,7 @@ def test_all_sensors_and_drives_are_told_as_the_simulator_tells_them(bench: HilB
             assert mine[path] == pytest.approx(value, abs=0.05), (topic, path)
 
 
-def test_a_clock_that_is_off_is_found_to_its_uncertainty(bench: HilBench):
+def test_a_clock_offset_is_estimated_within_its_uncertainty(bench: HilBench):
     bench.cycles(0.1)
     now_ns = bench.simulation.stamp_ns
     for name, station in bench.bridge.stations.items():
@@ -111,19 +111,19 @@ def test_a_clock_that_is_off_is_found_to_its_uncertainty(bench: HilBench):
 # ------------------------------------------------------------------------------------------ arming
 
 
-def test_nothing_moves_before_it_is_armed_and_the_refusal_says_how(bench: HilBench):
+def test_a_command_before_arming_is_refused_with_the_remedy(bench: HilBench):
     bench.cycles(0.1)
     with pytest.raises(Refusal, match=topics.DRIVES_ARM) as refused:
         bench.cycle(winch())
     assert refused.value.code is RefusalCode.NOT_ARMED
-    bench.cycle(winch(rate=0.0, brake=0.0))  # asks for nothing, is refused nothing
+    bench.cycle(winch(rate=0.0, brake=0.0))  # requests no motion, is not refused
     assert all(channel.state == DISABLED for channel in bench.bridge.channels.values())
 
 
-def test_it_is_not_armed_while_a_drive_is_silent_or_another_one_than_it_should_be(
+def test_arming_is_refused_while_a_drive_is_missing_or_not_the_expected_one(
     bench: HilBench,
 ):
-    with pytest.raises(Refusal, match="not heard on the link: jump, wheel, winch"):
+    with pytest.raises(Refusal, match="no answer on the link: jump, wheel, winch"):
         bench.bridge.arm(0)
     bench.cycles(0.1)
     bench.bridge.on_device_checked(WINCH, "1018h:03 Revision number is 1, should be 65536")
@@ -132,7 +132,7 @@ def test_it_is_not_armed_while_a_drive_is_silent_or_another_one_than_it_should_b
     assert not any(channel.armed for channel in bench.bridge.channels.values())
 
 
-def test_a_drive_that_beats_but_has_not_told_its_state_still_counts_as_not_heard(
+def test_a_drive_with_heartbeat_but_unknown_state_counts_as_missing(
     bench: HilBench,
 ):
     now_ns = bench.simulation.stamp_ns
@@ -153,7 +153,7 @@ def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: 
 
 
 @pytest.mark.parametrize(
-    ("topic", "joints", "told", "joint"),
+    ("topic", "joints", "state_topic", "joint"),
     [
         (
             topics.WHEEL_COMMAND,
@@ -181,38 +181,38 @@ def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: 
         ),
     ],
 )
-def test_each_motor_turns_as_it_is_told(
-    bench: HilBench, topic: str, joints: dict[str, JointValue], told: str, joint: str
+def test_each_motor_follows_its_command(
+    bench: HilBench, topic: str, joints: dict[str, JointValue], state_topic: str, joint: str
 ):
     bench.arm()
-    before = bench.published[told]
+    before = bench.published[state_topic]
     bench.cycles(0.5, {topic: JointSample(0, joints)})
-    after = bench.published[told]
+    after = bench.published[state_topic]
     assert isinstance(before, JointSample)
     assert isinstance(after, JointSample)
-    way = after.joints[joint].position - before.joints[joint].position
-    assert abs(way) > 1e-3
+    distance = after.joints[joint].position - before.joints[joint].position
+    assert abs(distance) > 1e-3
     assert not bench.has_event("jump_drive_refuses")
 
 
-def test_the_wheel_drive_tells_the_torque_that_its_current_makes(bench: HilBench):
+def test_the_wheel_drive_reports_the_torque_of_its_current(bench: HilBench):
     bench.arm()
-    told = bench.machine.devices["wheel"].values
+    measured = bench.machine.devices["wheel"].values
     for torque in (0.4, -0.4):
         command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 0.0, torque)})
         bench.cycles(0.1, {topics.WHEEL_TORQUE_COMMAND: command})
-        # What the gear takes away comes on top.
-        assert 0.35 < math.copysign(1.0, torque) * told["torque"] < 0.7
+        # The gear's friction adds to it.
+        assert 0.35 < math.copysign(1.0, torque) * measured["torque"] < 0.7
 
 
-# --------------------------------------------------------------------------------- what ends a move
+# ------------------------------------------------------------------------------------ end of motion
 
 
-def test_a_controller_that_falls_silent_stops_its_drive_and_another_command_starts_it(
+def test_a_command_timeout_stops_the_drive_and_the_next_command_starts_it(
     bench: HilBench,
 ):
     paying_out(bench)
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     assert bench.has_event("winch_commands_ceased")
     assert bench.bridge.channels["winch"].state == SWITCHED_ON
     assert not brake_is_open(bench)
@@ -220,54 +220,54 @@ def test_a_controller_that_falls_silent_stops_its_drive_and_another_command_star
     assert brake_is_open(bench)
 
 
-def test_a_dead_bridge_stops_the_drives_by_their_own_watchdogs(bench: HilBench):
+def test_a_dead_bridge_stops_the_drives_by_their_watchdogs(bench: HilBench):
     paying_out(bench)
     bench.bridge_is_on = False
     before = drum(bench).position
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     assert bench.machine.drives["winch"].automaton.error_code == 0x8250
     drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
     assert drives.length - before < RATE * 0.4
 
 
-def test_a_bridge_that_comes_back_moves_nothing_until_it_is_armed(bench: HilBench):
+def test_a_restarted_bridge_moves_nothing_until_it_is_armed(bench: HilBench):
     paying_out(bench)
     bench.bridge_is_on = False
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     bench.restart_bridge()
     bench.bridge_is_on = True
     bench.cycles(0.2)
     assert bench.bridge.channels["winch"].state == FAULT
     with pytest.raises(Refusal, match=topics.DRIVES_ARM):
         bench.cycle(winch())
-    bench.arm()  # resets the fault, as its cause is gone
+    bench.arm()  # resets the fault: its cause is gone
     bench.cycles(0.5, winch())
     assert brake_is_open(bench)
 
 
-def test_a_drive_that_begins_anew_is_disarmed_and_the_others_are_not(bench: HilBench):
+def test_only_the_drive_that_restarts_is_disarmed(bench: HilBench):
     paying_out(bench)
     bench.machine.drives["winch"].power_on()
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     assert bench.has_event("winch_restarted")
     assert bench.has_event("winch_disarmed")
     assert not bench.bridge.channels["winch"].armed
     assert bench.bridge.channels["wheel"].armed
 
 
-def test_a_fault_brakes_is_told_with_its_code_and_is_reset_only_when_its_cause_is_gone(
+def test_a_fault_brakes_is_reported_with_its_code_and_reset_only_when_its_cause_is_gone(
     bench: HilBench,
 ):
     paying_out(bench)
     bench.impair("{kind: drive_fault, target: winch, cause: overtemperature}")
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
-    assert_it_stops(bench, STOP)
-    told = [change for _, change in bench.changes if change.name == "winch_emergency"]
-    assert told[0].level is Level.ERROR
-    assert "4310h" in told[0].reason
+    assert_stops(bench, STOP)
+    emergencies = [change for _, change in bench.changes if change.name == "winch_emergency"]
+    assert emergencies[0].level is Level.ERROR
+    assert "4310h" in emergencies[0].reason
     bench.arm()
     assert bench.bridge.channels["winch"].state == FAULT
     bench.impair("")
@@ -275,14 +275,14 @@ def test_a_fault_brakes_is_told_with_its_code_and_is_reset_only_when_its_cause_i
     assert bench.bridge.channels["winch"].state == SWITCHED_ON
 
 
-def test_disarming_takes_the_power_at_once(bench: HilBench):
+def test_disarming_switches_the_motors_off_at_once(bench: HilBench):
     paying_out(bench)
     bench.bridge.disarm("asked to disarm", bench.simulation.stamp_ns)
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     assert all(channel.state == DISABLED for channel in bench.bridge.channels.values())
 
 
-def test_what_a_drive_cannot_do_is_told_and_it_lets_go(bench: HilBench):
+def test_an_impossible_command_is_reported_and_dropped(bench: HilBench):
     bench.arm()
     joints = {JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
     bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
@@ -290,7 +290,7 @@ def test_what_a_drive_cannot_do_is_told_and_it_lets_go(bench: HilBench):
     assert bench.has_event("jump_refuses")
 
 
-# ------------------------------------------------------------------- what the link does to command
+# ------------------------------------------------------------------------------ frames of commands
 
 
 class Recorder:
@@ -333,7 +333,7 @@ def test_repeated_and_reordered_sets_are_never_executed(bench: HilBench):
     assert bench.machine.drives["winch"].setpoint is setpoint
 
 
-def test_a_set_with_a_frame_missing_is_never_executed(bench: HilBench):
+def test_an_incomplete_set_is_never_executed(bench: HilBench):
     bench.arm()
     bench.cycles(0.1, winch(rate=0.0))
     drive = bench.machine.drives["winch"]
@@ -357,7 +357,7 @@ def test_a_set_with_a_frame_missing_is_never_executed(bench: HilBench):
     channel._send = whole
 
 
-def test_a_set_that_comes_late_is_never_executed_however_new_its_number_is(bench: HilBench):
+def test_a_late_set_with_a_new_number_is_never_executed(bench: HilBench):
     bench.arm()
     bench.cycles(0.1, winch(rate=0.0))
     drive, channel = bench.machine.drives["winch"], bench.bridge.channels["winch"]
@@ -377,17 +377,17 @@ def test_a_set_that_comes_late_is_never_executed_however_new_its_number_is(bench
     assert drive.setpoint is None
 
 
-def test_a_half_open_link_stops_the_drive_though_commands_reach_it(bench: HilBench):
+def test_a_link_open_only_towards_the_drive_stops_it(bench: HilBench):
     paying_out(bench)
     network = bench._bridge_link.network
     answers = {can_id: network.subscribers.pop(can_id) for can_id in bench.bridge.can_ids}
-    with pytest.raises(Refusal, match=r"not heard|not armed"):
+    with pytest.raises(Refusal, match=r"does not answer|not armed"):
         bench.cycles(2.0, winch())
-    assert_it_stops(bench, STOP)
+    assert_stops(bench, STOP)
     network.subscribers.update(answers)
 
 
-def test_a_lost_answer_is_counted_and_its_topics_are_not_told(bench: HilBench):
+def test_a_lost_answer_is_counted_and_its_topics_are_not_published(bench: HilBench):
     bench.cycles(0.1)
     station = bench.bridge.stations["winch"]
     pdo = WINCH.tpdos[1]
@@ -404,7 +404,7 @@ def test_a_lost_answer_is_counted_and_its_topics_are_not_told(bench: HilBench):
     assert topics.WINCH_STATE in bench.published
 
 
-def test_frames_that_are_none_are_counted_and_do_nothing(bench: HilBench):
+def test_invalid_frames_are_counted_and_ignored(bench: HilBench):
     bench.cycles(0.1)
     can_id = WINCH.tpdos[0].can_id(WINCH.node_id)
     for data in (b"", b"\x00", bytes(7)):
@@ -412,24 +412,24 @@ def test_frames_that_are_none_are_counted_and_do_nothing(bench: HilBench):
     assert bench.bridge.stations["winch"].invalid == 3
 
 
-def test_a_command_is_executed_within_its_cycle_and_the_round_trip_says_so(bench: HilBench):
+def test_a_command_is_executed_within_its_cycle_by_the_measured_round_trip(bench: HilBench):
     bench.arm()
     bench.cycles(0.5, winch(rate=0.0))
     found = bench.bridge.round_trip.percentiles()
     assert found is not None
     assert found.number >= 90
-    assert found.largest == 0.0  # nothing takes time here but the plant
+    assert found.largest == 0.0  # only the plant takes time here
     assert bench.bridge.overdue_round_trips == bench.bridge.late_cycles == 0
 
 
-def test_a_set_that_waited_for_the_plant_was_executed_when_it_came(bench: HilBench):
+def test_a_set_that_arrives_during_a_tick_is_executed_at_its_arrival(bench: HilBench):
     bench.arm()
     bench.cycles(0.1, winch(rate=0.0))
-    # Upon the last state, but heard after the tick only.
+    # Computed from the last state, but processed after the tick.
     (joints,) = (sample.joints for sample in winch(rate=0.0).values())
-    told = bench.published[topics.WINCH_STATE]
-    assert isinstance(told, JointSample)
-    command = JointSample(told.stamp_ns, joints)
+    state = bench.published[topics.WINCH_STATE]
+    assert isinstance(state, JointSample)
+    command = JointSample(state.stamp_ns, joints)
     bench.bridge.on_command(topics.WINCH_COMMAND, command, bench.simulation.stamp_ns)
     at_once = bench.machine.receive
     bench.machine.receive = partial(at_once, frame_age_ns=lambda _: 2_000_000)  # type: ignore[method-assign]
@@ -441,7 +441,7 @@ def test_a_set_that_waited_for_the_plant_was_executed_when_it_came(bench: HilBen
     assert found.largest == pytest.approx(SYNC_PERIOD - 0.002, abs=1e-5)
 
 
-def test_a_delay_of_the_drives_delays_the_motion(compiled_in_space: None):
+def test_the_command_delay_delays_the_motion(compiled_in_space: None):
     made = HilBench(simulation(), command_delay=0.1)
     try:
         made.arm()
@@ -466,7 +466,7 @@ def test_single_commands_by_sdo_are_refused(bench: HilBench):
     assert not drive.automaton.enabled
 
 
-def test_counts_of_pdos_travel_as_they_are():
+def test_a_pdo_keeps_its_counts():
     pdo: Pdo = WINCH.tpdos[0]
     counts = {"statusword": 0x0237, "position": -5, "inputs": 1, "sync_counter": 240}
     assert unpack(pdo, pdo.layout.pack(*counts.values())) == counts

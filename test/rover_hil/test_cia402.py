@@ -49,18 +49,18 @@ TABLE = {
 
 
 def brought_to(state: DriveState) -> Automaton:
-    """An automaton in a state, by orders and faults alone."""
+    """An automaton in a state, reached by commands and faults."""
     made = Automaton()
     if state is DriveState.NOT_READY:
         return made
     made.power_on()
-    ways = {
+    words = {
         DriveState.READY: (0x06,),
         DriveState.SWITCHED_ON: (0x06, 0x07),
         DriveState.ENABLED: (0x06, 0x07, 0x0F),
         DriveState.QUICK_STOP: (0x06, 0x07, 0x0F, 0x02),
     }
-    for word in ways.get(state, ()):
+    for word in words.get(state, ()):
         made.command(word)
     if state in {DriveState.FAULT_REACTION, DriveState.FAULT}:
         made.fail(0x4310)
@@ -70,15 +70,15 @@ def brought_to(state: DriveState) -> Automaton:
     return made
 
 
-@pytest.mark.parametrize(("state", "order"), list(itertools.product(DriveState, DriveCommand)))
-def test_each_order_leads_where_the_standard_says(state: DriveState, order: DriveCommand):
+@pytest.mark.parametrize(("state", "command"), list(itertools.product(DriveState, DriveCommand)))
+def test_each_command_leads_to_the_state_of_the_standard(state: DriveState, command: DriveCommand):
     drive = brought_to(state)
-    drive.command(WORDS[order])
-    assert drive.state is TABLE[state].get(order, state)
+    drive.command(WORDS[command])
+    assert drive.state is TABLE[state].get(command, state)
 
 
 @pytest.mark.parametrize("state", DriveState)
-def test_the_statusword_is_what_the_library_reads(state: DriveState):
+def test_the_library_decodes_the_statusword(state: DriveState):
     assert state_of(brought_to(state).statusword) == state.value
 
 
@@ -93,7 +93,7 @@ def test_a_fault_comes_from_every_state_and_keeps_the_first_code(state: DriveSta
     assert not drive.enabled
 
 
-def test_a_fault_is_reset_by_the_edge_of_its_bit_alone():
+def test_a_fault_is_reset_only_by_the_edge_of_its_bit():
     drive = brought_to(DriveState.FAULT)
     drive.command(0x80)
     assert state_of(drive.statusword) == DISABLED
@@ -107,9 +107,9 @@ def test_a_fault_is_reset_by_the_edge_of_its_bit_alone():
     assert state_of(drive.statusword) == DISABLED
 
 
-def test_a_quick_stop_ends_switched_on_disabled_when_the_drive_stands():
+def test_a_quick_stop_ends_switched_on_disabled_at_standstill():
     drive = brought_to(DriveState.QUICK_STOP)
-    drive.command(0x0F)  # transition 16 does not exist here
+    drive.command(0x0F)  # transition 16 does not exist
     assert not drive.enabled
     assert state_of(drive.statusword) == DriveState.QUICK_STOP.value
     drive.on_standstill()
@@ -117,18 +117,20 @@ def test_a_quick_stop_ends_switched_on_disabled_when_the_drive_stands():
 
 
 @given(st.lists(st.integers(0, 0xFFFF), max_size=30))
-def test_no_sequence_of_controlwords_enables_without_shutdown_before(words: list[int]):
+def test_no_sequence_of_controlwords_enables_without_a_shutdown_command(words: list[int]):
     drive = Automaton()
     drive.power_on()
-    ordered = [decode_controlword(word, before) for before, word in itertools.pairwise([0, *words])]
+    commands = [
+        decode_controlword(word, before) for before, word in itertools.pairwise([0, *words])
+    ]
     for word in words:
         drive.command(word)
-    assert not drive.enabled or DriveCommand.SHUTDOWN in ordered
+    assert not drive.enabled or DriveCommand.SHUTDOWN in commands
 
 
 @pytest.mark.parametrize("state", [s for s in DriveState if s is not DriveState.NOT_READY])
 @pytest.mark.parametrize("target", [DISABLED, SWITCHED_ON, ENABLED])
-def test_the_bridge_s_controlwords_bring_a_drive_where_it_should_be(state: DriveState, target: str):
+def test_the_bridge_s_controlwords_lead_a_drive_to_its_target_state(state: DriveState, target: str):
     drive = brought_to(state)
     for _ in range(4):
         drive.on_standstill()
@@ -137,5 +139,5 @@ def test_the_bridge_s_controlwords_bring_a_drive_where_it_should_be(state: Drive
     assert drive.state.value == (DriveState.FAULT if state in stays else target)
 
 
-def test_the_names_are_the_library_s():
+def test_the_states_are_named_as_in_the_library():
     assert {state.value for state in DriveState} == set(State402.SW_MASK)

@@ -1,4 +1,4 @@
-"""The offset of a clock is where the estimate says, to its uncertainty."""
+"""The estimated clock offset is correct within its uncertainty."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from rover_hil.clock_offset import ClockOffset
 from rover_hil.statistics import Window
 
 NANO = 1_000_000_000
-WAYS = st.integers(1_000, 5_000_000)
+DELAYS = st.integers(1_000, 5_000_000)
 
 
 @given(
     offset=st.integers(-(10**12), 10**12),
     drift=st.floats(-90e-6, 90e-6),
-    ways=st.lists(st.tuples(WAYS, WAYS, WAYS), min_size=1, max_size=80),
+    delays=st.lists(st.tuples(DELAYS, DELAYS, DELAYS), min_size=1, max_size=80),
 )
-def test_the_true_offset_lies_within_the_uncertainty_whatever_the_ways_take(
-    offset: int, drift: float, ways: list[tuple[int, int, int]]
+def test_the_true_offset_lies_within_the_uncertainty_for_any_delays(
+    offset: int, drift: float, delays: list[tuple[int, int, int]]
 ):
     clock, now = ClockOffset(), 0
-    for there, at_device, back in ways:
+    for there, at_device, back in delays:
         now += 5_000_000
-        taken, answered = now + there, now + there + at_device
+        arrived, answered = now + there, now + there + at_device
 
         def by_device(true_ns: int) -> int:
             return true_ns + offset + round(drift * true_ns)
 
-        assert clock.add(now, by_device(taken), by_device(answered), answered + back)
+        assert clock.add(now, by_device(arrived), by_device(answered), answered + back)
         now = answered + back
     found = clock.now(now)
     assert found is not None
@@ -43,7 +43,7 @@ def test_the_narrowest_exchange_counts_until_drift_makes_it_wider_than_a_later_o
     early = clock.now(2000)
     assert early is not None
     assert early.uncertainty < 1e-6
-    # 10 s later 100 ppm make 1 ms, and an exchange good to 0.5 ms is the better one.
+    # After 10 s a drift of 100 ppm is 1 ms: an exchange good to 0.5 ms is better.
     later = 10 * NANO
     clock.add(later, later + 1_400_000, later + 1_400_000, later + 1_000_000)
     late = clock.now(later + 1_000_000)
@@ -52,10 +52,10 @@ def test_the_narrowest_exchange_counts_until_drift_makes_it_wider_than_a_later_o
     assert late.uncertainty < 0.6e-3
 
 
-def test_an_exchange_that_cannot_be_is_none():
+def test_an_inconsistent_exchange_is_rejected():
     clock = ClockOffset()
     assert not clock.add(100, 50, 200, 150)  # answered later than it was received
-    assert not clock.add(100, 200, 150, 400)  # answered before it was taken
+    assert not clock.add(100, 200, 150, 400)  # answered before it arrived
     assert clock.now(0) is None
     clock.add(0, 10, 20, 30)
     clock.reset()

@@ -57,7 +57,7 @@ def test_the_document_s_table_is_what_the_dictionary_generates():
     assert "60FFh" in text
 
 
-def test_a_dictionary_that_differs_is_told_by_object():
+def test_differences_of_a_dictionary_are_listed_by_object():
     other: Any = object_dictionary(WINCH)
     other[0x60FF].factor = 1e-3
     other[0x6076].default = 1
@@ -76,7 +76,7 @@ def test_drives_have_the_objects_of_cia_402_and_all_devices_those_of_cia_301():
     assert all(0x60FF in object_dictionary(device) for device in DRIVES if device is not JUMP)
 
 
-def test_nodes_and_identifiers_are_taken_once():
+def test_nodes_and_identifiers_are_unique():
     nodes = [device.node_id for device in DEVICES]
     assert len(set(nodes)) == len(nodes)
     assert BRIDGE_NODE not in nodes
@@ -85,7 +85,7 @@ def test_nodes_and_identifiers_are_taken_once():
 
 
 @pytest.mark.parametrize("item", PDOS, ids=of)
-def test_a_pdo_s_bytes_are_those_that_the_library_packs(item: tuple[Device, Pdo]):
+def test_a_pdo_is_packed_as_by_the_library(item: tuple[Device, Pdo]):
     device, pdo = item
     node = canopen.LocalNode(device.node_id, object_dictionary(device))
     node.associate_network(canopen.Network())
@@ -100,7 +100,7 @@ def test_a_pdo_s_bytes_are_those_that_the_library_packs(item: tuple[Device, Pdo]
     assert unpack(pdo, bytes(mapped.data)) == counts
 
 
-def test_a_frame_of_another_length_is_none_of_a_pdo():
+def test_a_frame_of_another_length_is_not_decoded():
     pdo = WINCH.rpdos[0]
     assert unpack(pdo, bytes(pdo.layout.size - 1)) is None
     assert unpack(pdo, b"") is None
@@ -115,24 +115,24 @@ def test_a_value_survives_its_counts_to_half_a_count(item: tuple[Device, Entry],
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 3276.8, -3276.9])
-def test_what_the_type_does_not_hold_is_refused_with_its_range(value: float):
+def test_a_value_beyond_the_type_is_refused_with_its_range(value: float):
     torque = WINCH.by_key["target_torque"]
     with pytest.raises(ValueError, match="target_torque = "):
         torque.counts(value)
 
 
-def test_a_sensor_beyond_its_range_stays_at_its_end():
+def test_a_sensor_saturates_at_its_range():
     torque = WINCH.by_key["torque"]
     assert torque.saturated(1e9) == Kind.I16.largest
     assert torque.saturated(-1e9) == Kind.I16.smallest
 
 
-def test_a_pdo_that_fits_no_frame_is_refused():
+def test_a_pdo_longer_than_a_frame_is_refused():
     with pytest.raises(ValueError, match="TPDO1 has 12 bytes"):
         Pdo(1, True, tuple(Entry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))
 
 
-def test_a_vendor_s_file_is_held_to_a_device_by_command(
+def test_the_command_compares_a_vendor_s_file_with_a_device(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     own = EDS_FOLDER / "winch.eds"
@@ -152,7 +152,7 @@ def test_a_vendor_s_file_is_held_to_a_device_by_command(
         (("winch", "there_is_none.eds"), "there_is_none.eds cannot be read"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(
+def test_an_unknown_device_or_missing_file_is_refused(
     given: tuple[str, str], complaint: str, capsys: pytest.CaptureFixture[str]
 ):
     assert main(["hil", "dictionary", "--compare", *given]) == 2

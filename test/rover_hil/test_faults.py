@@ -1,6 +1,6 @@
-"""The table of faults with processes: emulator and bridge over DDS and a link, and who commands.
+"""The table of faults with processes: emulator, bridge and a command source over DDS and a link.
 
-Simulated time waits for each of them, so that a machine that starves one is slow, and not wrong.
+Simulated time waits for each of them: a busy computer does not change the result.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ pytestmark = [pytest.mark.ros, pytest.mark.process]
 EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge_node"
 RATE = 0.1  # of the winch [m/s]
 FUZZED = 1000
-MINE, STRANGER = "/commander#1", "/stranger#2"
-PATIENCE = 120.0
+MINE, STRANGER = "/operator#1", "/stranger#2"
+TIMEOUT = 120.0
 ATTEMPTS = 60
-STARVED = 5.0  # a process may be, before it counts as gone [s]
+STARVED = 5.0  # without progress, after which a process counts as lost [s]
 
 
 def winch(rate: float) -> dict[str, JointValue]:
@@ -47,7 +47,7 @@ PAY_OUT = winch(RATE)
 
 
 class Rig:
-    """Emulator and bridge in step with each other and with a commander, who never gives up."""
+    """Emulator and bridge in lockstep with a command source that publishes at each tick."""
 
     def __init__(self, harness: NodeHarness) -> None:
         self._processes = harness.processes
@@ -68,34 +68,34 @@ class Rig:
             for name in (topics.WINCH_COMMAND, topics.WHEEL_COMMAND)
         }
         self.clock.wait()
-        self._ending = threading.Event()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._command)
         self._thread.start()
 
     def start_emulator(self) -> Process:
-        # What nobody looks at here is told seldom.
+        # Rates of unused topics.
         seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
-        given = {"scenario": "free_hang", "lockstep": True, "lockstep_timeout": STARVED}
-        return self._processes.start(EMULATOR, {"link": self._link, **given, **seldom})
+        parameters = {"scenario": "free_hang", "lockstep": True, "lockstep_timeout": STARVED}
+        return self._processes.start(EMULATOR, {"link": self._link, **parameters, **seldom})
 
     def start_bridge(self) -> Process:
-        given = {
+        parameters = {
             "link": self._link,
             "use_sim_time": True,
             "lockstep": True,
             "lockstep_commands": topics.WINCH_COMMAND,
             "lockstep_timeout": STARVED,
         }
-        return self._processes.start(BRIDGE, given)
+        return self._processes.start(BRIDGE, parameters)
 
     def close(self) -> None:
-        self._ending.set()
+        self._stopping.set()
         self._thread.join()
 
     def _command(self) -> None:
-        """Answer each tick, for which time waits."""
+        """Publish the commands at each tick."""
         seen = 0
-        while not self._ending.is_set():
+        while not self._stopping.is_set():
             try:
                 self.clock.wait(lambda _: True, seen, 0.2)
             except AssertionError:
@@ -104,19 +104,19 @@ class Rig:
             for name, joints in list(self.commands.items()):
                 self.send(name, joints, MINE)
 
-    def send(self, name: str, joints: dict[str, JointValue], who: str) -> None:
+    def send(self, name: str, joints: dict[str, JointValue], sender: str) -> None:
         message = encode(name, JointSample(self.clock.last.stamp_ns, joints))
-        message.header.frame_id = who
+        message.header.frame_id = sender
         self._publishers[name].publish(message)
 
-    # --- what is done ----------------------------------------------------------------------------
+    # --- actions ---------------------------------------------------------------------------------
 
     def impair(self, text: str) -> None:
         result = self.observer.set_parameter("drive_emulator", "impairments", text)
         assert result.successful, result.reason
 
     def arm(self) -> None:
-        """Arm as soon as all are heard."""
+        """Arm as soon as all devices answer."""
         for _ in range(ATTEMPTS):
             if self.observer.call(topics.DRIVES_ARM, True).success:
                 return
@@ -125,16 +125,16 @@ class Rig:
 
     def pass_time(self, seconds: float) -> None:
         end_ns = self.time_ns + round(seconds * 1e9)
-        self.clock.wait(lambda s: s.stamp_ns >= end_ns, len(self.clock) - 1, PATIENCE)
+        self.clock.wait(lambda s: s.stamp_ns >= end_ns, len(self.clock) - 1, TIMEOUT)
 
     def begin(self, text: str) -> int:
-        """Have an impairment begin; returns when it did [ns]."""
+        """Start an impairment; returns its start [ns]."""
         since = len(self.events)
         self.impair(text)
-        told = self.event("impairment_began", since)
-        return int(told.stamp_ns)
+        status = self.event("impairment_began", since)
+        return int(status.stamp_ns)
 
-    # --- what is seen ----------------------------------------------------------------------------
+    # --- observations ----------------------------------------------------------------------------
 
     @property
     def time_ns(self) -> int:
@@ -149,13 +149,13 @@ class Rig:
         return found
 
     def state(self, after_ns: int) -> JointSample:
-        """The first state of the winch that is stamped so late."""
-        found = self.states.wait(lambda s: s.stamp_ns > after_ns, 0, PATIENCE)
+        """The first state of the winch stamped after a time."""
+        found = self.states.wait(lambda s: s.stamp_ns > after_ns, 0, TIMEOUT)
         assert isinstance(found, JointSample)
         return found
 
     def pay_out(self) -> None:
-        """Arm, and pay out steadily; what a starved machine has disarmed is armed again."""
+        """Arm and pay out at a constant rate; arm again after a timeout of a busy computer."""
         self.commands = {topics.WINCH_COMMAND: PAY_OUT}
         for _ in range(ATTEMPTS):
             self.arm()
@@ -200,7 +200,7 @@ def rig(shared_harness: NodeHarness, compiled_in_space: None) -> Iterator[Rig]:
         "{kind: bus_off, target: imu}",
     ],
 )
-def test_the_winch_goes_on(rig: Rig, impairment: str):
+def test_a_mild_impairment_does_not_stop_the_winch(rig: Rig, impairment: str):
     rig.pay_out()
     since = len(rig.events)
     begun_ns = rig.begin(impairment)
@@ -213,7 +213,7 @@ def test_the_winch_goes_on(rig: Rig, impairment: str):
 
 
 @pytest.mark.parametrize(
-    ("impairment", "tells", "reason"),
+    ("impairment", "event_name", "reason"),
     [
         ("{kind: cut}", "winch_silent", ""),
         ("{kind: cut, target: winch, direction: to_devices}", "winch_emergency", "8250h"),
@@ -232,18 +232,18 @@ def test_the_winch_goes_on(rig: Rig, impairment: str):
         ("{kind: drive_fault, target: winch, cause: overtemperature}", "winch_emergency", "4310h"),
     ],
 )
-def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
-    rig: Rig, impairment: str, tells: str, reason: str
+def test_a_severe_impairment_stops_the_winch_with_a_reason_until_it_is_armed(
+    rig: Rig, impairment: str, event_name: str, reason: str
 ):
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
     begun_ns = rig.begin(impairment)
     before = length(rig.state(begun_ns - 20_000_000))
-    rig.event(tells, since, reason)
+    rig.event(event_name, since, reason)
     rig.pass_time(0.6)
     rig.impair("")
     rig.event("impairment_ended", since)
-    # The link is well, commands go on, and the brake stays closed.
+    # After the impairment commands continue, and the brake stays closed.
     first = rig.state(rig.time_ns)
     again = rig.state(first.stamp_ns + 200_000_000)
     assert not is_open(first)
@@ -254,12 +254,12 @@ def test_the_winch_stops_is_told_why_and_moves_again_when_it_is_armed(
     rig.pay_out()
 
 
-def test_a_frozen_encoder_is_told_as_it_stands_and_the_drive_goes_on(rig: Rig):
+def test_a_frozen_encoder_reports_a_constant_position_and_the_drive_continues(rig: Rig):
     rig.pay_out()
     begun_ns = rig.begin("{kind: frozen_encoder, target: winch}")
     first, later = (rig.state(begun_ns + after) for after in (50_000_000, 450_000_000))
     rig.impair("")
-    # Its own stamp, and so the first state after the thaw, is later than the answer to the order.
+    # The first state after the end of the impairment has a later stamp than the response.
     thawed = rig.state(rig.time_ns + 50_000_000)
     assert is_open(later)
     assert length(later) == length(first)
@@ -277,36 +277,36 @@ def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
     rig.event("wheel_disarmed", since)
     rig.event("imu_silent", since)
     ended = rig.events.wait(
-        lambda s: s.statuses[0].name == "impairment_ended", since, 4.0 * PATIENCE
+        lambda s: s.statuses[0].name == "impairment_ended", since, 4.0 * TIMEOUT
     )
     assert ended.stamp_ns - begun_ns == pytest.approx(30e9, abs=20e6)
-    # On the mother machine all went on; of the rover nothing was heard.
+    # The mother machine continued; nothing was received from the rover.
     during = [s for s in rig.states.samples if begun_ns + 10**9 < s.stamp_ns < ended.stamp_ns]
     assert len(during) > 0.99 * 29 * 200
     assert all(map(is_open, during))
-    heard = [s.stamp_ns for s in rig.observer.listen(topics.IMU).samples]
+    imu_stamps = [s.stamp_ns for s in rig.observer.listen(topics.IMU).samples]
     margin_ns = 20_000_000  # clocks of two processes are a tick or two apart
-    assert not any(begun_ns + margin_ns < at < ended.stamp_ns - margin_ns for at in heard)
-    back = wheels.wait(lambda s: s.stamp_ns > ended.stamp_ns, 0, PATIENCE)
-    later = wheels.wait(lambda s: s.stamp_ns > back.stamp_ns + 300_000_000, 0, PATIENCE)
+    assert not any(begun_ns + margin_ns < at < ended.stamp_ns - margin_ns for at in imu_stamps)
+    back = wheels.wait(lambda s: s.stamp_ns > ended.stamp_ns, 0, TIMEOUT)
+    later = wheels.wait(lambda s: s.stamp_ns > back.stamp_ns + 300_000_000, 0, TIMEOUT)
     turned = [abs(v.position - back.joints[name].position) for name, v in later.joints.items()]
     assert max(turned) < 0.05
     rig.observer.wait_for_refusal(topics.WHEEL_COMMAND, "not_armed")
 
 
-def test_a_second_commander_is_refused_and_told_who_has_the_drive(rig: Rig):
+def test_a_second_command_source_is_refused_with_the_name_of_the_owner(rig: Rig):
     rig.pay_out()
     since = len(rig.observer.listen(topics.DIAGNOSTICS))
     for _ in range(20):
         rig.send(topics.WINCH_COMMAND, winch(-RATE), STRANGER)
         rig.pass_time(0.01)
-    told = rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "owned", since)
-    assert MINE in told.message
-    assert STRANGER in told.message
+    status = rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "owned", since)
+    assert MINE in status.message
+    assert STRANGER in status.message
     assert min(s.joints[WINCH_DRUM].velocity for s in rig.states.samples[-20:]) > 0.8 * RATE
 
 
-def test_fuzzed_messages_do_nothing_and_the_bridge_lives_on(rig: Rig):
+def test_fuzzed_messages_have_no_effect_and_the_bridge_continues(rig: Rig):
     from rover_verify.hil_fuzz import fuzzed_message
 
     rig.pay_out()
@@ -316,34 +316,34 @@ def test_fuzzed_messages_do_nothing_and_the_bridge_lives_on(rig: Rig):
     before = rig.states.last
     publishers: dict[str, Any] = {}
     for _ in range(FUZZED):
-        # Stamps lie wrong by years or not at all: by this clock or that of the bridge.
+        # Stamps are wrong by years, or right.
         topic, message = fuzzed_message(generator, rig.time_ns)
         publishers.setdefault(topic, rig.observer.publisher(topic)).publish(message)
     rig.pass_time(0.3)
     after = rig.state(rig.time_ns)
-    assert is_open(after)  # its own commander's commands still hold it
+    assert is_open(after)  # the owner's commands still hold it
     assert length(after) == pytest.approx(length(before), abs=1e-3)
     assert rig.bridge.is_running
     assert rig.emulator.is_running
 
 
-def test_a_wrong_impairment_is_refused_with_what_would_be_right(rig: Rig):
+def test_an_invalid_impairment_is_refused_with_the_expected_value(rig: Rig):
     answer = rig.observer.set_parameter("drive_emulator", "impairments", "{kind: lost}")
     assert not answer.successful
     assert "should be one of delay, jitter, loss" in answer.reason
 
 
-def test_a_killed_bridge_brakes_and_its_successor_moves_nothing_until_it_is_armed(rig: Rig):
+def test_a_killed_bridge_brakes_and_a_new_one_moves_nothing_until_it_is_armed(rig: Rig):
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
     rig.impair("{kind: bridge_kill}")
     assert rig.bridge.wait() == -signal.SIGKILL
 
-    def tells_a_watchdog(sample: StatusSample) -> bool:
+    def is_watchdog_fault(sample: StatusSample) -> bool:
         codes = [s.values.get("error_code") for s in sample.statuses if s.name == "winch_drive"]
         return bool({str(COMMANDS_LOST), str(HEARTBEAT_LOST)} & set(codes))
 
-    rig.events.wait(tells_a_watchdog, since)
+    rig.events.wait(is_watchdog_fault, since)
     rig.impair("")
     back = len(rig.states)
     rig.bridge = rig.start_bridge()
@@ -353,10 +353,10 @@ def test_a_killed_bridge_brakes_and_its_successor_moves_nothing_until_it_is_arme
     rig.pay_out()
 
 
-def test_a_killed_emulator_is_missed_and_its_successor_stays_braked_until_it_is_armed(rig: Rig):
+def test_a_killed_emulator_times_out_and_a_new_one_stays_braked_until_it_is_armed(rig: Rig):
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
-    # Not before the order is answered.
+    # After the response to the request.
     rig.impair("{kind: emulator_kill, start: 0.5}")
     assert rig.emulator.wait() == -signal.SIGKILL
     rig.event("winch_silent", since)

@@ -109,7 +109,7 @@ def line() -> Iterator[tuple[CobsSerialBus, int]]:
     os.close(slave)
 
 
-def test_a_serial_line_is_a_bus_both_ways(line: tuple[CobsSerialBus, int]):
+def test_a_serial_line_is_a_bus_in_both_directions(line: tuple[CobsSerialBus, int]):
     bus, far = line
     message = can.Message(arbitration_id=0x203, data=b"\x00\x0f\x00", is_extended_id=False)
     bus.send(message)
@@ -134,12 +134,12 @@ def test_a_can_fd_frame_is_refused(line: tuple[CobsSerialBus, int]):
 @pytest.mark.parametrize(
     "link", ["", "can0", "udp:1.2.3.4", "virtual:", "serial", "socketcan:can0:500000"]
 )
-def test_a_link_that_names_nothing_is_refused_with_what_would_be_right(link: str):
+def test_an_unknown_link_is_refused_with_the_known_ones(link: str):
     with pytest.raises(TransportError, match=r"link|socketcan"):
         open_bus(link)
 
 
-def test_a_port_that_is_not_there_is_told():
+def test_a_missing_port_is_reported():
     with pytest.raises(TransportError, match="/dev/no_such_port"):
         open_bus("serial:/dev/no_such_port")
 
@@ -152,20 +152,20 @@ def own_multicast() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("kind", ["virtual", "udp_multicast"])
-def test_two_ends_of_a_link_hear_each_other(kind: str, own_multicast: str):
+def test_two_ends_of_a_link_receive_each_other(kind: str, own_multicast: str):
     link = own_multicast if kind == "udp_multicast" else "virtual:here"
     one, other = open_bus(link), open_bus(link)
     try:
         one.send(can.Message(arbitration_id=0x80, data=b"\x01", is_extended_id=False))
-        heard = other.recv(5.0)
-        assert heard is not None
-        assert bytes(heard.data) == b"\x01"
+        received = other.recv(5.0)
+        assert received is not None
+        assert bytes(received.data) == b"\x01"
     finally:
         one.shutdown()
         other.shutdown()
 
 
-def test_over_udp_one_hears_the_others_and_not_oneself():
+def test_a_udp_bus_receives_other_frames_but_not_its_own():
     frame = can.Message(arbitration_id=0x80, data=b"\x01", is_extended_id=False)
     group, port = "239.74.163.2", 43992
     foreign = can.Bus(interface="udp_multicast", channel=group, port=port, fd=False)

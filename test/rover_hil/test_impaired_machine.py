@@ -1,4 +1,4 @@
-"""Bridge and machine while something is wrong: what goes on, what stops, and what never moves."""
+"""Bridge and machine with impairments: what continues, what stops, what never moves."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAY_OUT = {
     )
 }
 ROLL = {topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)})}
-WITHIN = 0.5  # of silence, everything stands [s]
+WITHIN = 0.5  # everything stands still [s]
 
 
 def simulation() -> Simulation[Any]:
@@ -52,7 +52,7 @@ def rate(bench: HilBench) -> float:
     return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
-def told(bench: HilBench, name: str) -> list[str]:
+def reasons(bench: HilBench, name: str) -> list[str]:
     return [change.reason for _, change in bench.changes if change.name == name]
 
 
@@ -69,12 +69,12 @@ def told(bench: HilBench, name: str) -> list[str]:
         "{kind: bus_off, target: load_cell}",
     ],
 )
-def test_what_the_link_can_bear_does_not_stop_the_winch(bench: HilBench, impairment: str):
+def test_a_mild_impairment_does_not_stop_the_winch(bench: HilBench, impairment: str):
     bench.impair(impairment)
     bench.cycles(1.0, PAY_OUT)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
     assert bench.bridge.channels["winch"].state == ENABLED
-    assert told(bench, "impairment_began")
+    assert reasons(bench, "impairment_began")
 
 
 @pytest.mark.parametrize(
@@ -98,14 +98,14 @@ def test_what_the_link_can_bear_does_not_stop_the_winch(bench: HilBench, impairm
         "{kind: drive_fault, target: winch, cause: encoder}",
     ],
 )
-def test_what_it_cannot_bear_stops_the_winch_which_is_not_moved_again_before_it_is_armed(
+def test_a_severe_impairment_stops_the_winch_until_it_is_armed_again(
     bench: HilBench, impairment: str
 ):
     bench.impair(impairment)
     refused: list[Refusal] = []
     bench.cycles(WITHIN, PAY_OUT, refused)
     assert rate(bench) == 0.0
-    for text in (impairment, ""):  # whether it goes on or is over
+    for text in (impairment, ""):  # while it is active and after its end
         bench.impair(text)
         for _ in range(20):
             bench.cycles(0.05, PAY_OUT, refused)
@@ -115,13 +115,13 @@ def test_what_it_cannot_bear_stops_the_winch_which_is_not_moved_again_before_it_
         RefusalCode.NOT_ARMED,
     }
     assert refused[-1].code is RefusalCode.NOT_ARMED
-    assert len(told(bench, "impairment_ended")) == impairment.count("kind")
+    assert len(reasons(bench, "impairment_ended")) == impairment.count("kind")
     bench.arm()
     bench.cycles(0.5, PAY_OUT)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
 
 
-def test_the_cut_to_the_rover_ends_what_is_done_there_and_all_is_told_afterwards(bench: HilBench):
+def test_a_cut_to_the_rover_stops_its_drives_and_its_topics_return_afterwards(bench: HilBench):
     bench.cycles(0.3, ROLL)
     wheel = bench.machine.drives["wheel"]
     assert wheel.setpoint is not None
@@ -140,7 +140,7 @@ def test_the_cut_to_the_rover_ends_what_is_done_there_and_all_is_told_afterwards
     assert "not armed" in refused[-1].reason
 
 
-def test_samples_with_old_stamps_are_not_told_as_new_ones(bench: HilBench):
+def test_samples_with_old_stamps_are_not_published(bench: HilBench):
     bench.impair("{kind: stale_stamps, target: imu, magnitude: 2.0}")
     bench.published.clear()
     bench.cycles(1.0, PAY_OUT)
@@ -149,7 +149,7 @@ def test_samples_with_old_stamps_are_not_told_as_new_ones(bench: HilBench):
     assert bench.has_event("imu_silent")
 
 
-def test_an_encoder_that_stands_still_tells_the_same_place_while_the_drum_turns(bench: HilBench):
+def test_a_frozen_encoder_reports_a_constant_position_while_the_drum_turns(bench: HilBench):
     before = bench.published[topics.WINCH_STATE]
     bench.impair("{kind: frozen_encoder, target: winch}")
     bench.cycles(0.5, PAY_OUT)
@@ -167,22 +167,22 @@ def test_an_encoder_that_stands_still_tells_the_same_place_while_the_drum_turns(
 
 
 @pytest.mark.parametrize(
-    ("on", "topic", "axis"),
+    ("target", "topic", "axis"),
     [("load_cell", topics.LOAD_CELL, -1.0), ("imu", topics.ROVER_LOAD_CELL, 1.0)],
 )
-def test_a_load_cell_drifts_by_its_rate_and_is_right_again_afterwards(
-    bench: HilBench, on: str, topic: str, axis: float
+def test_a_load_cell_drifts_at_its_rate_and_recovers_afterwards(
+    bench: HilBench, target: str, topic: str, axis: float
 ):
     def error() -> float:
-        """Of what is told against what a sensor that is well would."""
+        """Difference of the published force from that of a sensor without drift."""
         right = dict(bench.simulation.interface.samples((topic,)))[topic]
-        told = bench.published[topic]
+        measured = bench.published[topic]
         assert isinstance(right, WrenchSample)
-        assert isinstance(told, WrenchSample)
-        return axis * (told.force[2] - right.force[2])
+        assert isinstance(measured, WrenchSample)
+        return axis * (measured.force[2] - right.force[2])
 
     assert error() == pytest.approx(0.0, abs=2.0)
-    bench.impair(f"{{kind: drifted_load_cell, target: {on}, strength: 20.0}}")
+    bench.impair(f"{{kind: drifted_load_cell, target: {target}, magnitude: 20.0}}")
     bench.cycles(1.0, PAY_OUT)
     assert error() == pytest.approx(20.0, abs=2.0)
     bench.impair("")
@@ -190,42 +190,42 @@ def test_a_load_cell_drifts_by_its_rate_and_is_right_again_afterwards(
     assert error() == pytest.approx(0.0, abs=2.0)
 
 
-def test_impairments_begin_and_end_when_they_are_to_and_tell_what_they_did(bench: HilBench):
-    asked = bench.time
+def test_impairments_start_and_end_in_time_and_report_their_effect(bench: HilBench):
+    requested = bench.time
     bench.impair("[{kind: loss, target: load_cell, magnitude: 0.5, start: 0.2, duration: 0.3}]")
     bench.cycles(1.0, PAY_OUT)
     began, ended = (
-        [(time, change) for time, change in bench.changes if change.name == f"impairment_{what}"]
-        for what in ("began", "ended")
+        [(time, change) for time, change in bench.changes if change.name == name]
+        for name in ("impairment_began", "impairment_ended")
     )
-    ((begin, what),) = began
+    ((begin, impairment),) = began
     ((end, counts),) = ended
-    assert begin - asked == pytest.approx(0.2, abs=SYNC_PERIOD + 1e-9)
+    assert begin - requested == pytest.approx(0.2, abs=SYNC_PERIOD + 1e-9)
     assert end - begin == pytest.approx(0.3, abs=1e-9)
-    assert what.values["magnitude"] == 0.5
-    assert what.values["unit"] == "-"
-    # Of each cycle a SYNC and an answer, if the SYNC has come; heartbeats besides.
-    frames, hit = counts.values["frames"], counts.values["frames_affected"]
+    assert impairment.values["magnitude"] == 0.5
+    assert impairment.values["unit"] == "-"
+    # In each cycle a SYNC and, if it arrives, an answer; in addition heartbeats.
+    frames, affected = counts.values["frames"], counts.values["frames_affected"]
     assert isinstance(frames, int)
-    assert isinstance(hit, int)
+    assert isinstance(affected, int)
     assert 80 <= frames <= 110
-    assert 0.3 < hit / frames < 0.7
+    assert 0.3 < affected / frames < 0.7
 
 
-def test_what_stands_goes_on_while_another_one_comes_and_goes(bench: HilBench):
+def test_an_active_impairment_continues_while_another_one_starts_and_ends(bench: HilBench):
     bench.impair("{kind: drifted_load_cell, magnitude: 1.0}")
     bench.cycles(0.1, PAY_OUT)
     bench.impair("[{kind: drifted_load_cell, magnitude: 1.0}, {kind: loss, magnitude: 0.1}]")
     bench.cycles(0.1, PAY_OUT)
     bench.impair("{kind: drifted_load_cell, magnitude: 1.0}")
     bench.cycles(0.1, PAY_OUT)
-    assert len(told(bench, "impairment_began")) == 2
-    (ended,) = told(bench, "impairment_ended")
+    assert len(reasons(bench, "impairment_began")) == 2
+    (ended,) = reasons(bench, "impairment_ended")
     assert "loss" in ended
     assert [each.kind for each in bench.machine.impairments] == ["drifted_load_cell"]
 
 
-def test_the_same_seed_makes_the_same_run_and_another_one_another(compiled_in_space: None):
+def test_a_run_is_reproducible_by_its_seed(compiled_in_space: None):
     def run(seed: int) -> list[object]:
         made = HilBench(simulation())
         try:
@@ -245,17 +245,17 @@ def test_the_same_seed_makes_the_same_run_and_another_one_another(compiled_in_sp
     assert run(2)[:2] != first[:2]
 
 
-def test_a_put_back_plant_begins_its_impairments_anew(bench: HilBench):
+def test_a_reset_plant_restarts_its_impairments(bench: HilBench):
     bench.impair("{kind: loss, magnitude: 0.1, start: 0.1, duration: 0.2}")
     bench.cycles(0.5, PAY_OUT)
     bench.simulation.reset_plant()
     bench.machine.restart()
     bench.cycles(0.5, PAY_OUT, [])
-    assert len(told(bench, "impairment_began")) == 2
-    assert len(told(bench, "impairment_ended")) == 2
+    assert len(reasons(bench, "impairment_began")) == 2
+    assert len(reasons(bench, "impairment_ended")) == 2
 
 
-def test_a_kill_is_left_to_who_has_the_processes(bench: HilBench):
+def test_a_kill_is_passed_to_the_owner_of_the_processes(bench: HilBench):
     bench.impair("[{kind: bridge_kill, start: 0.1}, {kind: emulator_kill, start: 0.2}]")
     bench.cycles(0.15, PAY_OUT)
     assert bench.machine.take_kills() == ("bridge_kill",)

@@ -1,4 +1,4 @@
-"""What is asked for as an impairment, and what a line makes of frames: no bus, no ROS."""
+"""Impairments: their definition, and their effect on the frames of a channel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MANY = 4000
 
 
 class Wire:
-    """A line of the winch, with what came out of it at both ends and a clock set by hand."""
+    """The winch's channel, the frames at both of its ends, and a clock set by the test."""
 
     def __init__(self) -> None:
         self.time = 0.0
@@ -39,7 +39,7 @@ class Wire:
                 direction.begin(impairment)
 
     def send(self, frames: list[Frame], period: float = 0.0) -> list[Frame]:
-        """Send frames outwards, one each period [s]; returns what came by the end."""
+        """Send frames of the device, one each period [s]; returns the frames on the bus."""
         for frame in frames:
             self.line.send(*frame)
             self.time += period
@@ -57,10 +57,10 @@ def survivors(text: str, count: int = MANY, can_id: int = 0x183) -> list[Frame]:
     return wire.send(numbered(count, can_id))
 
 
-# -------------------------------------------------------------------------------- what is asked for
+# --------------------------------------------------------------------------------------- definition
 
 
-def test_a_list_is_read_and_written_as_it_was():
+def test_a_list_is_written_as_it_was_read():
     text = (
         "[{kind: loss, target: rover, magnitude: 0.3, start: 5.0, duration: 10.0, seed: 7}, "
         "{kind: drive_fault, target: winch, cause: encoder}, {kind: bridge_kill, start: 1.0}]"
@@ -74,11 +74,11 @@ def test_a_list_is_read_and_written_as_it_was():
 
 
 @pytest.mark.parametrize("text", ["", "[]", "  \n"])
-def test_nothing_is_no_impairment(text: str):
+def test_an_empty_text_has_no_impairments(text: str):
     assert read_impairments(text) == ()
 
 
-def test_a_file_holds_what_a_text_may(tmp_path: Path):
+def test_a_file_contains_the_same_as_a_text(tmp_path: Path):
     file = tmp_path / "storm.yaml"
     file.write_text(
         "- {kind: cut, target: rover, duration: 30}\n- {kind: jitter, magnitude: 0.01}\n"
@@ -111,15 +111,15 @@ def test_a_file_holds_what_a_text_may(tmp_path: Path):
         ("/nowhere/storm.yaml", "/nowhere/storm.yaml.*cannot be read"),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_what_would_be_right(text: str, complaint: str):
+def test_an_invalid_impairment_is_refused_with_the_expected_value(text: str, complaint: str):
     with pytest.raises(ParameterError, match=complaint):
         read_impairments(text)
 
 
-# ---------------------------------------------------------------------- what becomes of frames
+# ---------------------------------------------------------------------------- effect on frames
 
 
-def test_a_line_that_is_well_hands_on_at_once_what_is_for_its_device():
+def test_an_unimpaired_channel_delivers_the_frames_of_its_device_at_once():
     wire = Wire()
     wire.send(numbered(3))
     assert wire.sent == numbered(3)
@@ -129,7 +129,7 @@ def test_a_line_that_is_well_hands_on_at_once_what_is_for_its_device():
     assert wire.line.due_ns is None
 
 
-def test_how_long_a_frame_has_waited_is_known_where_nothing_held_it_back():
+def test_the_age_of_a_frame_is_known_unless_the_channel_delays_it():
     wire = Wire()
     ages: list[int] = []
     wire.line.network.subscribe(RPDO, lambda *_: ages.append(wire.line.frame_age_ns))
@@ -141,7 +141,7 @@ def test_how_long_a_frame_has_waited_is_known_where_nothing_held_it_back():
     assert ages == [700, 0]
 
 
-def test_frames_are_lost_by_their_share_and_the_same_ones_each_time():
+def test_a_fraction_of_frames_is_lost_reproducibly():
     lost = "{kind: loss, magnitude: 0.3, seed: %d}"
     first = survivors(lost % 1)
     assert len(first) / MANY == pytest.approx(0.7, abs=0.03)
@@ -151,7 +151,7 @@ def test_frames_are_lost_by_their_share_and_the_same_ones_each_time():
     assert other != [data for _, data in first]
 
 
-def test_the_frames_that_are_lost_do_not_depend_on_what_else_is_sent():
+def test_lost_frames_do_not_depend_on_other_identifiers():
     wire = Wire()
     wire.begin("{kind: loss, magnitude: 0.3}")
     for frame in numbered(500):
@@ -161,7 +161,7 @@ def test_the_frames_that_are_lost_do_not_depend_on_what_else_is_sent():
     )
 
 
-def test_one_way_alone_may_suffer():
+def test_a_single_direction_may_be_impaired():
     wire = Wire()
     wire.begin("{kind: cut, direction: to_devices}")
     wire.line.receive(SYNC, b"\x01")
@@ -170,7 +170,7 @@ def test_one_way_alone_may_suffer():
     assert wire.sent == numbered(2)
 
 
-def test_late_frames_keep_their_order_and_come_when_they_are_due():
+def test_delayed_frames_keep_their_order_and_arrive_when_due():
     wire = Wire()
     wire.begin("[{kind: delay, magnitude: 0.1}, {kind: jitter, magnitude: 0.05}]")
     early: list[float] = []
@@ -187,7 +187,7 @@ def test_late_frames_keep_their_order_and_come_when_they_are_due():
     assert wire.sent == numbered(200)
 
 
-def test_frames_behind_late_ones_do_not_overtake_them_when_the_delay_is_over():
+def test_frames_do_not_overtake_delayed_ones_after_the_end_of_the_delay():
     wire = Wire()
     (late,) = read_impairments("{kind: delay, magnitude: 0.5}")
     (direction,) = wire.line.directions("to_bridge")
@@ -202,13 +202,13 @@ def test_frames_behind_late_ones_do_not_overtake_them_when_the_delay_is_over():
     assert wire.sent == [*numbered(2), (0x183, b"last")]
 
 
-def test_frames_come_twice_by_their_share():
+def test_a_fraction_of_frames_is_duplicated():
     sent = survivors("{kind: duplication, magnitude: 0.25}")
     assert sorted(set(sent)) == sorted(numbered(MANY))
     assert len(sent) / MANY == pytest.approx(1.25, abs=0.03)
 
 
-def test_frames_are_overtaken_by_at_most_five_and_none_is_lost():
+def test_a_frame_is_overtaken_by_at_most_five_and_none_is_lost():
     wire = Wire()
     wire.begin("{kind: reorder, magnitude: 0.2}")
     wire.send(numbered(MANY))
@@ -219,11 +219,11 @@ def test_frames_are_overtaken_by_at_most_five_and_none_is_lost():
     ahead = [order.index(k) - k for k in range(MANY)]
     overtaken = [direction for direction in ahead if direction > 0]
     assert 0.1 * MANY < len(overtaken) < 0.3 * MANY
-    # Of a frame that waits, those that wait as well are not counted among those that pass.
+    # Other reordered frames do not count as overtaking.
     assert max(overtaken) <= 10
 
 
-def test_a_frame_that_nothing_follows_is_not_held_back_for_ever():
+def test_a_reordered_frame_without_a_successor_is_delivered_after_a_timeout():
     wire = Wire()
     wire.begin("{kind: reorder, magnitude: 1.0}")
     wire.send(numbered(1))
@@ -234,15 +234,15 @@ def test_a_frame_that_nothing_follows_is_not_held_back_for_ever():
     assert wire.sent == numbered(1)
 
 
-def test_damaged_frames_are_found_and_nothing_but_what_was_sent_gets_through():
+def test_corrupted_frames_are_detected_and_only_sent_frames_pass():
     sent = survivors("{kind: bit_errors, magnitude: 0.002}")
     assert set(sent) <= set(numbered(MANY))
-    # 4 bytes of identifier and data each, as many of the checksum, and what stuffing adds.
+    # 4 bytes each of identifier, data and checksum, and 2 of stuffing.
     bits = 8 * (4 + 4 + 4 + 2)
     assert len(sent) / MANY == pytest.approx((1 - 0.002) ** bits, abs=0.04)
 
 
-def test_every_kind_is_described():
+def test_every_kind_has_a_description():
     for name, kind in KINDS.items():
         assert kind.description, name
         assert bool(kind.magnitude) == (kind.maximum > 0.0), name

@@ -1,4 +1,4 @@
-"""What an end of the link makes of the frames that it takes."""
+"""Age of received frames at an end of the link."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from rover_hil.link import SYNC_ID, Link, frame_age_ns
 from rover_hil.udp_bus import UdpBus
 
 
-@pytest.mark.parametrize(("ago", "waited"), [(0.002, 0.002), (60.0, SYNC_PERIOD), (-60.0, 0.0)])
-def test_how_long_a_frame_has_waited_is_told_up_to_a_period(ago: float, waited: float):
+@pytest.mark.parametrize(("age", "expected"), [(0.002, 0.002), (60.0, SYNC_PERIOD), (-60.0, 0.0)])
+def test_the_age_of_a_frame_is_at_most_a_period(age: float, expected: float):
     begun = time.time()
-    found = frame_age_ns(can.Message(timestamp=begun - ago)) * 1e-9
+    found = frame_age_ns(can.Message(timestamp=begun - age)) * 1e-9
     late = time.time() - begun
-    assert waited - 1e-5 <= found <= min(waited + late + 1e-5, SYNC_PERIOD + 1e-9)
+    assert expected - 1e-5 <= found <= min(expected + late + 1e-5, SYNC_PERIOD + 1e-9)
 
 
-def test_a_frame_without_a_stamp_has_not_waited():
+def test_a_frame_without_a_stamp_has_age_zero():
     assert frame_age_ns(can.Message()) == 0
 
 
-def test_a_frame_by_udp_bears_the_time_at_which_it_came_and_not_that_of_its_reading():
+def test_a_frame_by_udp_has_the_time_of_its_arrival_not_of_its_reading():
     ends = [Link(UdpBus("239.74.163.91", 45191)) for _ in range(2)]
     try:
         ends[0].send(SYNC_ID, b"\x01")

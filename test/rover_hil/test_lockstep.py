@@ -1,45 +1,45 @@
-"""Whom a SYNC waits for in lockstep."""
+"""Participants that a SYNC waits for in lockstep."""
 
 from __future__ import annotations
 
 from rover_hil.devices import SYNC_PERIOD
 from rover_hil.lockstep import LockstepBarrier
 
-PATIENCE = 3.0
+TIMEOUT = 3.0
 
 
-def test_while_nobody_was_heard_cycles_go_by_the_wall_clock():
-    lockstep = LockstepBarrier(PATIENCE)
+def test_without_participants_cycles_follow_the_wall_clock():
+    lockstep = LockstepBarrier(TIMEOUT)
     assert not lockstep.may_go_on(1, 0.9 * SYNC_PERIOD)
     assert lockstep.may_go_on(1, SYNC_PERIOD)
 
 
-def test_who_was_heard_is_waited_for_however_long_it_takes_within_the_patience():
-    lockstep = LockstepBarrier(PATIENCE)
+def test_a_participant_is_awaited_within_the_timeout():
+    lockstep = LockstepBarrier(TIMEOUT)
     lockstep.on_progress("winch", 1)
     assert lockstep.may_go_on(1, 0.0)
-    assert not lockstep.may_go_on(2, PATIENCE)
+    assert not lockstep.may_go_on(2, TIMEOUT)
     lockstep.on_progress("winch", 2)
     assert lockstep.may_go_on(2, 0.0)
 
 
-def test_a_commander_is_waited_for_in_one_of_every_few_cycles():
-    lockstep = LockstepBarrier(PATIENCE)
-    lockstep.on_progress("commander", 5, within=3)
+def test_a_command_source_is_awaited_in_one_of_every_few_cycles():
+    lockstep = LockstepBarrier(TIMEOUT)
+    lockstep.on_progress("command source", 5, within=3)
     assert all(lockstep.may_go_on(cycle, 0.0) for cycle in (5, 6, 7))
     assert not lockstep.may_go_on(8, SYNC_PERIOD)
 
 
-def test_who_has_gone_costs_the_patience_once_and_is_waited_for_again_when_back():
-    lockstep = LockstepBarrier(PATIENCE)
+def test_a_lost_participant_costs_the_timeout_once_and_is_awaited_again_when_back():
+    lockstep = LockstepBarrier(TIMEOUT)
     lockstep.on_progress("jump", 1)
     lockstep.on_progress("winch", 1)
     lockstep.on_progress("winch", 2)
-    assert not lockstep.may_go_on(2, PATIENCE)
-    assert lockstep.may_go_on(2, PATIENCE + SYNC_PERIOD)
+    assert not lockstep.may_go_on(2, TIMEOUT)
+    assert lockstep.may_go_on(2, TIMEOUT + SYNC_PERIOD)
     lockstep.on_progress("winch", 3)
     assert lockstep.may_go_on(3, 0.0)
-    assert not lockstep.may_go_on(4, 0.0)  # the other is still waited for
+    assert not lockstep.may_go_on(4, 0.0)  # the other one is still awaited
     lockstep.on_progress("winch", 4)
     lockstep.on_progress("jump", 4)
     lockstep.on_progress("winch", 5)

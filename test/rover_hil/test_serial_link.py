@@ -58,12 +58,12 @@ def serial_line() -> Iterator[tuple[str, str]]:
 def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
     """Start emulator and bridge; returns the bridge, and an observer when both are ready.
 
-    In lockstep, also with the winch's commander, a busy machine is slow and not wrong.
+    In lockstep, also with the winch's command source, a busy computer does not change the result.
     """
     lockstep: dict[str, object] = {"lockstep": True, "lockstep_timeout": 10.0}
     harness.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
-    commander = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
-    parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | commander
+    command_source = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
+    parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | command_source
     bridge = harness.processes.start(BRIDGE, parameters)
     observer = harness.observer()
     for name in (topics.CLOCK, topics.DIAGNOSTICS, topics.WINCH_STATE, topics.WINCH_MODE,
@@ -93,8 +93,8 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
         observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), request))
         observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
         assert drum(states.last).position == pytest.approx(LENGTH, abs=0.02)
-        told = observer.wait_for_status(
+        status = observer.wait_for_status(
             topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.message != ""
         )
-        assert told.values["frames_damaged"] == "0"
+        assert status.values["frames_damaged"] == "0"
         assert bridge.stop() == 0

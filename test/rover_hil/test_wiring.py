@@ -1,4 +1,4 @@
-"""Contract and objects correspond both ways, to the size of a count."""
+"""The mapping between contract and objects, in both directions, to the size of a count."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rover_hil.wiring import (
 )
 
 SWITCHES = ("jump_latch", "winch_brake")
-# What the objects hold is less than the contract allows, in these alone: such commands are refused.
+# Only these objects have a smaller range than the contract: such commands are refused.
 NARROWER = {"winch_drum.effort": 3276.7}
 
 
@@ -48,7 +48,7 @@ def commands(draw: st.DrawFn) -> tuple[str, JointSample]:
 
 
 @given(commands())
-def test_a_command_comes_back_from_its_set_point_to_a_count(item: tuple[str, JointSample]):
+def test_a_command_and_its_setpoint_agree_to_a_count(item: tuple[str, JointSample]):
     topic, sample = item
     device = COMMANDED[topic]
     setpoint = setpoint_of(topic, sample)
@@ -65,13 +65,13 @@ def test_a_command_comes_back_from_its_set_point_to_a_count(item: tuple[str, Joi
 
 
 @given(st.data())
-def test_what_devices_tell_is_what_the_contract_s_samples_say(data: st.DataObject):
-    told: dict[str, Sample] = {}
+def test_device_values_and_samples_agree_to_a_count(data: st.DataObject):
+    samples: dict[str, Sample] = {}
     for topic in PUBLISHED:
         narrow = samples_of(TOPICS[topic])
-        told[topic] = data.draw(narrow)
-    told |= dict(physical(told))
-    values = values_of(told)
+        samples[topic] = data.draw(narrow)
+    samples |= dict(physical(samples))
+    values = values_of(samples)
     counted = {
         name: {
             key: BY_NAME[name].by_key[key].value(BY_NAME[name].by_key[key].saturated(value))
@@ -88,9 +88,9 @@ def test_what_devices_tell_is_what_the_contract_s_samples_say(data: st.DataObjec
         encode(topic, sample_of(topic, 1, counted))  # within the contract's limits
 
 
-def physical(told: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
-    """Samples that a machine can give: switches are closed or open, floor is any of the others."""
-    contact, winch = told[topics.CONTACT], told[topics.WINCH_STATE]
+def physical(samples: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
+    """Consistent samples: switches are closed or open, the floor switch is any of the others."""
+    contact, winch = samples[topics.CONTACT], samples[topics.WINCH_STATE]
     assert isinstance(contact, JointSample)
     assert isinstance(winch, JointSample)
     closed = {
@@ -104,9 +104,9 @@ def physical(told: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
     yield topics.WINCH_STATE, JointSample(1, {**winch.joints, WINCH_BRAKE: brake})
 
 
-def test_every_topic_that_a_bridge_should_tell_or_obey_is_wired():
+def test_every_topic_of_the_bridge_is_mapped():
     wired = {*PUBLISHED, *COMMANDED}
-    not_on_the_link = {topics.CAMERA}  # it has a computer of its own
+    not_on_the_link = {topics.CAMERA}  # it has its own computer
     for name, row in TOPICS.items():
         if row.publisher == "sim_node or hardware bridge":
             assert name in wired | not_on_the_link
@@ -127,7 +127,7 @@ def winch(rate: float = 0.0, brake: float = 0.0, tension: float = 0.0) -> JointS
 
 
 @pytest.mark.parametrize("sample", [winch(brake=0.5), winch(tension=4000.0)])
-def test_what_the_objects_cannot_say_is_refused_with_the_reason(sample: JointSample):
+def test_a_value_beyond_the_range_of_its_object_is_refused_with_the_reason(sample: JointSample):
     with pytest.raises(Refusal, match=r"must be 1 or 0|should be from") as refused:
         setpoint_of(topics.WINCH_COMMAND, sample)
     assert refused.value.code is RefusalCode.OUT_OF_LIMITS
@@ -138,14 +138,14 @@ def test_a_limit_smaller_than_a_count_stays_a_limit():
     assert setpoint["max_torque"] == WINCH.by_key["max_torque"].scale
 
 
-def test_a_closed_brake_at_no_rate_asks_for_rest_and_nothing_else_does():
+def test_only_a_closed_brake_at_zero_rate_requests_rest():
     topic = topics.WINCH_COMMAND
     assert requests_rest(topic, setpoint_of(topic, winch()))
     assert not requests_rest(topic, setpoint_of(topic, winch(brake=1.0)))
     assert not requests_rest(topic, setpoint_of(topic, winch(rate=0.1)))
 
 
-def test_a_mode_that_a_drive_lacks_is_no_command():
+def test_an_unsupported_mode_is_not_a_command():
     assert command_of(WINCH, {**AT_REST, "mode": 10}) is None
     assert command_of(JUMP, {**AT_REST, "mode": 9}) is None
     assert command_of(JUMP, AT_REST) is None

@@ -123,28 +123,28 @@ def test_a_value_is_reached_in_time_or_late():
     scene = Scene()
     scene.drums(100.0)
     scene.drum(END + 0.3, velocity=0.2)
-    wanted = {**VELOCITY, "minimum": 0.1, "since": "end"}
-    assert scene.evaluate("value", **wanted, within=0.5).measured == "0.3 s"
-    assert scene.evaluate("value", **wanted, within=0.2).result is Result.FAIL
-    assert scene.is_decided("value", END, **wanted, within=0.5)
+    keys = {**VELOCITY, "minimum": 0.1, "since": "end"}
+    assert scene.evaluate("value", **keys, within=0.5).measured == "0.3 s"
+    assert scene.evaluate("value", **keys, within=0.2).result is Result.FAIL
+    assert scene.is_decided("value", END, **keys, within=0.5)
 
 
 def test_a_value_to_be_kept_is_evaluated_after_its_time():
     scene = Scene(mark=BEGIN + 1.0)
     scene.drums(100.0)
-    wanted = {**VELOCITY, "maximum": 0.0, "when": "always", "since": "mark", "within": 2.5}
-    assert not scene.is_decided("value", END + 9.0, **wanted)
+    keys = {**VELOCITY, "maximum": 0.0, "when": "always", "since": "mark", "within": 2.5}
+    assert not scene.is_decided("value", END + 9.0, **keys)
     scene.drum(END + 0.6)
-    assert scene.is_decided("value", END + 0.6, **wanted)
-    assert scene.evaluate("value", **wanted).result is Result.PASS
+    assert scene.is_decided("value", END + 0.6, **keys)
+    assert scene.evaluate("value", **keys).result is Result.PASS
     scene.drum(END + 0.4, velocity=0.01)
-    assert scene.evaluate("value", **wanted).measured == "0 to 0.01 m/s"
-    assert scene.evaluate("value", **wanted).result is Result.FAIL
+    assert scene.evaluate("value", **keys).measured == "0 to 0.01 m/s"
+    assert scene.evaluate("value", **keys).result is Result.FAIL
 
 
 def test_a_value_without_messages_fails():
-    wanted = {**VELOCITY, "maximum": 9.0, "when": "always"}
-    assert Scene().evaluate("value", **wanted).result is Result.FAIL
+    keys = {**VELOCITY, "maximum": 9.0, "when": "always"}
+    assert Scene().evaluate("value", **keys).result is Result.FAIL
 
 
 def test_a_text_that_is_published_already_counts():
@@ -177,38 +177,38 @@ def test_an_event_is_reported_with_its_time_also_when_late():
 
 def test_an_event_that_must_be_absent_is_awaited_and_fails_if_it_occurs():
     scene = Scene()
-    wanted = {"name": "winch_disarmed", "absent": True, "within": 3.5}
-    assert not scene.is_decided("event", END + 0.6, **wanted)
-    assert scene.is_decided("event", END + 1.1, **wanted)
-    assert scene.evaluate("event", **wanted).result is Result.PASS
+    keys = {"name": "winch_disarmed", "absent": True, "within": 3.5}
+    assert not scene.is_decided("event", END + 0.6, **keys)
+    assert scene.is_decided("event", END + 1.1, **keys)
+    assert scene.evaluate("event", **keys).result is Result.PASS
     scene.status(topics.EVENTS, END + 0.6, "winch_disarmed")
-    assert scene.evaluate("event", **wanted).result is Result.PASS
+    assert scene.evaluate("event", **keys).result is Result.PASS
     scene.status(topics.EVENTS, END + 0.4, "winch_disarmed")
-    assert scene.evaluate("event", **wanted).result is Result.FAIL
+    assert scene.evaluate("event", **keys).result is Result.FAIL
 
 
 def test_a_refusal_matches_subject_and_reason():
     scene = Scene()
     status = "hil_bridge: refused " + topics.WINCH_COMMAND
     scene.status(topics.DIAGNOSTICS, BEGIN + 0.1, status, "stamped 0.8 s ago", code="stale")
-    wanted = {"subject": topics.WINCH_COMMAND, "code": "stale"}
-    assert scene.evaluate("refusal", **wanted).result is Result.PASS
-    assert scene.evaluate("refusal", **wanted, mentions="0.8 s").result is Result.PASS
-    assert scene.evaluate("refusal", **wanted, mentions="0.9 s").result is Result.FAIL
+    keys = {"subject": topics.WINCH_COMMAND, "code": "stale"}
+    assert scene.evaluate("refusal", **keys).result is Result.PASS
+    assert scene.evaluate("refusal", **keys, mentions="0.8 s").result is Result.PASS
+    assert scene.evaluate("refusal", **keys, mentions="0.9 s").result is Result.FAIL
     other = {"subject": topics.WINCH_COMMAND, "code": "not_armed"}
     assert scene.evaluate("refusal", **other).result is Result.FAIL
-    assert scene.evaluate("refusal", **wanted, absent=True).result is Result.FAIL
+    assert scene.evaluate("refusal", **keys, absent=True).result is Result.FAIL
 
 
 def test_a_metric_is_taken_from_the_first_report_after_the_actions():
     scene = Scene()
     for time, lost in ((BEGIN - 0.2, "3"), (BEGIN + 0.8, "9"), (END + 0.3, "12")):
         scene.status(topics.LINK_STATUS, time, LINK, "all devices answer", lost=lost)
-    wanted = {"status": LINK, "key": "lost"}
-    assert scene.evaluate("metric", **wanted, maximum=12.0).result is Result.PASS
-    assert scene.evaluate("metric", **wanted, maximum=11.0).measured == "12"
-    assert scene.evaluate("metric", **wanted, measure="change", maximum=8.0).measured == "9"
-    reached = {**wanted, "measure": "reached", "minimum": 9.0}
+    keys = {"status": LINK, "key": "lost"}
+    assert scene.evaluate("metric", **keys, maximum=12.0).result is Result.PASS
+    assert scene.evaluate("metric", **keys, maximum=11.0).measured == "12"
+    assert scene.evaluate("metric", **keys, measure="change", maximum=8.0).measured == "9"
+    reached = {**keys, "measure": "reached", "minimum": 9.0}
     assert scene.evaluate("metric", **reached, within=1.0).measured == "0.8 s"
     assert scene.evaluate("metric", **reached, within=0.5).result is Result.FAIL
     assert scene.evaluate("metric", status=LINK, equals="all devices answer").result is Result.PASS
@@ -219,6 +219,6 @@ def test_a_metric_is_taken_from_the_first_report_after_the_actions():
 def test_without_a_report_after_the_actions_a_metric_is_awaited_and_fails():
     scene = Scene()
     scene.status(topics.LINK_STATUS, END - 0.1, LINK, lost="0")
-    wanted = {"status": LINK, "key": "lost", "maximum": 0.0}
-    assert not scene.is_decided("metric", END + 9.0, **wanted)
-    assert scene.evaluate("metric", **wanted).result is Result.FAIL
+    keys = {"status": LINK, "key": "lost", "maximum": 0.0}
+    assert not scene.is_decided("metric", END + 9.0, **keys)
+    assert scene.evaluate("metric", **keys).result is Result.FAIL
