@@ -1,17 +1,16 @@
-"""Holding the attitude of the hanging rover: reaction of the wheels and of the flywheel. Pure.
+"""Attitude control of the hanging rover by reaction wheels. Pure.
 
-Each axis has a momentum that the law of `attitude_gains` asks for, and a budget that it must not
-leave. What a budget cannot hold is text before it is spent, and then given up gently: nothing
-outward is added any more while what is there bleeds off.
+The law of `attitude_gains` commands a momentum per axis, within a budget. Near saturation the axis
+reports it and stops adding momentum outward, while desaturation reduces the stored momentum.
 
-- About base_link y the left wheel reacts. It turns backward at a bias: so it never takes the right
-  wheel along, whose ratchet would let it run on by itself, and its friction keeps its sign; about
-  a standstill it would stick and jump. The bias is slow for pictures, as it turns with the swinging
-  rover and yaws it, by its momentum times the swing over the inertia about z; while the wheels pump
-  it is fast. The drive's own rate loop makes up for the friction.
-- About base_link x the flywheel reacts while the nut is clear of the latch. Its drive takes a
-  torque, so friction is made up for here; as it sits on the screw, its travel is a budget too. A
-  bias, for the same reason, is had only as long as pictures are taken, toward the middle.
+- About base_link y the left wheel is the reaction wheel. It turns backward at a bias rate: the
+  ratchet then never drives the right wheel, and the friction keeps its sign instead of sticking at
+  zero rate. During imaging the bias is small, as it yaws a swinging rover by its momentum times the
+  swing over the inertia about z; during pumping it is large. The drive's rate loop compensates the
+  friction.
+- About base_link x the flywheel is the reaction wheel while the nut is clear of the latch. Its
+  drive takes a torque, so this module compensates the friction. The flywheel turns the screw, so
+  the screw's travel is a second budget; it allows a bias only during imaging, toward the middle.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from msg_schemas.parameters import parameter
 from rover_control.attitude_gains import AttitudeDesign, AxisGains, design_axis
 from rover_control.hanging_rover import HangingParameters
 
-_MIN_BUDGET = 1e-6  # of a wheel that has not begun to turn [N m s]
-_SPENT, _RECOVERED = 0.8, 0.5  # of a budget, where it is text to be spent and where no longer
-_RECOVERY_TIME = 6.0  # some periods of the tilt, before it is text that it holds again [s]
+_MIN_BUDGET = 1e-6  # of a wheel at rest [N m s]
+_SPENT, _RECOVERED = 0.8, 0.5  # fractions of a budget, with hysteresis
+_RECOVERY_TIME = 6.0  # some tilt periods, before the saturation clears [s]
 
 
 @dataclass(frozen=True)
@@ -79,11 +78,11 @@ class RotorParameters:
 
 
 class AxisControl:
-    """Momentum that damps the tilt of one axis, kept within a budget.
+    """Momentum that damps the tilt of one axis, within a budget.
 
     Args:
-        name: of axis and rotor, for what is text.
-        gains: of the law.
+        name: axis and rotor, for messages.
+        gains: gains of the law.
         budget: largest momentum [N m s].
     """
 
@@ -94,16 +93,16 @@ class AxisControl:
         self.momentum = 0.0
         self.saturation = ""
         self._is_spent = False
-        self._recovery_time = 0.0  # for so long it is not spent [s]
+        self._recovery_time = 0.0  # time since it was last spent [s]
 
     def step(self, tilt_rate: float, h: float, spent: float = 0.0, what: str = "") -> float:
-        """Advance by h; returns the momentum to have [N m s].
+        """Advance by h; returns the momentum setpoint [N m s].
 
         Args:
-            tilt_rate: q, without what the rotors are meant to cause [rad/s].
+            tilt_rate: q, less the rate that pumping and coning induce [rad/s].
             h: duration [s].
-            spent: part of another budget that is spent, with its sign.
-            what: that budget, in words.
+            spent: signed fraction of another budget that is spent.
+            what: description of that budget.
         """
         torque = self.gains.rate * tilt_rate - self.gains.desaturation * self.momentum
         own = self.momentum / self.budget
@@ -116,7 +115,7 @@ class AxisControl:
         elif abs(used) < _RECOVERED:
             self._is_spent = False
             self._recovery_time += h
-            # A tilt that is too large spends it in each of its half periods.
+            # A tilt that is too large spends the budget in every half period.
             if self._recovery_time > _RECOVERY_TIME:
                 self.saturation = ""
         if self._is_spent and torque * used > 0.0:
@@ -126,7 +125,7 @@ class AxisControl:
         return self.momentum
 
     def holding_time(self, torque: float) -> float:
-        """How long a steady torque [N m] can be held until the budget is spent [s]."""
+        """Time [s] until a constant torque [N m] has spent the budget."""
         if torque == 0.0:
             return math.inf
         return max(self.budget - math.copysign(1.0, torque) * self.momentum, 0.0) / abs(torque)
@@ -138,7 +137,7 @@ class WheelReaction:
     Args:
         hanging: the rover.
         rotors: budgets.
-        design: what is asked of the law.
+        design: requirements on the law.
     """
 
     def __init__(
@@ -155,21 +154,21 @@ class WheelReaction:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the wheel has come down from its pumping."""
+        """Whether the wheel is at its quiet bias."""
         return self._bias == self.rotors.wheel_quiet_bias
 
     def start_from(self, rate: float) -> None:
-        """Begin with the left wheel as it turns [rad/s]: a jump of it would tilt the rover."""
+        """Start from the present rate [rad/s] of the left wheel; a step would tilt the rover."""
         self._bias = min(rate, self.rotors.wheel_quiet_bias)
 
     def step(self, tilt_rate: float, pumped: float, h: float, *, pumps: bool) -> float:
-        """Advance by h; returns the left wheel's rate to have [rad/s].
+        """Advance by h; returns the rate setpoint of the left wheel [rad/s].
 
         Args:
-            tilt_rate: along x, without the pumping's own [rad/s].
-            pumped: momentum to pump with, along x [N m s].
+            tilt_rate: along x, less the induced rate [rad/s].
+            pumped: pumping momentum along x [N m s].
             h: duration [s].
-            pumps: whether there is pumping, now or soon.
+            pumps: pumping, now or soon.
         """
         p = self.rotors
         change = p.wheel_acceleration * h
@@ -178,7 +177,7 @@ class WheelReaction:
         self.axis.budget = max(-p.wheel_rate_fraction * self._bias * self.inertia, _MIN_BUDGET)
         share = min(self._bias / p.wheel_pump_bias, 1.0)
         total = self.axis.step(tilt_rate, h) + share * pumped
-        # Momentum along x is about -y.
+        # Momentum along x is a rotation about -y.
         return self._bias - min(max(total, -self.axis.budget), self.axis.budget) / self.inertia
 
 
@@ -188,7 +187,7 @@ class FlywheelReaction:
     Args:
         hanging: the rover.
         rotors: budgets.
-        design: what is asked of the law.
+        design: requirements on the law.
     """
 
     def __init__(
@@ -200,14 +199,14 @@ class FlywheelReaction:
             hanging.inertia_about_x, hanging.stiffness, rotors.flywheel_friction, design
         )
         self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
-        self._side = 0.0  # to which the bias turns
-        self._bias_rate = 0.0  # rate by the bias, or toward the middle of the travel [rad/s]
-        self._rate_setpoint = 0.0  # rate of the screw [rad/s]
+        self._side = 0.0  # sign of the bias
+        self._bias_rate = 0.0  # bias rate, or rate toward the middle of the travel [rad/s]
+        self._rate_setpoint = 0.0  # of the screw [rad/s]
         self._offset = 0.0  # from the middle of the travel [rad]
 
     @property
     def is_near_end(self) -> bool:
-        """Whether the nut has come too near an end for a bias."""
+        """Whether the nut is too near an end of its travel for a bias."""
         return abs(self._offset) > 0.7 * self.rotors.screw_travel
 
     def step(
@@ -224,13 +223,13 @@ class FlywheelReaction:
         """Advance by h; returns the motor's torque [N m].
 
         Args:
-            tilt_rate: along y, without the pumping's own [rad/s].
-            pumped: momentum to pump with, along y [N m s].
-            integral: what that sums up to, about a mean of none [N m s^2].
-            angle: of the screw [rad].
-            rate: of the flywheel [rad/s].
+            tilt_rate: along y, less the induced rate [rad/s].
+            pumped: pumping momentum along y [N m s].
+            integral: integral of that, about zero mean [N m s^2].
+            angle: screw angle [rad].
+            rate: flywheel rate [rad/s].
             h: duration [s].
-            quiet: whether pictures are taken, now or soon.
+            quiet: imaging, now or soon.
         """
         p = self.rotors
         offset = self._offset = angle - p.screw_travel_centre
@@ -243,11 +242,11 @@ class FlywheelReaction:
         bias_rate = self._side * p.flywheel_bias
         if not quiet:
             bias_rate = -(offset - integral / self.inertia) / p.screw_return_time
-        # Not at once, as that would tilt the rover.
+        # A step would tilt the rover.
         ramp = p.flywheel_bias_ramp * h
         self._bias_rate = min(max(bias_rate, self._bias_rate - ramp), self._bias_rate + ramp)
         setpoint = (momentum + pumped) / self.inertia + self._bias_rate
-        # Slower the nearer the end, never against it; a hard stop would tilt the rover.
+        # Slow down toward the end of the travel; a hard stop would tilt the rover.
         room = p.screw_travel - math.copysign(offset, offset * setpoint)
         most = max(p.screw_travel_gain * room, 0.0)
         setpoint = min(max(setpoint, -most), most)

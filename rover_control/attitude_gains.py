@@ -1,16 +1,15 @@
-"""Gains of the attitude law from mass, lever, gravity and friction, with their margins. Pure.
+"""Gains and stability margins of the attitude law. Pure.
 
-The tilt against the tether answers to a rotor's momentum as I p'' + m g d p = -h'. The law
+The tilt p against the tether responds to a rotor's momentum h as I p'' + m g d p = -h'. The law
 
     h' = K q - k_b h
 
-(q the tilt's estimated rate, k_b the desaturation) damps it by the ratio K/(2 I w_b), w_b^2 = m g
-d/I,
-while k_b is small against w_b. What its loop bears follows from
+(q the estimated tilt rate, k_b the desaturation) damps it with the ratio K/(2 I w_b),
+w_b^2 = m g d/I, while k_b is small against w_b. The margins follow from the open loop
 
     L(s) = K s^2/(s + k_b) e^(-s T)/(1 + s/B) / (I s^2 + m g d)
 
-with the delay T from the gyro's sample to the torque and the bandwidth B of the rotor's drive.
+with the delay T from the gyro's sample to the torque and the bandwidth B of the rotor drive.
 """
 
 from __future__ import annotations
@@ -38,14 +37,14 @@ class AttitudeDesign:
 
 
 class AxisGains(NamedTuple):
-    """Gains of one axis with what they bear."""
+    """Gains of one axis, with their margins."""
 
     rate: float  # K [N m s/rad]
     desaturation: float  # k_b [1/s]
     frequency: float  # w_b [rad/s]
-    gain_margin: float  # the loop bears its gain multiplied by this
-    phase_margin: float  # [rad], the least of all crossings
-    friction_tilt: float  # where friction that nobody makes up for holds the tilt off [rad]
+    gain_margin: float  # factor on the gain at the stability limit
+    phase_margin: float  # [rad], the smallest of all crossings
+    friction_tilt: float  # tilt offset that uncompensated friction holds [rad]
 
 
 def loop(
@@ -55,7 +54,7 @@ def loop(
     stiffness: float,
     design: AttitudeDesign,
 ) -> NDArray[np.complex128]:
-    """L(j w) at angular frequencies [rad/s], for a gain K [N m s/rad]."""  # fmt: skip
+    """Open loop L(j w) at angular frequencies [rad/s], for a gain K [N m s/rad]."""  # fmt: skip
     s = 1j * frequencies
     law = rate * s**2 / (s + 1.0 / design.desaturation_time)
     drive = np.exp(-s * design.loop_delay) / (1.0 + s / design.drive_bandwidth)
@@ -65,18 +64,18 @@ def loop(
 def design_axis(
     inertia: float, stiffness: float, friction: float, design: AttitudeDesign
 ) -> AxisGains:
-    """Gains of an axis.
+    """Design the gains of one axis.
 
     Args:
         inertia: I about the centre of mass [kg m^2].
         stiffness: m g d [N m/rad].
         friction: dry friction of the rotor's bearings [N m].
-        design: what is asked for.
+        design: requirements.
     """
     frequency = math.sqrt(stiffness / inertia)
     rate = 2.0 * design.tilt_damping_ratio * inertia * frequency
     w = np.geomspace(1e-2 * frequency, 1e2 * frequency, 20001)
-    # Past the resonance itself, where the loop is infinite.
+    # Skip the resonance, where the loop gain is infinite.
     w = w[np.abs(w - frequency) > 1e-6 * frequency]
     response = loop(w, rate, inertia, stiffness, design)
     size = np.abs(response)

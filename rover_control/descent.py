@@ -1,9 +1,8 @@
-"""The descent as a service to operators: what the controller of the hanging rover needs around it.
+"""Descent service: supervision of the hanging controller. Pure.
 
-Pure. Nothing is driven before a stop was asked for, and nothing any more after a release. While
-there is something to be done, sensors that fall silent, or a winch that somebody else moves, holds
-or stops, end in a hold with the reason: it goes on when that is asked for. Each picture is told
-with what the camera says of it, as soon as that is known.
+It drives nothing before the first stop and after a release. While a stop is in progress, a sensor
+timeout, or a winch that another node moves, holds or stops, interrupts the descent: it holds with a
+reason until `resume`. Each picture is published with the camera's report once that is received.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ from rover_control.winch_link import FREE, HOLD, WinchLink, WinchLinkParameters
 
 _NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 RELEASED = "released"
-"""The word for what is driven by nobody here, beside the words of the phases."""
+"""Phase in which the descent drives nothing."""
 
 _NANO = 1e9
 _NO_JUMP = frozenset({"", "standby", "fault"})
-_CLEAR_FRACTION = 0.2  # part of its travel, so near to whose middle the nut is clear
+_CLEAR_FRACTION = 0.2  # fraction of the travel about its middle in which the nut is clear
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,11 @@ class DescentParameters:
     )
 
     def __post_init__(self) -> None:
-        """Refuse limits that leave no room."""
+        """Refuse limits that leave no range.
+
+        Raises:
+            ParameterError: min_depth is not below max_depth.
+        """
         if self.min_depth >= self.max_depth:
             msg = f"min_depth is {self.min_depth:g} m, it must be less than max_depth, "
             raise ParameterError(msg + f"{self.max_depth:g} m")
@@ -109,47 +112,43 @@ class DescentSettings:
 
 
 class Observation(NamedTuple):
-    """A picture with what the camera says of it."""
+    """A picture with the camera's report."""
 
     number: int  # since the start, from 1
     exposure: Exposure
-    smear: float  # [px]; NaN = the camera was not heard
-    wall_distance: float  # [m]; NaN = the camera was not heard
+    smear: float  # [px]; NaN = no report
+    wall_distance: float  # [m]; NaN = no report
 
 
 class DescentCommands(NamedTuple):
-    """What to send now; None = nothing."""
+    """Commands to send; None = nothing."""
 
     wheel_rate: float | None = None  # of the left wheel [rad/s]
     flywheel_torque: float | None = None  # [N m]
     winch: WinchRequest | None = None  # to be renewed
     trim: float | None = None  # [m/s]
-    nut: float | None = None  # that the jump motor's nut is to go to [m]
+    nut: float | None = None  # position setpoint of the jump motor's nut [m]
 
 
 class Descent:
-    """The controller with its supervision.
-
-    Args:
-        settings: all parameters.
-    """
+    """Hanging controller with its supervision."""
 
     def __init__(self, settings: DescentSettings) -> None:
         self.settings = settings
         self.length = math.nan
-        self.screw = math.nan  # angle of the flywheel's screw [rad]
-        self._is_retuned = False  # other parameters wait for the release
+        self.screw = math.nan  # screw angle [rad]
+        self._is_retuned = False  # new parameters wait for the release
         self._pictures = 0
         self._pending: deque[Observation] = deque()
         self._completed: list[Observation] = []
         self._changes: list[Transition] = []
         self._jump = ""
         self._mode = ""
-        self._commanded_wheel_rate = 0.0  # as sent last [rad/s]
-        self._measured_wheel_rate = 0.0  # by its encoder [rad/s]
+        self._commanded_wheel_rate = 0.0  # of the left wheel [rad/s]
+        self._measured_wheel_rate = 0.0  # of the left wheel [rad/s]
         self._stepped_ns = 0
-        self._clearing_since: float | None = None  # that the nut is driven clear [s]
-        self._imu_ns = 0  # the newest reading's stamp
+        self._clearing_since: float | None = None  # start of driving the nut clear [s]
+        self._imu_ns = 0  # stamp of the newest sample
         self._reset(0.0)
 
     def _reset(self, heading: float) -> None:
@@ -161,87 +160,87 @@ class Descent:
         self.link = WinchLink(settings.link, settings.hanging_controller.profile.depth_tolerance)
         self.link.on_mode(self._mode, -math.inf)
         self.is_engaged = False
-        self._winch_is_released = True  # the winch is left to others
+        self._winch_is_released = True  # no request is sent to the winch
         self._silent_steps = 0
-        self._fresh_since = -math.inf  # all sensors, after one of them was silent [s]
-        self._late_until = -math.inf  # the rotors do not follow [s]
+        self._fresh_since = -math.inf  # all sensors, after a timeout [s]
+        self._late_until = -math.inf  # the rotors do not follow the gyro until then [s]
         self._is_late = False
-        self._rotors_coast = False  # no command is sent to the rotors
-        self._wheel_is_ramping = False  # the wheel is brought to where it should be gently
-        self.interruption = ""  # why the descent is held, where nobody has asked for that
+        self._rotors_coast = False  # no rotor command is sent
+        self._wheel_is_ramping = False  # the wheel ramps to its setpoint
+        self.interruption = ""  # reason of a hold without a request
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def phase(self) -> str:
-        """The word of the contract for what is done."""
+        """Phase; value of the contract."""
         return self.controller.profile.phase.value if self.is_engaged else RELEASED
 
     @property
     def stops_left(self) -> int:
-        """Stops that wait behind the present one."""
+        """Number of stops after the present one."""
         return len(self.controller.profile.stops)
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being done that a lost sensor or winch would spoil."""
+        """Whether an activity is in progress that needs sensors and winch."""
         profile = self.controller.profile
         held = profile.phase is DescentPhase.HOLDING
         return self.is_engaged and not profile.is_idle and not held
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics that are silent, and the winch's mode where it was never told."""
-        silent = self.controller.waiting_for(now_ns)
-        return silent if self._mode else (*silent, topics.WINCH_MODE)
+        """Topics that have timed out, and the winch's mode if it was never received."""
+        missing = self.controller.waiting_for(now_ns)
+        return missing if self._mode else (*missing, topics.WINCH_MODE)
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call, and clear them."""
         taken, self._changes = self._changes, []
         return taken + self.controller.take_changes()
 
     def take_observations(self) -> list[Observation]:
-        """Return the pictures that are complete since the last call, and forget them."""
+        """Return the pictures completed since the last call, and clear them."""
         taken, self._completed = self._completed, []
         return taken
 
     # --- sensors ---------------------------------------------------------------------------------
 
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
-        """Take the state of drum and brake."""
+        """Update with the state of drum and brake."""
         self.length = sample.joints[WINCH_DRUM].position
         self.controller.on_drum(sample, now_ns)
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
-        """Take the wheels' rates."""
+        """Update with the wheel rates."""
         self._measured_wheel_rate = sample.joints[WHEEL_LEFT].velocity
         self.controller.on_wheels(sample, now_ns)
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
-        """Take angle and rate of the flywheel."""
+        """Update with angle and rate of the flywheel."""
         self.screw = sample.joints[FLYWHEEL].position
         self.controller.on_flywheel(sample, now_ns)
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Take a reading of the IMU."""
+        """Update with an IMU sample."""
         self._imu_ns = sample.stamp_ns or now_ns
         self.controller.on_imu(sample, now_ns)
 
     def on_winch_mode(self, mode: str, now_ns: int) -> None:
-        """Take what the winch is doing."""
+        """Update with the mode of the winch."""
         self._mode = mode
         self.controller.on_winch_mode(mode)
         self.link.on_mode(mode, now_ns / _NANO)
 
     def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
-        """Take the tension at the fairlead."""
+        """Update with the tension at the fairlead."""
         self.controller.on_load_cell(sample, now_ns)
 
     def on_jump(self, phase: str) -> None:
-        """Take what the jump is doing: it needs the same motor."""
+        """Update with the phase of the jump; it uses the same motor."""
         self._jump = phase
 
     def on_camera(self, sample: JointSample) -> None:
-        """Take what the camera tells of its last picture; what waited for it is complete."""
+        """Complete the pictures that the camera's report covers."""
         self.controller.on_camera(sample)
         smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
         ready = sample.stamp_ns - round(self.settings.descent.exposure_latency * _NANO)
@@ -249,41 +248,41 @@ class Descent:
             done = self._pending.popleft()
             self._completed.append(done._replace(smear=smear, wall_distance=wall))
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def request(self, stop: Stop, now_ns: int) -> None:
-        """Add a stop; the first one takes the drives.
+        """Add a stop; the first one engages the drives.
 
         Raises:
-            Refusal: out of limits, the rover jumps, or what the controller refuses.
+            Refusal: out of limits, during a jump, or the controller refuses.
         """
         p = self.settings.descent
         if not p.min_depth <= stop.depth <= p.max_depth:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.OUT_OF_LIMITS,
-                f"depth is {stop.depth!r} m, it must lie in {p.min_depth:g} .. {p.max_depth:g} m",
+                f"depth is {stop.depth!r} m, it must be {p.min_depth:g} .. {p.max_depth:g} m",
             )
         self._check_rotors(now_ns)
         with _refusals_as(topics.DESCENT_REQUEST):
             self.controller.request(stop, now_ns)
-        self._engage("a stop is asked for")
+        self._engage("stop requested")
         self._acquire_winch()
 
     def turn(self, angle: float, now_ns: int) -> None:
-        """Turn about the plumb line by so much [rad], and hold the heading until another request.
+        """Turn about the plumb line by an angle [rad], and hold the heading until another request.
 
         Raises:
-            Refusal: stops are left, the rover jumps, or the heading cannot be reached or held.
+            Refusal: stops are left, during a jump, or the heading cannot be reached or held.
         """
         self._check_rotors(now_ns)
         with _refusals_as(topics.DESCENT_REQUEST):
             self.controller.point(angle, now_ns)
-        self._engage("a heading is asked for")
+        self._engage("heading requested")
 
     @property
     def _lead_per_radian(self) -> float:
-        """Way of the nut by the screw's angle [m/rad]."""
+        """Lead of the screw [m/rad]."""
         return self.settings.descent.screw_lead / math.tau
 
     def _engage(self, reason: str) -> None:
@@ -298,7 +297,7 @@ class Descent:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
-                f"the rover jumps ({self._jump}), its motor is needed",
+                f"a jump is in progress ({self._jump}) and uses the motor; wait for its end",
             )
         nut = self.screw * self._lead_per_radian
         most = self.settings.descent.nut_unloaded_position
@@ -306,25 +305,25 @@ class Descent:
             raise Refusal(
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
-                f"the nut stands at {nut:.4g} m and may bear the spring, it must stand at most at "
-                f"{most:g} m; {topics.JUMP_ABORT} lets the spring down",
+                f"the nut is at {nut:.4g} m and may bear the spring, the limit is {most:g} m; "
+                f"{topics.JUMP_ABORT} relaxes the spring",
             )
         self._check_sensors(topics.DESCENT_REQUEST, now_ns)
 
     def hold(self, now_ns: int) -> str:
-        """Come to rest where it is.
+        """Hold the present length.
 
         Raises:
-            Refusal: nothing is under way.
+            Refusal: the descent is released.
         """
         self._check_engaged(topics.DESCENT_HOLD)
         return self.controller.hold(now_ns)
 
     def resume(self, now_ns: int) -> str:
-        """Go on after a hold.
+        """Continue after a hold.
 
         Raises:
-            Refusal: nothing is held, a sensor is silent, or the winch is not free.
+            Refusal: not held, a sensor has timed out, or the winch is in another mode.
         """
         self._check_engaged(topics.DESCENT_RESUME)
         self._check_sensors(topics.DESCENT_RESUME, now_ns)
@@ -332,7 +331,7 @@ class Descent:
             raise Refusal(
                 topics.DESCENT_RESUME,
                 RefusalCode.NOT_ARMED,
-                f"the winch is in {self._mode or 'no known mode'}, it must hold",
+                f"the winch is in {self._mode or 'no known mode'}, it must be in hold",
             )
         with _refusals_as(topics.DESCENT_RESUME):
             done = self.controller.resume(now_ns)
@@ -340,13 +339,13 @@ class Descent:
         return done
 
     def abort(self, now_ns: int) -> str:
-        """Forget what was to be done and stay; a heading is let go."""
+        """Drop all stops, stay, and release the heading."""
         self.interruption = ""
         self.controller.pointing.stop()
         return self.controller.abort(now_ns)
 
     def release(self) -> str:
-        """Give the drives back.
+        """Release the drives.
 
         Raises:
             Refusal: stops are left.
@@ -355,14 +354,14 @@ class Descent:
             raise Refusal(
                 topics.DESCENT_RELEASE,
                 RefusalCode.WRONG_PHASE,
-                f"the descent is in {self.phase}; {topics.DESCENT_ABORT} forgets what is left",
+                f"the descent is in {self.phase}; {topics.DESCENT_ABORT} drops the remaining stops",
             )
         if self.is_engaged:
-            self._disengage("asked for")
-        return "winch, wheels and flywheel are free"
+            self._disengage("release requested")
+        return "winch, wheels and flywheel released"
 
     def retune(self, settings: DescentSettings) -> None:
-        """Go by other parameters: at once where nothing is driven, else after the release."""
+        """Apply other parameters: at once if nothing is driven, else after the release."""
         self.settings = settings
         self._is_retuned = True
         if not self.is_engaged:
@@ -370,21 +369,21 @@ class Descent:
 
     def _check_engaged(self, subject: str) -> None:
         if not self.is_engaged:
-            raise Refusal(subject, RefusalCode.WRONG_PHASE, "no descent is under way")
+            raise Refusal(subject, RefusalCode.WRONG_PHASE, "no descent is in progress")
 
     def _check_sensors(self, subject: str, now_ns: int) -> None:
-        silent = self.waiting_for(now_ns)
-        if silent:
-            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        missing = self.waiting_for(now_ns)
+        if missing:
+            raise Refusal(subject, RefusalCode.STALE, f"{', '.join(missing)} timed out")
         left = self.settings.hanging_controller.profile.estimator_settling_time - (
             now_ns / _NANO - self._fresh_since
         )
         if left > 0.0:
-            text = f"a sensor was silent, the swing is known again in {left:.1f} s"
+            text = f"a sensor had timed out, the swing estimate settles in {left:.1f} s"
             raise Refusal(subject, RefusalCode.STALE, text)
 
     def _acquire_winch(self) -> None:
-        """Use the winch again; where others have moved it, there it is now."""
+        """Use the winch again, from its present length if another node has moved it."""
         self.interruption = ""
         if not self._winch_is_released:
             return
@@ -404,7 +403,7 @@ class Descent:
         if self._is_retuned:
             self._reset(controller.heading)
         else:
-            # The rotors begin from rest; whether the rover hangs is nobody's concern here any more.
+            # The rotors restart from rest; the rover may be set down from here on.
             p = controller.parameters
             controller.wheels = WheelReaction(p.hanging, p.rotors, p.design)
             controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
@@ -413,10 +412,10 @@ class Descent:
             self.interruption = ""
         self._changes.append(Transition(f"descent_{RELEASED}", reason))
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> DescentCommands:
-        """Advance to now; returns what is to be sent."""
+        """Advance to now; returns the commands to send."""
         now = now_ns / _NANO
         h, self._stepped_ns = (now_ns - self._stepped_ns) / _NANO, now_ns
         while (
@@ -425,7 +424,7 @@ class Descent:
         ):
             self._completed.append(self._pending.popleft())
         if not self.is_engaged:
-            # A winch that still comes to rest is asked to go on with that.
+            # Renew the request of a winch that still comes to rest.
             request, _ = self._winch(_NO_COMMANDS, now)
             return DescentCommands(*self._spin_down(h), request)
         self._check_sensor_timeout(now_ns)
@@ -439,7 +438,7 @@ class Descent:
         return DescentCommands(*rotors, *self._winch(commands, now), nut)
 
     def halt(self) -> DescentCommands:
-        """What to send last, when nobody steps any more."""
+        """Stop, and return the last commands to send."""
         if not self.is_engaged:
             return DescentCommands()
         uses = self.settings.hanging_controller.uses_rotors
@@ -452,14 +451,14 @@ class Descent:
         return DescentCommands(off, off, request)
 
     def _check_sensor_timeout(self, now_ns: int) -> None:
-        silent = self.controller.waiting_for(now_ns)
-        # By steps and not by time: one that comes late finds what was said meanwhile still unread.
-        self._silent_steps = self._silent_steps + 1 if silent else 0
-        if silent:
+        missing = self.controller.waiting_for(now_ns)
+        # Count steps instead of time: a late step finds its sensor samples still queued.
+        self._silent_steps = self._silent_steps + 1 if missing else 0
+        if missing:
             self._fresh_since = now_ns / _NANO
         if self._silent_steps < self.settings.descent.sensor_timeout_steps:
             return
-        reason = f"{', '.join(silent)} not heard"
+        reason = f"{', '.join(missing)} timed out"
         if self.is_busy:
             self._interrupt(reason, now_ns)
         elif self.controller.pointing.is_active:
@@ -467,33 +466,35 @@ class Descent:
             self._changes.append(Transition("pointing_ended", reason, Level.WARN))
 
     def _clear_nut(self, now: float) -> float | None:
-        """Where the nut is to go to, so that its motor is a reaction wheel; None = it is clear."""
+        """Nut position that frees its motor as a reaction wheel; None = it is clear."""
         rotors = self.settings.hanging_controller.rotors
         away = abs(self.screw - rotors.screw_travel_centre)
         if self._clearing_since is None and not away > rotors.screw_travel:
             return None
         if self._clearing_since is None:
             self._clearing_since = now
-            self._changes.append(Transition("nut_clearing", "the nut is driven clear of the latch"))
+            self._changes.append(Transition("nut_clearing", "driving the nut clear of the latch"))
         if away < _CLEAR_FRACTION * rotors.screw_travel:
             self._clearing_since = None
-            self._changes.append(Transition("nut_clear", "the jump motor is a reaction wheel"))
+            self._changes.append(Transition("nut_clear", "the jump motor now is a reaction wheel"))
             return None
-        if self.is_busy and now - self._clearing_since > self.settings.descent.nut_timeout:
+        timeout = self.settings.descent.nut_timeout
+        if self.is_busy and now - self._clearing_since > timeout:
             self._clearing_since = now
-            self._interrupt("the nut does not come clear of the latch", round(now * _NANO))
+            reason = f"the nut is not clear of the latch after {timeout:g} s"
+            self._interrupt(reason, round(now * _NANO))
         return rotors.screw_travel_centre * self._lead_per_radian
 
     def _rotors(
         self, commands: ActuatorCommands, h: float, now: float
     ) -> tuple[float | None, float | None]:
-        """The rotors' commands; one that comes late would feed the tilt instead of damping it."""
+        """Rotor commands; a delayed one would excite the tilt instead of damping it."""
         rate, torque = commands.wheel_rate, commands.flywheel_torque
         if rate is None or torque is None:
             self._rotors_coast = True
             return None, None
         if self._rotors_coast:
-            # Without commands the wheel has come to another rate, and is taken up from there.
+            # The wheel has coasted: continue from its measured rate.
             self._commanded_wheel_rate, self._wheel_is_ramping, self._rotors_coast = (
                 self._measured_wheel_rate,
                 True,
@@ -505,18 +506,21 @@ class Descent:
             self._late_until = now + p.gyro_delay_recovery
         late, self._is_late = self._is_late, now < self._late_until
         if self._is_late and not late:
-            text = f"the gyro's reading is {delay:.2g} s old, the rotors do not follow it"
+            text = (
+                f"the gyro sample is {delay:.2g} s old, the limit is {p.max_gyro_delay:g} s; the "
+                "rotors do not follow it"
+            )
             self._changes.append(Transition("rotors_late", text, Level.WARN))
         elif late and not self._is_late:
-            self._changes.append(Transition("rotors_follow", "the gyro is heard in time again"))
+            self._changes.append(Transition("rotors_follow", "the gyro samples are in time again"))
             self._wheel_is_ramping = True
         if self._is_late:
             return self._commanded_wheel_rate, 0.0
         if self._wheel_is_ramping:
             change = self.settings.hanging_controller.rotors.wheel_acceleration * h
-            way = rate - self._commanded_wheel_rate
-            self._wheel_is_ramping = abs(way) > change
-            rate = self._commanded_wheel_rate + min(max(way, -change), change)
+            deviation = rate - self._commanded_wheel_rate
+            self._wheel_is_ramping = abs(deviation) > change
+            rate = self._commanded_wheel_rate + min(max(deviation, -change), change)
         self._commanded_wheel_rate = rate
         return rate, torque
 
@@ -527,7 +531,7 @@ class Descent:
             return None, None
         profile = self.controller.profile
         if not self.is_busy:
-            # Whoever has the winch after a release moves it as soon as it holds.
+            # After a release another node may move the winch as soon as it holds.
             released = not self.is_engaged and self._mode == HOLD
             if released or self.link.is_at_rest(now) or self._mode not in FREE:
                 self._release_winch()
@@ -552,7 +556,7 @@ class Descent:
         self._changes.append(Transition("descent_interrupted", reason, Level.WARN))
 
     def _spin_down(self, h: float) -> tuple[float | None, float | None]:
-        """After a release the left wheel is brought to rest gently; the flywheel coasts."""
+        """After a release ramp the left wheel to rest; the flywheel coasts."""
         rate = self._commanded_wheel_rate
         if rate == 0.0:
             return None, None
@@ -563,7 +567,7 @@ class Descent:
 
 @contextmanager
 def _refusals_as(subject: str) -> Iterator[None]:
-    """What the controller refuses is refused by the topic or service that asked for it."""
+    """Attribute refusals of the controller to the topic or service of the request."""
     try:
         yield
     except Refusal as refusal:

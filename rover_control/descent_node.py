@@ -1,4 +1,4 @@
-"""The ``descent_node`` executable: descends, looks and ascends on request."""
+"""The ``descent_node`` executable: descends, takes pictures and ascends on request."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_control.winch_link import WinchLinkParameters
 
-# The controller's parameters are parts of its own, by their name there.
+# Parameter classes of the hanging controller, by field name.
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(value)
     for part in fields(HangingControllerParameters)
@@ -45,7 +45,7 @@ _PARTS: Mapping[str, type[Any]] = {
 }
 
 
-_NUT_FORCE = 50.0  # that it may use; clear of the latch it bears nothing [N]
+_NUT_FORCE = 50.0  # force limit; clear of the latch the nut bears no load [N]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class DescentNodeParameters:
 
 
 class DescentNode(ContractNode):
-    """Takes the hanging rover from stop to stop, steady enough to image the wall."""
+    """Moves the hanging rover from stop to stop, and images the wall from a steady rover."""
 
     NAME = "descent_node"
     PARAMETERS = (
@@ -97,24 +97,24 @@ class DescentNode(ContractNode):
         self.subscribe(topics.DESCENT_REQUEST, self._on_request)
 
     def start(self) -> None:
-        """Drive nothing until a stop is asked for."""
+        """Drive nothing until a stop is requested."""
         self._begin()
         rates = self.parameters_of(DescentNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
         self.every(1.0 / rates.state_rate, self._publish_state)
 
     def stop(self) -> None:
-        """The winch comes to rest, the rotors' motors are off."""
+        """Stop the winch, and switch the rotors' motors off."""
         self._send(self._descent.halt(), WINCH_TO_LENGTH)
         self._publish_changes()
 
     def parameters_changed(self) -> None:
-        """Take new parameters: at once while nothing is driven, else after the release."""
+        """Apply new parameters: at once if nothing is driven, else after the release."""
         if self.active:
             self._descent.retune(self._settings())
 
     def clock_jumped(self) -> None:
-        """Start over: what was timed means nothing any more."""
+        """Stop and restart: all times are invalid."""
         if self.active:
             self._send(self._descent.halt(), WINCH_TO_LENGTH)
             self._publish_changes()
@@ -123,29 +123,29 @@ class DescentNode(ContractNode):
             self._descent.on_winch_mode(mode, self.now_ns())
 
     def waiting_for(self) -> tuple[str, ...]:
-        """The sensors that are silent: stops are refused until they are heard."""
+        """Sensors that have timed out; stops are refused without them."""
         return self._descent.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
-        """The phase, and which axis cannot hold the attitude."""
+        """Status of the phase, and of attitude axes in saturation."""
         if not self.active:
             return ()
         descent = self._descent
         axes = (descent.controller.wheels.axis, descent.controller.flywheel.axis)
-        spent = [axis.saturation for axis in axes if axis.saturation]
+        saturated = [axis.saturation for axis in axes if axis.saturation]
         level = Level.WARN if descent.interruption else Level.OK
         text = descent.phase + (f": {descent.interruption}" if descent.interruption else "")
         return (
             Status(f"{self.NAME}: descent", text, level, self.NAME),
             Status(
                 f"{self.NAME}: attitude",
-                "; ".join(spent) or "within its budgets",
-                Level.WARN if spent else Level.OK,
+                "; ".join(saturated) or "within its budgets",
+                Level.WARN if saturated else Level.OK,
                 self.NAME,
             ),
         )
 
-    # --- what is heard ---------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------
 
     def _on_imu(self, sample: ImuSample) -> None:
         self._descent.on_imu(sample, self.now_ns())
@@ -199,7 +199,7 @@ class DescentNode(ContractNode):
         self._step()
         return True, answer
 
-    # --- what is told ----------------------------------------------------------------------------
+    # --- outputs ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
         self._descent = Descent(self._settings())

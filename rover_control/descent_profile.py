@@ -1,15 +1,15 @@
 """Sequence of a descent or ascent with its stops. Pure; stepped without ROS.
 
 =============  ==================================================================================
-standby        hangs where it is; waits for a request
-damping        takes the swing away: before a travel that would make too much of it, or at a stop
-travelling     on the way to the next depth
-settling       winch at rest, pumping stopped; waits until the camera is steady, or damps again
+standby        waits for a request
+damping        damps the swing, before a travel that would amplify it too much or at a stop
+travelling     moves to the next depth
+settling       winch at rest, pumping stopped; waits for a steady camera, or damps again
 exposing       takes the stop's pictures, each while the camera is steady
-holding        stands still, as asked; `resume` goes on with what is left
+holding        stands still on request; `resume` continues with the remaining stops
 =============  ==================================================================================
 
-Every stop ends with its pictures or with the reason why there are none.
+Every stop ends with its pictures, or with the reason for none.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from rover_control.swing_estimator import SwingEstimate
 from rover_control.yaw_momentum import MomentumTransfer
 
 SUBJECT = "descent"  # of refusals
-_RATE_FILTER_TIME = 0.5  # over which the camera's rate is judged, as its estimate is noisy [s]
-_DAMPING_HYSTERESIS = 1.25  # damping begins where this much above where it ends
-_SETTLING_PERIODS = 1.3  # of the swing that a settling may take at least
-_TRANSFER_HYSTERESIS = 1.6  # over the rate at which transfer on ends, where it begins
-_CONE_RATE_FRACTION = 0.85  # of the steady rate, that a cone may take along
-_PLANE_RATIO = 0.15  # minor over major axis, below which a swing counts as plane
-_ROUND_RATIO = 1.15  # an ellipse whose major axis is this much above its circle's is round enough
+_RATE_FILTER_TIME = 0.5  # averaging time of the noisy camera rate [s]
+_DAMPING_HYSTERESIS = 1.25  # ratio of the limits at which damping begins and ends
+_SETTLING_PERIODS = 1.3  # swing periods that a settling may take at least
+_TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer begins and ends
+_CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
+_PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
+_ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
 
 
 class DescentPhase(StrEnum):
-    """What the descent is doing; the words of the contract."""
+    """Phase of the descent; values of the contract."""
 
     STANDBY = "standby"
     DAMPING = "damping"
@@ -52,33 +52,35 @@ class DescentPhase(StrEnum):
 
 
 class Stop(NamedTuple):
-    """One depth to go to."""
+    """A stop of the descent."""
 
     depth: float  # length at the drum [m]
-    observes: bool  # takes pictures there
-    rate: float  # largest payout rate on the way [m/s]
+    observes: bool  # pictures are taken there
+    rate: float  # largest payout rate to it [m/s]
 
 
 class ProfileSetpoints(NamedTuple):
-    """What the profile wants done now."""
+    """Setpoints of the profile."""
 
-    length: float  # that the winch is to go to or keep [m]; NaN = as it is
-    rate: float  # at most [m/s]
-    trims: bool  # the winch against the swing
-    pumps: bool  # the wheels against swing and yaw
-    quiet: bool  # for pictures, now or soon
-    transfers: bool  # the momentum of a cone to the mother, through the twisted tether
-    unwinds: bool  # the tether, that was twisted for that
-    exposes: bool  # a picture now
+    length: float  # of the winch [m]; NaN = unchanged
+    rate: float  # largest [m/s]
+    trims: bool  # the winch damps the swing
+    pumps: bool  # the rotors damp swing and yaw
+    quiet: bool  # imaging, now or soon
+    transfers: (
+        bool  # transfer of a cone's momentum to the mother machine through the twisted tether
+    )
+    unwinds: bool  # untwisting of the tether after a transfer
+    exposes: bool  # take a picture now
 
 
 class DescentProfile:
-    """A descent.
+    """Sequencer of a descent.
 
     Args:
-        parameters: rates, limits, patience.
-        hanging: the rover.
-        decay_time: in which damping takes a plane swing away, by the length [m], in s.
+        parameters: rates, limits, timeouts.
+        hanging: rover and tether.
+        decay_time: decay time of a damped plane swing [s] on a length [m].
     """
 
     def __init__(
@@ -92,13 +94,13 @@ class DescentProfile:
         self.decay_time = decay_time
         self.phase = DescentPhase.STANDBY
         self.stops: deque[Stop] = deque()
-        self._stop: Stop | None = None  # the one that is travelled to or worked at
-        self.length_setpoint = math.nan  # length that the winch is to go to or keep [m]
-        self._phase_since = math.nan  # in the phase [s]
-        self._arrived_at = math.nan  # at the stop [s]
+        self._stop: Stop | None = None  # present stop
+        self.length_setpoint = math.nan  # of the winch [m]
+        self._phase_since = math.nan  # start of the phase [s]
+        self._arrived_at = math.nan  # arrival at the stop [s]
         self._steady_since = math.nan
         self._stepped_at = math.nan  # [s]
-        self._mean_square_rate = 0.0  # mean square of the camera's rate [(rad/s)^2]
+        self._mean_square_rate = 0.0  # of the camera [(rad/s)^2]
         self._pictures = 0
         self._attempts = 0
         self._last_exposure = -math.inf
@@ -110,34 +112,32 @@ class DescentProfile:
         self._changes: list[Transition] = []
 
     def on_swing_lost(self) -> None:
-        """The swing is not known any more: it is to be learnt before anything is done."""
+        """Let the swing estimate settle again before the next action."""
         self._estimating_since = math.nan
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call, and clear them."""
         taken, self._changes = self._changes, []
         return taken
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing is left to be done."""
+        """Whether no stop is left."""
         return self.phase is DescentPhase.STANDBY and not self.stops
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def request(self, stop: Stop, swing: SwingEstimate | None, length: float) -> None:
-        """Add a stop to what is to be done.
+        """Add a stop.
 
         Raises:
-            Refusal: held, the swing is not known yet, too fast, or the rover could touch the wall.
+            Refusal: in a hold, swing unknown, rate too high, or the rover could touch the wall.
         """
         if self.phase is DescentPhase.HOLDING:
-            raise _refused(
-                RefusalCode.WRONG_PHASE, "the descent is held; it goes on when it is resumed"
-            )
+            raise _refused(RefusalCode.WRONG_PHASE, "the descent is held; resume it first")
         if swing is None:
             raise _refused(
-                RefusalCode.STALE, "the swing is not known: IMU or winch have not been heard"
+                RefusalCode.STALE, "the swing is unknown: no sample of IMU or winch received"
             )
         if not 0.0 < stop.depth <= MAX_LENGTH:
             raise _refused(
@@ -146,32 +146,33 @@ class DescentProfile:
         if stop.rate > self.parameters.travel_rate:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS,
-                f"rate is {stop.rate!r} m/s, it must be at most {self.parameters.travel_rate:g}",
+                f"rate is {stop.rate!r} m/s, it must be at most "
+                f"{self.parameters.travel_rate:g} m/s",
             )
-        why = self._wall_conflict(swing, length, stop.depth)
-        if why:
-            raise _refused(RefusalCode.OUT_OF_LIMITS, why)
+        reason = self._wall_conflict(swing, length, stop.depth)
+        if reason:
+            raise _refused(RefusalCode.OUT_OF_LIMITS, reason)
         rate = stop.rate if stop.rate > 0.0 else self.parameters.travel_rate
         self.stops.append(stop._replace(rate=rate))
 
     def hold(self, length: float, now: float) -> str:
-        """Stand still where it is [m]."""
+        """Hold the present length [m]."""
         if self.phase is not DescentPhase.HOLDING:
             self.length_setpoint = length
             self._enter(DescentPhase.HOLDING, f"asked to hold, at {length:.4g} m", now)
         return f"holding {self.length_setpoint:.4g} m"
 
     def resume(self, now: float) -> str:
-        """Go on after a hold.
+        """Continue after a hold.
 
         Raises:
-            Refusal: nothing is held.
+            Refusal: the descent is not held.
         """
         if self.phase is not DescentPhase.HOLDING:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.WRONG_PHASE,
-                f"the descent is in {self.phase}, only a hold is resumed",
+                f"the descent is in {self.phase}, only a hold can be resumed",
             )
         if self._has_pictures:
             self._end_observation()
@@ -179,10 +180,10 @@ class DescentProfile:
             self.stops.appendleft(self._stop)
             self._stop = None
         self._enter(DescentPhase.STANDBY, "resumed", now)
-        return f"{len(self.stops)} stops are left"
+        return f"{len(self.stops)} stops left"
 
     def abort(self, length: float, now: float) -> str:
-        """Forget what was to be done, and stay where it is [m]."""
+        """Drop all stops, and hold the present length [m]."""
         if self._has_pictures:
             self._end_observation()
         dropped = len(self.stops) + (self._stop is not None)
@@ -192,9 +193,9 @@ class DescentProfile:
         self.length_setpoint = length
         if self.phase is not DescentPhase.STANDBY:
             self._enter(DescentPhase.STANDBY, "aborted", now, Level.WARN)
-        return f"{dropped} stops are dropped"
+        return f"{dropped} stops dropped"
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
     def step(
         self,
@@ -206,14 +207,14 @@ class DescentProfile:
         rotors_rest: bool,
         now: float,
     ) -> ProfileSetpoints:
-        """Advance to now [s]; returns what is wanted.
+        """Advance to now [s]; returns the setpoints.
 
         Args:
-            swing: as estimated.
-            length: paid out [m].
-            transfer: what it would take to rid the rover of its momentum about the plumb line.
+            swing: estimate of the swing.
+            length: payout [m].
+            transfer: prediction of a transfer of the momentum about the plumb line.
             winch_rests: the winch stands with its brake closed.
-            rotors_rest: the wheels do not turn for the pumping any more.
+            rotors_rest: the rotors have come down from pumping.
             now: [s].
         """
         p = self.parameters
@@ -261,7 +262,7 @@ class DescentProfile:
         return self._mean_square_rate < self.parameters.steady_rate**2
 
     def _trims(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether the winch damps; rotors that hand a momentum on need swing to push against."""
+        """Whether the winch damps; a momentum transfer needs some swing for the rotors."""
         if not self._transfers:
             return self._swing_exceeds_limits(swing, length)
         plane = swing.ellipse.major - abs(swing.ellipse.minor)
@@ -279,9 +280,9 @@ class DescentProfile:
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
         self._stop = self.stops.popleft()
         self._pictures = self._attempts = 0
-        why = self._wall_conflict(swing, length, self._stop.depth)
-        if why:
-            self._end_stop(why, Level.WARN, length)
+        reason = self._wall_conflict(swing, length, self._stop.depth)
+        if reason:
+            self._end_stop(reason, Level.WARN, length)
             return
         self._arrived_at = math.nan
         if math.isnan(self.length_setpoint):
@@ -291,7 +292,7 @@ class DescentProfile:
             ellipse = swing.ellipse
             self._enter(
                 DescentPhase.DAMPING,
-                f"{_deg(ellipse.major)} x {_deg(ellipse.minor)} are too much to leave with",
+                f"{_deg(ellipse.major)} x {_deg(ellipse.minor)} exceed the limits of a travel",
                 now,
             )
             return
@@ -334,9 +335,9 @@ class DescentProfile:
         steady = self._is_steady and all_rests
         known = swing.swing_error < p.swing_error_limit
         if stop.observes and known and now - self._phase_since > 0.5 and not steady:
-            why = self._unachievable(swing, length, length)
-            if why:
-                self._give_up(why, length, now)
+            reason = self._unachievable(swing, length, length)
+            if reason:
+                self._give_up(reason, length, now)
                 return
         if not stop.observes:
             if not self._exceeds_limits(swing, length):
@@ -344,7 +345,7 @@ class DescentProfile:
                 self._enter(DescentPhase.STANDBY, f"reached {length:.4g} m", now)
                 return
             steady = False
-        patience = max(p.settling_timeout, _SETTLING_PERIODS * math.tau / swing.frequency)
+        timeout = max(p.settling_timeout, _SETTLING_PERIODS * math.tau / swing.frequency)
         if not steady:
             self._steady_since = math.nan
         elif math.isnan(self._steady_since):
@@ -352,16 +353,16 @@ class DescentProfile:
         if steady and now - self._steady_since >= p.steady_dwell:
             self._enter(DescentPhase.EXPOSING, f"steady at {length:.4g} m", now)
         elif now - self._arrived_at > p.stop_timeout or (
-            self._attempts >= p.settling_attempts and now - self._phase_since > patience
+            self._attempts >= p.settling_attempts and now - self._phase_since > timeout
         ):
             self._give_up(self._unsteady(swing, now), length, now)
         elif (
             all_rests
             and not steady
-            and (self._exceeds_limits(swing, length) or now - self._phase_since > patience)
+            and (self._exceeds_limits(swing, length) or now - self._phase_since > timeout)
         ):
             self._steady_since = math.nan
-            self._attempts += now - self._phase_since > patience
+            self._attempts += now - self._phase_since > timeout
             ellipse = swing.ellipse
             text = f"swings by {_deg(ellipse.major)} x {_deg(ellipse.minor)}"
             self._enter(DescentPhase.DAMPING, text, now)
@@ -370,7 +371,7 @@ class DescentProfile:
         p = self.parameters
         assert self._stop is not None
         if self._has_pictures:
-            # The last one may still be exposed: who hears of the end may move the rover.
+            # The end of the stop may move the rover; wait until the last exposure is over.
             if now - self._last_exposure >= p.exposure_interval:
                 self._end_observation()
                 self._enter(DescentPhase.STANDBY, "pictures taken", now)
@@ -389,29 +390,29 @@ class DescentProfile:
         self._pictures += 1
         return True
 
-    # --- judgement -------------------------------------------------------------------------------
+    # --- limits ----------------------------------------------------------------------------------
 
     def _exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether there is more swing than the stop that is meant bears."""
+        """Whether swing, yaw or twist exceed the limits of the present stop."""
         stop = self._stop
         assert stop is not None
         if self._must_transfer(swing) or self._unwinds or self._swing_exceeds_limits(swing, length):
             return True
         limit = self.parameters.damped_yaw_rate
-        # What damping leaves must not begin it again at once.
+        # Hysteresis: the rest after damping must not start it again.
         if self.phase is DescentPhase.SETTLING:
             limit *= 2.0
         return stop.observes and self._is_at_stop and abs(swing.yaw_rate) > limit
 
     def _swing_exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether there is more for the winch to damp than the stop that is meant bears."""
+        """Whether the swing that the winch can damp exceeds the limits of the present stop."""
         stop = self._stop
         assert stop is not None
         p, ellipse = self.parameters, swing.ellipse
         there = self.hanging.swing_amplitude_at(ellipse.major, length, stop.depth)
         going_up = not self._is_at_stop and stop.depth < length
         if going_up:
-            # Damping works best where the tether is short; only what a plane swing becomes counts.
+            # Damping works best on a short tether; only the amplified plane swing counts.
             plane = self.hanging.swing_amplitude_at(
                 ellipse.major - abs(ellipse.minor), length, stop.depth
             )
@@ -427,7 +428,7 @@ class DescentProfile:
                 p.damped_swing_rate, _ROUND_RATIO * self._residual_rate(stop.depth)
             )
         minor = self.hanging.swing_amplitude_at(ellipse.minor, length, stop.depth)
-        # What the winch can make no rounder is steady enough, or hopeless.
+        # The winch cannot improve a round ellipse any further.
         is_round = ellipse.major < _ROUND_RATIO * math.sqrt(ellipse.major * abs(ellipse.minor))
         limit = p.steady_rate if is_round else p.damped_swing_rate
         span = imaging_window(there, minor, w, limit)
@@ -436,46 +437,46 @@ class DescentProfile:
 
     @property
     def _imaging_time(self) -> float:
-        """Time [s] that the rover must be still for a stop's pictures."""
+        """Steady time [s] that a stop's pictures need."""
         p = self.parameters
         return p.steady_dwell + (p.exposures + 1) * p.exposure_interval
 
     def _unachievable(self, swing: SwingEstimate, length: float, depth: float) -> str:
-        """Why no damping makes the rover still enough for pictures at a depth, if so."""
+        """Why damping cannot give an imaging window at a depth; empty if it can."""
         p, w = self.parameters, self.hanging.swing_frequency(depth)
-        # Just after a push the ellipse is not known well; what may be plane is to be damped.
+        # After a disturbance the ellipse is uncertain; damp what may be plane.
         known = max(abs(swing.ellipse.minor) - 2.0 * swing.swing_error / swing.frequency, 0.0)
         major, minor = (
             self.hanging.swing_amplitude_at(each, length, depth)
             for each in (swing.ellipse.major, known)
         )
-        passed_on = self._is_at_stop and self._transfer.time <= p.max_transfer_time
+        is_transferable = self._is_at_stop and self._transfer.time <= p.max_transfer_time
         if (
-            passed_on
+            is_transferable
             or longest_imaging_window(major, minor, w, p.steady_rate) >= self._imaging_time
         ):
             return ""
         rate = math.degrees(math.sqrt(major * minor) * w)
         return (
-            f"a cone of {_deg(major)} x {_deg(minor)} turns the camera, by {rate:.2f} deg/s when "
-            "it is round, and its momentum about the plumb line cannot be damped"
+            f"a cone of {_deg(major)} x {_deg(minor)} turns the camera by {rate:.2f} deg/s once "
+            "it is round; its momentum about the plumb line cannot be damped here"
         )
 
     def _residual_rate(self, depth: float) -> float:
-        """Rate [rad/s] that is left at a depth when all but the momentum is damped.
+        """Camera rate [rad/s] at a depth after damping: w a of the circle with the same momentum.
 
-        Of the circle that has the momentum m (l + d)^2 w a^2.
+        The momentum of a circle is m (l + d)^2 w a^2.
         """
         w, inertia = self.hanging.swing_frequency(depth), self.hanging.pendulum_inertia(depth)
         return math.sqrt(abs(self._transfer.momentum) * w / inertia)
 
     def _must_transfer(self, swing: SwingEstimate) -> bool:
-        """Whether a cone's momentum is to be transferring to the mother here, and can be."""
+        """Whether a cone's momentum must, and can, be transferred to the mother machine here."""
         stop, p = self._stop, self.parameters
         assert stop is not None
         if self._transfer.time > p.max_transfer_time:
             return False
-        # What is all but plane is the winch's; its momentum is not known well enough either.
+        # A nearly plane swing is damped by the winch; its momentum estimate is uncertain.
         if not self._transfers and abs(swing.ellipse.minor) < _PLANE_RATIO * swing.ellipse.major:
             return False
         limit = p.transfer_threshold_rate
@@ -483,20 +484,20 @@ class DescentProfile:
             limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
             if not self._is_at_stop:
                 return False
-        # The longer it takes the less is to be had: estimates of momentum and twist are off, too.
+        # Relax the limit with time: the estimates of momentum and twist have errors.
         limit *= (
             1.0
             + max(self._transfer_time - p.transfer_relaxation_time, 0.0)
             / p.transfer_relaxation_time
         )
-        # Once is enough: what is left then is near what its estimate and the twist's are off.
+        # Hysteresis: the rest after a transfer is of the size of the estimation errors.
         limit *= 1.0 if self._transfers else _TRANSFER_HYSTERESIS
         if stop.observes:
             limit = min(limit, _CONE_RATE_FRACTION * p.steady_rate)
         return self._residual_rate(stop.depth) > limit
 
     def _is_wound(self, swing: SwingEstimate) -> bool:
-        """Whether the tether's twist would spin the rover, or it still turns by it."""
+        """Whether the tether is twisted so far that it would spin the rover."""
         p = self.parameters
         return (
             abs(self._transfer.twist_acceleration) > p.unwound_acceleration
@@ -510,20 +511,20 @@ class DescentProfile:
         if reach < p.wall_clearance:
             return ""
         return (
-            f"swinging by {_deg(swing.ellipse.major)} the rover reaches {reach:.3g} m from the "
-            f"plumb line, the wall is {p.wall_clearance:g} m away"
+            f"a swing of {_deg(swing.ellipse.major)} takes the rover {reach:.3g} m from the "
+            f"plumb line, the wall is at {p.wall_clearance:g} m"
         )
 
     def _unsteady(self, swing: SwingEstimate, now: float) -> str:
         return (
-            f"not steady within {now - self._arrived_at:.0f} s: still "
+            f"not steady within {now - self._arrived_at:.0f} s: swing "
             f"{_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)}, camera at "
             f"{math.degrees(swing.camera_rate):.2f} deg/s"
         )
 
     def _give_up(self, reason: str, length: float, now: float) -> None:
         self._end_stop(reason, Level.WARN, length)
-        self._enter(DescentPhase.STANDBY, "given up", now, Level.WARN)
+        self._enter(DescentPhase.STANDBY, "stop given up", now, Level.WARN)
 
     @property
     def _has_pictures(self) -> bool:

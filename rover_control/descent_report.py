@@ -1,4 +1,4 @@
-"""What the descent tells of itself, as samples of the contract. Pure."""
+"""Samples of the contract for state and observations of the descent. Pure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rover_control.descent import Descent, Observation
 
 
 def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
-    """What is estimated and aimed at; None where the swing is not known yet."""
+    """State with estimates and setpoints; None before the first swing estimate."""
     controller = descent.controller
     swing = controller.swing
     if swing is None:
@@ -45,7 +45,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
     travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.screw_travel_centre
     goal = controller.profile.length_setpoint
     pointing = controller.pointing
-    way = pointing.error(controller.twist) if pointing.is_active else 0.0
+    remaining = pointing.error(controller.twist) if pointing.is_active else 0.0
     # A displacement along +x is a negative rotation about +y, one along +y a positive about +x.
     values = {
         DEPTH: JointValue(descent.length, controller.estimator.rate),
@@ -59,7 +59,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
         TILT_X: JointValue(swing.tilt[1], swing.tilt_rate[1]),
         TILT_Y: JointValue(-swing.tilt[0], -swing.tilt_rate[0]),
         HEADING: JointValue(controller.heading, swing.yaw_rate),
-        HEADING_GOAL: JointValue(math.remainder(controller.twist + way, math.tau)),
+        HEADING_GOAL: JointValue(math.remainder(controller.twist + remaining, math.tau)),
         YAW_ERROR: JointValue(velocity=swing.yaw_error),
         CAMERA_RATE: JointValue(velocity=swing.camera_rate),
         WHEEL_MOMENTUM: JointValue(-wheels.momentum),
@@ -73,7 +73,7 @@ def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
 
 
 def observation_sample(observation: Observation) -> JointSample:
-    """A picture, stamped with the time of its exposure."""
+    """Sample of a picture, stamped with the time of its exposure."""
     exposure = observation.exposure
     values = {
         PICTURE: JointValue(float(observation.number)),

@@ -1,8 +1,7 @@
-"""The hanging rover's controller: estimator, damping, attitude and the descent's sequence. Pure.
+"""Controller of the hanging rover: estimator, damping, attitude, pointing and descent. Pure.
 
-It is told what sensors and operators say, and stepped by time; it returns what wheels, flywheel and
-winch are to do. It knows nothing but IMU, encoders of drum and rotors, load cell and the winch's
-mode.
+Inputs are IMU, encoders of drum and rotors, load cell and the winch's mode; each time step returns
+the commands to wheels, flywheel and winch.
 """
 
 from __future__ import annotations
@@ -44,18 +43,18 @@ from rover_control.swing_filter import SwingFilter
 from rover_control.yaw_momentum import MomentumTransfer, YawMomentumController, YawParameters
 
 _NANO = 1e9
-_SENSOR_TIMEOUT = 0.3  # a sensor that was not heard for longer is lost [s]
-_LONGEST_STEP = 0.2  # of the estimator; after a longer gap it starts anew [s]
-_OPEN = 0.5  # a brake's position from here on means released
-_RENEWAL_PERIOD = 1.0  # between two requests to the winch while its rate changes [s]
-_PUMP_RAMP = 5.0  # in which the pumping comes and goes [s]
-_LENGTH = "length"  # modes of the winch that take a trim
+_SENSOR_TIMEOUT = 0.3  # age at which a sensor has timed out [s]
+_LONGEST_STEP = 0.2  # of the estimator; it restarts after a longer gap [s]
+_OPEN = 0.5  # brake position above which the brake is open
+_RENEWAL_PERIOD = 1.0  # shortest time between two winch requests [s]
+_PUMP_RAMP = 5.0  # ramp time of the pumping [s]
+_LENGTH = "length"  # winch modes that accept a trim
 _ARMED = frozenset({"hold", _LENGTH, "rate"})
 
 
 @dataclass(frozen=True)
 class HangingControllerParameters:
-    """All that the controller is told."""
+    """All parameters of the controller."""
 
     hanging: HangingParameters = field(default_factory=HangingParameters)
     estimator: EstimatorParameters = field(default_factory=EstimatorParameters)
@@ -65,7 +64,7 @@ class HangingControllerParameters:
     pointing: PointingParameters = field(default_factory=PointingParameters)
     rotors: RotorParameters = field(default_factory=RotorParameters)
     profile: ProfileParameters = field(default_factory=ProfileParameters)
-    uses_winch: bool = True  # for the swing
+    uses_winch: bool = True  # damp the swing by its trim
     uses_rotors: bool = True
 
 
@@ -73,7 +72,7 @@ class WinchRequest(NamedTuple):
     """A request to the winch."""
 
     length: float  # [m]
-    rate: float  # at most [m/s]
+    rate: float  # largest [m/s]
 
 
 class Exposure(NamedTuple):
@@ -82,13 +81,13 @@ class Exposure(NamedTuple):
     time: float  # [s]
     depth: float  # length at the drum [m]
     heading: float  # about the plumb line, since the start, by the gyro [rad]
-    camera_rate: float  # as estimated [rad/s]
-    smear: float  # as the camera tells of its last picture [px]; NaN = not heard
-    wall_distance: float  # [m]; NaN = not heard
+    camera_rate: float  # estimated [rad/s]
+    smear: float  # of the last picture by the camera [px]; NaN = not received
+    wall_distance: float  # [m]; NaN = not received
 
 
 class ActuatorCommands(NamedTuple):
-    """What the drives are to do; None = nothing is sent."""
+    """Commands to the drives; None = nothing is sent."""
 
     wheel_rate: float | None  # of the left wheel [rad/s]
     flywheel_torque: float | None  # [N m]
@@ -101,11 +100,7 @@ _NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 
 
 class HangingController:
-    """Controller of the rover on the tether.
-
-    Args:
-        parameters: all of them.
-    """
+    """Controller of the rover on the tether."""
 
     def __init__(self, parameters: HangingControllerParameters) -> None:
         self.parameters = parameters
@@ -116,14 +111,14 @@ class HangingController:
         self.swing_filter = SwingFilter()
         self._disturbances = 0
         self._divergences = 0
-        self._is_lost = False  # what the gyro shows is no hanging rover's motion
+        self._is_lost = False  # the swing estimate has diverged
         self.yaw = YawMomentumController(p.yaw, p.hanging)
         self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
         self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
         self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
         self.pointing = Pointing(p.pointing, p.hanging)
         self.suspended_mass = SuspendedMassEstimator(p.hanging)
-        self.twist = 0.0  # of the tether: the heading, without ever jumping [rad]
+        self.twist = 0.0  # of the tether: the unwrapped heading [rad]
         self._received_ns: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._load_ns: int | None = None
@@ -134,20 +129,22 @@ class HangingController:
         self._wheel_momentum = 0.0  # about +y [N m s]
         self._flywheel_momentum = 0.0  # about +x
         self._screw = (0.0, 0.0)  # angle [rad], rate [rad/s]
-        self._momentum: tuple[float, float] | None = None  # as the estimator has seen it
+        self._momentum: tuple[float, float] | None = (
+            None  # rotor momenta at the last estimator step
+        )
         self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
-        self._estimation_paused = False  # the rover may not hang: nothing is learnt from it
+        self._estimation_paused = False  # the rover may stand
         self._requested: WinchRequest | None = None
         self._requested_at = -math.inf
         self._trims = False
-        self._pump_gain = 0.0  # of the pumping, 0..1
+        self._pump_gain = 0.0  # 0..1
         self._reported_saturation: dict[str, str] = {}
         self._changes: list[Transition] = []
 
     @property
     def heading(self) -> float:
-        """About the plumb line, since the start, by the gyro [rad]; setting it sets the twist."""
+        """Heading about the plumb line since the start, by the gyro [rad]; sets the twist."""
         return math.remainder(self.twist, math.tau)
 
     @heading.setter
@@ -160,7 +157,7 @@ class HangingController:
         return 1.0 / self.trim.decay(length, self.parameters.hanging.swing_frequency(length))
 
     def take_changes(self) -> list[Transition]:
-        """Return what changed since the last call, and forget it."""
+        """Return the transitions since the last call, and clear them."""
         taken = self._changes + self.profile.take_changes()
         self._changes = []
         return taken
@@ -168,7 +165,7 @@ class HangingController:
     # --- sensors ---------------------------------------------------------------------------------
 
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
-        """Take length and rate of the drum, and its brake."""
+        """Update with the state of drum and brake."""
         length, rate, _ = sample.joints[WINCH_DRUM]
         self._received_ns[topics.WINCH_STATE] = now_ns
         self._length = length
@@ -176,7 +173,7 @@ class HangingController:
         self.estimator.on_drum(length, rate)
 
     def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
-        """Take the tension at the fairlead: it weighs the rover."""
+        """Update the suspended mass with the tension at the fairlead."""
         stamp = sample.stamp_ns or now_ns
         last, self._load_ns = self._load_ns, stamp
         hangs = not (self._estimation_paused or math.isnan(self._length))
@@ -185,21 +182,21 @@ class HangingController:
             self.suspended_mass.update(math.hypot(*sample.force), self._length, h)
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
-        """Take the wheels' rates."""
+        """Update with the wheel rates."""
         self._received_ns[topics.WHEEL_STATE] = now_ns
         self._left_rate = sample.joints[WHEEL_LEFT].velocity
         rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
         self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
-        """Take angle and rate of the flywheel."""
+        """Update with angle and rate of the flywheel."""
         self._received_ns[topics.FLYWHEEL_STATE] = now_ns
         angle, rate, _ = sample.joints[FLYWHEEL]
         self._screw = (angle, rate)
         self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Take a reading of the IMU; the estimate follows at once."""
+        """Step the estimator with an IMU sample."""
         self._received_ns[topics.IMU] = now_ns
         stamp = sample.stamp_ns or now_ns
         last, self._imu_ns = self._imu_ns, stamp
@@ -214,7 +211,7 @@ class HangingController:
         if self._estimation_paused:
             self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
             return
-        # What turns with the rover changes in space, too.
+        # Momentum that turns with the rover changes in the inertial frame.
         turned = self.estimator.yaw_rate * h
         change = (
             momentum[0] - before[0] - turned * momentum[1],
@@ -225,27 +222,29 @@ class HangingController:
         self._publish_divergence()
 
     def _publish_divergence(self) -> None:
-        """Say that the estimate had to be begun anew, once for as long as it does not settle."""
+        """Report a divergence of the estimator, once until it has settled again."""
         if self.estimator.divergences != self._divergences:
             self._divergences = self.estimator.divergences
             self.profile.on_swing_lost()
             if not self._is_lost:
                 self._is_lost = True
                 text = (
-                    "gyro, accelerometer and rotors do not agree with a rover that hangs on a taut "
-                    "tether; the swing is learnt anew"
+                    "the swing estimate has diverged: the sensors do not fit a rover on a taut "
+                    "tether; the estimator restarts"
                 )
                 self._changes.append(Transition("swing_lost", text, Level.WARN))
         elif self._is_lost and self.estimator.is_settled:
             self._is_lost = False
-            self._changes.append(Transition("swing_found", "the swing is known again", Level.OK))
+            self._changes.append(
+                Transition("swing_found", "the swing estimate has settled", Level.OK)
+            )
 
     def pause_estimation(self) -> None:
-        """Learn nothing more: the rover may be set down. How it turns is followed."""
+        """Pause swing and mass estimates: the rover may stand. The heading is still integrated."""
         self._estimation_paused = True
 
     def resume_estimation(self) -> None:
-        """The rover hangs again, and its swing is another one; its wheel may still turn."""
+        """Restart swing and mass estimates of a rover that hangs again."""
         self.wheels.start_from(self._left_rate)
         if self._estimation_paused:
             self._estimation_paused = False
@@ -255,18 +254,18 @@ class HangingController:
             self.profile.on_swing_lost()
 
     def on_winch_mode(self, mode: str) -> None:
-        """Take what the winch is doing."""
+        """Update with the mode of the winch."""
         self._mode = mode
 
     def on_camera(self, sample: JointSample) -> None:
-        """Take what the camera tells of its last picture."""
+        """Update with the camera's report on its last picture."""
         self._camera = (
             sample.joints[SMEAR].position,
             sample.joints[WALL_DISTANCE].position,
         )
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics of the sensors that are silent: nothing is driven without them."""
+        """Topics of the sensors that have timed out; without them nothing is driven."""
         needed = [topics.IMU, topics.WINCH_STATE]
         if self.parameters.uses_rotors:
             needed += [topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
@@ -276,53 +275,55 @@ class HangingController:
 
     @property
     def swing(self) -> SwingEstimate | None:
-        """What is known of the swing."""
+        """Estimate of the swing; None before the first samples."""
         if self._momentum is None or math.isnan(self._length):
             return None
         return self.estimator.estimate
 
-    # --- asked from outside ----------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def request(self, stop: Stop, now_ns: int) -> None:
         """Add a stop.
 
         Raises:
-            Refusal: sensors are silent, the winch is not armed, or what the profile refuses.
+            Refusal: a sensor has timed out, the winch is not armed, or the profile refuses.
         """
-        silent = self.waiting_for(now_ns)
-        if silent:
-            raise Refusal(SUBJECT, RefusalCode.STALE, f"{', '.join(silent)} not heard")
+        missing = self.waiting_for(now_ns)
+        if missing:
+            raise Refusal(SUBJECT, RefusalCode.STALE, f"{', '.join(missing)} timed out")
         if self._mode not in _ARMED:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.NOT_ARMED,
-                f"the winch is in {self._mode or 'no known mode'}, it must hold or go to a length; "
+                f"the winch is in {self._mode or 'no known mode'}, it must be in hold or length; "
                 f"{topics.WINCH_REARM} arms it",
             )
         self.profile.request(stop, self.swing, self._length)
 
     def point(self, turn: float, now_ns: int) -> Prediction:
-        """Turn about the tether by so much [rad], and hold the heading until another request.
+        """Turn about the tether by an angle [rad], and hold the heading until another request.
 
         Returns:
-            How long it takes, and how long the heading is held.
+            Prediction of turn and hold.
 
         Raises:
-            Refusal: sensors are silent, a stop is being worked at, or the turn cannot be held.
+            Refusal: a sensor has timed out, a stop is in progress, or the turn is not possible.
         """
-        silent = self.waiting_for(now_ns)
+        missing = self.waiting_for(now_ns)
         swing = self.swing
-        if silent or swing is None:
+        if missing or swing is None:
             raise Refusal(
-                POINTING, RefusalCode.STALE, f"{', '.join(silent) or 'the swing'} not heard"
+                POINTING,
+                RefusalCode.STALE,
+                f"{', '.join(missing) or 'the swing estimate'} timed out",
             )
         if not self.parameters.uses_rotors or not self.profile.is_idle:
             raise Refusal(
                 POINTING,
                 RefusalCode.WRONG_PHASE,
-                f"the descent is in {self.profile.phase}, headings are turned to in standby"
+                f"the descent is in {self.profile.phase}, a turn requires standby"
                 if self.parameters.uses_rotors
-                else "the rotors are not used",
+                else "the rotors are disabled by the parameter uses_rotors",
             )
         prediction = self.pointing.request(
             turn,
@@ -334,17 +335,17 @@ class HangingController:
             spin=self._spin_by_bias(swing),
         )
         text = (
-            f"turns by {math.degrees(turn):.0f} deg within {prediction.turning:.0f} s, holds for "
-            f"{prediction.holding:.0f} s, limited by {prediction.limit}"
+            f"turn by {math.degrees(turn):.0f} deg predicted within {prediction.turning:.0f} s, "
+            f"hold for {prediction.holding:.0f} s, limited by {prediction.limit}"
         )
         self._changes.append(Transition("pointing_begun", text, Level.OK))
         return prediction
 
     def _spin_by_bias(self, swing: SwingEstimate) -> float:
-        """Spin [rad/s] that is left when the wheels' bias has come up.
+        """Spin [rad/s] after the wheel's bias has ramped up.
 
-        Their motor's torque tilts the rover, and the tether then pulls past its centre of mass, by
-        where the swing is at that time: the swing gets momentum about the plumb line, and the
+        The motor torque tilts the rover, so that the tether pulls past its centre of mass, by an
+        offset that depends on the swing phase: the swing gains momentum about the plumb line, the
         rover the opposite.
         """
         hanging, rotors = self.parameters.hanging, self.parameters.rotors
@@ -356,25 +357,25 @@ class HangingController:
         return hanging.wheel_inertia * change * aside / inertia
 
     def hold(self, now_ns: int) -> str:
-        """Stand still."""
+        """Hold the present length."""
         return self.profile.hold(self._length, now_ns / _NANO)
 
     def resume(self, now_ns: int) -> str:
-        """Go on after a hold.
+        """Continue after a hold.
 
         Raises:
-            Refusal: nothing is held.
+            Refusal: the descent is not held.
         """
         return self.profile.resume(now_ns / _NANO)
 
     def abort(self, now_ns: int) -> str:
-        """Forget what was to be done and stay."""
+        """Drop all stops and stay."""
         return self.profile.abort(self._length, now_ns / _NANO)
 
-    # --- stepped by time -------------------------------------------------------------------------
+    # --- control step ----------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> ActuatorCommands:
-        """Advance to now; returns what the drives are to do."""
+        """Advance to now; returns the commands to the drives."""
         now = now_ns / _NANO
         h = 0.0 if self._stepped is None else now - self._stepped
         self._stepped = now
@@ -399,15 +400,15 @@ class HangingController:
         return ActuatorCommands(wheel_rate, torque, request, trim, exposure)
 
     def _momentum_transfer(self, swing: SwingEstimate) -> MomentumTransfer:
-        handing = self.yaw.predict_transfer(swing, self.twist, self._length)
-        return handing if self.parameters.uses_rotors else handing._replace(time=math.inf)
+        transfer = self.yaw.predict_transfer(swing, self.twist, self._length)
+        return transfer if self.parameters.uses_rotors else transfer._replace(time=math.inf)
 
     def _react(
         self, swing: SwingEstimate, setpoints: ProfileSetpoints, h: float
     ) -> tuple[float | None, float | None]:
         if not self.parameters.uses_rotors:
             return None, None
-        # Comes and goes softly, as its steps would tilt the rover.
+        # Ramp the pumping: a step would tilt the rover.
         change = h / _PUMP_RAMP
         self._pump_gain = min(
             max(float(setpoints.pumps), self._pump_gain - change), self._pump_gain + change
@@ -450,12 +451,12 @@ class HangingController:
         return rate, torque
 
     def _cone(self, swing: SwingEstimate, h: float) -> RotorMomenta:
-        """Momenta that turn the rover to its heading; with a stop to go to, none."""
+        """Momenta that turn the rover to its heading; a requested stop ends the pointing."""
         if self.pointing.is_active and not self.profile.is_idle:
             self.pointing.stop()
-            text = "the heading is let go, a stop was asked for"
+            text = "heading released: a stop was requested"
             self._changes.append(Transition("pointing_ended", text, Level.OK))
-        # The tilt of the coning, over a hundred times as fast as the swing, hides how that turns.
+        # The coning's tilt masks the rotation of the swing, over a hundred times as slow.
         self.estimator.freezes_yaw_bias = self.pointing.is_coning
         momenta = self.pointing.step(
             self.twist,
@@ -467,7 +468,7 @@ class HangingController:
         reached = self.pointing.take_reached()
         if reached is not None:
             text = (
-                f"the heading is reached after {reached.turning:.0f} s, and will be held for "
+                f"heading reached after {reached.turning:.0f} s; predicted hold "
                 f"{reached.holding:.0f} s, limited by {reached.limit}"
             )
             values = reached._asdict()

@@ -1,19 +1,18 @@
-"""The rover as a mass on a taut tether: what the controllers of the descent know of it. Pure.
+"""Model of the rover as a double pendulum on a taut tether. Pure.
 
-Two small angles for each horizontal axis of base_link describe it, both as the way that what hangs
-is displaced: u, the tether's direction against the plumb line, and phi, the rover's against the
-same; p = phi - u is its tilt against the tether. With the tether's length l, the lever d from the
-tether's attachment down to the centre of mass, the mass m, the inertia I about the centre of mass
-and the momentum h of the axis' rotor
+Per horizontal axis of base_link two small angles describe it, both positive in the direction of the
+displacement: u of the tether and phi of the rover against the plumb line; p = phi - u is the tilt
+against the tether. With the tether length l, the lever d from the tether's attachment down to the
+centre of mass, the mass m, the inertia I about the centre of mass and the rotor momentum h
 
     l u'' + d phi'' = -g u - 2 l' u',        I phi'' = -m g d p - h'.
 
-Where phi follows u, slowly, this is the pendulum (l + d) u'' = -g u - 2 l' u'; at rest it tilts at
-sqrt(m g d/I), about the centre of mass, as the tether's tip gives way sideways.
+In the slow mode phi follows u: the pendulum (l + d) u'' = -g u - 2 l' u'. In the fast mode the
+rover tilts about its centre of mass at sqrt(m g d/I), as the tether's tip yields sideways.
 
 Axes. A displacement along +x is a negative rotation about +y, one along +y a positive rotation
-about +x. So the x axis here has the rate -omega_y and the rotor momentum -h_y of the wheels, the
-y axis the rate omega_x and the momentum h_x of the flywheel.
+about +x. So the x axis has the rate -omega_y and the rotor momentum -h_y of the wheels, the y axis
+the rate omega_x and the momentum h_x of the flywheel.
 """
 
 from __future__ import annotations
@@ -59,43 +58,43 @@ class HangingParameters:
 
     @property
     def inertias(self) -> tuple[float, float]:
-        """Of the tilts along x and along y [kg m^2]."""
+        """Inertias of the tilts along x and y [kg m^2]."""
         return self.inertia_about_y, self.inertia_about_x
 
     @property
     def stiffness(self) -> float:
-        """Torque that rights a tilt against the tether, m g d [N m/rad]."""
+        """Restoring stiffness of a tilt against the tether, m g d [N m/rad]."""
         return self.rover_mass * self.rover_gravity * self.lever
 
     def effective_gravity(self, length: float) -> float:
-        """What takes g's place for the swing on so much tether [m], in m/s^2.
+        """Effective gravity [m/s^2] of the swing on a tether of this length [m].
 
-        A tether of the mass M swings along, and pulls more at its top: g (1 + M/6m).
+        A tether of mass M adds inertia and tension: g (1 + M/6m).
         """
         heavier = self.tether_density * length / (6.0 * self.rover_mass)
         return self.rover_gravity * (1.0 + heavier)
 
     def torsional_stiffness(self, length: float) -> float:
-        """Torque by which so much tether [m] answers to its twist, GJ/l [N m/rad]."""
+        """Torsional stiffness GJ/l [N m/rad] of a tether of this length [m]."""
         return self.twist_stiffness / length
 
     def pendulum_inertia(self, length: float) -> float:
-        """Of the swing about the fairlead, m (l + d)^2 [kg m^2]."""
+        """Inertia of the swing about the fairlead, m (l + d)^2 [kg m^2]."""
         return self.rover_mass * (length + self.lever) ** 2
 
     def swing_frequency(self, length: float) -> float:
-        """Angular frequency [rad/s] of the swing on so much tether [m]."""
+        """Angular frequency [rad/s] of the swing on a tether of this length [m]."""
         return math.sqrt(self.effective_gravity(length) / (length + self.lever))
 
     def tilt_frequencies(self) -> tuple[float, float]:
-        """Angular frequencies [rad/s] of the tilts along x and along y."""
+        """Angular frequencies [rad/s] of the tilts along x and y."""
         x, y = self.inertias
         return math.sqrt(self.stiffness / x), math.sqrt(self.stiffness / y)
 
     def swing_amplitude_at(self, amplitude: float, length: float, to_length: float) -> float:
-        """Amplitude [rad] that a swing has on another length, if it is changed slowly.
+        """Swing amplitude [rad] after a slow change of the length [m].
 
-        Energy over frequency is kept, so the angle goes with the length to the power -3/4.
+        Energy over frequency is an adiabatic invariant: the angle scales with length^(-3/4).
         """
         ratio = (length + self.lever) / (to_length + self.lever)
         return amplitude * math.pow(ratio, 0.75)

@@ -1,26 +1,26 @@
-"""How long a swinging rover is still enough for pictures. Pure.
+"""Imaging window of a swinging rover. Pure.
 
-A swing that is an ellipse with the amplitudes a and b turns the rover at the rate
-w sqrt(a^2 sin^2 wt + b^2 cos^2 wt): slowest, at w b, where it turns back. On a long tether it stays
-there for seconds, long enough for pictures, with more swing than could be borne all the time. The
-winch's trim takes from a and keeps the momentum, a b, and so adds to b.
+An elliptical swing with the amplitudes a and b turns the rover at the rate
+w sqrt(a^2 sin^2 wt + b^2 cos^2 wt), slowest, at w b, at its turning points. On a long tether the
+rate stays low there for seconds, long enough for pictures. The winch's trim reduces a, keeps the
+momentum, proportional to a b, and so increases b.
 """
 
 from __future__ import annotations
 
 import math
 
-_CANDIDATES = 24  # ellipses between what there is and its circle
+_CANDIDATES = 24  # ellipses between the present one and its circle
 
 
 def imaging_window(major: float, minor: float, frequency: float, rate: float) -> float:
-    """Time [s] that an ellipse turns the rover slower than a rate in each half of its period.
+    """Time [s] per half period in which a swing turns the rover slower than a rate.
 
     Args:
-        major: amplitude [rad].
-        minor: the other one [rad].
+        major: major amplitude [rad].
+        minor: minor amplitude [rad].
         frequency: of the swing [rad/s].
-        rate: [rad/s].
+        rate: limit [rad/s].
     """
     slowest, fastest = frequency * abs(minor), frequency * major
     if fastest <= rate:
@@ -32,13 +32,13 @@ def imaging_window(major: float, minor: float, frequency: float, rate: float) ->
 
 
 def longest_imaging_window(major: float, minor: float, frequency: float, rate: float) -> float:
-    """The longest such time [s] of all ellipses that the winch can make of this one."""
+    """Longest imaging window [s] of all ellipses that the winch can reach from this one."""
     product = major * abs(minor)
     circle = math.sqrt(product)
     if frequency * circle <= rate:
         return math.inf
-    spans = []
+    windows = []
     for n in range(_CANDIDATES + 1):
-        wide = circle + (major - circle) * n / _CANDIDATES
-        spans.append(imaging_window(wide, product / wide, frequency, rate))
-    return max(spans)
+        axis = circle + (major - circle) * n / _CANDIDATES
+        windows.append(imaging_window(axis, product / axis, frequency, rate))
+    return max(windows)

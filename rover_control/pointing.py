@@ -1,36 +1,34 @@
-"""Turning to a heading about the tether, and holding it there, by coning. Pure.
+"""Pointing of the hanging rover to a heading by coning. Pure.
 
-Wheels and flywheel driven in quadrature, h_x = h cos Wt and h_y = h sin Wt, let the rover cone
+Wheels and flywheel driven in quadrature, h_x = h cos Wt and h_y = h sin Wt, make the rover cone
 about the tether with the tilt th = h W/(I |w_b^2 - W^2|), w_b^2 = m g d/I, and turn it about its
-own axis at -(I/I_z) th^2 w_b^2/W. The axis itself sweeps a cone, whose solid angle is no heading,
-so that about the tether it turns at the rate
+own axis at -(I/I_z) th^2 w_b^2/W. The axis sweeps a cone whose solid angle is not a heading, so
+the rover turns about the tether at the rate
 
     -th^2 (I w_b^2/(I_z W) - W/2).
 
-Coning is internal: it turns the rover while it lasts, and stores the momentum; it is no steady
-torque. Against it works the tether's twist, which spins the rover back at (GJ/l) twist/I_z more and
-more, as long as the swivel does not slip. So with the largest coning rate R and the frequency of
-the torsion w_t^2 = (GJ/l)/I_z
+Coning stores momentum inside the rover: it gives a turn rate, not a steady torque. The tether's
+twist accelerates the rover back by (GJ/l) twist/I_z, as long as the swivel does not slip. With the
+largest coning rate R and the torsional frequency w_t^2 = (GJ/l)/I_z the rover reaches, from zero
+twist,
 
     twist = R/w_t sin w_t t,    at most R/w_t,
 
-can be reached from no twist, and is held until the spin back has used up R. From then on the rover
-drifts away, by half the acceleration times the square of the time. What the gyro's bias is not
-known to adds to the error all the time. A turn is promised with less than the largest rate, as the
-mass may be off.
+and holds it until the spin back has used up R. It then drifts by half the acceleration times the
+square of the time; the uncertainty of the gyro bias adds to the error throughout. A request is
+accepted with a derated rate, as the mass is uncertain.
 
-A rover that coefficient more tilts less by as much, so the rotors' momenta follow what it
-coefficient, as far
-as they reach, and the tilt with the rate is what it would be.
+A heavier rover tilts less in proportion. The rotor momenta therefore scale with the estimated mass,
+within their margin, so that tilt and rate stay the same.
 
-How much the coning turns is measured on the way. The momentum about the plumb line, of the rover's
-spin, of its tilt's motion and of its rotors H,
+The coning rate is identified in flight. The momentum about the plumb line, of the rover's spin, its
+tilt motion and its rotors H,
 
     I_z w_z + I (phi_x phi_y' - phi_y phi_x') + H_x phi_x + H_y phi_y,
 
-changes by nothing but the twist and, by turns, the swing. What the last three make of w_z is the
-rotors', be it coning or a wheel's bias that turns with the swing; the rest is the spin by the
-twist. How far the rotors' momentum and the tilt that answers to it belong together tells the mass.
+is changed only by the twist and, periodically, by the swing. The last three terms give the part of
+w_z due to the rotors, by coning or by a wheel's bias that turns with the swing; the rest is spin
+from the twist. The ratio of the rotor momentum to the tilt response gives the mass.
 """
 
 from __future__ import annotations
@@ -47,9 +45,9 @@ from rover_control.suspended_mass import MAX_MASS_RATIO
 from rover_control.swing_estimator import SwingEstimate
 
 SUBJECT = "pointing"  # of refusals
-_IDENTIFICATION_TIME = 15.0  # of full coning, from which on its rate is known [s]
-_CONFIDENCE = 2.0  # standard deviations of the yaw rate within which a heading counts as known
-_SPIN_TIME = 8.0  # over which the spin that is not the coning's is smoothed [s]
+_IDENTIFICATION_TIME = 15.0  # of full coning, before the identified rate is used [s]
+_CONFIDENCE = 2.0  # standard deviations of the yaw rate that a heading's uncertainty allows for
+_SPIN_TIME = 8.0  # low-pass of the spin that is not due to coning [s]
 
 
 @dataclass(frozen=True)
@@ -82,12 +80,12 @@ class PointingParameters:
 
 
 class Prediction(NamedTuple):
-    """What a turn comes to.
+    """Predicted performance of a turn.
 
     Attributes:
         turning: time until the heading is reached [s]; inf = never.
-        holding: time for which it is held within the tolerance from then on [s].
-        limit: what ends the holding: twist or gyro bias.
+        holding: time for which it is then held within the tolerance [s].
+        limit: cause of the end of the hold: twist or gyro bias.
     """
 
     turning: float
@@ -96,11 +94,11 @@ class Prediction(NamedTuple):
 
 
 class Pointing:
-    """Turns the rover.
+    """Pointing controller.
 
     Args:
-        parameters: how.
-        hanging: the rover.
+        parameters: of coning and pointing.
+        hanging: rover and tether.
     """
 
     def __init__(self, parameters: PointingParameters, hanging: HangingParameters) -> None:
@@ -110,39 +108,39 @@ class Pointing:
         inertia = math.sqrt(x * y)
         square = hanging.stiffness / inertia
         w = parameters.coning_frequency
-        tilt = w / (inertia * (square - w * w))  # over h
-        # Rate about the tether over h^2.
+        tilt = w / (inertia * (square - w * w))  # per h
+        # Turn rate about the tether per h^2.
         self._gain = tilt**2 * (inertia * square / (hanging.inertia_about_z * w) - 0.5 * w)
         self._tilt_response = [
             w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)
         ]
         self._target = math.nan
-        self._mass = 1.0  # of the rover over what is known, as it was weighed
+        self._mass = 1.0  # estimated over nominal mass
         self._coning_inertia = inertia
         self._mass_coefficient = (hanging.stiffness - inertia * w * w) / (w * w)
         self._phase = self._spin = self._coning_rate = 0.0
         self._identified = _ConingIdentification()
         self._reached = False
         self._reached_prediction: Prediction | None = None
-        self._reached_at = 0.0  # when it was reached, since it was asked [s]
+        self._reached_at = 0.0  # time from the request until it was reached [s]
         self._lost = ""
-        self._initial_yaw_error = 0.0  # error of the yaw rate when it was asked [rad/s]
-        self._time = 0.0  # since then [s]
+        self._initial_yaw_error = 0.0  # standard deviation of the yaw rate at the request [rad/s]
+        self._time = 0.0  # since the request [s]
         self.prediction: Prediction | None = None
 
     @property
     def is_active(self) -> bool:
-        """Whether there is a heading to turn to or to hold."""
+        """Whether a heading is turned to or held."""
         return not math.isnan(self._target)
 
     @property
     def largest_rate(self) -> float:
-        """By coning [rad/s]."""
+        """Largest turn rate by coning [rad/s]."""
         return self._gain * self.parameters.coning_momentum**2
 
     @property
     def coning_rate(self) -> float:
-        """At which the coning now turns the rover, as the model has it [rad/s]."""
+        """Present turn rate by coning, by the model [rad/s]."""
         return self._coning_rate
 
     def predict(
@@ -156,16 +154,16 @@ class Pointing:
         mass: float = 1.0,
         share: float = 1.0,
     ) -> Prediction:
-        """What a turn comes to.
+        """Predict turn and hold.
 
         Args:
             turn: about +z [rad].
-            twist: of the tether before [rad].
+            twist: initial twist of the tether [rad].
             length: of the tether [m].
-            yaw_error: of the yaw rate, by the gyro's bias [rad/s].
-            spin: of the rover against the turn already [rad/s].
-            mass: of the rover, and its inertia, over what is known.
-            share: of the largest rate that is counted on.
+            yaw_error: standard deviation of the yaw rate, from the gyro bias [rad/s].
+            spin: initial spin against the turn [rad/s].
+            mass: mass and inertia over their nominal values.
+            share: fraction of the largest rate that is assumed.
         """
         p = self.parameters
         rate, step = share * (self._momentum_share(mass) / mass) ** 2 * self.largest_rate, 1.0
@@ -175,7 +173,7 @@ class Pointing:
         )
         slips = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
-        passed, time, back = 0.0, 0.0, spin  # turned, spin against it
+        passed, time, back = 0.0, 0.0, spin  # angle turned, time, spin against it
         while passed < abs(turn):
             if back >= rate or time > 10.0 * p.max_turn_time:
                 return Prediction(math.inf, 0.0, "twist")
@@ -196,11 +194,11 @@ class Pointing:
         return Prediction(time, held, limit)
 
     def _momentum_share(self, mass: float) -> float:
-        """Momentum over that for a rover of the mass that is known, so that it tilts as much."""
+        """Factor on the momentum that gives a rover of another mass the same tilt."""
         return min(mass, self.parameters.coning_momentum_margin)
 
     def _known_for(self, yaw_error: float) -> float:
-        """How long a heading is known to within the tolerance [s], by the yaw rate's error."""
+        """Time [s] for which a heading is known within the tolerance."""
         return (
             self.parameters.heading_tolerance / (_CONFIDENCE * yaw_error)
             if yaw_error > 0.0
@@ -222,27 +220,27 @@ class Pointing:
         mass: float = 1.0,
         spin: float = 0.0,
     ) -> Prediction:
-        """Turn by so much, and hold the heading then.
+        """Turn by an angle and then hold the heading.
 
         Args:
             turn: about +z [rad].
-            heading: without ever jumping [rad].
+            heading: present heading, unwrapped [rad].
             length: of the tether [m].
             yaw_error: standard deviation of the yaw rate [rad/s].
             twist: of the tether [rad].
-            mass: of the rover over what is known, as it is weighed.
-            spin: about +z that it will have beside the coning's [rad/s]. What is promised does
-                not count on mass and spin, what is predicted does.
+            mass: estimated over nominal mass.
+            spin: about +z, beside the coning [rad/s]. The acceptance ignores mass and spin; the
+                prediction uses them.
 
         Raises:
-            Refusal: it cannot be reached, or not be held.
+            Refusal: the heading cannot be reached, or not held for long enough.
         """
         p = self.parameters
         if not math.isfinite(turn) or abs(turn) > math.pi:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
-                f"turn is {turn!r} rad, it must be within half a turn",
+                f"turn is {turn!r} rad, it must be within -pi .. pi",
             )
         guaranteed = self.predict(turn, twist, length, yaw_error=yaw_error, share=p.coning_derating)
         degrees = math.degrees(abs(turn))
@@ -253,15 +251,15 @@ class Pointing:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{degrees:.0f} deg are not reached within {p.max_turn_time:.0f} s on "
-                f"{length:.3g} m of tether: its twist turns the rover back by {torsion:.3g} "
-                f"N m/rad, coning is sure to reach {math.degrees(reach):.0f} deg of twist",
+                f"a turn of {degrees:.0f} deg takes more than {p.max_turn_time:.0f} s on "
+                f"{length:.3g} m of tether: against its torsional stiffness of {torsion:.3g} "
+                f"N m/rad coning reaches {math.degrees(reach):.0f} deg of twist",
             )
         if guaranteed.holding < p.min_hold_time:
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{degrees:.0f} deg would be held for {guaranteed.holding:.0f} s on "
+                f"a turn of {degrees:.0f} deg would be held for {guaranteed.holding:.0f} s on "
                 f"{length:.3g} m of tether, limited by {guaranteed.limit}; it must be at least "
                 f"{p.min_hold_time:.0f} s",
             )
@@ -276,25 +274,25 @@ class Pointing:
         return self.prediction
 
     def stop(self) -> None:
-        """Let go."""
+        """Release the heading."""
         self._target = math.nan
 
     def error(self, heading: float) -> float:
-        """What is left to turn [rad]."""
+        """Heading error: angle left to turn [rad]."""
         return self._target - heading
 
     @property
     def is_coning(self) -> bool:
-        """Whether the rotors cone."""
+        """Whether the rotors cone the rover."""
         return self._coning_rate != 0.0
 
     def take_reached(self) -> Prediction | None:
-        """What is predicted from where the heading was reached, once."""
+        """Prediction at the end of the turn, once; None = no turn has ended."""
         taken, self._reached_prediction = self._reached_prediction, None
         return taken
 
     def take_lost(self) -> str:
-        """Why the heading was let go, once; empty = it was not."""
+        """Reason for which the heading was released, once; empty = it was not."""
         taken, self._lost = self._lost, ""
         return taken
 
@@ -306,13 +304,13 @@ class Pointing:
         momenta: tuple[float, float],
         h: float,
     ) -> RotorMomenta:
-        """Advance by h; returns the momenta that the rotors are to have.
+        """Advance by h; returns the momentum setpoints of the rotors.
 
         Args:
-            heading: about the tether, without ever jumping: its twist [rad].
+            heading: about the tether, unwrapped: its twist [rad].
             length: of the tether [m].
-            swing: swing and tilt as estimated.
-            momenta: of the rotors about base_link x and y [N m s].
+            swing: estimate of swing and tilt.
+            momenta: measured, of the rotors about base_link x and y [N m s].
             h: duration [s].
         """
         p = self.parameters
@@ -334,7 +332,7 @@ class Pointing:
             self._check_reached(heading, length)
             self._check_lost(heading)
         if self.is_active:
-            # What spins back is made up for.
+            # Compensate the spin from the twist.
             setpoint = (self.error(heading) / p.approach_time - self._spin) / identified.share(most)
         setpoint = min(max(setpoint, -most), most)
         change = most * h / p.coning_ramp_time
@@ -353,7 +351,7 @@ class Pointing:
         return RotorMomenta(along, across, -sense * amplitude * math.cos(self._phase) / w)
 
     def _check_reached(self, heading: float, length: float) -> None:
-        """Predict the holding where the turn ends."""
+        """Predict the hold when the turn ends."""
         p, identified = self.parameters, self._identified
         if self._reached or abs(self.error(heading)) > p.heading_tolerance:
             return
@@ -363,7 +361,7 @@ class Pointing:
         inertia = self.hanging.inertia_about_z * identified.mass(self._mass_coefficient)
         held, limit = math.inf, "twist"
         if pull != 0.0:
-            # The twist turns against its own sign, and is held off by coning the other way.
+            # The twist torque acts against its own sign; coning in its direction holds it off.
             left = identified.share(self.largest_rate) * self.largest_rate
             left = max(left + math.copysign(1.0, pull) * self._spin, 0.0)
             drift = math.sqrt(2.0 * p.heading_tolerance * inertia / abs(pull))
@@ -375,49 +373,49 @@ class Pointing:
         self._reached_prediction = Prediction(self._time, held, limit)
 
     def _check_lost(self, heading: float) -> None:
-        """Let go what is held no longer, or not known to be."""
+        """Release a heading that has drifted, or is no longer known."""
         p, degrees = self.parameters, math.degrees(self.parameters.heading_tolerance)
         held = self._time - self._reached_at
         if self._time > self._known_for(self._initial_yaw_error):
-            why = f"it is not known to within {degrees:.0f} deg any more, by the gyro's bias"
+            reason = f"the gyro bias leaves it uncertain by more than {degrees:.0f} deg"
         elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.heading_tolerance:
-            why = f"the tether's twist has turned it away by {degrees:.0f} deg"
+            reason = f"the tether's twist has turned the rover away by {degrees:.0f} deg"
         else:
             return
-        self._lost = f"the heading is let go after {held:.0f} s: {why}"
+        self._lost = f"heading released after {held:.0f} s: {reason}"
         self.stop()
 
     def induced_tilt_rates(self, momenta: RotorMomenta) -> tuple[float, float]:
-        """Tilt rates along x and y [rad/s] that the coning itself causes."""
+        """Tilt rates along x and y [rad/s] that the coning induces."""
         return self._tilt_response[0] * momenta.x / self._mass, self._tilt_response[
             1
         ] * momenta.y / self._mass
 
 
 class _ConingIdentification:
-    """Sums over the time of full coning, and what follows from them once they are long enough."""
+    """Identification of turn rate and mass from sums over the time of full coning."""
 
     def __init__(self) -> None:
         self._time = self._turned = self._leaning = self._swept = 0.0
 
     def add(self, h: float, rate: float, leaning: float, swept: float) -> None:
-        """Take a step: the rate by the rotors, and what it is made of."""
+        """Add a step: the turn rate by the rotors, and its terms."""
         self._time += h
         self._turned += h * rate
         self._leaning += h * leaning
         self._swept += h * swept
 
     def share(self, rate: float) -> float:
-        """Rate by full coning over what the model says [rad/s]."""
+        """Turn rate over the model's rate at full coning [rad/s]."""
         if self._time < _IDENTIFICATION_TIME:
             return 1.0
         return min(max(self._turned / (self._time * rate), 0.3), 2.0)
 
     def mass(self, coefficient: float) -> float:
-        """The rover's mass over what is known of it.
+        """Identified over nominal mass.
 
         Args:
-            coefficient: momentum of the rotors over the tilt's rate that it makes [kg m^2].
+            coefficient: rotor momentum over the tilt rate that it induces [kg m^2].
         """
         if self._time < _IDENTIFICATION_TIME or self._swept == 0.0:
             return 1.0

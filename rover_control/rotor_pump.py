@@ -1,23 +1,23 @@
-"""Wheels and flywheel against the swing, and between the swing and the rover's spin. Pure.
+"""Rotor pumping: damping of the swing, and torque about the plumb line. Pure.
 
-A rotor whose momentum h changes tilts the rover, and so shifts its weight against the tether: on
-the pendulum acts the force -h'/(l + d). Momentum in step with the displacement, h = H x/A_x, is a
-force against the velocity, and takes from the amplitude along base_link x
+A rotor whose momentum h changes tilts the rover and so displaces its weight against the tether: the
+force -h'/(l + d) acts on the pendulum. A momentum in phase with the displacement, h = H x/A_x, acts
+against the velocity and reduces the amplitude along base_link x by
 
     dA_x/dt = -H/(2 m (l + d)^2).
 
-What no internal torque can take is the angular momentum about the plumb line, the swing's
-m (l + d)^2 (x y' - y x') and the rover's spin together: the tether's pull has no lever about that
-line. Between the two, rotors can move it. Momenta at right angles to the swing's velocity,
+No internal torque changes the total angular momentum about the plumb line, of the swing,
+m (l + d)^2 (x y' - y x'), and of the rover's spin: the tether's pull has no lever arm about that
+line. Rotors can exchange it between the two. Momenta at right angles to the swing rate,
 
     h_x = g y',   h_y = -g x',
 
-turn the rover about the plumb line by the torque g |u'|^2, and the swing by its opposite. On a long
-tether the swing hardly changes by that, as its momentum has the lever (l + d)^2.
+turn the rover about the plumb line with the torque g |u'|^2 and the swing with its opposite. On a
+long tether this hardly changes the swing, as its inertia is m (l + d)^2.
 
-So the pump has two tasks: a torque about the plumb line, which goes first, and with what is left of
-the rotors the plane part of the swing, which leaves the momentum alone: with its share
-r = (x y' - y x')/(w A_y^2), h_x = H (x - r y'/w)/A, which is nothing on a circle.
+The pump has two tasks: a torque about the plumb line, with priority, and with the remaining rotor
+momentum damping of the plane part of the swing, which carries no momentum: with
+r = (x y' - y x')/(w A_y^2), h_x = H (x - r y'/w)/A, which is zero on a circle.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _TINY = 1e-12
 
 
 class RotorMomenta(NamedTuple):
-    """Momenta of both rotors, as `hanging_rover` counts them, and their integral over the swing."""
+    """Momenta of both rotors in the axes of `hanging_rover`, and an integral."""
 
     x: float  # of the wheels [N m s]
     y: float  # of the flywheel [N m s]
-    y_integral: float  # what the flywheel's momentum sums up to, about a mean of none [N m s^2]
+    y_integral: float  # integral of the flywheel's momentum, about zero mean [N m s^2]
 
 
 NO_MOMENTA = RotorMomenta(0.0, 0.0, 0.0)
@@ -47,8 +47,8 @@ class RotorPump:
     """Momenta of both rotors for swing and spin.
 
     Args:
-        parameters: their bounds.
-        hanging: the rover.
+        parameters: bounds.
+        hanging: rover and tether.
     """
 
     def __init__(self, parameters: DampingParameters, hanging: HangingParameters) -> None:
@@ -56,10 +56,10 @@ class RotorPump:
         self.hanging = hanging
 
     def bounds(self, swing: SwingEstimate, length: float) -> tuple[float, float]:
-        """Largest momenta along x and y [N m s] against a swing on so much tether [m].
+        """Largest momenta along x and y [N m s] for a swing on a tether of this length [m].
 
-        The flywheel's is bounded by the screw's travel as well: it turns by h/(I w) each way. Both
-        are bounded so that the swing they go by changes little within a period.
+        The flywheel's is also bounded by the screw's travel, h/(I w) each way, and both by the rule
+        that the swing changes little within a period.
         """
         p, w = self.parameters, swing.frequency
         travelled = p.pump_travel * w * self.hanging.flywheel_inertia
@@ -72,7 +72,7 @@ class RotorPump:
         return min(p.pump_momentum, change), min(p.flywheel_momentum, travelled, change)
 
     def largest_torque(self, swing: SwingEstimate, length: float) -> float:
-        """Mean torque about the plumb line that this swing lets the rotors use [N m]."""
+        """Largest mean torque about the plumb line [N m] that this swing allows."""
         across = _amplitudes(swing)
         largest = self.bounds(swing, length)
         return 0.5 * swing.frequency * (largest[0] * across[1] + largest[1] * across[0])
@@ -80,13 +80,13 @@ class RotorPump:
     def momenta(
         self, swing: SwingEstimate, length: float, torque: float, *, damps: bool
     ) -> RotorMomenta:
-        """Momenta that the rotors are to have.
+        """Momentum setpoints of the rotors.
 
         Args:
-            swing: as estimated.
-            length: paid out [m].
-            torque: on the rover about the plumb line, which the swing gives [N m].
-            damps: whether the plane part of the swing is pumped, too.
+            swing: estimate.
+            length: payout [m].
+            torque: on the rover about the plumb line, taken from the swing [N m].
+            damps: also damp the plane part of the swing.
         """
         p, w = self.parameters, swing.frequency
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
@@ -94,13 +94,13 @@ class RotorPump:
         along = _amplitudes(swing)
         ax, ay = math.hypot(along[0], fade), math.hypot(along[1], fade)
         hx, hy = self.bounds(swing, length)
-        # The gain at which each rotor is at its bound; the other then takes what is left.
+        # Gain at which a rotor saturates; the other one takes the rest.
         most_x, most_y = hx / (w * ay), hy / (w * ax)
         share_x, share_y = 0.5 * (w * along[1]) ** 2, 0.5 * (w * along[0]) ** 2
         gain_x, gain_y = _split(abs(torque), share_x, share_y, most_x, most_y)
         sign = math.copysign(1.0, torque)
         first, second = sign * gain_x * vy, -sign * gain_y * vx
-        # As x'' = -w^2 x, the sum of x' is x, that of x is -x'/w^2.
+        # As x'' = -w^2 x, the integral of x' is x, that of x is -x'/w^2.
         integral = -sign * gain_y * x
         if damps:
             spin = (x * vy - y * vx) / w
@@ -114,16 +114,16 @@ class RotorPump:
         return RotorMomenta(min(max(first, -hx), hx), min(max(second, -hy), hy), integral)
 
     def decay(self, length: float) -> float:
-        """Rate [rad/s] at which the wheels let the amplitude along x fall on this length [m]."""
+        """Rate [rad/s] at which the wheels reduce the amplitude along x on this length [m]."""
         return self.parameters.pump_momentum / (2.0 * self.hanging.pendulum_inertia(length))
 
     def induced_tilt_rate(self, momentum: float, frequency: float) -> float:
-        """Tilt rate [rad/s] that the pumping itself causes, as p = -h'/(m g d): w^2 h/(m g d)."""
+        """Tilt rate [rad/s] that pumping induces: p = -h'/(m g d), so w^2 h/(m g d)."""
         return frequency**2 * momentum / self.hanging.stiffness
 
 
 def _amplitudes(swing: SwingEstimate) -> tuple[float, float]:
-    """Of the swing along x and y [rad]."""
+    """Swing amplitudes along x and y [rad]."""
     w = swing.frequency
     (x, y), (vx, vy) = swing.direction, swing.direction_rate
     return math.hypot(x, vx / w), math.hypot(y, vy / w)
@@ -132,7 +132,7 @@ def _amplitudes(swing: SwingEstimate) -> tuple[float, float]:
 def _split(
     torque: float, share_x: float, share_y: float, most_x: float, most_y: float
 ) -> tuple[float, float]:
-    """Gains of both rotors that together make a torque, or as much of it as they can."""
+    """Gains of both rotors that give a torque, or as much of it as they can."""
     gain = torque / max(share_x + share_y, _TINY)
     if gain > most_x:
         return most_x, min((torque - most_x * share_x) / max(share_y, _TINY), most_y)

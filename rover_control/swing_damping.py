@@ -1,14 +1,14 @@
-"""Taking a swing away by the winch's trim. Pure.
+"""Damping of the swing by the winch's trim. Pure.
 
-A tether that is lengthened while the rover swings outward and shortened while it swings
-inward works against the swing: with A^2 = |u|^2 + |u'|^2/w^2,
+Paying out while the rover swings outward and reeling in while it swings inward damps the swing:
+with A^2 = |u|^2 + |u'|^2/w^2,
 
-    dl = D 2 u.u'/(A^2 w),    which damps like the ratio 3/4 D/l.
+    dl = D 2 u.u'/(A^2 w),    with the damping ratio 3/4 D/l.
 
-It runs at twice the swing's frequency w, so D is bounded by the drum's rate, D <= v/2w, by its
-acceleration, D <= 0.8 a/4w^2 (a trim that lags behind for want of it feeds the swing), and by
-0.15 l. Around a circle u.u' = 0: the winch turns an ellipse into a circle and can do no more. What
-is left then is the business of `rotor_pump` and `yaw_momentum`.
+The trim runs at twice the swing frequency w. Its amplitude D is bounded by the drum's rate,
+D <= v/2w, by its acceleration, D <= 0.8 a/4w^2 (a trim that lags would feed the swing), and by
+0.15 l. On a circle u.u' = 0: the winch turns an ellipse into a circle and can do no more. The rest
+is the task of `rotor_pump` and `yaw_momentum`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class DampingParameters:
 
 
 class TrimStroke(NamedTuple):
-    """Amplitude D of the trim and what bounds it."""
+    """Amplitude D of the trim, and its active bound."""
 
     length: float  # [m]
     bound: str  # rate, acceleration or share
@@ -67,14 +67,14 @@ class WinchTrim:
     """Trim of the winch against a swing.
 
     Args:
-        parameters: its bounds.
+        parameters: bounds.
     """
 
     def __init__(self, parameters: DampingParameters) -> None:
         self.parameters = parameters
 
     def stroke(self, length: float, frequency: float) -> TrimStroke:
-        """Amplitude D on so much tether [m] at a swing's frequency [rad/s]."""
+        """Amplitude D on a tether of this length [m] at a swing frequency [rad/s]."""
         p = self.parameters
         return min(
             TrimStroke(p.trim_rate / (2.0 * frequency), "rate"),
@@ -83,15 +83,15 @@ class WinchTrim:
         )
 
     def decay(self, length: float, frequency: float) -> float:
-        """Rate [1/s] at which the amplitude of a plane swing falls."""
+        """Decay rate [1/s] of the amplitude of a plane swing."""
         return 0.75 * self.stroke(length, frequency).length / length * frequency
 
     def rate(self, swing: SwingEstimate, length: float, offset: float) -> float:
         """Payout rate to add [m/s].
 
         Args:
-            swing: as estimated.
-            length: paid out without the trim [m].
+            swing: estimate.
+            length: payout without the trim [m].
             offset: length that the trim has added so far [m].
         """
         p, w = self.parameters, swing.frequency

@@ -1,22 +1,21 @@
-"""Swing, tilt and gyro bias from gyro, accelerometer, drum and rotor encoders. Pure.
+"""Kalman filter for swing, tilt and gyro bias. Pure.
 
-On a taut tether the accelerometer feels the tether's pull alone: it shows the tilt against the
-tether and nothing of the swing. The swing comes from the gyro, by the motion that `hanging_rover`
-describes: what turns at the pendulum's frequency is swing, what turns at the tilt's, or follows the
-rotors' reaction, is tilt, and what stays is bias. A Kalman filter has, for each horizontal axis of
-base_link, the states
+Inputs are gyro, accelerometer, drum and rotor encoders. On a taut tether the accelerometer measures
+only the tether force: it shows the tilt against the tether, not the swing. The gyro shows both; the
+model of `hanging_rover` separates them: motion at the pendulum's frequency is swing, motion at the
+tilt's frequency or in response to the rotors is tilt, and a constant is bias. The states of each
+horizontal axis of base_link are
 
     u, v = u'    direction of the tether against the plumb line [rad], [rad/s]
     p, q = p'    tilt against the tether [rad], [rad/s]
     b            bias of the gyro [rad/s]
-    c            offset of the tilt that the accelerometer shows [rad]: its bias, an unbalanced load
+    c            tilt offset of the accelerometer [rad]: its bias, an unbalanced load
 
-the measurements  gyro = v + q + b  and  specific force = g (p + c) + e phi''  with the height e of
-the centre of mass above the IMU, and the change of the rotor's momentum as a known input. As
-base_link yaws, u, v, p and q turn under it, against the gyro's rate about z less that one's bias.
-The bias about z is a state of its own: a swing keeps its plane in space (but for the precession of
-an ellipse, 3/8 w a b), so how it turns in base_link tells the yaw. Where nothing swings, it cannot
-be known, and its uncertainty says so.
+The measurements are  gyro = v + q + b  and  specific force = g (p + c) + e phi''  with the height e
+of the centre of mass above the IMU; the change of the rotor momentum is a known input. As base_link
+yaws, u, v, p and q rotate in it at the gyro's rate about z less its bias. That bias is a state too:
+a swing keeps its plane in space (but for the precession of an ellipse, 3/8 w a b), so its rotation
+in base_link reveals the yaw. Without a swing the bias is unobservable, and its variance grows.
 """
 
 from __future__ import annotations
@@ -42,21 +41,21 @@ _YAW_BIAS = 12
 _SIZE = 13
 _SWINGING, _TILTING = (_U, _V), (_P, _Q)
 _EYE = np.eye(_SIZE)
-_YAW_TIME = 0.5  # over which the gyro's rate about z is smoothed [s]
-_NOISE_FACTOR = 8.0  # RMS of the lasting process_noise that a push must stand out of
-_NOISE_TIME = 3.0  # over which that is smoothed [s]
-_INNOVATION_TIME = 0.05  # over which the gyro's misses are averaged [s]
-_IMPACT_TIME = 0.5  # over which the accelerometer's are gathered [s]
-_MODEL_ERROR = 0.2  # part of the tilt's motion that the model may miss
-_INFLATION_TIME = 0.3  # over which what shakes the rover is learnt [s]
-_EXPECTED_RATIO = 4.0  # mean square of the misses over their variance, that needs no process noise
-_OUTLIER = 5.0  # standard deviations beyond which a miss of the accelerometer is a blow, not a tilt
-_TILT_ERROR = 0.05  # part by which the tilt's stiffness over inertia may be off
-_ROTOR_TORQUE_TIME = 1.0  # over which the rotors' push is averaged [s]
-_MASS_ERROR = 0.2  # part by which the mass may be off
-_TAUT_FRACTION = 0.3  # of the weight, below which the tether is not taut
-_MAX_PULL = 3.0  # of the weight, that is believed
-_MAX_ANGLE = 1.0  # of swing and tilt, that is believed [rad]
+_YAW_TIME = 0.5  # low-pass of the gyro about z [s]
+_NOISE_FACTOR = 8.0  # lasting process noise, in RMS, that a disturbance must exceed
+_NOISE_TIME = 3.0  # low-pass of the lasting process noise [s]
+_INNOVATION_TIME = 0.05  # averaging time of the gyro innovation [s]
+_IMPACT_TIME = 0.5  # integration time of the accelerometer innovation [s]
+_MODEL_ERROR = 0.2  # relative error of the modelled tilt motion
+_INFLATION_TIME = 0.3  # adaptation time of the process noise [s]
+_EXPECTED_RATIO = 4.0  # mean square innovation over its variance that needs no added noise
+_OUTLIER = 5.0  # standard deviations beyond which an accelerometer innovation is an impact
+_TILT_ERROR = 0.05  # relative error of the tilt stiffness over inertia
+_ROTOR_TORQUE_TIME = 1.0  # averaging time of the rotor torque [s]
+_MASS_ERROR = 0.2  # relative error of the mass
+_TAUT_FRACTION = 0.3  # of the weight, below which the tether is slack
+_MAX_PULL = 3.0  # of the weight; larger forces are clipped
+_MAX_ANGLE = 1.0  # largest plausible swing and tilt [rad]
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class EstimatorParameters:
 
 
 class Ellipse(NamedTuple):
-    """A swing as what it draws in a horizontal plane."""
+    """Ellipse of the swing in a horizontal plane."""
 
     major: float  # amplitudes [rad], major >= |minor|
     minor: float  # > 0 counter-clockwise seen from above, 0 in one plane
@@ -113,7 +112,7 @@ class Ellipse(NamedTuple):
 
 
 class SwingEstimate(NamedTuple):
-    """What is known of swing and tilt; pairs are along base_link x and y."""
+    """Estimate of swing and tilt; pairs are along base_link x and y."""
 
     direction: tuple[float, float]  # u [rad]
     direction_rate: tuple[float, float]  # [rad/s]
@@ -127,7 +126,7 @@ class SwingEstimate(NamedTuple):
 
     @property
     def ellipse(self) -> Ellipse:
-        """The swing's two turning circles, put together."""
+        """Ellipse of the swing, from its two counter-rotating circles."""
         z = complex(*self.direction)
         yaw_increment = complex(*self.direction_rate) / (1j * self.frequency)
         ahead, back = 0.5 * (z + yaw_increment), 0.5 * (z - yaw_increment)
@@ -136,7 +135,7 @@ class SwingEstimate(NamedTuple):
 
     @property
     def camera_rate(self) -> float:
-        """Magnitude of the rate at which the rover turns [rad/s]."""
+        """Magnitude of the rover's angular rate [rad/s]."""
         return math.hypot(
             self.direction_rate[0] + self.tilt_rate[0],
             self.direction_rate[1] + self.tilt_rate[1],
@@ -148,8 +147,8 @@ class SwingEstimator:
     """Estimates swing and tilt of a hanging rover.
 
     Args:
-        parameters: trust.
-        hanging: the rover.
+        parameters: noise densities.
+        hanging: rover and tether.
     """
 
     def __init__(self, parameters: EstimatorParameters, hanging: HangingParameters) -> None:
@@ -157,27 +156,27 @@ class SwingEstimator:
         self.hanging = hanging
         self.length = math.nan
         self.rate = 0.0
-        self.freezes_yaw_bias = False  # learns nothing about it: while rotors cone the rover
-        self.disturbances = 0  # times that something pushed the rover
-        self.divergences = 0  # times that the estimate was no hanging rover's, and was begun anew
+        self.freezes_yaw_bias = False  # while rotors cone the rover
+        self.disturbances = 0  # number of detected disturbances
+        self.divergences = 0  # number of restarts after an implausible estimate
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was estimated."""
+        """Restart with the initial uncertainty."""
         p = self.parameters
         axis = [p.initial_swing, p.initial_swing, p.initial_swing, 0.1, p.gyro_bias, p.tilt_offset]
         self._state: Array = np.zeros(_SIZE)
         self._covariance: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
         self._gyro_z = 0.0
         self._last_step = self._swept_rate = 0.0
-        self.yaw_increment = 0.0  # about its own axis in the last step [rad]
+        self.yaw_increment = 0.0  # about base_link z in the last step [rad]
         self._gyro_innovation = [0.0, 0.0]
-        self._impact_speed = [0.0, 0.0]  # sideways, by what the accelerometer innovation [m/s]
-        self._excess = [0.0] * 4  # smoothed once; what is sudden is a push
-        self._process_noise = [0.0] * 4  # variance of what is measured, beyond what is known of it
-        self._filtered_noise = [0.0, 0.0]  # of the gyro's, smoothed once more
-        self._lasting_noise = [0.0, 0.0]  # and once more: a push does not hide itself
-        self._rotor_torque = [0.0, 0.0]  # how the rotors' momenta change [N m]
+        self._impact_speed = [0.0, 0.0]  # lateral, integrated accelerometer innovation [m/s]
+        self._excess = [0.0] * 4  # of the innovations over their expected variance, low-pass
+        self._process_noise = [0.0] * 4  # added variance of the measurements
+        self._filtered_noise = [0.0, 0.0]  # of the gyro, low-pass
+        self._lasting_noise = [0.0, 0.0]  # second low-pass: a disturbance must not mask itself
+        self._rotor_torque = [0.0, 0.0]  # rate of change of the rotor momenta [N m]
         process_noise = [
             0.0,
             p.swing_process_noise,
@@ -187,13 +186,12 @@ class SwingEstimator:
             p.tilt_offset_walk,
         ]
         self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_bias_walk]))
-        self._system_matrix: Array = np.zeros(
-            (_SIZE, _SIZE)
-        )  # of the states; _predict fills in the rest
+        # _predict fills in the rest.
+        self._system_matrix: Array = np.zeros((_SIZE, _SIZE))
         for at in (0, _AXIS):
             self._system_matrix[at + _U, at + _V] = self._system_matrix[at + _P, at + _Q] = 1.0
         stiffness, g = self.hanging.stiffness, self.hanging.rover_gravity
-        # Gyro along x and y, then what the accelerometer shows of the tilts.
+        # Gyro along x and y, then accelerometer along x and y.
         self._measurement_matrix: Array = np.zeros((4, _SIZE))
         for k, inertia in enumerate(self.hanging.inertias):
             at = k * _AXIS
@@ -204,7 +202,7 @@ class SwingEstimator:
             self._measurement_matrix[2 + k, at + _C] = g
 
     def reset_swing(self) -> None:
-        """Forget the swing, as of a rover that has not hung meanwhile; the gyro stays known."""
+        """Reset swing and tilt, but keep the gyro biases, after the rover was set down."""
         state, covariance = self._state, self._covariance
         self.restart()
         for at in (_B, _AXIS + _B, _YAW_BIAS):
@@ -213,23 +211,23 @@ class SwingEstimator:
 
     @property
     def yaw_bias(self) -> float:
-        """Of the gyro about base_link z [rad/s]."""
+        """Bias of the gyro about base_link z [rad/s]."""
         return float(self._state[_YAW_BIAS])
 
     def on_drum(self, length: float, rate: float) -> None:
-        """Take length paid out [m] and payout rate [m/s]."""
+        """Update payout [m] and payout rate [m/s]."""
         self.length, self.rate = length, rate
 
     @property
     def yaw_rate(self) -> float:
-        """Rate about the tether [rad/s]."""
+        """Yaw rate about the tether [rad/s]."""
         return self._gyro_z - float(self._state[_YAW_BIAS])
 
     @property
     def twist_increment(self) -> float:
-        """By how much the tether was twist_increment in the last step [rad].
+        """Change of the tether's twist in the last step [rad].
 
-        What base_link turns about its own axis, less the solid angle that this axis sweeps.
+        The turn of base_link about its z axis, corrected by the solid angle that this axis sweeps.
         """
         return self.yaw_increment + 0.5 * self._last_step * self._swept_rate
 
@@ -245,20 +243,20 @@ class SwingEstimator:
         Args:
             gyro: angular velocity in base_link [rad/s].
             force: specific force in base_link [m/s^2].
-            momentum_change: of the rotors since the last step, along x and y as `hanging_rover`
-                counts them [N m s].
-            h: since the last step [s], above 0.
+            momentum_change: of the rotors since the last step, in the axes of `hanging_rover`
+                [N m s].
+            h: time since the last step [s], above 0.
         """
         if math.isnan(self.length):
             return
-        # A sample of the gyro is as noisy as a steady camera may turn; what turns is their sum.
+        # One gyro sample is as noisy as the steady limit; the increments sum up without a filter.
         self._gyro_z += min(h / _YAW_TIME, 1.0) * (gyro[2] - self._gyro_z)
         self.yaw_increment = (gyro[2] - float(self._state[_YAW_BIAS])) * h
-        # What rights the tilt is the tether's pull, which a winch that accelerates changes.
+        # The tether force restores the tilt; winch acceleration changes it.
         pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MAX_PULL)
         self._predict(momentum_change, pull, h)
         self._last_step = h
-        # Winch and bounce change the pull, not the direction it comes from.
+        # Winch and bounce change the magnitude of the force, not its direction.
         scale = self.hanging.rover_gravity / force[2] if self._is_taut(force) else math.nan
         measured = [-gyro[1], gyro[0]]
         variances = [self.parameters.gyro_noise**2 / h] * 2
@@ -277,10 +275,9 @@ class SwingEstimator:
             self.divergences += 1
 
     def _is_plausible(self) -> bool:
-        """Whether a hanging rover can be what is estimated.
+        """Whether the estimate is plausible for a hanging rover.
 
-        One that stands, or that is thrown about on a slack tether, is not what the equations are
-        of: the estimate runs away, the faster the larger it is.
+        The model does not hold for a standing rover or a slack tether; the estimate then diverges.
         """
         directions = self._state[_U:_YAW_BIAS:_AXIS], self._state[_P:_YAW_BIAS:_AXIS]
         variances = self._covariance.diagonal()
@@ -292,12 +289,12 @@ class SwingEstimator:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the swing's rate is known so well that a push can be told from it."""
+        """Whether the swing rate is certain enough to detect a disturbance."""
         return float(self._covariance[_V, _V]) < self.parameters.disturbance_threshold**2
 
     @property
     def _is_calm(self) -> bool:
-        """Whether nothing shakes the rover that the model does not know."""
+        """Whether there is no unmodelled motion."""
         return (
             self.is_settled
             and max(self._process_noise[:2]) < self.parameters.disturbance_threshold**2
@@ -307,36 +304,37 @@ class SwingEstimator:
         return force[2] > _TAUT_FRACTION * self.hanging.rover_gravity
 
     def _detect_disturbance(self, innovation: list[float], h: float) -> None:
-        """Take by how much the gyro innovation, and the accelerometer on a taut tether.
+        """Detect a disturbance from the innovations of gyro and accelerometer.
 
-        What disturbances the rover into a swing, at once or over a second, is felt by the
-        accelerometer
-        as the speed that it gives; the gyro alone would show it as a tilt's motion at first.
+        A force that starts a swing, at once or over a second, appears in the accelerometer as the
+        speed that it gives; the gyro alone would first attribute it to the tilt.
         """
-        # At the start, and just after a push, there is nothing to miss.
+        # At the start and after a disturbance the innovations are uncertain.
         settled = self.is_settled
         reach = self.length + self.hanging.lever
-        blows = innovation[2:] or (0.0, 0.0)
+        lateral = innovation[2:] or (0.0, 0.0)
         state = self._state.tolist()
-        pushed = False
+        is_disturbed = False
         for k, inertia in enumerate(self.hanging.inertias):
             self._gyro_innovation[k] += min(h / _INNOVATION_TIME, 1.0) * (
                 innovation[k] - self._gyro_innovation[k]
             )
-            # A model that is off misses in proportion to the tilt's motion.
+            # Model errors scale with the tilt motion.
             tilt, tilt_rate = state[k * _AXIS + _P], state[k * _AXIS + _Q]
             moving = math.hypot(tilt_rate, tilt * math.sqrt(self.hanging.stiffness / inertia))
             limit = self.parameters.disturbance_threshold + _MODEL_ERROR * moving
-            # A push is process noise, too, at once; what it must stand out of was there before.
+            # A disturbance raises the process noise itself: compare with the noise before it.
             share = min(h / _NOISE_TIME, 1.0)
             self._filtered_noise[k] += share * (self._process_noise[k] - self._filtered_noise[k])
             self._lasting_noise[k] += share * (self._filtered_noise[k] - self._lasting_noise[k])
             limit += _NOISE_FACTOR * math.sqrt(self._lasting_noise[k])
             self._impact_speed[k] += (
-                h * blows[k] - min(h / _IMPACT_TIME, 1.0) * self._impact_speed[k]
+                h * lateral[k] - min(h / _IMPACT_TIME, 1.0) * self._impact_speed[k]
             )
-            pushed |= max(abs(self._gyro_innovation[k]), abs(self._impact_speed[k]) / reach) > limit
-        if pushed and settled:
+            is_disturbed |= (
+                max(abs(self._gyro_innovation[k]), abs(self._impact_speed[k]) / reach) > limit
+            )
+        if is_disturbed and settled:
             self._on_disturbance()
 
     def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:
@@ -347,44 +345,44 @@ class SwingEstimator:
         x, vx, phi_x, rate_x = _motion(state, 0)
         y, vy, phi_y, rate_y = _motion(state, _AXIS)
         self._swept_rate = phi_x * rate_y - phi_y * rate_x
-        # Large swings: a^2 + b^2 of the ellipse slows it down, a b turns its axes.
+        # Large swings: a^2 + b^2 lowers the frequency, a b precesses the ellipse.
         size = x * x + y * y + (vx * vx + vy * vy) / self.hanging.swing_frequency(length) ** 2
         pull = self.hanging.effective_gravity(length) * (1.0 - size / 8.0)
-        # The axes of base_link turn in space by the solid angle, too, that its z axis sweeps.
+        # The solid angle that the z axis of base_link sweeps turns its x and y axes, too.
         heading_rate = yaw + 0.5 * self._swept_rate
         turning = heading_rate - 0.375 * (x * vy - y * vx)
-        flow, growth = self._system_matrix, 2.0 * self.rate / length
+        matrix, growth = self._system_matrix, 2.0 * self.rate / length
         for k, inertia in enumerate(self.hanging.inertias):
             at, other = k * _AXIS, (1 - k) * _AXIS
-            right = pulled * self.hanging.stiffness / inertia
-            flow[at + _V, at + _U] = -pull / length
-            flow[at + _V, at + _V] = -growth
-            flow[at + _V, at + _P] = share * right
-            flow[at + _Q, at + _U] = pull / length
-            flow[at + _Q, at + _V] = growth
-            flow[at + _Q, at + _P] = -(1.0 + share) * right
+            restoring = pulled * self.hanging.stiffness / inertia
+            matrix[at + _V, at + _U] = -pull / length
+            matrix[at + _V, at + _V] = -growth
+            matrix[at + _V, at + _P] = share * restoring
+            matrix[at + _Q, at + _U] = pull / length
+            matrix[at + _Q, at + _V] = growth
+            matrix[at + _Q, at + _P] = -(1.0 + share) * restoring
             sign = 1.0 if k == 0 else -1.0
             for n in _SWINGING:
-                flow[at + n, other + n] = sign * turning
+                matrix[at + n, other + n] = sign * turning
             for n in _TILTING:
-                flow[at + n, other + n] = sign * heading_rate
-        step = flow * h
+                matrix[at + n, other + n] = sign * heading_rate
+        step = matrix * h
         forward = _EYE + step + 0.5 * step @ step
         moved = forward @ self._state
         for k, inertia in enumerate(self.hanging.inertias):
-            impulse = -momentum_change[k] / inertia  # of phi', evenly over the step
+            impulse = -momentum_change[k] / inertia  # change of phi', constant rate over the step
             at = k * _AXIS
             for swinging, tilting, part in ((_V, _Q, impulse), (_U, _P, 0.5 * h * impulse)):
                 moved[at + swinging] -= share * part
                 moved[at + tilting] += (1.0 + share) * part
-        # The yaw's own bias turns what it turns: x' = ... + yaw y. Of the tilt nothing is learnt
-        # about it: how far rotors tilt a rover whose mass is off would be taken for its turning.
+        # The yaw bias rotates the swing: x' = ... + yaw y. The tilt is left out: with a mass error
+        # the response to the rotors would be taken for a yaw.
         for n in _SWINGING:
             forward[n, _YAW_BIAS] = -h * state[_AXIS + n]
             forward[_AXIS + n, _YAW_BIAS] = h * state[n]
         self._state = moved
         covariance = forward @ self._covariance @ forward.T + h * self._noise
-        # A mass that is off disturbances the swing otherwise than the rotors tell.
+        # With a mass error the rotors excite the swing differently than modelled.
         reach = self.hanging.pendulum_inertia(length)
         for k, change in enumerate(momentum_change):
             self._rotor_torque[k] += min(h / _ROTOR_TORQUE_TIME, 1.0) * (
@@ -397,7 +395,7 @@ class SwingEstimator:
             square = pulled * self.hanging.stiffness / inertia
             moving = state[at + _Q] ** 2 + square * state[at + _P] ** 2
             process_noise = self._process_noise[k] + h * _TILT_ERROR**2 * math.sqrt(square) * moving
-            # What turns the rover by its tether disturbances the swing as the tilt's own pull does.
+            # Noise of the tilt acts on the swing through the tether, as the tilt itself does.
             covariance[at + _V, at + _V] += process_noise * share**2
             covariance[at + _Q, at + _Q] += process_noise * (1.0 + share) ** 2
             covariance[at + _V, at + _Q] -= process_noise * share * (1.0 + share)
@@ -405,55 +403,56 @@ class SwingEstimator:
         self._covariance = 0.5 * (covariance + covariance.T)
 
     def _update(self, rows: Array, innovation: Array, variances: Array, h: float) -> None:
-        """Take measurements at once: their rows (k, SIZE), what they innovation, their variances.
+        """Update with measurements: their rows (k, SIZE), innovations and variances.
 
-        In Joseph's form, whose covariance stays positive over hours of updates by rounding alone.
-        Innovations larger than the model and the sensors' noise explain are unmodelled process
-        noise: a tether that vibrates, or tilts so large that what is not known of the inertia
-        shows. It is learnt from the misses: the gyro's is motion of the tilt, the accelerometer's
-        is noise. While there is any, how the swing turns tells nothing about the yaw.
+        Joseph's form keeps the covariance positive over hours of updates. Innovations larger than
+        model and sensor noise explain, as from tether vibration or inertia errors at large tilts,
+        adapt the added noise: process noise of the tilt for the gyro, measurement noise for the
+        accelerometer. Meanwhile the yaw bias is not updated.
 
-        A blow, as a wall's or that of a tether that jerks, shows in the accelerometer as many times
-        the weight for a sample or two. No tilt comes so suddenly: the further off, the less such a
-        sample counts, for the tilt as for the process noise, which still grows where it lasts.
+        An impact on a wall or of a snatching tether gives many times the weight for a sample or
+        two. Accelerometer innovations beyond 5 standard deviations are down-weighted, for the tilt
+        and for the added noise, which still grows if they last.
         """
         variances[2:] += self._process_noise[2 : len(variances)]
         along = self._covariance @ rows.T
         expected = rows @ along + np.diag(variances)
         squares = np.square(innovation)
-        believed = _OUTLIER**2 * expected.diagonal()
-        doubt = np.maximum(squares - believed, 0.0)[2:] / _OUTLIER**2
-        squares[2:] = np.minimum(squares, believed)[2:]
+        outlier_limit = _OUTLIER**2 * expected.diagonal()
+        added_variance = np.maximum(squares - outlier_limit, 0.0)[2:] / _OUTLIER**2
+        squares[2:] = np.minimum(squares, outlier_limit)[2:]
         share = min(h / _INFLATION_TIME, 1.0)
         for k, variance in enumerate(expected.diagonal().tolist()):
-            surplus = float(squares[k]) - _EXPECTED_RATIO * variance
-            self._excess[k] = max(self._excess[k] + share * (surplus - self._excess[k]), 0.0)
+            excess = float(squares[k]) - _EXPECTED_RATIO * variance
+            self._excess[k] = max(self._excess[k] + share * (excess - self._excess[k]), 0.0)
             self._process_noise[k] += share * (self._excess[k] - self._process_noise[k])
-        variances[2:] += doubt
-        expected[2:, 2:] += np.diag(doubt)
+        variances[2:] += added_variance
+        expected[2:, 2:] += np.diag(added_variance)
         gain = np.linalg.solve(expected, along.T).T
         if self.freezes_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
         self._state = self._state + gain @ innovation
-        kept = _EYE - gain @ rows
-        self._covariance = kept @ self._covariance @ kept.T + (gain * variances) @ gain.T
+        complement = _EYE - gain @ rows
+        self._covariance = (
+            complement @ self._covariance @ complement.T + (gain * variances) @ gain.T
+        )
 
     def _on_disturbance(self) -> None:
-        """Something pushed the rover: swing and tilt are to be learnt anew, the biases stay."""
+        """Inflate the covariance of swing and tilt after a disturbance; keep the biases."""
         self.disturbances += 1
         self._gyro_innovation = [0.0, 0.0]
         self._impact_speed = [0.0, 0.0]
-        push = self.parameters.initial_swing * self.hanging.swing_frequency(self.length)
-        aside = 0.1 * self.parameters.initial_swing
+        rate = self.parameters.initial_swing * self.hanging.swing_frequency(self.length)
+        angle = 0.1 * self.parameters.initial_swing
         for at in (0, _AXIS):
-            for n, covariance in ((_V, push), (_Q, push), (_U, aside), (_P, aside)):
+            for n, deviation in ((_V, rate), (_Q, rate), (_U, angle), (_P, angle)):
                 self._covariance[at + n, at + n] = max(
-                    self._covariance[at + n, at + n], covariance**2
+                    self._covariance[at + n, at + n], deviation**2
                 )
 
     @property
     def estimate(self) -> SwingEstimate:
-        """What is known now."""
+        """Present estimate."""
         state = self._state.tolist()
         x, y = state[:_AXIS], state[_AXIS:_YAW_BIAS]
         covariance = self._covariance.diagonal()
@@ -473,6 +472,6 @@ class SwingEstimator:
 
 
 def _motion(state: list[float], at: int) -> tuple[float, float, float, float]:
-    """u, u', phi and phi' of an axis whose states begin there."""
+    """u, u', phi and phi' of the axis whose states start at an index."""
     u, v, p, q = state[at : at + 4]
     return u, v, u + p, v + q

@@ -1,8 +1,8 @@
-"""What a controller asks of the winch from another process: sent, renewed, and watched. Pure.
+"""Client of the winch: sends, renews and supervises its requests. Pure.
 
-A length is asked for with a request that must be renewed: a winch whose controller has died comes
-to rest by itself. The other way round, a winch that does not do what it was asked has been taken
-away, by an operator or by itself, and is not asked again before somebody says so.
+A length request must be renewed, so a winch whose controller has died comes to rest. A winch that
+does not follow its request has been stopped by an operator or by itself; the link then waits for a
+new request.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from msg_schemas.table import TOPICS
 from rover_control.hanging_controller import WinchRequest
 
 HOLD = "hold"
-"""Mode of a winch that is_at_rest."""
+"""Mode of a winch at rest."""
 _LENGTH = "length"
 FREE = frozenset({HOLD, _LENGTH})
-"""Modes in which nobody else moves the winch."""
-# A winch that is trimmed does not come to rest by itself before the trim has been silent so long.
+"""Modes in which no other node moves the winch."""
+# A trimmed winch comes to rest only after the trim has timed out.
 _TRIM_TIMEOUT = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
 
 
@@ -42,11 +42,11 @@ class WinchLinkParameters:
 
 
 class WinchLink:
-    """One request at a time.
+    """Link to the winch; one request at a time.
 
     Args:
-        parameters: patience.
-        length_tolerance: so length_tolerance is at a length [m].
+        parameters: timing.
+        length_tolerance: error within which a length is reached [m].
     """
 
     def __init__(self, parameters: WinchLinkParameters, length_tolerance: float) -> None:
@@ -57,21 +57,21 @@ class WinchLink:
         self.clear()
 
     def clear(self) -> None:
-        """Forget what was asked: it is not renewed any more."""
+        """Drop the request; it is no longer renewed."""
         self._request: WinchRequest | None = None
         self._sent_at = -math.inf
-        self._requested_at: float | None = None  # when this motion was asked for first
+        self._requested_at: float | None = None  # first request of this motion [s]
         self._is_accepted = False
         self._moves = False
         self._trimmed_at = -math.inf
 
     def on_mode(self, mode: str, now: float) -> None:
-        """Take what the winch is doing."""
+        """Update with the mode of the winch."""
         if mode != self.mode:
             self.mode, self._mode_since = mode, now
 
     def is_at_rest(self, now: float) -> bool:
-        """Whether the winch holds, and has done so for a while."""
+        """Whether the winch has held for longer than `winch_rest_timeout`."""
         return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest_timeout
 
     def step(
@@ -83,14 +83,14 @@ class WinchLink:
         moves: bool = False,
         trims: bool = False,
     ) -> WinchRequest | None:
-        """What to send now.
+        """Return the request to send now, or None.
 
         Args:
-            request: what the controller asks for, anew or again.
-            length: paid out [m].
+            request: of the controller; None = unchanged.
+            length: payout [m].
             now: [s].
-            moves: whether the winch is meant to be on its way.
-            trims: whether it is trimmed now.
+            moves: the winch is expected to move.
+            trims: the winch is trimmed now.
         """
         differs = request is not None and (
             self._request is None or request.length != self._request.length
@@ -112,7 +112,7 @@ class WinchLink:
         elif now - self._sent_at < self.parameters.renewal_period:
             return None
         elif self.mode == _LENGTH:
-            # Near its goal it needs no renewal, and one that comes late opens the brake again.
+            # Near the goal no renewal is needed; a late one would open the brake again.
             if not moves and abs(length - self._request.length) < self.length_tolerance:
                 return None
         elif request is None or (self._is_accepted and moves):
@@ -125,10 +125,10 @@ class WinchLink:
         return self.mode == HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
 
     def fault(self, length: float, now: float) -> str:
-        """Why the winch does not do what it was asked; empty = it does."""
+        """Reason for which the winch does not follow its request; empty = it does."""
         if self.mode not in FREE:
             return f"the winch is in {self.mode or 'no known mode'}"
-        stopped = f"the winch was stopped at {length:.4g} m, its events say why"
+        stopped = f"the winch was stopped at {length:.4g} m; see its events"
         if self._trim_was_stopped and self.is_at_rest(now):
             return stopped
         if self._request is None or self._requested_at is None or not self._moves:
@@ -140,7 +140,7 @@ class WinchLink:
             and now - self._requested_at > self.parameters.winch_response_timeout
         ):
             return (
-                f"the winch has not taken the request for {self._request.length:g} m, its "
-                "diagnostics say why"
+                f"the winch has not accepted the request for {self._request.length:g} m within "
+                f"{self.parameters.winch_response_timeout:g} s; see its diagnostics"
             )
         return ""

@@ -1,17 +1,17 @@
-"""The rover's turning about the tether: kept small, or used to rid it of a cone's momentum. Pure.
+"""Control of yaw and of the momentum about the plumb line. Pure.
 
-The momentum about the plumb line, the swing's and the rover's spin together, changes by nothing
-but the torque of the twisted tether, -GJ/l times the twist, as long as the swivel does not slip.
-A rover that is held at a twist by its rotors (`rotor_pump`) hands it to the mother through the
-tether: with the twist held at
+The momentum about the plumb line, of swing and spin together, is changed only by the torque of the
+twisted tether, -GJ/l times the twist, as long as the swivel does not slip. A rover whose rotors
+(`rotor_pump`) hold it at a twist transfers its momentum to the mother machine through the tether:
+with the twist
 
-    twist = L/(T GJ/l),   at most `largest_twist` and what the swivel bears,
+    twist = L/(T GJ/l),   at most `largest_twist` and the swivel's friction,
 
-the momentum L falls with the time T, and the twist with it, so that both end at nothing. As GJ/l
-falls with the length, this is to be done where the tether is short.
+the momentum L decays with the time constant T, and the twist with it, so that both end at zero. As
+GJ/l falls with the length, the transfer works best on a short tether.
 
-The loops are one within the other, each three times as slow: momentum, twist, yaw rate; the fastest
-is as fast as the swing allows, whose velocity the rotors push against.
+Three cascaded loops control momentum, twist and yaw rate, each about three times as slow as the one
+inside; the innermost is limited by the swing, whose rate the rotors push against.
 """
 
 from __future__ import annotations
@@ -24,13 +24,10 @@ from msg_schemas.parameters import parameter
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
 
-_UNWINDING_FRACTION = 0.5  # of the largest yaw rate, that is counted on
-_TWIST_LOOP, _MOMENTUM_LOOP = (
-    3.0,
-    7.0,
-)  # times of the twist's loop and of the momentum's, over the rate's
-_TORQUE_RAMP = 2.0  # radians of the swing in which the torque comes up
-_MOMENTUM_FILTER = math.tau  # radians of the swing over which the momentum is smoothed
+_UNWINDING_FRACTION = 0.5  # fraction of the largest yaw rate that is assumed
+_TWIST_LOOP, _MOMENTUM_LOOP = 3.0, 7.0  # time constants over the rate loop's
+_TORQUE_RAMP = 2.0  # ramp of the torque, in radians of the swing
+_MOMENTUM_FILTER = math.tau  # low-pass of the momentum, in radians of the swing
 
 
 @dataclass(frozen=True)
@@ -50,40 +47,40 @@ class YawParameters:
 
 
 class MomentumTransfer(NamedTuple):
-    """What predict_transfer the momentum about the plumb line on would take."""
+    """Prediction of a transfer of the momentum about the plumb line."""
 
     momentum: float  # of swing and spin [N m s]
-    time: float  # [s]; inf = the tether passes nothing on
-    twist_acceleration: float  # yaw acceleration by the tether's twist [rad/s^2]
+    time: float  # [s]; inf = not possible
+    twist_acceleration: float  # yaw acceleration from the twist [rad/s^2]
 
 
 class YawMomentumController:
-    """Torque about the plumb line that is to be had.
+    """Controller of the torque about the plumb line.
 
     Args:
-        parameters: times and bounds.
-        hanging: the rover.
+        parameters: time constants and bounds.
+        hanging: rover and tether.
     """
 
     def __init__(self, parameters: YawParameters, hanging: HangingParameters) -> None:
         self.parameters = parameters
         self.hanging = hanging
         self._torque = 0.0  # [N m]
-        self._momentum = math.nan  # followed [N m s]
-        self._filter_phase = 0.0  # for so long, in radians of the swing
+        self._momentum = math.nan  # filtered [N m s]
+        self._filter_phase = 0.0  # since the restart, in radians of the swing
 
     def restart(self) -> None:
-        """Follow the momentum anew: something pushed the rover."""
+        """Restart the momentum filter after a disturbance."""
         self._filter_phase = 0.0
 
     def momentum(self, swing: SwingEstimate, length: float) -> float:
-        """About the plumb line, of swing and spin [N m s]."""
+        """Momentum about the plumb line, of swing and spin [N m s]."""
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
         turning = self.hanging.pendulum_inertia(length) * (x * vy - y * vx)
         return turning + self.hanging.inertia_about_z * swing.yaw_rate
 
     def twist_bound(self, length: float) -> float:
-        """Twist that so much tether [m] may have [rad]."""
+        """Largest twist [rad] of a tether of this length [m]."""
         p, torsion = self.parameters, self.hanging.torsional_stiffness(length)
         if torsion <= 0.0:
             return 0.0
@@ -94,7 +91,7 @@ class YawMomentumController:
     def predict_transfer(
         self, swing: SwingEstimate, twist: float, length: float
     ) -> MomentumTransfer:
-        """What it would take from here, by swing, twist [rad] and length [m]."""
+        """Predict a momentum transfer from a swing, a twist [rad] and a length [m]."""
         torsion = self.hanging.torsional_stiffness(length)
         momentum = self._momentum if self._filter_phase > 0.0 else self.momentum(swing, length)
         most = self.twist_bound(length) * torsion
@@ -115,16 +112,16 @@ class YawMomentumController:
         transfers: bool,
         unwinds: bool = False,
     ) -> float:
-        """Advance by h; returns the torque about the plumb line that the swing shall give [N m].
+        """Advance by h; returns the torque setpoint about the plumb line [N m].
 
         Args:
-            swing: as estimated.
-            twist: of the tether, as the rover has turned about +z [rad].
-            length: paid out [m].
-            largest: torque that the swing can give now [N m].
+            swing: estimate.
+            twist: of the tether, the rover's turn about +z [rad].
+            length: payout [m].
+            largest: largest torque that the swing allows now [N m].
             h: duration [s].
-            transfers: the momentum is to be handed to the mother.
-            unwinds: the twist is to be taken out; with neither of both the rover shall not turn.
+            transfers: transfer the momentum to the mother machine.
+            unwinds: remove the twist; with neither, the yaw rate setpoint is zero.
         """
         p, torsion = self.parameters, self.hanging.torsional_stiffness(length)
         quick = p.yaw_rate_phase / swing.frequency
@@ -133,22 +130,22 @@ class YawMomentumController:
         if unwinds:
             rate = -twist / (_TWIST_LOOP * quick)
         elif transfers and torsion > 0.0:
-            wanted, follows = self._unwinding(abs(momentum) / torsion, _MOMENTUM_LOOP * quick)
-            if wanted > self.twist_bound(length):
-                wanted, follows = self.twist_bound(length), 0.0
-            goal = math.copysign(wanted, momentum)
+            setpoint, follows = self._unwinding(abs(momentum) / torsion, _MOMENTUM_LOOP * quick)
+            if setpoint > self.twist_bound(length):
+                setpoint, follows = self.twist_bound(length), 0.0
+            goal = math.copysign(setpoint, momentum)
             away = goal - twist
-            # What is begun must be stopped again, with half of the torque that there is.
+            # Leave half of the torque for stopping.
             stopped = math.sqrt(abs(away) * largest / self.hanging.inertia_about_z)
             rate = min(max(away / (_TWIST_LOOP * quick), -stopped), stopped) - follows * twist
         if rate * twist < 0.0 <= goal * twist:
-            # Not past no twist at all.
+            # Do not overshoot zero twist.
             most = math.sqrt(abs(twist) * largest / self.hanging.inertia_about_z)
             rate = min(max(rate, -most), most)
         rate = min(max(rate, -p.largest_yaw_rate), p.largest_yaw_rate)
         need = self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
         need = min(max(need + torsion * twist, -largest), largest)
-        # Softly: where it changes its sign, so do the rotors' momenta.
+        # Ramp it: the rotor momenta change sign with it.
         change = largest * swing.frequency * h / _TORQUE_RAMP
         self._torque = min(max(need, self._torque - change), self._torque + change)
         self._torque = min(max(self._torque, -largest), largest)
@@ -167,19 +164,19 @@ class YawMomentumController:
         return self._momentum
 
     def _unwinding(self, left: float, time: float) -> tuple[float, float]:
-        """Twist [rad] that hands the rest of a momentum on while it is unwound to nothing.
+        """Twist [rad] that transfers the rest of a momentum while it unwinds to zero.
 
-        Unwound at a steady rate, and at the end within a time.
+        It unwinds at a constant rate, and exponentially at the end.
 
         Args:
             left: momentum over GJ/l [rad s].
-            time: of the end [s].
+            time: time constant of the end [s].
 
         Returns:
-            The twist, and how it falls over the twist that there is [1/s].
+            The twist, and its relative decay rate [1/s].
         """
         rate = _UNWINDING_FRACTION * self.parameters.largest_yaw_rate
-        last = rate * time  # twist from which on it ends
+        last = rate * time  # twist at which the exponential end begins
         if left <= last * time:
             return left / time, 1.0 / time
         twist = math.sqrt(last**2 + 2.0 * rate * (left - last * time))

@@ -54,7 +54,7 @@ NOTHING = DescentCommands()
 
 
 class World:
-    """A descent, a winch at work, and the rover that hangs on it."""
+    """A descent with a simulated winch and hanging rover."""
 
     def __init__(self, length: float = 5.0, swing: float = 0.0) -> None:
         self.winch = Session(Winch(WinchParameters()), Hoist(HoistParameters(start_length=length)))
@@ -80,7 +80,7 @@ class World:
         if not is_alive:
             return
         now, descent = self.winch.now_ns, self.descent
-        hear: dict[str, Callable[..., None]] = {
+        handlers: dict[str, Callable[..., None]] = {
             topics.IMU: descent.on_imu,
             topics.WHEEL_STATE: descent.on_wheels,
             topics.FLYWHEEL_STATE: descent.on_flywheel,
@@ -91,7 +91,7 @@ class World:
             if name == topics.CAMERA:
                 descent.on_camera(sample)  # type: ignore[arg-type]
             else:
-                hear[name](sample, now)
+                handlers[name](sample, now)
         drum = {
             WINCH_DRUM: JointValue(readings.length, readings.rate),
             WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
@@ -105,17 +105,17 @@ class World:
             self.control()
 
     def control(self) -> None:
-        drives = self.descent.step(self.winch.now_ns)
-        self.sent.append(drives)
+        commands = self.descent.step(self.winch.now_ns)
+        self.sent.append(commands)
         self.changes += self.descent.take_changes()
         self.observations += self.descent.take_observations()
         coasts = self.rover.wheel_rate * 0.9
-        self.rover.wheel_rate = coasts if drives.wheel_rate is None else drives.wheel_rate
-        self.rover.flywheel_torque = drives.flywheel_torque or 0.0
-        if drives.winch is not None:
-            self.winch.request(WINCH_WHILE_RENEWED, *drives.winch)
-        if drives.trim is not None and self.winch.winch.mode is Mode.LENGTH:
-            self.winch.winch.trim(drives.trim, self.winch.now_ns)
+        self.rover.wheel_rate = coasts if commands.wheel_rate is None else commands.wheel_rate
+        self.rover.flywheel_torque = commands.flywheel_torque or 0.0
+        if commands.winch is not None:
+            self.winch.request(WINCH_WHILE_RENEWED, *commands.winch)
+        if commands.trim is not None and self.winch.winch.mode is Mode.LENGTH:
+            self.winch.winch.trim(commands.trim, self.winch.now_ns)
 
     def run(self, duration: float, *, is_alive: bool = True) -> None:
         for _ in range(round(duration / TICK)):
@@ -126,22 +126,22 @@ class World:
             if condition():
                 return
             self.tick()
-        raise AssertionError(f"not within {limit:g} s; it told {self.changes}")
+        raise AssertionError(f"not within {limit:g} s; transitions: {self.changes}")
 
     def arm(self) -> None:
         self.run(0.2)
         self.winch.winch.rearm(self.winch.now_ns)
         self.run(0.2)
 
-    def ask(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
+    def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
         self.descent.request(Stop(depth, observes, rate), self.winch.now_ns)
 
     def travel(self) -> None:
         self.arm()
-        self.ask(9.0, rate=0.2)
+        self.request(9.0, rate=0.2)
         self.run_until(lambda: self.length > 5.5)
 
-    def told(self, name: str) -> list[str]:
+    def reasons(self, name: str) -> list[str]:
         return [change.reason for change in self.changes if change.name == name]
 
     @property
@@ -160,40 +160,40 @@ def refused(act: Callable[[], object]) -> Refusal:
     return caught.value
 
 
-# ------------------------------------------------------------------------------------ what it does
+# ---------------------------------------------------------------------------------------- sequence
 
 
-def test_a_stop_is_gone_to_and_every_picture_is_told_with_what_the_camera_says(world: World):
+def test_a_stop_publishes_each_picture_with_the_camera_report(world: World):
     world.arm()
     assert world.descent.phase == RELEASED
-    world.ask(6.0)
+    world.request(6.0)
     world.run_until(lambda: world.done)
     world.run(0.5)
     assert world.length == pytest.approx(6.0, abs=0.01)
     assert [o.number for o in world.observations] == [1, 2]
     for observation in world.observations:
         assert observation.exposure.depth == pytest.approx(6.0, abs=0.01)
-        # The camera's reading whose exposure began with the order or later.
+        # The first report whose exposure began at the command or later.
         of = observation.smear * 1e3
         assert 0.1 <= of - observation.exposure.time < 0.2 + TICK
         assert observation.wall_distance == WALL
 
 
-def test_nothing_is_driven_before_a_stop_is_asked_for_and_after_the_release(world: World):
+def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: World):
     world.arm()
     world.run(1.0)
     assert set(world.sent) == {NOTHING}
-    world.ask(5.5, observes=False)
+    world.request(5.5, observes=False)
     world.run_until(lambda: world.done)
-    assert refused(lambda: world.ask(5.5, rate=1.0)).code is RefusalCode.OUT_OF_LIMITS
+    assert refused(lambda: world.request(5.5, rate=1.0)).code is RefusalCode.OUT_OF_LIMITS
     world.run(0.5)
     assert world.sent[-1].wheel_rate is not None
     heading = world.descent.controller.heading = 0.7
-    assert "free" in world.descent.release()
+    assert "released" in world.descent.release()
     before = world.rover.wheel_rate
     assert before < -0.5
     world.run(6.0)
-    assert world.told(f"descent_{RELEASED}") == ["asked for"]
+    assert world.reasons(f"descent_{RELEASED}") == ["release requested"]
     assert world.sent[-1] == NOTHING
     assert world.rover.wheel_rate == 0.0
     rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
@@ -201,10 +201,10 @@ def test_nothing_is_driven_before_a_stop_is_asked_for_and_after_the_release(worl
     assert world.descent.controller.heading == pytest.approx(heading, abs=1e-3)
 
 
-def test_stops_are_done_in_their_order(world: World):
+def test_stops_are_visited_in_order(world: World):
     world.arm()
     for depth in (5.4, 5.8, 5.6):
-        world.ask(depth)
+        world.request(depth)
     assert world.descent.stops_left == 3
     world.run_until(lambda: world.done)
     world.run(0.5)
@@ -212,14 +212,14 @@ def test_stops_are_done_in_their_order(world: World):
     assert depths == [5.4, 5.4, 5.8, 5.8, 5.6, 5.6]
 
 
-def test_it_is_held_resumed_and_aborted_on_the_way(world: World):
+def test_a_travel_is_held_resumed_and_aborted(world: World):
     world.travel()
     assert "holding" in world.descent.hold(world.winch.now_ns)
     world.run(4.0)
     held = world.length
     assert held == pytest.approx(5.5, abs=0.1)
     assert world.winch.winch.mode is Mode.HOLD
-    assert refused(lambda: world.ask(6.0)).subject == topics.DESCENT_REQUEST
+    assert refused(lambda: world.request(6.0)).subject == topics.DESCENT_REQUEST
     assert "1 stops" in world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > 6.5)
     assert "1 stops" in world.descent.abort(world.winch.now_ns)
@@ -229,54 +229,54 @@ def test_it_is_held_resumed_and_aborted_on_the_way(world: World):
     world.run(4.0)
     assert world.length == pytest.approx(6.5, abs=0.1)
     assert world.winch.winch.mode is Mode.HOLD
-    assert not [t for _, t in world.winch.transitions if "is silent" in t.reason]
-    assert all(drives.winch is None for drives in world.sent[-50:])
+    assert not [t for _, t in world.winch.transitions if "was not renewed" in t.reason]
+    assert all(commands.winch is None for commands in world.sent[-50:])
 
 
-def test_a_heading_is_turned_to_where_no_stop_is_left(world: World):
+def test_a_turn_requires_that_no_stop_is_left(world: World):
     world.arm()
     now = world.winch.now_ns
-    # Nothing swings here by which the gyro's bias could be learnt.
+    # Without a swing the gyro bias is unobservable, so a hold is short.
     pointing = world.descent.controller.pointing
     pointing.parameters = replace(pointing.parameters, min_hold_time=5.0)
     assert refused(lambda: world.descent.turn(math.pi, now)).subject == topics.DESCENT_REQUEST
     world.descent.turn(0.05, now)
     assert world.descent.is_engaged
     world.run(0.5)
-    (begun,) = world.told("pointing_begun")
-    assert "turns by 3 deg" in begun
+    (begun,) = world.reasons("pointing_begun")
+    assert "turn by 3 deg" in begun
     state = state_sample(world.descent, world.winch.now_ns)
     assert state is not None
     goal = state.joints[HEADING_GOAL].position - state.joints[HEADING].position
     assert goal == pytest.approx(0.05, abs=0.01)
-    world.ask(5.5, observes=False)
+    world.request(5.5, observes=False)
     assert refused(lambda: world.descent.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
     world.run_until(lambda: world.done)
-    assert len(world.told("pointing_ended")) == 1
+    assert len(world.reasons("pointing_ended")) == 1
     world.run(0.5)
     world.descent.turn(0.05, world.winch.now_ns)
     world.silent.add(topics.IMU)
     world.run(1.5)
-    assert world.told("pointing_ended")[1:] == [f"{topics.IMU} not heard"]
+    assert world.reasons("pointing_ended")[1:] == [f"{topics.IMU} timed out"]
     assert not world.descent.controller.pointing.is_active
 
 
-# ---------------------------------------------------------------------------------- what it refuses
+# --------------------------------------------------------------------------------------- refusals
 
 
 @pytest.mark.parametrize("depth", [1.0, 60.0, math.nan])
-def test_a_depth_out_of_reach_is_refused_with_what_would_be_right(world: World, depth: float):
+def test_a_depth_out_of_limits_is_refused_with_the_limits(world: World, depth: float):
     world.arm()
-    refusal = refused(lambda: world.ask(depth))
+    refusal = refused(lambda: world.request(depth))
     assert (refusal.subject, refusal.code) == (topics.DESCENT_REQUEST, RefusalCode.OUT_OF_LIMITS)
     assert "1.6 .. 48 m" in refusal.reason
     assert not world.descent.is_engaged
 
 
-def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
-    assert refused(lambda: world.ask(6.0)).code is RefusalCode.STALE
+def test_a_request_in_a_wrong_state_is_refused_with_the_reason(world: World):
+    assert refused(lambda: world.request(6.0)).code is RefusalCode.STALE
     world.run(0.5)
-    unarmed = refused(lambda: world.ask(6.0))
+    unarmed = refused(lambda: world.request(6.0))
     assert unarmed.code is RefusalCode.NOT_ARMED
     assert topics.WINCH_REARM in unarmed.reason
     world.arm()
@@ -284,35 +284,35 @@ def test_what_cannot_be_done_now_is_refused_with_the_reason(world: World):
     assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
     assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
     world.descent.on_jump("flight")
-    assert "jumps" in refused(lambda: world.ask(6.0)).reason
+    assert "a jump is in progress" in refused(lambda: world.request(6.0)).reason
     world.descent.on_jump("standby")
     screw, world.descent.screw = world.descent.screw, 20.0
-    assert topics.JUMP_ABORT in refused(lambda: world.ask(6.0)).reason
+    assert topics.JUMP_ABORT in refused(lambda: world.request(6.0)).reason
     world.descent.screw = screw
-    world.ask(6.0)
+    world.request(6.0)
     assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
 
 
-def test_a_nut_that_lies_on_the_latch_is_driven_clear_before_the_rotors_are_used(world: World):
+def test_a_nut_on_the_latch_is_driven_clear_before_the_rotors_are_used(world: World):
     world.arm()
     world.rover.screw = 0.0
     world.run(0.1)
-    world.ask(6.0, observes=False)
+    world.request(6.0, observes=False)
     world.run(0.2)
-    ordered = [drives for drives in world.sent if drives.nut is not None]
+    ordered = [commands for commands in world.sent if commands.nut is not None]
     assert ordered[-1].nut == pytest.approx(-0.030, abs=1e-4)
-    assert all(drives.flywheel_torque is None for drives in ordered)
-    assert all(drives.wheel_rate is None for drives in ordered)
+    assert all(commands.flywheel_torque is None for commands in ordered)
+    assert all(commands.wheel_rate is None for commands in ordered)
     world.rover.screw = RotorParameters().screw_travel_centre + 5.0
     world.run_until(lambda: world.done)
-    assert world.told("nut_clear")
+    assert world.reasons("nut_clear")
     assert world.sent[-1].nut is None
     assert world.sent[-1].flywheel_torque is not None
 
 
-def test_released_it_learns_nothing_of_a_rover_that_may_stand_and_then_its_swing_anew(world: World):
+def test_estimation_pauses_after_a_release_and_restarts_with_the_next_stop(world: World):
     world.arm()
-    world.ask(6.0, observes=False)
+    world.request(6.0, observes=False)
     world.run_until(lambda: world.done)
     world.descent.release()
     world.run(1.0)
@@ -322,7 +322,7 @@ def test_released_it_learns_nothing_of_a_rover_that_may_stand_and_then_its_swing
     assert estimator.estimate == known
     assert world.descent.controller.twist == pytest.approx(twist, abs=0.05)
     begun = len(world.changes)
-    world.ask(5.0, observes=False)
+    world.request(5.0, observes=False)
     assert estimator.yaw_bias == bias
     assert estimator.estimate.swing_error > known.swing_error
     world.run(0.5 * world.descent.settings.hanging_controller.profile.estimator_settling_time)
@@ -337,29 +337,27 @@ def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
     world.arm()
     world.rover.screw = 0.0
     world.run(0.1)
-    world.ask(6.0)
+    world.request(6.0)
     world.run_until(lambda: world.descent.interruption != "")
-    assert "does not come clear" in world.descent.interruption
+    assert "is not clear of the latch" in world.descent.interruption
 
 
-def test_limits_that_leave_no_room_are_refused():
+def test_depth_limits_in_the_wrong_order_are_refused():
     with pytest.raises(ParameterError, match="less than max_depth"):
         DescentParameters(min_depth=10.0, max_depth=9.0)
 
 
-# ---------------------------------------------------------------------- what takes it off its way
+# ---------------------------------------------------------------------------------- interruptions
 
 
 @pytest.mark.parametrize(
     "topic", [topics.IMU, topics.WINCH_STATE, topics.WHEEL_STATE, topics.FLYWHEEL_STATE]
 )
-def test_a_sensor_that_falls_silent_ends_in_a_hold_that_only_a_resume_ends(
-    world: World, topic: str
-):
+def test_a_sensor_timeout_interrupts_until_a_resume(world: World, topic: str):
     world.travel()
     world.silent.add(topic)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert world.told("descent_interrupted") == [f"{topic} not heard"]
+    assert world.reasons("descent_interrupted") == [f"{topic} timed out"]
     assert topic in world.descent.interruption
     world.run(3.0)
     assert world.winch.winch.mode is Mode.HOLD
@@ -368,27 +366,27 @@ def test_a_sensor_that_falls_silent_ends_in_a_hold_that_only_a_resume_ends(
     world.silent.clear()
     length, begun = world.length, len(world.sent)
     world.run(0.2)
-    assert "known again in" in refused(lambda: world.descent.resume(world.winch.now_ns)).reason
+    assert "estimate settles in" in refused(lambda: world.descent.resume(world.winch.now_ns)).reason
     world.run(3.0)
     assert world.length == length
     world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > length + 0.5)
     rates = [d.wheel_rate for d in world.sent[begun:] if d.wheel_rate is not None]
-    assert abs(rates[0]) < 0.1  # the wheel has come to rest, and is taken up from there
+    assert abs(rates[0]) < 0.1  # the wheel continues from rest
     assert max(abs(b - a) for a, b in pairwise(rates[:10])) < 0.03
 
 
-def test_a_step_that_comes_late_does_not_take_its_sensors_for_lost(world: World):
+def test_a_late_step_does_not_time_its_sensors_out(world: World):
     world.travel()
     for _ in range(3):
         world.run(0.6, is_alive=False)
-        world.control()  # before it has heard what was said meanwhile
+        world.control()  # before it receives the queued samples
         world.run(0.2)
-    assert not world.told("descent_interrupted")
+    assert not world.reasons("descent_interrupted")
     assert world.descent.phase == DescentPhase.TRAVELLING
 
 
-def test_rotors_do_not_follow_a_gyro_that_is_heard_late(world: World):
+def test_rotors_do_not_follow_a_delayed_gyro(world: World):
     world.travel()
     rate = world.rover.wheel_rate
     for _ in range(3):
@@ -396,11 +394,11 @@ def test_rotors_do_not_follow_a_gyro_that_is_heard_late(world: World):
         world.control()
         assert world.sent[-1][:2] == (rate, 0.0)
         world.run(0.04)
-    assert len(world.told("rotors_late")) == 1
+    assert len(world.reasons("rotors_late")) == 1
     world.run(1.8)
     assert {d[:2] for d in world.sent[-90:]} == {(rate, 0.0)}
     world.run(4.0)
-    assert len(world.told("rotors_follow")) == 1
+    assert len(world.reasons("rotors_follow")) == 1
     rates = [d.wheel_rate for d in world.sent[-300:] if d.wheel_rate is not None]
     assert max(abs(b - a) for a, b in pairwise(rates)) < 0.05
     assert rates[-1] == world.rover.wheel_rate != rate
@@ -408,7 +406,7 @@ def test_rotors_do_not_follow_a_gyro_that_is_heard_late(world: World):
 
 
 def stopped(world: World) -> None:
-    world.winch.winch.stop("asked to stop", world.winch.now_ns)
+    world.winch.winch.stop("stop requested", world.winch.now_ns)
 
 
 def held(world: World) -> None:
@@ -420,20 +418,20 @@ def driven_by_hand(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    ("act", "why"), [(stopped, "in stop"), (held, "was stopped"), (driven_by_hand, "in rate")]
+    ("act", "text"), [(stopped, "in stop"), (held, "was stopped"), (driven_by_hand, "in rate")]
 )
-def test_a_winch_that_others_take_is_left_to_them_until_a_resume(
-    world: World, act: Callable[[World], None], why: str
+def test_a_winch_that_others_use_is_left_alone_until_a_resume(
+    world: World, act: Callable[[World], None], text: str
 ):
     world.travel()
     act(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    (reason,) = world.told("descent_interrupted")
-    assert why in reason
-    asked = [d.winch for d in world.sent[-10:] if d.winch is not None]
+    (reason,) = world.reasons("descent_interrupted")
+    assert text in reason
+    requests = [d.winch for d in world.sent[-10:] if d.winch is not None]
     world.run(3.0)
     assert [d.winch for d in world.sent[-100:] if d.winch is not None] == []
-    assert len(asked) <= 1
+    assert len(requests) <= 1
     if not world.winch.winch.mode.is_armed:
         assert (
             refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.NOT_ARMED
@@ -446,56 +444,56 @@ def test_a_winch_that_others_take_is_left_to_them_until_a_resume(
     world.run_until(lambda: world.length > length + 0.5)
 
 
-def test_a_winch_that_is_stopped_while_it_is_trimmed_is_left_to_others():
+def test_a_winch_that_is_stopped_during_a_trim_is_left_alone():
     world = World(swing=math.radians(3.0))
     world.arm()
-    world.ask(8.0)
+    world.request(8.0)
     world.run_until(lambda: world.descent.phase == DescentPhase.DAMPING)
     world.run_until(lambda: world.winch.winch.mode is Mode.LENGTH)
     world.run(2.0)
     assert max(abs(d.trim or 0.0) for d in world.sent) > 0.05
-    assert not world.told("descent_interrupted")
+    assert not world.reasons("descent_interrupted")
     held(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert "was stopped" in world.told("descent_interrupted")[0]
+    assert "was stopped" in world.reasons("descent_interrupted")[0]
     world.run(3.0)
     assert {(d.winch, d.trim) for d in world.sent[-100:]} == {(None, None)}
 
 
-def test_a_winch_that_does_not_take_the_request_ends_in_a_hold_with_the_reason(world: World):
+def test_a_winch_that_does_not_accept_the_request_ends_in_a_hold(world: World):
     world.arm()
-    world.ask(6.0)
+    world.request(6.0)
     world.winch.request = lambda *_, **__: None  # type: ignore[method-assign]
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 10.0)
-    (reason,) = world.told("descent_interrupted")
-    assert "not taken the request for 6 m" in reason
+    (reason,) = world.reasons("descent_interrupted")
+    assert "not accepted the request for 6 m" in reason
 
 
-def test_a_winch_moved_by_hand_between_two_stops_is_not_moved_back(world: World):
+def test_a_winch_moved_by_others_between_two_stops_is_not_moved_back(world: World):
     world.arm()
-    world.ask(5.5, observes=False)
+    world.request(5.5, observes=False)
     world.run_until(lambda: world.done)
     world.run(1.0)
     world.winch.request(WINCH_TO_LENGTH, 7.0, 0.3)
     world.run(10.0)
     assert world.length == pytest.approx(7.0, abs=0.01)
-    world.ask(6.5, observes=False)
+    world.request(6.5, observes=False)
     world.run_until(lambda: world.done)
     assert world.length == pytest.approx(6.5, abs=0.02)
     assert min(t.length for t in world.winch.ticks[-500:]) > 6.4
 
 
-def test_a_winch_whose_controller_dies_comes_to_rest_by_itself(world: World):
+def test_a_winch_whose_controller_dies_comes_to_rest(world: World):
     world.travel()
     length = world.length
     world.run(3.0, is_alive=False)
     assert world.winch.winch.mode is Mode.HOLD
     assert length < world.length < length + 0.2 * 1.1 + 0.1
-    (silent,) = [t for _, t in world.winch.transitions if "is silent" in t.reason]
-    assert silent.name == "winch_hold"
+    (timed_out,) = [t for _, t in world.winch.transitions if "was not renewed" in t.reason]
+    assert timed_out.name == "winch_hold"
 
 
-def test_halted_it_stops_the_winch_and_turns_the_motors_off(world: World):
+def test_a_halt_stops_the_winch_and_switches_the_motors_off(world: World):
     world.travel()
     last = world.descent.halt()
     assert (last.wheel_rate, last.flywheel_torque) == (0.0, 0.0)
@@ -504,10 +502,10 @@ def test_halted_it_stops_the_winch_and_turns_the_motors_off(world: World):
     assert world.descent.halt() == NOTHING
 
 
-# ------------------------------------------------------------------------------------ what it tells
+# ------------------------------------------------------------------------------------------ output
 
 
-def test_what_it_tells_is_by_the_contract(world: World):
+def test_its_samples_follow_the_contract(world: World):
     words = {RELEASED, *(phase.value for phase in DescentPhase)}
     assert set(TOPICS[topics.DESCENT_PHASE].words) == words
     assert state_sample(world.descent, 0) is None
@@ -517,20 +515,20 @@ def test_what_it_tells_is_by_the_contract(world: World):
     assert sample is not None
     assert set(sample.joints) == set(TOPICS[topics.DESCENT_STATE].joints)
     assert sample.joints[DEPTH].position == pytest.approx(5.0, abs=0.01)
-    world.ask(5.5)
+    world.request(5.5)
     world.run_until(lambda: world.done)
     world.run(0.5)
-    told = observation_sample(world.observations[0])
-    assert told.joints[PICTURE].position == 1.0
-    assert told.stamp_ns == round(world.observations[0].exposure.time * 1e9)
+    sample = observation_sample(world.observations[0])
+    assert sample.joints[PICTURE].position == 1.0
+    assert sample.stamp_ns == round(world.observations[0].exposure.time * 1e9)
     without = observation_sample(world.observations[0]._replace(smear=math.nan))
     assert SMEAR not in without.joints
     assert WALL_DISTANCE in without.joints
 
 
-def test_without_a_camera_pictures_are_told_without_their_smear(world: World):
+def test_without_a_camera_pictures_have_no_smear(world: World):
     world.silent.add(topics.CAMERA)
     world.arm()
-    world.ask(5.5)
+    world.request(5.5)
     world.run_until(lambda: len(world.observations) == 2)
     assert all(math.isnan(o.smear) for o in world.observations)
