@@ -322,7 +322,7 @@ _TABLE = (
         ),
     ),
     Command(
-        "abort", "release the jump spring, cancel all stops and stop all motion",
+        "abort", "unload the jump spring, cancel all stops and stop all motion",
         "everything", completes_at_rest=True,
         calls=(
             *_calls(

@@ -109,7 +109,7 @@ def test_a_winch_that_holds_at_another_length_is_not_done(values: Mapping[str, A
     assert ended(exchange) == (done, "holds")
 
 
-def test_a_jump_is_done_at_rest_on_the_ground_and_fails_when_the_spring_is_released():
+def test_a_jump_is_done_at_rest_on_the_ground_and_fails_when_the_spring_is_unloaded():
     good, bad = exchange_of("jump", stroke=0.2), exchange_of("jump", stroke=0.2)
     for exchange in (good, bad):
         event(exchange, "jump_compressing")
