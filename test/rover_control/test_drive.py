@@ -64,7 +64,7 @@ def refused(code: RefusalCode, text: str, ask: Any, *arguments: Any) -> None:
 
 
 @pytest.mark.parametrize("slip", [(0.25, 0.26), (0.27, 0.25)])
-def test_a_pose_is_reached_with_its_heading_whatever_the_sides_slip(slip: tuple[float, float]):
+def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float, float]):
     rover = RollingRover(slip=slip, x=1.0, y=1.0, seed=3)
     drive = ready(rover)
     drive.request(pose(3.0, 0.5, 1.2), rover.now_ns)
@@ -77,7 +77,7 @@ def test_a_pose_is_reached_with_its_heading_whatever_the_sides_slip(slip: tuple[
     assert math.hypot(seen.x - rover.x, seen.y - rover.y) < 0.1
 
 
-def test_of_a_path_the_places_are_gone_through_in_their_order():
+def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
     rover = RollingRover(seed=1)
     drive = ready(rover)
     way: Sequence[PoseSample] = (pose(1.5, 0.0, -3.0), pose(1.5, 1.5), pose(0.0, 1.0))
@@ -105,7 +105,7 @@ def test_the_wheels_never_turn_the_rover_right():
     assert names(drive)[-1] == "drive_done"
 
 
-def test_a_goal_under_the_right_wheel_is_come_back_to():
+def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
     rover = RollingRover(seed=3)
     drive = ready(rover)
     drive.request(pose(0.08, -0.3), rover.now_ns)
@@ -117,7 +117,7 @@ def test_a_goal_under_the_right_wheel_is_come_back_to():
 # --- the tether -------------------------------------------------------------------------------
 
 
-def test_the_winch_holds_a_little_more_than_the_tether_weighs_and_the_length_in_the_end():
+def test_the_winch_holds_tension_during_the_drive_and_a_length_afterwards():
     rover = RollingRover(drop=45.0)
     drive = ready(rover)
     assert rover.requests == []
@@ -134,7 +134,7 @@ def test_the_winch_holds_a_little_more_than_the_tether_weighs_and_the_length_in_
     assert len(asked) > 2.0 * 8.0
 
 
-def test_the_rover_stands_until_the_winch_holds_the_tension_and_gives_up_when_it_does_not():
+def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
     rover = RollingRover(obeys=False)
     drive = ready(rover)
     drive.request(pose(2.0, 0.0), rover.now_ns)
@@ -145,7 +145,7 @@ def test_the_rover_stands_until_the_winch_holds_the_tension_and_gives_up_when_it
     assert rover.way == 0.0
 
 
-def test_a_winch_that_is_taken_away_stops_the_rover():
+def test_the_rover_stops_when_the_winch_leaves_mode_tension():
     rover = RollingRover()
     drive = ready(rover)
     drive.request(pose(5.0, 0.0), rover.now_ns)
@@ -158,7 +158,7 @@ def test_a_winch_that_is_taken_away_stops_the_rover():
     assert "left mode tension for fault" in drive.take_changes()[-1].reason
 
 
-def test_a_machine_without_the_winch_s_help_drives_as_well():
+def test_the_rover_drives_without_winch_requests_if_configured():
     rover = RollingRover()
     settings = replace(QUICK, tether=replace(TetherParameters(), uses_winch=False))
     drive = ready(rover, settings)
@@ -181,7 +181,7 @@ def stuck_after(rover: RollingRover, drive: Drive, limit: float) -> tuple[str, f
     return change.reason, abs(rover.angles[0] - turned) * 0.15
 
 
-def test_a_rover_that_is_stuck_from_the_start_is_noticed_by_the_accelerometer():
+def test_the_accelerometer_detects_a_rover_stuck_at_the_start():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
     drive.request(pose(5.0, 0.0), rover.now_ns)
@@ -190,7 +190,7 @@ def test_a_rover_that_is_stuck_from_the_start_is_noticed_by_the_accelerometer():
     assert rolled < 0.6
 
 
-def test_a_rover_that_gets_stuck_on_its_way_is_noticed_by_the_tether():
+def test_the_tether_detects_a_rover_that_gets_stuck_later():
     rover = RollingRover(x=6.0, drop=5.0)
     drive = ready(rover)
     drive.request(pose(12.0, 0.0), rover.now_ns)
@@ -206,7 +206,7 @@ def test_a_rover_that_gets_stuck_on_its_way_is_noticed_by_the_tether():
     assert rolled < 1.6
 
 
-def test_a_distance_that_the_tether_tells_wrongly_once_stops_nobody():
+def test_one_failed_tether_check_does_not_stop_the_rover():
     watch = DriveWatch(WatchParameters())
     told, distance = [], 8.0
     for step in range(400):
@@ -219,7 +219,7 @@ def test_a_distance_that_the_tether_tells_wrongly_once_stops_nobody():
     assert any("the tether does not follow" in reason for reason in told)
 
 
-def test_a_turn_that_does_not_turn_is_noticed_by_the_gyro():
+def test_the_gyro_detects_a_turn_without_rotation():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
     drive.request(pose(-3.0, 0.0), rover.now_ns)
@@ -228,7 +228,7 @@ def test_a_turn_that_does_not_turn_is_noticed_by_the_gyro():
     assert rolled < 0.5
 
 
-def test_a_blocked_motor_is_noticed():
+def test_a_blocked_motor_is_detected():
     rover = RollingRover(blocked=True)
     drive = ready(rover)
     drive.request(pose(3.0, 0.0), rover.now_ns)
@@ -252,7 +252,7 @@ def test_wheels_that_dig_in_slow_down_and_then_stop():
     assert "dig in" in reason
 
 
-def test_after_being_stuck_the_next_goal_is_driven_to():
+def test_a_new_goal_is_accepted_after_being_stuck():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
     drive.request(pose(1.5, 0.0), rover.now_ns)
@@ -267,7 +267,7 @@ def test_after_being_stuck_the_next_goal_is_driven_to():
 # --- steering ---------------------------------------------------------------------------------
 
 
-def test_the_rover_goes_as_it_is_steered_and_stops_when_that_ceases():
+def test_the_rover_follows_twists_and_stops_when_they_time_out():
     rover = RollingRover()
     drive = ready(rover)
     for _ in range(300):
@@ -285,7 +285,7 @@ def test_the_rover_goes_as_it_is_steered_and_stops_when_that_ceases():
     assert any("0.5 s" in change.reason for change in drive.take_changes())
 
 
-def test_a_twist_that_is_too_fast_or_impossible_is_refused_and_changes_nothing():
+def test_a_twist_that_is_too_fast_or_impossible_is_refused():
     rover = RollingRover()
     drive = ready(rover)
     for forward, turn, code, text in (
@@ -301,7 +301,7 @@ def test_a_twist_that_is_too_fast_or_impossible_is_refused_and_changes_nothing()
 # --- at the boundary --------------------------------------------------------------------------
 
 
-def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
+def test_unreachable_goals_are_refused_with_the_reason():
     rover = RollingRover()
     drive = ready(rover)
     far = pose(100.0, 0.0)
@@ -324,7 +324,9 @@ def test_goals_that_cannot_be_driven_to_are_refused_with_the_reason():
         (lambda rover, drive: setattr(rover, "mode", "disarmed"), RefusalCode.NOT_ARMED, "armed"),
     ],
 )
-def test_a_rover_that_is_not_free_does_not_drive(change: Any, code: RefusalCode, text: str):
+def test_requests_are_refused_while_the_rover_is_not_ready(
+    change: Any, code: RefusalCode, text: str
+):
     rover = RollingRover()
     drive = ready(rover)
     change(rover, drive)
@@ -333,7 +335,7 @@ def test_a_rover_that_is_not_free_does_not_drive(change: Any, code: RefusalCode,
     refused(code, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
 
 
-def test_a_rover_on_its_side_does_not_drive():
+def test_a_rover_that_has_rolled_over_does_not_drive():
     rover = RollingRover(roll=1.7)
     drive = ready(rover)
     for _ in range(300):
@@ -344,7 +346,7 @@ def test_a_rover_on_its_side_does_not_drive():
     assert not drive.is_busy
 
 
-def test_silent_sensors_are_named_and_stop_the_rover():
+def test_stale_sensors_are_named_and_stop_the_rover():
     drive = Drive(QUICK)
     refused(RefusalCode.STALE, topics.IMU, drive.request, pose(2.0, 0.0), 0)
     rover = RollingRover()
@@ -359,7 +361,7 @@ def test_silent_sensors_are_named_and_stop_the_rover():
     assert topics.WHEEL_STATE in drive.take_changes()[-1].reason
 
 
-def test_a_rover_that_leaves_the_floor_stops_and_its_turning_wheels_move_it_no_further():
+def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
     rover = RollingRover()
     drive = ready(rover)
     drive.request(pose(5.0, 0.0), rover.now_ns)
@@ -374,7 +376,7 @@ def test_a_rover_that_leaves_the_floor_stops_and_its_turning_wheels_move_it_no_f
     assert (drive.odometry.pose.x, drive.odometry.pose.y) == pytest.approx(lifted[:2], abs=1e-3)
 
 
-def test_where_the_rover_stands_is_taken_while_it_stands_alone():
+def test_a_pose_is_accepted_only_at_rest():
     rover = RollingRover()
     drive = ready(rover)
     drive.set_pose(pose(4.0, 3.0))
@@ -385,7 +387,7 @@ def test_where_the_rover_stands_is_taken_while_it_stands_alone():
     refused(RefusalCode.WRONG_PHASE, "driving", drive.set_pose, pose(0.0, 0.0))
 
 
-def test_asked_to_stop_it_comes_to_rest_and_the_winch_holds():
+def test_a_stop_brings_the_rover_to_rest_and_the_winch_holds():
     rover = RollingRover()
     drive = ready(rover)
     drive.request(pose(5.0, 0.0), rover.now_ns)

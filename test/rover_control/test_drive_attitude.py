@@ -45,7 +45,7 @@ class Tumble:
         return abs(math.remainder(self.turned - self.true_heading, math.tau))
 
 
-def test_a_whole_turn_on_a_slope_is_a_whole_turn_of_the_heading():
+def test_a_full_turn_on_a_slope_is_a_full_turn_of_the_heading():
     body = Tumble()
     body.turn((1.0, 0.0, 0.0), 0.3)
     body.turn((0.0, 0.0, 1.0), math.tau, 20.0)
@@ -55,7 +55,7 @@ def test_a_whole_turn_on_a_slope_is_a_whole_turn_of_the_heading():
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.02, 0.4])
-def test_who_falls_over_the_nose_and_rolls_back_onto_the_wheels_looks_back(aside: float):
+def test_the_heading_is_correct_after_a_pitch_over_and_a_roll(aside: float):
     body = Tumble()
     body.turn((0.0, 0.0, 1.0), 0.7)
     body.turn((math.sin(aside), math.cos(aside), 0.0), 3.0)
@@ -67,7 +67,7 @@ def test_who_falls_over_the_nose_and_rolls_back_onto_the_wheels_looks_back(aside
         assert abs(math.remainder(body.true_heading - 0.7, math.tau)) > 2.8
 
 
-def test_the_accelerometer_corrects_where_up_is_and_leaves_the_heading():
+def test_the_accelerometer_corrects_the_tilt_but_not_the_heading():
     attitude = DriveAttitude()
     force = (-G * math.sin(0.1), 0.0, G * math.cos(0.1))
     turned = sum(attitude.turn((0.0, 0.0, 0.0), force, H, 0.04) for _ in range(300))
@@ -75,7 +75,7 @@ def test_the_accelerometer_corrects_where_up_is_and_leaves_the_heading():
     assert turned == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_gyro_that_drifts_is_held_by_gravity():
+def test_gravity_bounds_the_error_of_a_drifting_gyro():
     body = Tumble(share=0.04)
     body.turn((0.0, 1.0, 0.0), 0.2)
     for _ in range(2000):

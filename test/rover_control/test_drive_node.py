@@ -38,7 +38,7 @@ DRIVE = {
 }
 
 
-def test_a_goal_is_driven_to_and_what_cannot_be_is_refused(harness: NodeHarness):
+def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarness):
     observer = harness.observer()
     for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.ODOMETRY):
         observer.listen(name)

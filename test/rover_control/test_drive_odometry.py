@@ -40,7 +40,7 @@ class Ride:
             self.reckoning.on_wheels(left * H, right * H, H)
 
 
-def test_straight_ahead_covers_the_wheels_way_less_the_slip():
+def test_straight_travel_is_the_rolled_distance_less_the_slip():
     reckoning = odometry()
     reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
     Ride(reckoning).roll(1.0, 1.0, 0.0, 10.0)
@@ -50,7 +50,7 @@ def test_straight_ahead_covers_the_wheels_way_less_the_slip():
     assert reckoning.pose.y == pytest.approx(2.0 + way * math.sin(0.5))
 
 
-def test_the_slip_follows_the_torque_that_the_way_asks_for():
+def test_the_slip_follows_the_wheel_torque():
     reckoning = odometry()
     for _ in range(500):
         reckoning.on_wheels(H, H, H, CHASSIS.driving_torque + 0.1)
@@ -59,7 +59,7 @@ def test_the_slip_follows_the_torque_that_the_way_asks_for():
     )
 
 
-def test_a_turn_moves_the_rover_about_its_right_wheel_by_the_gyro_alone():
+def test_a_turn_rotates_the_pose_about_the_right_wheel_by_the_gyro():
     reckoning = odometry()
     reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
     pivot = reckoning.kinematics.pivot_of(reckoning.pose)
@@ -69,7 +69,7 @@ def test_a_turn_moves_the_rover_about_its_right_wheel_by_the_gyro_alone():
     assert reckoning.travelled == 0.0
 
 
-def test_a_difference_between_the_sides_bends_the_way_as_both_wheels_make_it():
+def test_unequal_slip_of_the_sides_gives_an_arc():
     # Left slips 0.276, right 0.236: the middle of the axle covers what the mean slip leaves.
     reckoning = odometry()
     left, right = 0.15 * (1.0 - 0.276), 0.15 * (1.0 - 0.236)
@@ -90,7 +90,7 @@ def test_a_wheel_that_overruns_its_axle_rolls_without_slip():
     assert reckoning.pose.x == pytest.approx(0.15)
 
 
-def test_the_gyro_s_bias_is_learnt_at_rest_and_taken_off():
+def test_the_gyro_bias_is_estimated_at_rest_and_removed():
     reckoning = odometry()
     ride = Ride(reckoning, bias=3e-3)
     before = reckoning.bias_error
@@ -102,7 +102,7 @@ def test_the_gyro_s_bias_is_learnt_at_rest_and_taken_off():
     assert reckoning.pose.heading == pytest.approx(0.0, abs=5e-4)
 
 
-def test_a_bias_that_was_never_learnt_shows_in_the_heading_s_error():
+def test_an_unestimated_bias_increases_the_heading_covariance():
     reckoning = odometry(initial_heading_std=0.0)
     Ride(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
     error = math.sqrt(reckoning.covariance()[2, 2])
@@ -110,7 +110,7 @@ def test_a_bias_that_was_never_learnt_shows_in_the_heading_s_error():
     assert reckoning.pose.heading == pytest.approx(0.06, rel=0.01)
 
 
-def test_gravity_shows_the_pitch_and_the_gyro_carries_it_on():
+def test_gravity_gives_the_pitch_at_rest_and_the_gyro_integrates_it():
     reckoning = odometry()
     force = (-1.62 * math.sin(0.1), 0.0, 1.62 * math.cos(0.1))
     for k in range(200):
@@ -122,7 +122,7 @@ def test_gravity_shows_the_pitch_and_the_gyro_carries_it_on():
     assert reckoning.attitude.pitch > 0.18
 
 
-def test_a_touchdown_that_still_turns_the_rover_is_not_taken_for_the_gyro_s_bias():
+def test_rotation_at_a_touchdown_does_not_enter_the_gyro_bias():
     reckoning = odometry()
     ride = Ride(reckoning, bias=1e-3)
     ride.roll(0.0, 0.0, -0.004, 0.1, rests=True)
@@ -132,7 +132,7 @@ def test_a_touchdown_that_still_turns_the_rover_is_not_taken_for_the_gyro_s_bias
     assert reckoning.bias == pytest.approx(1e-3, abs=2e-5)
 
 
-def test_what_turns_a_rover_that_should_rest_turns_its_heading():
+def test_a_rover_hauled_with_still_wheels_changes_its_heading():
     # The winch hauls it over the floor; its wheels are still.
     reckoning = odometry()
     ride = Ride(reckoning, bias=1e-3)
@@ -143,7 +143,7 @@ def test_what_turns_a_rover_that_should_rest_turns_its_heading():
     assert reckoning.bias == pytest.approx(bias, abs=1e-6)
 
 
-def test_the_gyro_s_bias_is_the_same_on_the_back():
+def test_the_gyro_bias_is_estimated_on_the_back():
     reckoning = odometry()
     for k in range(500):
         reckoning.on_gyro((0.0, 0.0, 1e-3), (0.0, 0.05, -1.62), H * k, at_rest=True)
@@ -155,7 +155,7 @@ def taut(x: float, y: float, drop: float = 10.0) -> TetherMeasurement:
     return TetherMeasurement(math.hypot(x, y, drop), 1.0, 0.0)
 
 
-def test_a_taut_tether_tells_a_slip_that_is_not_the_usual_one():
+def test_a_taut_tether_corrects_the_slip():
     values = {"slip_std": 0.05, "slip_correlation_distance": 100.0, "tether_range_std": 0.02}
     reckoning = odometry(initial_position_std=0.01, **values)
     reckoning.set_pose(GroundPose(0.0, 5.0, math.pi / 2.0))
@@ -194,7 +194,7 @@ def test_the_sag_is_that_of_a_shallow_catenary():
     assert length - found == pytest.approx(length - chord, rel=0.02)
 
 
-def test_the_covariance_is_that_of_many_rides():
+def test_the_covariance_matches_a_monte_carlo_simulation():
     scatter, ends = 0.03, []
     generator = np.random.default_rng(4)
     for _ in range(60):

@@ -36,7 +36,7 @@ def carried_out(start: GroundPose, goal: Goal) -> GroundPose:
 
 @settings(deadline=None)
 @given(poses, poses)
-def test_two_turns_and_a_straight_way_reach_every_pose(start: GroundPose, end: GroundPose):
+def test_two_turns_and_a_straight_segment_reach_every_pose(start: GroundPose, end: GroundPose):
     pose = carried_out(start, Goal(*end))
     assert (pose.x, pose.y) == pytest.approx((end.x, end.y), abs=1e-9)
     assert wrapped(pose.heading - end.heading) == pytest.approx(0.0, abs=1e-9)
@@ -44,7 +44,7 @@ def test_two_turns_and_a_straight_way_reach_every_pose(start: GroundPose, end: G
 
 @settings(deadline=None)
 @given(poses, places, places)
-def test_a_turn_and_a_straight_way_reach_every_place_that_is_not_under_the_wheel(
+def test_a_turn_and_a_straight_segment_reach_every_position_not_under_the_wheel(
     start: GroundPose, x: float, y: float
 ):
     pivot = RATCHETS.pivot_of(start)
@@ -55,7 +55,7 @@ def test_a_turn_and_a_straight_way_reach_every_place_that_is_not_under_the_wheel
 
 @settings(deadline=None)
 @given(poses, angles, st.floats(0.0, 0.2199))
-def test_a_place_under_the_wheel_is_reached_from_farther_away(
+def test_a_position_under_the_wheel_is_reached_from_farther_away(
     start: GroundPose, towards: float, distance: float
 ):
     px, py = RATCHETS.pivot_of(start)
@@ -77,7 +77,7 @@ def planner(**values: float) -> DrivePlanner:
     return DrivePlanner(RATCHETS, PlannerParameters(**values))
 
 
-def test_a_long_way_is_made_in_pieces_aimed_right_and_the_last_one_straight():
+def test_a_long_path_has_segments_aimed_right_and_a_straight_last_one():
     made = planner(aim_offset=0.03, first_segment=1.0, segment_fraction=0.5, last_segment=1.5)
     goal = Goal(10.0, 0.0, 0.0)
     first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal)
@@ -92,14 +92,14 @@ def test_a_long_way_is_made_in_pieces_aimed_right_and_the_last_one_straight():
     assert last.turn == 0.0
 
 
-def test_a_heading_little_left_of_the_course_is_kept_and_one_far_left_costs_a_full_turn():
+def test_a_heading_slightly_left_of_the_course_is_accepted():
     made = planner()
     assert made.next_segment(GroundPose(0.0, 0.0, 0.02), Goal(1.0, 0.0, 0.0)).turn == 0.0
     away = made.next_segment(GroundPose(0.0, 0.0, 0.5), Goal(1.0, 0.0, 0.0))
     assert away.turn > math.pi
 
 
-def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
+def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
     made = planner(curvature_memory=0.1)
     for _ in range(5):
         made.update_curvature(0.04, 2.0)
@@ -112,7 +112,7 @@ def test_what_the_rover_bends_by_itself_is_learnt_and_allowed_for():
     )
 
 
-def test_a_goal_is_reached_where_its_last_turn_would_put_the_rover():
+def test_a_goal_is_reached_if_the_last_turn_leads_there():
     made = planner(xy_goal_tolerance=0.05)
     goal = Goal(3.0, 1.0, 2.0)
     before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)

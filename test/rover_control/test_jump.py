@@ -25,7 +25,7 @@ def jumped() -> JumpingRover:
     return rover
 
 
-def test_every_jump_goes_from_standby_back_to_standby(jumped: JumpingRover):
+def test_every_jump_begins_and_ends_in_standby(jumped: JumpingRover):
     phases = [change.phase.value for _, change in jumped.changes]
     assert phases == 3 * [
         "compressing", "settling", "releasing", "flight", "landed", "hooking", "standby",
@@ -33,12 +33,12 @@ def test_every_jump_goes_from_standby_back_to_standby(jumped: JumpingRover):
     assert not jumped.refusals
 
 
-def test_what_was_flown_is_measured_to_millimetres(jumped: JumpingRover):
+def test_heights_are_measured_to_millimetres(jumped: JumpingRover):
     told = [record.flown.height for record in jumped.records]
     assert told == pytest.approx(jumped.heights, abs=4e-3)
 
 
-def test_a_spring_too_stiff_is_learnt(jumped: JumpingRover):
+def test_the_estimate_adapts_to_a_stiff_spring(jumped: JumpingRover):
     errors = [abs(height / 0.2 - 1.0) for height in jumped.heights]
     assert errors[0] > 0.04
     assert errors[2] < 0.5 * errors[0]
@@ -60,7 +60,7 @@ def test_a_record_is_a_sample_of_the_contract(jumped: JumpingRover):
     assert sample.joints[SPRING_GAIN].position == record.gain
 
 
-def test_a_height_beyond_the_longest_stroke_is_refused_with_what_is_possible(
+def test_a_height_beyond_the_stroke_limit_is_refused_with_the_limit(
     jumped: JumpingRover,
 ):
     now = jumped.now_ns
@@ -70,14 +70,14 @@ def test_a_height_beyond_the_longest_stroke_is_refused_with_what_is_possible(
     assert jumped.control.phase.value == "standby"
 
 
-def test_what_was_learnt_is_forgotten_on_request(jumped: JumpingRover):
+def test_the_spring_estimate_can_be_reset(jumped: JumpingRover):
     kept = jumped.control.spring
     jumped.control.reset_spring()
     assert jumped.control.spring.gain == 1.0
     jumped.control.spring = kept
 
 
-def test_a_request_is_refused_before_anything_was_heard():
+def test_a_request_is_refused_before_any_sample():
     for joint in (JUMP_STROKE, JUMP_HEIGHT):
         with pytest.raises(Refusal, match="never received") as caught:
             Jump(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)

@@ -92,7 +92,7 @@ def rover() -> Standing:
     return Standing()
 
 
-def test_the_question_says_how_the_rover_stands(rover: Standing):
+def test_a_prediction_request_contains_the_stance(rover: Standing):
     rover.jump.on_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
     rover.request(0.12)
     prediction_request = rover.prediction_request()
@@ -105,7 +105,7 @@ def test_the_question_says_how_the_rover_stands(rover: Standing):
     assert rover.jump.phase.value == "predicting"
 
 
-def test_a_good_answer_begins_the_jump_with_its_stroke(rover: Standing):
+def test_an_accepted_prediction_begins_the_jump_with_its_stroke(rover: Standing):
     rover.request()
     rover.answer(GOOD)
     assert rover.phases == ["predicting", "compressing"]
@@ -113,14 +113,14 @@ def test_a_good_answer_begins_the_jump_with_its_stroke(rover: Standing):
     assert rover.jump.take_slack_request() is None
 
 
-def test_a_bad_answer_leads_back_with_its_reason(rover: Standing):
+def test_a_rejected_prediction_returns_to_standby_with_its_reason(rover: Standing):
     rover.request()
     rover.answer(rejected_prediction("it would topple"))
     assert rover.changes[-1] == ("standby", "jump rejected: it would topple", Level.WARN)
     rover.request()
 
 
-def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
+def test_slack_is_requested_once_and_awaited(rover: Standing):
     rover.jump.on_winch_mode("hold")
     rover.request()
     rover.answer(GOOD._replace(extra_slack=0.5))
@@ -135,7 +135,7 @@ def test_slack_is_asked_for_once_and_waited_for(rover: Standing):
     assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
 
-def test_a_winch_that_gives_no_slack_ends_it(rover: Standing):
+def test_a_winch_without_slack_in_time_cancels_the_jump(rover: Standing):
     rover.jump.on_winch_mode("fault")
     rover.request()
     rover.answer(GOOD._replace(extra_slack=0.5))
@@ -144,7 +144,7 @@ def test_a_winch_that_gives_no_slack_ends_it(rover: Standing):
     assert "its mode is 'fault'" in rover.changes[-1][1]
 
 
-def test_an_answer_that_does_not_come_ends_it_and_is_not_heard_later(rover: Standing):
+def test_a_late_prediction_cancels_the_jump_and_is_ignored(rover: Standing):
     rover.request()
     prediction_request = rover.prediction_request()
     rover.run(61.0)
@@ -155,7 +155,7 @@ def test_an_answer_that_does_not_come_ends_it_and_is_not_heard_later(rover: Stan
     assert rover.jump.phase.value == "predicting"
 
 
-def test_an_abort_ends_it_before_anything_is_compressed(rover: Standing):
+def test_an_abort_during_the_prediction_cancels_the_jump(rover: Standing):
     rover.request()
     assert rover.jump.abort(rover.now_ns) == "aborted before the spring was compressed"
     rover.run(0.02)
@@ -163,21 +163,21 @@ def test_an_abort_ends_it_before_anything_is_compressed(rover: Standing):
 
 
 @pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
-def test_another_request_meanwhile_is_refused(rover: Standing, joint: str):
+def test_another_request_during_the_prediction_is_refused(rover: Standing, joint: str):
     rover.request()
     with pytest.raises(Refusal, match="in phase predicting") as caught:
         rover.request(0.1, joint)
     assert caught.value.code is RefusalCode.WRONG_PHASE
 
 
-def test_a_rover_that_does_not_know_where_it_is_is_not_predicted():
+def test_a_prediction_is_refused_without_a_pose():
     rover = Standing(knows_place=False)
     with pytest.raises(Refusal, match=topics.ODOMETRY) as caught:
         rover.request()
     assert caught.value.code is RefusalCode.STALE
 
 
-def test_a_clock_that_jumps_ends_it(rover: Standing):
+def test_a_clock_jump_cancels_the_jump(rover: Standing):
     rover.request()
     rover.jump.start_over(0)
     changes = rover.jump.take_transitions()
@@ -185,14 +185,14 @@ def test_a_clock_that_jumps_ends_it(rover: Standing):
     assert rover.jump.phase.value == "standby"
 
 
-def test_a_jump_that_cannot_begin_after_all_is_told(rover: Standing):
+def test_a_predicted_jump_that_is_then_refused_is_reported(rover: Standing):
     rover.request()
     rover.answer(GOOD._replace(stroke=0.25))
     assert rover.phases[-1] == "standby"
     assert "jump not started: stroke is 0.25 m" in rover.changes[-1][1]
 
 
-def test_an_outlook_is_predicted_and_nothing_moves(rover: Standing):
+def test_a_prediction_only_request_moves_nothing(rover: Standing):
     rover.request(0.12, JUMP_PREDICTION)
     rover.answer(GOOD)
     rover.run(1.0)
@@ -201,13 +201,13 @@ def test_an_outlook_is_predicted_and_nothing_moves(rover: Standing):
     assert rover.jump.take_slack_request() is None
 
 
-def test_an_outlook_that_advises_against_the_jump_says_why(rover: Standing):
+def test_a_rejected_prediction_only_request_gives_the_reason(rover: Standing):
     rover.request(0.12, JUMP_PREDICTION)
     rover.answer(rejected_prediction("it would topple"))
     assert rover.changes[-1][1:] == ("jump rejected: it would topple", Level.WARN)
 
 
-def test_how_deep_the_rover_stands_is_taken_from_the_odometry(rover: Standing):
+def test_the_depth_is_taken_from_the_odometry(rover: Standing):
     still = (0.0, 0.0, 0.0)
     place = OdometrySample(1, (2.0, 1.0, -49.5), (0.0, 0.0, 0.0, 1.0), still, still)
     rover.jump.on_odometry(place)

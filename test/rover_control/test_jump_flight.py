@@ -79,7 +79,7 @@ def rise(speed: float, push: float = UP) -> float:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1, -0.3])
 @pytest.mark.parametrize("speed", [0.3, 0.6, 1.1])
-def test_height_and_range_are_found_whatever_the_bias_and_the_tilt(speed: float, tilt: float):
+def test_height_and_range_are_measured_with_any_bias_and_tilt(speed: float, tilt: float):
     flown = fly(speed, 0.2, tilt=tilt, bias=(0.02, -0.01, 0.015))
     assert flown is not None
     assert flown.height == pytest.approx(rise(speed), abs=3e-3)
@@ -88,14 +88,14 @@ def test_height_and_range_are_found_whatever_the_bias_and_the_tilt(speed: float,
     assert flown.tilt < 0.01
 
 
-def test_a_turn_is_found():
+def test_a_rotation_about_the_vertical_is_measured():
     flown = fly(1.0, spin=0.4)
     assert flown is not None
     assert flown.turn == pytest.approx(0.4 * 2.0 / G, abs=0.01)
     assert flown.height == pytest.approx(rise(1.0), abs=3e-3)
 
 
-def test_a_push_beyond_the_accelerometer_s_range_is_made_up_for():
+def test_accelerometer_saturation_is_corrected():
     short = 0.01  # 110 m/s^2
     flown = fly(1.1, push=short, clip=80.0)
     assert flown is not None
@@ -107,7 +107,7 @@ def test_a_flight_with_samples_missing_is_not_measured():
     assert fly(gap=80) is None
 
 
-def test_what_was_not_released_or_hardly_heard_is_not_measured():
+def test_a_jump_without_release_or_with_few_samples_is_not_measured():
     assert FlightRecorder().finish(0, 0.0, NANO) is None
     recorder = FlightRecorder()
     recorder.release(NANO)

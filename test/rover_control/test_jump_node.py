@@ -70,7 +70,7 @@ def wait_for_compression(observer: Observer, low: float, high: float = math.inf)
     feed.wait(lambda s: low < s.joints[JUMP_SCREW].position < high, max(0, len(feed) - 1))
 
 
-def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(harness: NodeHarness):
+def test_a_requested_jump_matches_the_plant_and_passes_its_phases(harness: NodeHarness):
     _, observer = start_both(harness)
     since = len(observer.listen(topics.JUMP_PHASE))
     request(observer, 0.2, 0.4)
@@ -85,7 +85,7 @@ def test_a_requested_jump_is_that_of_the_plant_and_goes_through_its_phases(harne
     assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.03)
 
 
-def test_commands_are_streamed_while_compressing_and_only_then(harness: NodeHarness):
+def test_commands_are_sent_only_while_compressing(harness: NodeHarness):
     _, observer = start_both(harness)
     commands = observer.listen(topics.JUMP_MOTOR_COMMAND)
     assert not commands.samples
@@ -147,7 +147,7 @@ def shared_sim(shared_harness: NodeHarness) -> Observer:
     return start_both(shared_harness)[1]
 
 
-def test_a_request_by_a_wrong_name_is_refused(shared_sim: Observer):
+def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
     observer = shared_sim
     message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
     message.name[0] = "stroke"
@@ -156,7 +156,7 @@ def test_a_request_by_a_wrong_name_is_refused(shared_sim: Observer):
     assert JUMP_STROKE in refusal.message
 
 
-def test_it_hears_no_truth_of_the_simulator(shared_sim: Observer):
+def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
     heard = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
     assert topics.CONTACT in heard
     assert not heard & forbidden_to_controllers()
@@ -171,7 +171,7 @@ def test_without_sensors_a_request_is_refused(harness: NodeHarness):
     assert "never received" in refusal.message
 
 
-def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(harness: NodeHarness):
+def test_a_request_during_a_jump_is_refused_and_the_jump_continues(harness: NodeHarness):
     _, observer = start_both(harness)
     request(observer, 0.1, 0.05)
     wait_for_compression(observer, 0.01)
@@ -181,7 +181,7 @@ def test_a_request_during_a_jump_is_refused_and_the_jump_goes_on(harness: NodeHa
     observer.wait_for_event("touchdown")
 
 
-def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(
+def test_after_a_kill_the_nut_stops_and_the_next_node_lets_the_spring_down(
     harness: NodeHarness,
 ):
     process, observer = start_both(harness)
@@ -206,7 +206,7 @@ def test_killed_while_compressing_the_nut_stops_and_its_successor_lets_it_down(
     observer.wait_for_event("touchdown", events)
 
 
-def test_a_reset_of_the_simulator_leads_back_to_standby(harness: NodeHarness):
+def test_a_simulator_reset_returns_to_standby(harness: NodeHarness):
     _, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
@@ -218,7 +218,7 @@ def test_a_reset_of_the_simulator_leads_back_to_standby(harness: NodeHarness):
     observer.wait_for_event("touchdown")
 
 
-def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(harness: NodeHarness):
+def test_a_deactivated_node_sends_nothing_and_the_nut_stops(harness: NodeHarness):
     _, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
@@ -231,7 +231,7 @@ def test_deactivated_while_compressing_it_falls_silent_and_the_nut_stops(harness
     wait_for_compression(observer, -1.0, 1e-9)
 
 
-def test_parameters_are_limits_with_ranges_and_take_effect(harness: NodeHarness):
+def test_parameters_have_ranges_and_take_effect(harness: NodeHarness):
     _, observer = start_both(harness)
     assert not observer.set_parameter(NODE, "max_stroke", 0.5).successful
     assert observer.set_parameter(NODE, "max_stroke", 0.05).successful
@@ -240,7 +240,7 @@ def test_parameters_are_limits_with_ranges_and_take_effect(harness: NodeHarness)
     assert "at most 0.05 m" in refusal.message
 
 
-def test_health_says_what_it_waits_for_until_its_sensors_are_heard(harness: NodeHarness):
+def test_health_names_missing_sensors(harness: NodeHarness):
     harness.processes.start(MODULE, {"use_sim_time": True})
     observer = harness.observer()
     observer.wait_for_status(topics.DIAGNOSTICS, partial(says, f"waiting for {topics.CLOCK}"))
@@ -280,9 +280,7 @@ def test_health_names_the_phase(shared_sim: Observer):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(
-    harness: NodeHarness, number: signal.Signals
-):
+def test_a_signal_during_a_jump_ends_the_node_cleanly(harness: NodeHarness, number: signal.Signals):
     process, observer = start_both(harness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
@@ -291,7 +289,7 @@ def test_a_signal_ends_it_cleanly_in_the_middle_of_a_jump(
     assert "Traceback" not in process.output
 
 
-def test_a_bad_parameter_ends_it_with_code_2(processes: Processes):
+def test_an_invalid_parameter_ends_the_node_with_code_2(processes: Processes):
     process = processes.start(MODULE, {"nut_speed": 7.0})
     assert process.wait() == 2
     assert "nut_speed" in process.output

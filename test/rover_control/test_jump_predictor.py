@@ -39,7 +39,7 @@ def usual() -> Prediction:
     return predicted()
 
 
-def test_a_jump_is_predicted_and_its_stroke_picked(usual: Prediction):
+def test_a_prediction_selects_a_stroke(usual: Prediction):
     assert usual.rejection == ""
     assert usual.rollouts == 8
     assert usual.height.median == pytest.approx(0.15)
@@ -55,12 +55,12 @@ def test_a_jump_is_predicted_and_its_stroke_picked(usual: Prediction):
     assert usual.wall_time > 0.0
 
 
-def test_the_same_question_has_the_same_answer(usual: Prediction):
+def test_equal_requests_give_equal_predictions(usual: Prediction):
     assert predicted()._replace(wall_time=0.0) == usual._replace(wall_time=0.0)
 
 
 @pytest.mark.parametrize("ahead", [-0.16, 0.16])
-def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_predicted(ahead: float):
+def test_a_prediction_on_a_slope_with_rolling_wheels_succeeds(ahead: float):
     # One way its ratchets let it roll: it finds no rest.
     slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
     prediction_request = PredictionRequest(slope, 0.15, False, 1)
@@ -69,7 +69,7 @@ def test_a_rover_whose_wheels_would_roll_on_down_its_slope_can_be_predicted(ahea
     assert found.rollouts == 8
 
 
-def test_a_clearance_is_reached_with_more_than_the_median(usual: Prediction):
+def test_a_clearance_needs_a_median_above_it(usual: Prediction):
     safe = predicted(clearance=True)
     assert safe.stroke > usual.stroke
     deviation = math.log(safe.height.high / safe.height.median) / 1.645
@@ -77,7 +77,7 @@ def test_a_clearance_is_reached_with_more_than_the_median(usual: Prediction):
     assert safe.height.median == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
 
 
-def test_what_is_known_of_the_spring_makes_the_interval_narrower():
+def test_a_better_spring_estimate_narrows_the_interval():
     spring = SpringEstimate(SpringParameters())
     prediction_request = PredictionRequest(HERE, 0.15, False, 1)
     predictor = JumpPredictor(FEW)
@@ -105,14 +105,14 @@ def test_what_is_known_of_the_spring_makes_the_interval_narrower():
         ({"spring_travel": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
     ],
 )
-def test_a_jump_that_is_too_risky_is_refused(changes: dict[str, float], reason: str):
+def test_a_jump_that_is_too_risky_is_rejected(changes: dict[str, float], reason: str):
     prediction = predicted(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
     assert not np.isnan(prediction.stroke)
     with pytest.raises(AssertionError, match=reason):
         raise AssertionError(prediction.rejection)
 
 
-def test_too_little_slack_is_to_be_given_by_the_winch():
+def test_missing_slack_is_requested_from_the_winch():
     taut = HERE._replace(length=math.hypot(2.0, 0.3, 6.0 - 0.43) + 0.1)
     prediction = JumpPredictor(FEW).predict(
         PredictionRequest(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
@@ -128,7 +128,7 @@ def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
     assert sample.joints["prediction_time"].effort == 8.0
 
 
-def test_a_jump_by_clearance_flies_as_predicted():
+def test_a_jump_by_clearance_matches_its_prediction():
     settings = JumpSettings(prediction=replace(FEW, rollouts=16))
     rover = JumpingRover(Stand(slope=0.04, downhill=1.0, heading=0.7), settings, seed=2)
     assert rover.perform_jump(0.15, JUMP_CLEARANCE)

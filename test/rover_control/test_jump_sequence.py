@@ -149,7 +149,7 @@ def test_a_jump_goes_through_its_phases_and_back_to_standby(rover: Rover):
     assert landed.values["flight_time"] == pytest.approx(0.5, abs=0.015)
 
 
-def test_a_nut_below_the_latch_is_driven_up_past_it_after_the_landing(rover: Rover):
+def test_a_nut_below_the_latch_is_driven_past_it_after_landing(rover: Rover):
     rover.springs_back = False
     for jumps in (1, 2):
         rover.request()
@@ -159,7 +159,7 @@ def test_a_nut_below_the_latch_is_driven_up_past_it_after_the_landing(rover: Rov
         assert rover.compression == PARAMETERS.nut_park_position
 
 
-def test_a_nut_that_does_not_come_up_is_a_fault(rover: Rover):
+def test_a_nut_that_does_not_move_up_is_a_fault(rover: Rover):
     rover.springs_back = False
     rover.request()
     rover.run(3.5)
@@ -169,7 +169,7 @@ def test_a_nut_that_does_not_come_up_is_a_fault(rover: Rover):
     assert "latch not hooked" in rover.transitions[-1].reason
 
 
-def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(rover: Rover):
+def test_an_unhooked_latch_is_detected_early_and_hooked_by_letting_down(rover: Rover):
     rover.hooked = False
     rover.request()
     rover.run(4.0)
@@ -187,7 +187,7 @@ def test_a_latch_that_has_not_hooked_is_found_early_and_hooked_by_letting_down(r
         ("tension", 3.0, "tether tension is 3 N, limit 2 N; give slack"),
     ],
 )
-def test_a_rover_that_stands_badly_is_not_released(
+def test_tilt_or_tension_beyond_the_limit_prevents_the_release(
     rover: Rover, wrong: str, value: float, reason: str
 ):
     setattr(rover, wrong, value)
@@ -198,7 +198,7 @@ def test_a_rover_that_stands_badly_is_not_released(
     assert rover.compression == 0.0
 
 
-def test_a_rover_that_does_not_come_to_rest_is_not_released(rover: Rover):
+def test_a_restless_rover_is_not_released(rover: Rover):
     rover.rate = 0.2
     rover.request()
     rover.run(15.0)
@@ -206,7 +206,7 @@ def test_a_rover_that_does_not_come_to_rest_is_not_released(rover: Rover):
     assert "not quiet within 5 s" in rover.transitions[2].reason
 
 
-def test_it_waits_until_the_rover_is_quiet(rover: Rover):
+def test_the_release_waits_until_the_rover_is_quiet(rover: Rover):
     rover.rate = 0.2
     rover.request()
     rover.run(4.0)
@@ -226,7 +226,7 @@ def test_an_abort_while_the_spring_is_held_lets_it_down(rover: Rover):
     assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
 
 
-def test_a_release_that_does_not_lift_the_rover_is_told_and_hooked_again(rover: Rover):
+def test_a_release_without_take_off_is_reported_and_hooked_again(rover: Rover):
     rover.springs_back = rover.lifts = False
     rover.request(0.1, 0.1)
     rover.run(10.0)
@@ -251,7 +251,7 @@ def test_a_second_jump_follows_the_first(rover: Rover):
     assert rover.phases == [*JUMPS, LANDED, STANDBY] * 2
 
 
-def test_nothing_is_driven_in_standby_and_flight(rover: Rover):
+def test_no_command_is_sent_in_standby_and_flight(rover: Rover):
     assert rover.command is None
     rover.flight_time = 2.0
     rover.request()
@@ -266,7 +266,9 @@ def test_nothing_is_driven_in_standby_and_flight(rover: Rover):
     flight_time=st.floats(0.03, 3.0),
 )
 @settings(max_examples=60, deadline=None)
-def test_every_stroke_speed_and_flight_is_followed(stroke: float, speed: float, flight_time: float):
+def test_every_stroke_speed_and_flight_time_completes(
+    stroke: float, speed: float, flight_time: float
+):
     rover = Rover()
     rover.flight_time = flight_time
     rover.request(stroke, speed)
@@ -288,13 +290,13 @@ def test_a_request_during_a_jump_is_refused(rover: Rover):
     assert refusal(rover).code is RefusalCode.WRONG_PHASE
 
 
-def test_a_request_in_the_air_is_refused(rover: Rover):
+def test_a_request_without_ground_contact_is_refused(rover: Rover):
     rover.contact = 0.0
     rover.run(0.1)
     assert "contact switch is open" in refusal(rover).reason
 
 
-def test_a_request_with_a_loaded_spring_is_refused_and_abort_unloads_it(rover: Rover):
+def test_a_request_with_a_compressed_spring_is_refused_until_an_abort(rover: Rover):
     rover.compression = 0.05
     rover.run(0.1)
     assert "compressed by 0.05 m" in refusal(rover).reason
@@ -326,7 +328,7 @@ def _refused_without_sensors() -> str:
     return caught.value.reason
 
 
-def test_it_says_which_sensors_it_waits_for():
+def test_stale_sensors_are_named():
     everything = (topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU)
     assert JumpSequence(PARAMETERS).waiting_for(Sensors(), NANO) == everything
     rover = Rover()
@@ -336,7 +338,7 @@ def test_it_says_which_sensors_it_waits_for():
     assert rover.sequence.waiting_for(rover.sensors, rover.now_ns) == (topics.JUMP_MOTOR_STATE,)
 
 
-def test_what_is_heard_late_holds_for_the_time_of_its_stamp(rover: Rover):
+def test_late_samples_count_at_their_time_stamps(rover: Rover):
     rover.lag = dict.fromkeys((topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU), 0.2)
     rover.run(0.3)
     rover.request()
@@ -346,7 +348,7 @@ def test_what_is_heard_late_holds_for_the_time_of_its_stamp(rover: Rover):
 
 
 @pytest.mark.parametrize("late", [topics.CONTACT, topics.JUMP_MOTOR_STATE])
-def test_one_sensor_heard_later_than_the_other_confuses_nothing(rover: Rover, late: str):
+def test_unequal_sensor_delays_do_not_change_the_sequence(rover: Rover, late: str):
     rover.lag = {late: 2.0 * PARAMETERS.contact_loss_time}
     rover.run(0.3)
     rover.request()
@@ -354,13 +356,13 @@ def test_one_sensor_heard_later_than_the_other_confuses_nothing(rover: Rover, la
     assert rover.phases == [*JUMPS, LANDED, STANDBY]
 
 
-def test_a_sensor_that_follows_another_clock_is_no_sensor(rover: Rover):
+def test_a_sensor_with_another_clock_is_stale(rover: Rover):
     ahead = ImuSample(rover.now_ns + 3 * NANO, (0.0, 0.0, 0.0), (0.0, 0.0, GRAVITY))
     rover.sensors = rover.sensors.with_imu(ahead, rover.now_ns)
     assert "stamped 3 s ahead" in refusal(rover).reason
 
 
-def test_an_abort_lets_the_spring_down_softly(rover: Rover):
+def test_an_abort_lets_the_spring_down_slowly(rover: Rover):
     rover.request()
     rover.run(1.0)
     rover.abort()
@@ -373,12 +375,12 @@ def test_an_abort_lets_the_spring_down_softly(rover: Rover):
     assert rover.sequence.step(rover.sensors, rover.now_ns) is None
 
 
-def test_an_abort_with_nothing_to_do_does_nothing(rover: Rover):
+def test_an_abort_in_standby_does_nothing(rover: Rover):
     assert rover.abort() == "the spring is already let down"
     assert rover.phases == []
 
 
-def test_an_abort_in_standby_is_refused_while_the_nut_is_not_known(rover: Rover):
+def test_an_abort_in_standby_is_refused_while_the_nut_position_is_unknown(rover: Rover):
     rover.stale = {topics.JUMP_MOTOR_STATE}
     rover.run(1.0)
     with pytest.raises(Refusal, match="s old") as caught:
@@ -387,7 +389,7 @@ def test_an_abort_in_standby_is_refused_while_the_nut_is_not_known(rover: Rover)
     assert rover.phases == []
 
 
-def test_an_abort_while_compressing_lets_down_even_if_the_nut_is_not_known(rover: Rover):
+def test_an_abort_while_compressing_needs_no_nut_position(rover: Rover):
     rover.request()
     rover.run(0.5)
     rover.stale = {topics.JUMP_MOTOR_STATE}
@@ -407,7 +409,7 @@ def test_an_abort_in_flight_is_refused(rover: Rover):
         rover.abort()
 
 
-def test_a_nut_that_is_stuck_is_given_up_and_becomes_a_fault_that_abort_leads_out_of(
+def test_a_stuck_nut_is_a_fault_that_an_abort_clears(
     rover: Rover,
 ):
     rover.request()
@@ -427,7 +429,7 @@ def test_a_nut_that_is_stuck_is_given_up_and_becomes_a_fault_that_abort_leads_ou
     rover.request()
 
 
-def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
+def test_a_latch_that_does_not_trip_lets_the_spring_down(rover: Rover):
     rover.latch_works = False
     rover.request()
     rover.run(15.0)
@@ -437,7 +439,7 @@ def test_a_latch_that_does_not_trip_is_given_up_and_let_down(rover: Rover):
 
 
 @pytest.mark.parametrize("sensor", [topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU])
-def test_a_sensor_lost_while_compressing_ends_it(rover: Rover, sensor: str):
+def test_a_stale_sensor_while_compressing_ends_the_jump(rover: Rover, sensor: str):
     rover.request()
     rover.run(0.5)
     rover.stale = {sensor}
@@ -447,7 +449,7 @@ def test_a_sensor_lost_while_compressing_ends_it(rover: Rover, sensor: str):
     assert sensor in rover.transitions[-1].reason
 
 
-def test_being_lifted_with_the_spring_loaded_is_no_take_off(rover: Rover):
+def test_lifting_the_rover_with_the_spring_held_is_no_take_off(rover: Rover):
     rover.request()
     rover.run(1.0)
     rover.contact = 0.0
@@ -456,7 +458,7 @@ def test_being_lifted_with_the_spring_loaded_is_no_take_off(rover: Rover):
     assert "spring still held" in rover.transitions[-1].reason
 
 
-def test_a_bouncing_switch_is_no_lift(rover: Rover):
+def test_contact_bounce_is_no_lift(rover: Rover):
     rover.request()
     rover.run(0.5)
     for _ in range(10):
@@ -467,7 +469,7 @@ def test_a_bouncing_switch_is_no_lift(rover: Rover):
     assert rover.phases == [COMPRESSING]
 
 
-def test_a_flight_without_end_is_a_fault(rover: Rover):
+def test_a_flight_without_landing_is_a_fault(rover: Rover):
     rover.flight_time = 1000.0
     rover.request()
     rover.run(PARAMETERS.flight_timeout + 3.0)
@@ -475,7 +477,7 @@ def test_a_flight_without_end_is_a_fault(rover: Rover):
     assert "no landing within 20 s" in rover.transitions[-1].reason
 
 
-def test_a_landing_that_never_comes_to_rest_is_a_fault(rover: Rover):
+def test_a_landing_without_rest_is_a_fault(rover: Rover):
     rover.request()
     rover.run(3.0)
     for _ in range(60):
@@ -487,7 +489,7 @@ def test_a_landing_that_never_comes_to_rest_is_a_fault(rover: Rover):
     assert "not at rest after landing within 5 s" in rover.transitions[-1].reason
 
 
-def test_the_clock_going_back_starts_over(rover: Rover):
+def test_a_clock_jump_back_restarts_the_sequence(rover: Rover):
     rover.request()
     rover.run(0.5)
     rover.sequence.clock_jumped(0)
@@ -496,17 +498,17 @@ def test_the_clock_going_back_starts_over(rover: Rover):
     assert rover.sequence.step(Sensors(), NANO) is None
 
 
-def test_the_request_s_speed_goes_before_the_parameter_s(rover: Rover):
+def test_the_requested_speed_overrides_the_parameter(rover: Rover):
     rover.request(0.1, 0.0)
     rover.run(0.1)
     assert rover.command is not None
     assert rover.command.rate == PARAMETERS.nut_speed
 
 
-def test_limits_hold_that_were_changed_by_parameter():
+def test_changed_limits_apply():
     rover = Rover(replace(PARAMETERS, max_stroke=0.1))
     assert "limit 0.1 m" in refusal(rover, 0.2).reason
 
 
-def test_every_phase_is_a_word_of_the_contract():
+def test_every_phase_is_in_the_contract():
     assert {phase.value for phase in JumpPhase} == {*TOPICS[topics.JUMP_PHASE].words}

@@ -23,7 +23,7 @@ def true_height(stroke: float, gain: float, zero: float, tilt: float = 0.0) -> f
     return PARAMETERS.height_gain * gain * speed**2 / (2.0 * g)
 
 
-def test_the_model_is_that_of_energy_and_momentum():
+def test_the_model_matches_energy_and_momentum_balance():
     spring = SpringEstimate(PARAMETERS)
     for stroke, tilt in ((0.05, 0.0), (0.2, 0.0), (0.15, 0.3)):
         expected = true_height(stroke, 1.0, 0.0, tilt)
@@ -41,7 +41,7 @@ def test_the_stroke_for_a_height_reaches_it(height: float, tilt: float):
 
 @given(gain=st.floats(0.93, 1.07), zero=st.floats(-2e-3, 2e-3), seed=st.integers(0, 1000))
 @settings(max_examples=30, deadline=None)
-def test_it_learns_a_spring_that_is_off(gain: float, zero: float, seed: int):
+def test_the_estimate_converges_to_the_true_spring(gain: float, zero: float, seed: int):
     generator = np.random.default_rng(seed)
     spring = SpringEstimate(PARAMETERS)
     for _ in range(15):
@@ -55,7 +55,7 @@ def test_it_learns_a_spring_that_is_off(gain: float, zero: float, seed: int):
     assert spring.jumps == 15
 
 
-def test_what_it_expects_becomes_surer_and_stays_honest():
+def test_the_intervals_narrow_and_keep_their_coverage():
     generator = np.random.default_rng(5)
     inside, count = 0, 0
     for _ in range(400):
@@ -79,7 +79,7 @@ def test_what_it_expects_becomes_surer_and_stays_honest():
     assert 0.88 <= inside / count <= 0.92
 
 
-def test_a_jump_that_was_hindered_teaches_nothing():
+def test_an_outlier_is_rejected():
     spring = SpringEstimate(PARAMETERS)
     assert not spring.update(0.2, 0.1)
     assert not spring.update(0.2, math.nan)
@@ -87,7 +87,7 @@ def test_a_jump_that_was_hindered_teaches_nothing():
     assert (spring.gain, spring.zero, spring.jumps) == (1.0, 0.0, 0)
 
 
-def test_draws_are_as_scattered_as_what_is_expected():
+def test_samples_match_the_expected_distribution():
     spring = SpringEstimate(PARAMETERS)
     drawn = spring.sample_errors(np.random.default_rng(1), 4000)
     heights = [true_height(0.15, float(gain), float(zero)) for gain, zero in drawn]
@@ -96,7 +96,7 @@ def test_draws_are_as_scattered_as_what_is_expected():
     assert np.median(heights) == pytest.approx(expected.mean, rel=0.01)
 
 
-def test_quantiles_are_those_of_a_normal_and_an_even_error():
+def test_quantiles_are_those_of_a_normal_plus_a_uniform_error():
     assert Height(0.2, 0.0, 0.04).interval(0.9) == pytest.approx(
         (0.2 * math.exp(-0.036), 0.2 * math.exp(0.036))
     )
@@ -114,7 +114,7 @@ def test_quantiles_are_those_of_a_normal_and_an_even_error():
     assert np.std(drawn) == pytest.approx(height.deviation, rel=5e-3)
 
 
-def test_what_lifts_nothing_and_what_is_no_height_is_refused():
+def test_short_strokes_and_invalid_heights_are_refused():
     spring = SpringEstimate(PARAMETERS)
     with pytest.raises(ValueError, match=r"above 0\.01573 m to lift"):
         spring.expected(0.99 * spring.shortest_stroke)

@@ -24,7 +24,7 @@ def landing(upright: float) -> JumpAssessment:
     return JumpAssessment(upright, "")
 
 
-def test_as_long_as_nothing_holds_it_the_rover_drives():
+def test_a_rover_that_is_not_stuck_drives():
     choice = choose(RISK, FREE._replace(assessment=landing(1.0)))
     assert choice.mode is LocomotionMode.WHEELS
     assert choice.wheels_risk == RISK.base_wheel_risk
@@ -40,15 +40,13 @@ def test_as_long_as_nothing_holds_it_the_rover_drives():
         (0.0, LocomotionMode.WHEELS),
     ],
 )
-def test_a_stuck_rover_jumps_if_it_lands_upright_surely_enough(
-    upright: float, mode: LocomotionMode
-):
+def test_a_stuck_rover_jumps_if_it_is_likely_to_land_upright(upright: float, mode: LocomotionMode):
     choice = choose(RISK, FREE._replace(stuck=1, assessment=landing(upright)))
     assert choice.mode is mode
     assert choice.wheels_risk == pytest.approx(2.0 / 3.0)
 
 
-def test_jumps_that_did_not_help_lead_back_to_the_wheels():
+def test_failed_jumps_lead_back_to_the_wheels():
     modes = [
         choose(RISK, FREE._replace(stuck=1, jumped=jumped, assessment=landing(1.0))).mode
         for jumped in range(5)
@@ -58,14 +56,14 @@ def test_jumps_that_did_not_help_lead_back_to_the_wheels():
     assert more.mode is LocomotionMode.JUMP
 
 
-def test_ground_too_steep_for_wheels_is_jumped_if_anything():
+def test_on_ground_too_steep_for_wheels_the_rover_jumps():
     steep = FREE._replace(slope=0.31, assessment=landing(1.0))
     assert choose(RISK, steep).mode is LocomotionMode.JUMP
     assert choose(RISK, steep._replace(assessment=landing(0.4))).mode is LocomotionMode.WHEELS
 
 
 @pytest.mark.parametrize("assessment", [None, JumpAssessment(0.0, "it would topple")])
-def test_what_was_not_predicted_or_advised_against_is_not_jumped(assessment: JumpAssessment | None):
+def test_without_an_accepted_prediction_the_rover_does_not_jump(assessment: JumpAssessment | None):
     choice = choose(RISK, FREE._replace(stuck=9, slope=1.0, assessment=assessment))
     assert choice.mode is LocomotionMode.WHEELS
     assert choice.jump_risk == RISK.topple_weight
@@ -81,7 +79,7 @@ def test_what_was_not_predicted_or_advised_against_is_not_jumped(assessment: Jum
         (3.0, 10.0, LocomotionMode.JUMP),
     ],
 )
-def test_the_study_s_rule_goes_by_slack_and_stiffness_alone(
+def test_the_slack_rule_depends_on_slack_value_and_stiffness_only(
     value: float, stiffness: float, mode: LocomotionMode
 ):
     around = FREE._replace(slack_value=value, axial_stiffness=stiffness, stuck=3)
@@ -89,6 +87,6 @@ def test_the_study_s_rule_goes_by_slack_and_stiffness_alone(
     assert choose(SLACK, around._replace(assessment=landing(0.0))).mode is mode
 
 
-def test_the_slack_value_is_drop_over_way_aside():
+def test_the_slack_value_is_drop_over_horizontal_distance():
     assert slack_value(3.0, 4.0, 10.0) == 2.0
     assert slack_value(0.0, 0.0, 10.0) == math.inf

@@ -31,7 +31,7 @@ def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
     assert machine.mission.go(machine.now_ns)  # and again
 
 
-def test_a_rover_that_is_stuck_gets_slack_jumps_and_drives_on():
+def test_a_stuck_rover_gets_slack_jumps_and_drives_on():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     assert finished(machine)
@@ -41,7 +41,7 @@ def test_a_rover_that_is_stuck_gets_slack_jumps_and_drives_on():
     assert machine.requests[slack - 1] == topics.WINCH_REQUEST
 
 
-def test_a_hop_is_flown_where_the_plan_wants_one():
+def test_the_rover_jumps_at_a_waypoint_with_a_jump_height():
     plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = MissionMachine(plan)
     machine.publish()
@@ -55,7 +55,7 @@ def test_a_hop_is_flown_where_the_plan_wants_one():
     assert machine.requests.index(topics.DRIVE_GOAL) < machine.requests.index(topics.JUMP_REQUEST)
 
 
-def test_a_hop_that_is_refused_is_left_out_and_the_rover_comes_home():
+def test_a_refused_jump_at_a_waypoint_is_skipped():
     plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = MissionMachine(plan)
     machine.refuses[topics.JUMP_REQUEST] = "too steep"
@@ -81,7 +81,7 @@ def test_a_hanging_leg_is_tried_again_after_a_pause():
     assert results(machine) == {LegResult.DONE}
 
 
-def test_a_winch_that_is_gone_for_a_while_costs_one_trial_at_most():
+def test_a_winch_missing_for_a_while_costs_one_trial_at_most():
     machine = start_mission(MissionPhase.DRIVING)
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.refuses[topics.DRIVE_GOAL] = "winch/estimate missing or stale"
@@ -96,7 +96,7 @@ def test_a_winch_that_is_gone_for_a_while_costs_one_trial_at_most():
     assert results(machine) == {LegResult.DONE}
 
 
-def test_a_choice_is_told_with_its_reason_and_its_risks():
+def test_a_choice_is_reported_with_its_reason_and_its_risks():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     assert finished(machine)
@@ -111,7 +111,7 @@ def test_a_choice_is_told_with_its_reason_and_its_risks():
 @pytest.mark.parametrize(
     ("upright", "advice"), [(0.5, ""), (1.0, "jump rejected: the tether tension would be too high")]
 )
-def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: str):
+def test_a_rejected_jump_leads_to_a_detour(upright: float, advice: str):
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.upright, machine.rejection = 1, upright, advice
     assert finished(machine)
@@ -122,7 +122,7 @@ def test_a_rover_that_had_better_not_jump_drives_around(upright: float, advice: 
 
 
 @pytest.mark.parametrize("cannot_turn", [False, True])
-def test_a_detour_leads_straight_on_where_the_rover_cannot_turn(cannot_turn: bool):
+def test_a_detour_is_straight_where_the_rover_cannot_turn(cannot_turn: bool):
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.upright, machine.cannot_turn = 1, 0.5, cannot_turn
     assert finished(machine)
@@ -140,7 +140,7 @@ def test_a_rover_that_cannot_turn_drives_on_before_it_jumps():
     assert machine.mission.blackboard.jumps == 1
 
 
-def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
+def test_the_wheel_risk_is_1_above_the_slope_limit():
     machine = start_mission(MissionPhase.DRIVING)
     # So likely to topple, a jump is worse than wheels that got stuck once on level ground.
     machine.stuck, machine.slope, machine.upright = 1, 0.4, 0.7
@@ -150,7 +150,7 @@ def test_wheels_are_sure_to_fail_on_what_they_do_not_climb():
     assert choice.values["mode"] == "jump"
 
 
-def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_prediction():
+def test_the_slack_rule_requests_no_prediction():
     machine = start_mission(
         MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack")
     )
@@ -160,7 +160,7 @@ def test_the_study_s_rule_drives_far_below_the_fairlead_and_asks_for_no_predicti
     assert topics.JUMP_REQUEST not in machine.requests
 
 
-def test_where_no_detour_is_left_the_rover_jumps_and_where_neither_is_the_leg_fails():
+def test_detours_are_followed_by_jumps_and_then_the_leg_fails():
     machine = start_mission(
         MissionPhase.DRIVING, locomotion=LocomotionParameters(locomotion_rule="slack")
     )
@@ -186,7 +186,7 @@ def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
     assert machine.mission.blackboard.jumps == 0
 
 
-def test_a_jump_that_does_not_leave_the_ground_is_no_jump():
+def test_a_jump_without_take_off_is_not_counted():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck, machine.jump_fails = 1, True
     machine.run(60.0, until=MissionPhase.RETURNING)
@@ -197,7 +197,7 @@ def test_a_jump_that_does_not_leave_the_ground_is_no_jump():
 # --- operators -----------------------------------------------------------------------------------
 
 
-def test_a_held_mission_rests_and_goes_on_from_its_leg():
+def test_a_held_mission_comes_to_rest_and_resumes_its_leg():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
     assert machine.descent == "travelling"
@@ -215,7 +215,7 @@ def test_a_held_mission_rests_and_goes_on_from_its_leg():
     assert results(machine) == {LegResult.DONE}
 
 
-def test_while_held_an_operator_is_left_alone():
+def test_a_held_mission_does_not_interfere_with_an_operator():
     machine = start_mission(MissionPhase.DRIVING)
     machine.mission.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
@@ -227,7 +227,7 @@ def test_while_held_an_operator_is_left_alone():
     assert len(machine.requests) == count
 
 
-def test_a_stop_that_has_just_ended_is_not_aborted_though_its_phase_is_not_heard_yet():
+def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
     machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
@@ -245,7 +245,7 @@ def test_a_stop_that_has_just_ended_is_not_aborted_though_its_phase_is_not_heard
     assert topics.DESCENT_ABORT in machine.requests
 
 
-def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
+def test_legs_of_the_return_cannot_be_skipped():
     machine = start_mission(MissionPhase.DRIVING)
     assert "waypoint 2" in machine.mission.skip(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
@@ -254,7 +254,7 @@ def test_a_leg_can_be_left_out_but_none_that_brings_the_rover_home():
     assert finished(machine)
 
 
-def test_a_skipped_landing_leaves_all_out_that_is_done_on_the_floor():
+def test_a_skipped_landing_skips_all_legs_on_the_floor():
     machine = start_mission(MissionPhase.APPROACHING)
     machine.run(until=MissionPhase.LANDING)
     assert "ascend" in machine.mission.skip(machine.now_ns)
@@ -262,7 +262,7 @@ def test_a_skipped_landing_leaves_all_out_that_is_done_on_the_floor():
     assert topics.DRIVE_GOAL not in machine.requests
 
 
-def test_the_return_cannot_be_left_out_far_from_the_plumb_line():
+def test_the_return_cannot_be_skipped_far_from_the_plumb_line():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     with pytest.raises(Refusal, match="swings"):
@@ -272,7 +272,7 @@ def test_the_return_cannot_be_left_out_far_from_the_plumb_line():
 @pytest.mark.parametrize(
     "phase", [MissionPhase.LOOKING, MissionPhase.LANDING, MissionPhase.DRIVING]
 )
-def test_an_aborted_mission_rests_and_comes_home_on_command(phase: MissionPhase):
+def test_an_aborted_mission_comes_to_rest_and_returns_on_command(phase: MissionPhase):
     machine = start_mission(phase)
     machine.mission.abort(machine.now_ns)
     machine.run(20.0, until=MissionPhase.STANDBY)
@@ -285,7 +285,7 @@ def test_an_aborted_mission_rests_and_comes_home_on_command(phase: MissionPhase)
     assert machine.length == pytest.approx(PLAN.stow)
 
 
-def test_what_is_not_under_way_is_refused():
+def test_commands_without_an_active_mission_are_refused():
     machine = MissionMachine()
     mission, now = machine.mission, machine.now_ns
     with pytest.raises(Refusal, match="missing or stale"):
@@ -302,7 +302,7 @@ def test_what_is_not_under_way_is_refused():
         mission.resume(now)
 
 
-def test_a_winch_that_was_started_again_is_armed_one_that_was_stopped_is_left():
+def test_a_restarted_winch_is_armed_but_a_stopped_one_is_not():
     machine = start_mission(MissionPhase.LANDING)
     machine.winch = "disarmed"
     assert finished(machine)
@@ -316,7 +316,7 @@ def test_a_winch_that_was_started_again_is_armed_one_that_was_stopped_is_left():
     assert machine.winch == "stop"
 
 
-def test_a_winch_that_faults_again_and_again_ends_in_a_hold():
+def test_repeated_winch_faults_end_in_a_hold():
     machine = start_mission(MissionPhase.LANDING)
     for _ in range(3000):
         machine.winch = "fault" if machine.winch == "length" else machine.winch
@@ -325,7 +325,7 @@ def test_a_winch_that_faults_again_and_again_ends_in_a_hold():
     assert machine.requests.count(topics.WINCH_REARM) == 1 + MissionParameters().max_rearms
 
 
-def test_what_others_hold_is_not_taken_from_them():
+def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
     machine.winch = "hold"
@@ -335,7 +335,7 @@ def test_what_others_hold_is_not_taken_from_them():
     assert "another command source holds the winch" in machine.mission.reason
 
 
-def test_a_hold_that_was_told_before_the_leg_moved_anything_is_nobody_s():
+def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():
     machine = start_mission(MissionPhase.APPROACHING)
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
@@ -345,7 +345,7 @@ def test_a_hold_that_was_told_before_the_leg_moved_anything_is_nobody_s():
     assert results(machine) == {LegResult.DONE}
 
 
-def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
+def test_a_second_mission_takes_its_heading_from_its_own_descent():
     machine = start_mission()
     assert finished(machine)
     machine.place, machine._on_floor = (0.0, 0.0, 0.7), False
@@ -358,7 +358,7 @@ def test_a_second_mission_takes_its_heading_on_the_floor_from_its_own_descent():
     assert place.heading == pytest.approx(0.3)
 
 
-def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():
+def test_a_timeout_gives_the_reason_and_a_mandatory_leg_holds():
     limits = LegLimits(land_timeout=20.0)
     machine = start_mission(MissionPhase.LANDING, limits=limits)
     machine.silent.add(topics.WINCH_ESTIMATE)
@@ -372,7 +372,7 @@ def test_what_waits_too_long_says_why_and_a_leg_that_cannot_be_left_out_holds():
     assert finished(machine)
 
 
-def test_a_spring_that_somebody_has_compressed_is_let_down_before_the_rover_is_lifted():
+def test_a_compressed_spring_is_let_down_before_the_lift():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     machine.nut = 0.1
@@ -381,7 +381,7 @@ def test_a_spring_that_somebody_has_compressed_is_let_down_before_the_rover_is_l
     assert topics.JUMP_ABORT in machine.requests
 
 
-def test_a_driving_that_begins_anew_is_told_where_the_rover_stands():
+def test_a_restarted_drive_node_gets_the_pose():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     told = len(machine.requests)
@@ -394,7 +394,7 @@ def test_a_driving_that_begins_anew_is_told_where_the_rover_stands():
     assert machine.place[:2] == (0.0, 0.0)
 
 
-def test_the_last_trial_of_an_ascent_from_not_too_deep_is_the_winch_s_alone():
+def test_the_winch_alone_does_the_last_trial_of_a_short_ascent():
     machine = start_mission(MissionPhase.LIFTING)
     machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
     assert finished(machine)
@@ -419,7 +419,7 @@ PHASES = [
 
 
 @pytest.mark.parametrize("phase", PHASES)
-def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPhase):
+def test_a_mission_restarted_soon_resumes_by_itself(phase: MissionPhase):
     machine = start_mission(phase)
     machine.restart_mission()
     assert machine.mission.is_active
@@ -428,7 +428,7 @@ def test_a_mission_that_is_started_again_soon_goes_on_by_itself(phase: MissionPh
     assert results(machine) == {LegResult.DONE}
 
 
-def test_a_descent_that_was_interrupted_while_the_mission_was_away_is_taken_up():
+def test_a_descent_interrupted_during_the_downtime_is_resumed():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
     saved, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
@@ -439,7 +439,7 @@ def test_a_descent_that_was_interrupted_while_the_mission_was_away_is_taken_up()
     assert results(machine) == {LegResult.DONE}
 
 
-def test_one_that_is_started_again_late_waits_to_be_resumed():
+def test_a_mission_restarted_late_waits_for_resume():
     machine = start_mission(MissionPhase.DRIVING)
     machine.restart_mission(after=3600.0)
     assert machine.mission.phase is MissionPhase.HOLDING
@@ -447,7 +447,7 @@ def test_one_that_is_started_again_late_waits_to_be_resumed():
     assert finished(machine)
 
 
-def test_killed_after_slack_was_given_it_jumps_from_what_is_there():
+def test_a_mission_killed_after_giving_slack_jumps_with_that_slack():
     plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = start_mission(MissionPhase.JUMPING, plan)
     while not machine.slack:
@@ -460,7 +460,7 @@ def test_killed_after_slack_was_given_it_jumps_from_what_is_there():
     assert machine.now - killed < 30.0
 
 
-def test_a_checkpoint_of_another_plan_or_run_is_left():
+def test_a_checkpoint_of_another_plan_or_run_is_ignored():
     machine = start_mission(MissionPhase.DRIVING)
     saved = machine.mission.checkpoint(machine.now_ns)
     for name, value in (("plan", "other"), ("stamp_ns", 10**15)):
@@ -470,7 +470,7 @@ def test_a_checkpoint_of_another_plan_or_run_is_left():
         assert [change.name for change in fresh.mission.take_changes()] == ["mission_forgotten"]
 
 
-def test_a_rover_that_stands_already_begins_on_the_floor():
+def test_a_standing_rover_begins_on_the_floor():
     machine = MissionMachine()
     machine._on_floor, machine.length = True, 9.0
     machine.publish()
@@ -480,6 +480,6 @@ def test_a_rover_that_stands_already_begins_on_the_floor():
     assert finished(machine)
 
 
-def test_every_leg_has_a_limit_of_its_own():
+def test_every_leg_has_a_time_limit():
     limits = LegLimits()
     assert all(limits.of(kind) > 0.0 for kind in LegKind)

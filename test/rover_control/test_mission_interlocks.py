@@ -100,28 +100,30 @@ SEEN: dict[Condition, dict[str, object]] = {
 
 
 @pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
-def test_the_table_says_what_is_written_here(
+def test_the_interlock_table_is_as_specified(
     condition: Condition, action: Action, is_forbidden: bool
 ):
     assert (condition in INTERLOCKS[action]) is is_forbidden
 
 
 @pytest.mark.parametrize("condition", Condition)
-def test_each_condition_is_seen_where_it_is_so_and_not_elsewhere(condition: Condition):
+def test_each_condition_applies_only_where_it_should(condition: Condition):
     assert applies(condition, observed(**SEEN[condition]), NOW)  # type: ignore[arg-type]
     other = {"on_floor": condition is not Condition.STANDING}
     assert not applies(condition, observed(**other), NOW)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
-def test_what_is_forbidden_is_found(condition: Condition, action: Action, is_forbidden: bool):
+def test_a_forbidden_action_has_a_violated_interlock(
+    condition: Condition, action: Action, is_forbidden: bool
+):
     on_floor = action not in (Action.DESCEND, Action.LOWER)
     seen = observed(**({"on_floor": on_floor} | SEEN[condition]))  # type: ignore[arg-type]
     assert not is_forbidden or violated_interlock(action, seen, NOW) is not None
 
 
 @pytest.mark.parametrize("action", MOVING)
-def test_each_act_may_be_where_nothing_is_in_its_way(action: Action):
+def test_each_action_is_allowed_without_conditions(action: Action):
     assert violated_interlock(action, observed(on_floor=action is not Action.DESCEND), NOW) is None
 
 
@@ -130,11 +132,11 @@ def test_a_nut_below_the_latch_counts_as_holding_the_spring():
     assert not applies(Condition.COMPRESSED, observed(nut=0.0), NOW)
 
 
-def test_a_tension_that_is_not_known_forbids_a_jump():
+def test_an_unknown_tension_forbids_a_jump():
     assert applies(Condition.TAUT, observed(net_tension=float("nan")), NOW)
 
 
-def test_what_an_operator_has_stopped_nothing_but_people_clear():
+def test_a_winch_stopped_by_an_operator_has_no_remedy():
     assert remedy(Condition.STOPPED, observed(winch="stop")) == ""
     assert remedy(Condition.UNARMED, observed()) == topics.WINCH_REARM
     assert remedy(Condition.COMPRESSED, observed(nut=0.1)) == topics.JUMP_ABORT
@@ -154,7 +156,7 @@ ACT_OF = {
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_mission_never_asks_for_what_is_forbidden_whatever_it_is_told(seed: int):
+def test_a_mission_never_sends_a_forbidden_request(seed: int):
     generator = random.Random(seed)
     machine = MissionMachine()
     machine.publish()

@@ -24,7 +24,7 @@ def written(folder: Path, text: str) -> str:
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_every_plan_of_the_package_can_be_followed(name: str):
+def test_every_shipped_plan_is_valid(name: str):
     legs = itinerary(load_plan(name))
     assert legs[-1].kind is LegKind.STOW
     assert LegKind.LAND in [leg.kind for leg in legs]
@@ -45,19 +45,19 @@ def test_every_plan_of_the_package_can_be_followed(name: str):
         ("stow: [", "plan.yaml"),
     ],
 )
-def test_what_cannot_be_followed_is_refused_with_its_key(tmp_path: Path, text: str, named: str):
+def test_an_invalid_plan_is_refused_with_its_key(tmp_path: Path, text: str, named: str):
     with pytest.raises(PlanError) as caught:
         load_plan(written(tmp_path, text))
     assert named in str(caught.value)
     assert "plan.yaml" in str(caught.value)
 
 
-def test_a_name_that_is_none_of_the_package_s_is_refused_with_those_that_are():
+def test_an_unknown_plan_name_is_refused_with_the_valid_ones():
     with pytest.raises(PlanError, match="shallow"):
         load_plan("deep")
 
 
-def test_plans_are_told_apart(tmp_path: Path):
+def test_different_plans_have_different_digests(tmp_path: Path):
     one = load_plan(written(tmp_path, GOOD)).digest
     other = load_plan(written(tmp_path, GOOD.replace("4.0", "4.5"))).digest
     assert one != other

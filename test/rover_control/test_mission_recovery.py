@@ -16,7 +16,7 @@ TRIALS = 15  # of being stuck: three trials of a way with two jumps and two deto
 CALMS = 240.0  # so long at most [s]
 
 
-def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
+def test_an_unreachable_waypoint_is_skipped_and_the_rover_returns():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 3 * TRIALS  # before both recoveries, and after them
     assert finished(machine)
@@ -26,7 +26,7 @@ def test_a_waypoint_that_is_not_reached_is_left_out_and_the_rover_comes_home():
     assert machine.events.count("mission_rescue") == PLAN.recovery.max_count
 
 
-def test_a_rover_that_cannot_go_on_is_set_down_below_the_fairlead_and_tries_again():
+def test_a_stuck_rover_is_set_down_below_the_fairlead_and_tries_again():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
     assert finished(machine)
@@ -39,7 +39,7 @@ def test_a_rover_that_cannot_go_on_is_set_down_below_the_fairlead_and_tries_agai
     assert len(done) == len(machine.mission.route.legs)
 
 
-def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
+def test_a_rover_that_has_rolled_over_is_hauled_at_once():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(1.0)
     machine.slope, machine.stuck, machine.rejection = 1.8, TRIALS, "too steep"
@@ -52,7 +52,7 @@ def test_one_that_lies_on_its_side_is_not_driven_but_hauled_at_once():
 
 
 @pytest.mark.parametrize("phase", [MissionPhase.DRIVING, MissionPhase.RETURNING])
-def test_one_that_its_tether_has_taken_off_the_floor_is_set_down_again(phase: MissionPhase):
+def test_a_rover_lifted_by_its_tether_is_set_down_again(phase: MissionPhase):
     machine = start_mission(phase)
     machine.run(1.0, until=MissionPhase.STANDBY)
     machine._on_floor, machine.length = False, machine.length - 0.1
@@ -63,7 +63,7 @@ def test_one_that_its_tether_has_taken_off_the_floor_is_set_down_again(phase: Mi
     assert missed(machine) == []
 
 
-def test_a_winch_that_is_started_again_may_look_for_the_floor_a_while():
+def test_a_restarted_winch_gets_time_to_detect_touchdown():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(1.0, until=MissionPhase.STANDBY)
     length = machine.length
@@ -74,7 +74,7 @@ def test_a_winch_that_is_started_again_may_look_for_the_floor_a_while():
     assert "mission_rescue" not in machine.events
 
 
-def test_a_way_home_that_does_not_go_is_left_to_the_winch():
+def test_a_failed_return_is_completed_by_the_winch():
     machine = start_mission(MissionPhase.RETURNING)
     machine.stuck = TRIALS
     assert finished(machine)
@@ -85,7 +85,7 @@ def test_a_way_home_that_does_not_go_is_left_to_the_winch():
 
 
 @pytest.mark.parametrize("recovery", [Recovery(max_count=0), Recovery(radius=1.0)])
-def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(recovery: Recovery):
+def test_without_a_possible_recovery_a_failed_return_holds(recovery: Recovery):
     machine = MissionMachine(replace(PLAN, recovery=recovery))
     machine.publish()
     machine.mission.go(machine.now_ns)
@@ -96,7 +96,7 @@ def test_without_a_rescue_or_too_far_away_a_way_home_that_does_not_go_holds(reco
     assert "return" in machine.mission.reason
 
 
-def test_a_goal_that_is_refused_is_not_sought_from_elsewhere():
+def test_a_refused_goal_starts_no_recovery():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(0.3)
     machine.refuses[topics.DRIVE_GOAL] = "the tether does not reach"
@@ -111,7 +111,7 @@ def test_a_goal_that_is_refused_is_not_sought_from_elsewhere():
 @pytest.mark.parametrize(
     "leg", ["recovery 1: lift off", "recovery 1: damp swing at 7 m", "recovery 1: land"]
 )
-def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
+def test_a_mission_restarted_in_a_recovery_resumes_it(leg: str):
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
     while machine.mission.leg is not None and machine.mission.leg.name != leg:
@@ -123,7 +123,7 @@ def test_a_mission_that_is_started_again_in_a_rescue_goes_on_with_it(leg: str):
     assert len(machine.mission.record) == len(machine.mission.route.legs)
 
 
-def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not():
+def test_a_tumbling_rover_is_tracked_but_a_reset_odometry_is_not():
     machine = start_mission(MissionPhase.RETURNING)
     observed = machine.mission.observed
     x, y, heading = machine.place
@@ -136,7 +136,7 @@ def test_a_rover_that_tumbles_is_followed_and_a_driving_that_begins_anew_is_not(
     assert observed.place.heading == pytest.approx(heading + 2.0)
 
 
-def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_and_may_be_held_by_rubble():
+def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():
     plan = replace(PLAN, lift=Lift(rate=0.1), recovery=Recovery(rate=0.03))
     machine = start_mission(MissionPhase.RETURNING, plan)
     machine.stuck = TRIALS
@@ -150,7 +150,7 @@ def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_and_may_be_held_by_r
     assert machine.events.count("mission_trial_failed") == failed
 
 
-def test_below_the_fairlead_a_tether_that_is_held_fails_the_lift():
+def test_below_the_fairlead_a_snag_fails_the_lift():
     machine = start_mission(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.1
@@ -160,7 +160,7 @@ def test_below_the_fairlead_a_tether_that_is_held_fails_the_lift():
     assert finished(machine)
 
 
-def test_a_calm_ends_in_time_however_the_rover_swings():
+def test_damping_ends_at_its_time_limit_whatever_the_swing():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = TRIALS
     while machine.mission.leg is not None and machine.mission.leg.kind is not LegKind.DAMP:

@@ -26,7 +26,7 @@ def test_legs_follow_from_the_plan():
     assert len({leg.name for leg in legs}) == len(legs)
 
 
-def test_the_way_home_begins_where_the_rover_is():
+def test_the_return_begins_where_the_rover_is():
     plan = load_plan("shallow")
     assert [leg.kind.value for leg in homeward_legs(plan, on_floor=True)] == [
         "return", "lift", "ascend", "stow",
@@ -54,7 +54,7 @@ def test_a_route_ends_after_its_last_leg_and_can_be_rewound():
     assert route.number == 1
 
 
-def test_who_stands_already_begins_on_the_floor():
+def test_a_standing_rover_starts_with_the_first_leg_on_the_floor():
     route = Route(PLAN)
     route.begin(on_floor=True)
     assert route.leg is not None
@@ -69,7 +69,7 @@ def test_without_a_landing_the_next_leg_is_the_ascent():
     assert route.leg.kind is LegKind.ASCEND
 
 
-def test_a_rescue_is_done_before_the_leg_that_needs_it():
+def test_a_recovery_precedes_the_leg_that_needs_it():
     route = at(LegKind.VISIT)
     number = route.number
     route.insert_recovery()
@@ -85,7 +85,7 @@ def test_a_rescue_is_done_before_the_leg_that_needs_it():
 
 
 @pytest.mark.parametrize("home", [None, True, False])
-def test_a_route_goes_on_from_its_checkpoint(home: bool | None):
+def test_a_route_resumes_from_its_checkpoint(home: bool | None):
     route = at(LegKind.VISIT)
     if home is None:
         route.insert_recovery()

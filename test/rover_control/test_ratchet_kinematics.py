@@ -29,7 +29,7 @@ def test_a_turn_leaves_the_right_wheel_where_it_is():
     assert pose.distance(after.x, after.y) == pytest.approx(chord)
 
 
-def test_the_turn_goes_left_and_takes_the_rover_back():
+def test_a_left_turn_moves_base_link_back():
     after = RATCHETS.turned(GroundPose(0.0, 0.0, 0.0), 0.01)
     # dr/dheading = z x (r - pivot) = (-0.22, -0.08) m.
     assert after.x == pytest.approx(-0.0022, rel=0.02)
@@ -51,7 +51,7 @@ def test_rates_follow_from_radius_track_and_slip():
         (-0.22 * 0.2, 0.2, RATCHETS.turning_rate(0.2)),
     ],
 )
-def test_what_the_mechanism_can_do_becomes_a_wheel_rate(forward: float, turn: float, rate: float):
+def test_a_feasible_twist_gives_a_wheel_rate(forward: float, turn: float, rate: float):
     assert RATCHETS.wheel_rate(forward, turn) == pytest.approx(rate)
 
 
@@ -68,7 +68,7 @@ def test_what_the_mechanism_can_do_becomes_a_wheel_rate(forward: float, turn: fl
         ),
     ],
 )
-def test_what_it_cannot_is_refused_with_what_would_be_possible(
+def test_an_infeasible_twist_is_refused_with_the_alternative(
     forward: float, turn: float, reason: str
 ):
     with pytest.raises(Refusal, match=reason) as refused:
