@@ -1,4 +1,4 @@
-"""Driving: goals are reached on a rover that slips, what does not go is refused or noticed."""
+"""Drive controller on a rolling rover with slip: goals, refusals and detection of problems."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rover_control.drive_odometry import OdometryParameters
 from rover_control.drive_tether import TetherParameters
 from rover_control.drive_watch import DriveWatch, WatchParameters
 
-# The gyro is known sooner, and less well.
+# The gyro's bias is estimated in less time and less accurately.
 QUICK = DriveSettings(
     follower=replace(FollowerParameters(), max_stop_time=1.0),
     odometry=replace(OdometryParameters(), gyro_turn_on_bias=0.002),
@@ -53,13 +53,13 @@ def phase_of(drive: Drive) -> DrivePhase:
     return drive.phase
 
 
-def names(drive: Drive) -> list[str]:
+def event_names(drive: Drive) -> list[str]:
     return [change.name for change in drive.take_changes()]
 
 
-def refused(code: RefusalCode, text: str, ask: Any, *arguments: Any) -> None:
+def refused(code: RefusalCode, text: str, send: Any, *arguments: Any) -> None:
     with pytest.raises(Refusal, match=text) as refusal:
-        ask(*arguments)
+        send(*arguments)
     assert refusal.value.code is code
 
 
@@ -69,27 +69,27 @@ def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float
     drive = ready(rover)
     drive.request(pose(3.0, 0.5, 1.2), rover.now_ns)
     rover.run(drive, 300.0)
-    assert names(drive) == ["drive_begun", "goal_reached", "drive_done"]
+    assert event_names(drive) == ["drive_begun", "goal_reached", "drive_done"]
     assert phase_of(drive) is DrivePhase.RELEASED
     assert math.hypot(rover.x - 3.0, rover.y - 0.5) < 0.2
     assert abs(math.remainder(rover.heading - 1.2, 2.0 * math.pi)) < 0.1
-    seen = drive.odometry.pose
-    assert math.hypot(seen.x - rover.x, seen.y - rover.y) < 0.1
+    estimate = drive.odometry.pose
+    assert math.hypot(estimate.x - rover.x, estimate.y - rover.y) < 0.1
 
 
 def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
     rover = RollingRover(seed=1)
     drive = ready(rover)
-    way: Sequence[PoseSample] = (pose(1.5, 0.0, -3.0), pose(1.5, 1.5), pose(0.0, 1.0))
-    drive.request_path(PathSample(0, tuple(way)), rover.now_ns)
+    path: Sequence[PoseSample] = (pose(1.5, 0.0, -3.0), pose(1.5, 1.5), pose(0.0, 1.0))
+    drive.request_path(PathSample(0, tuple(path)), rover.now_ns)
     least = [math.inf] * 3
     while drive.is_busy and rover.now < 400.0:
         rover.step(drive)
-        for k, each in enumerate(way):
+        for k, each in enumerate(path):
             least[k] = min(least[k], math.dist(each.position[:2], (rover.x, rover.y)))
-    assert names(drive).count("goal_reached") == 3
+    assert event_names(drive).count("goal_reached") == 3
     assert max(least) < 0.2
-    # The first pose's heading was not turned to: that would have been a full turn more.
+    # A turn to the first pose's heading would have been a full turn more.
     assert rover.heading < 2.0 * math.pi
 
 
@@ -102,7 +102,7 @@ def test_the_wheels_never_turn_the_rover_right():
         rover.step(drive)
         assert rover.heading >= before - 1e-9
         before = rover.heading
-    assert names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == "drive_done"
 
 
 def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
@@ -110,7 +110,7 @@ def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
     drive = ready(rover)
     drive.request(pose(0.08, -0.3), rover.now_ns)
     rover.run(drive, 200.0)
-    assert names(drive) == ["drive_begun", "goal_reached", "drive_done"]
+    assert event_names(drive) == ["drive_begun", "goal_reached", "drive_done"]
     assert math.hypot(rover.x - 0.08, rover.y + 0.3) < 0.12
 
 
@@ -128,10 +128,10 @@ def test_the_winch_holds_tension_during_the_drive_and_a_length_afterwards():
     assert joints[-1] == WINCH_TO_LENGTH
     weight = 0.005 * 1.62 * 45.0
     margin = drive.tether.parameters.tension_margin
-    asked = [effort for joint, effort in rover.requests if joint == WINCH_AT_TENSION]
-    assert asked == pytest.approx([weight + margin] * len(asked), rel=1e-3)
-    # Renewed well within the second that the winch waits.
-    assert len(asked) > 2.0 * 8.0
+    efforts = [effort for joint, effort in rover.requests if joint == WINCH_AT_TENSION]
+    assert efforts == pytest.approx([weight + margin] * len(efforts), rel=1e-3)
+    # Renewed well within the winch's timeout of one second.
+    assert len(efforts) > 2.0 * 8.0
 
 
 def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
@@ -142,7 +142,7 @@ def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
     assert phase_of(drive) is DrivePhase.FAILED
     (failed,) = [c for c in drive.take_changes() if c.name == "drive_failed"]
     assert "did not enter mode tension" in failed.reason
-    assert rover.way == 0.0
+    assert rover.travelled == 0.0
 
 
 def test_the_rover_stops_when_the_winch_leaves_mode_tension():
@@ -164,17 +164,17 @@ def test_the_rover_drives_without_winch_requests_if_configured():
     drive = ready(rover, settings)
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
-    assert names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == "drive_done"
     assert rover.requests == []
 
 
-# --- being stuck ------------------------------------------------------------------------------
+# --- detection of problems --------------------------------------------------------------------
 
 
 def stuck_after(rover: RollingRover, drive: Drive, limit: float) -> tuple[str, float]:
-    """The reason that is told, and how far the wheels turned meanwhile [m]."""
-    begun, turned = rover.now, rover.angles[0]
-    while drive.is_busy and rover.now < begun + limit:
+    """Reported reason, and the distance [m] that the left wheel rolled until then."""
+    started, turned = rover.now, rover.angles[0]
+    while drive.is_busy and rover.now < started + limit:
         rover.step(drive)
     assert phase_of(drive) is DrivePhase.STUCK
     (change,) = [c for c in drive.take_changes() if c.name == "drive_stuck"]
@@ -198,7 +198,7 @@ def test_the_tether_detects_a_rover_that_gets_stuck_later():
         rover.step(drive)
     while phase_of(drive) is not DrivePhase.DRIVING or drive.odometry.speed < 0.09:
         rover.step(drive)
-    for _ in range(200):  # beyond the start that the accelerometer sees
+    for _ in range(200):  # beyond the start that the accelerometer checks
         rover.step(drive)
     rover.stuck = True
     reason, rolled = stuck_after(rover, drive, 60.0)
@@ -208,15 +208,15 @@ def test_the_tether_detects_a_rover_that_gets_stuck_later():
 
 def test_one_failed_tether_check_does_not_stop_the_rover():
     watch = DriveWatch(WatchParameters())
-    told, distance = [], 8.0
+    reasons, distance = [], 8.0
     for step in range(400):
         distance -= 0.01
-        # The winch takes slack up from 0.6 to 1.1 m of the way: for so long it seems farther.
-        seen = distance + (0.6 if 60 < step < 110 else 0.0)
-        told.append(watch.tether(0.01, -0.01, seen))
-    assert not any(told)
-    told = [watch.tether(0.01, -0.01, distance) for _ in range(160)]
-    assert any("the tether does not follow" in reason for reason in told)
+        # While the winch takes up slack, from 0.6 to 1.1 m of travel, the range reads too long.
+        estimate = distance + (0.6 if 60 < step < 110 else 0.0)
+        reasons.append(watch.tether(0.01, -0.01, estimate))
+    assert not any(reasons)
+    reasons = [watch.tether(0.01, -0.01, distance) for _ in range(160)]
+    assert any("the tether does not follow" in reason for reason in reasons)
 
 
 def test_the_gyro_detects_a_turn_without_rotation():
@@ -261,10 +261,10 @@ def test_a_new_goal_is_accepted_after_being_stuck():
     drive.set_pose(pose(rover.x, rover.y, rover.heading))
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
-    assert names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == "drive_done"
 
 
-# --- steering ---------------------------------------------------------------------------------
+# --- twists -----------------------------------------------------------------------------------
 
 
 def test_the_rover_follows_twists_and_stops_when_they_time_out():
@@ -278,7 +278,7 @@ def test_the_rover_follows_twists_and_stops_when_they_time_out():
     for _ in range(300):
         drive.steer(twist(0.0, 0.2), rover.now_ns)
         rover.step(drive)
-    assert rover.heading == pytest.approx(0.2 * 6.0, abs=0.4)  # less two ramps
+    assert rover.heading == pytest.approx(0.2 * 6.0, abs=0.4)  # minus two ramps
     rover.run(drive, 20.0)
     assert phase_of(drive) is DrivePhase.RELEASED
     assert rover.rates == pytest.approx((0.0, 0.0), abs=1e-3)
@@ -298,7 +298,7 @@ def test_a_twist_that_is_too_fast_or_impossible_is_refused():
     assert phase_of(drive) is DrivePhase.RELEASED
 
 
-# --- at the boundary --------------------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------
 
 
 def test_unreachable_goals_are_refused_with_the_reason():

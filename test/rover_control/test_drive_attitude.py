@@ -1,4 +1,4 @@
-"""Up and heading at any tilt, against rotation matrices."""
+"""Attitude and heading at any tilt, against rotation matrices."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ G = 1.62
 
 
 class Tumble:
-    """A body that turns, an attitude that hears its gyro, and how far the heading has turned."""
+    """A rotating body, the attitude from its gyro, and the total change of the heading."""
 
     def __init__(self, share: float = 0.0) -> None:
         self.attitude, self.share = DriveAttitude(), share
@@ -23,7 +23,7 @@ class Tumble:
         self.turned = 0.0
 
     def turn(self, axis: tuple[float, float, float], angle: float, time: float = 2.0) -> None:
-        """About an axis of the body."""
+        """Rotate about a body axis."""
         steps = round(time / H)
         x, y, z = (float(value) for value in np.asarray(axis) * angle / time)
         for _ in range(steps):
@@ -32,7 +32,7 @@ class Tumble:
 
     @property
     def force(self) -> tuple[float, float, float]:
-        """What an accelerometer shows."""
+        """Specific force of an ideal accelerometer."""
         x, y, z = self.rotation.inv().apply([0.0, 0.0, G])
         return float(x), float(y), float(z)
 
@@ -80,5 +80,5 @@ def test_gravity_bounds_the_error_of_a_drifting_gyro():
     body.turn((0.0, 1.0, 0.0), 0.2)
     for _ in range(2000):
         body.attitude.turn((0.002, -0.002, 0.0), body.force, H, 0.04)
-    # In balance a drift of 2 mrad/s is off by what gravity takes back in half a second.
+    # In equilibrium a drift of 2 mrad/s is balanced by half a second of tilt correction.
     assert body.attitude.pitch == pytest.approx(0.2 - 0.001, abs=1e-4)

@@ -1,4 +1,4 @@
-"""drive_node as a process, on a plant that follows commands perfectly."""
+"""drive_node as a process, with the mock plant."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-# Standing on the floor, with tether enough; slow, so that nothing is lost on a busy machine.
+# Standing on the floor with a slack tether; in real time, so that no sample is lost under load.
 PLANT = {
     "scenario": "floor_rubble",
     "overrides": '{"tether.length": 30.0, "start.position": [1.0, 0.0]}',
     "real_time_factor": 1.0,
 }
-# As that plant has it: no slip, grousers on hard ground, no accelerations; and no winch.
+# The mock plant has no slip, hard-ground grouser radius, no accelerations and no winch.
 DRIVE = {
     "use_sim_time": True,
     "uses_winch": False,
@@ -61,7 +61,7 @@ def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarn
     observer.wait_for_event("drive_done")
     observer.wait_for_text(topics.DRIVE_PHASE, "released")
     true: OdometrySample = truth.last
-    # The plant turns about the middle of its axle's track, not about base_link's own pivot.
+    # The mock plant turns about the middle of its axle, not about the pivot.
     assert math.dist(true.position[:2], (2.0, 0.6)) < 0.5
     seen: OdometrySample = observer.listen(topics.ODOMETRY).last
     assert math.dist(seen.position[:2], (2.0, 0.6)) < 0.11

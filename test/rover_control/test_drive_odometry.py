@@ -1,4 +1,4 @@
-"""Dead reckoning by encoders and gyro, with the tether's help."""
+"""Odometry from encoders, gyro and tether."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ def odometry(**values: float | bool) -> DriveOdometry:
     return DriveOdometry(RatchetKinematics(CHASSIS), parameters)
 
 
-class Ride:
-    """Tells an odometry what wheels and gyro see, without noise."""
+class Feed:
+    """Feeds noise-free wheel and gyro samples to an odometry."""
 
     def __init__(self, reckoning: DriveOdometry, bias: float = 0.0) -> None:
         self.reckoning, self.bias, self.now = reckoning, bias, 0.0
         reckoning.on_gyro((0.0, 0.0, bias), G, 0.0, at_rest=False)
 
-    def roll(self, left: float, right: float, yaw: float, time: float, *, rests: bool = False):
+    def roll(self, left: float, right: float, yaw: float, time: float, *, at_rest: bool = False):
         for _ in range(round(time / H)):
             self.now += H
-            self.reckoning.on_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=rests)
+            self.reckoning.on_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=at_rest)
             self.reckoning.on_wheels(left * H, right * H, H)
 
 
 def test_straight_travel_is_the_rolled_distance_less_the_slip():
     reckoning = odometry()
     reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
-    Ride(reckoning).roll(1.0, 1.0, 0.0, 10.0)
-    way = 0.15 * 10.0 * (1.0 - CHASSIS.driving_slip)
-    assert reckoning.travelled == pytest.approx(way)
-    assert reckoning.pose.x == pytest.approx(1.0 + way * math.cos(0.5))
-    assert reckoning.pose.y == pytest.approx(2.0 + way * math.sin(0.5))
+    Feed(reckoning).roll(1.0, 1.0, 0.0, 10.0)
+    distance = 0.15 * 10.0 * (1.0 - CHASSIS.driving_slip)
+    assert reckoning.travelled == pytest.approx(distance)
+    assert reckoning.pose.x == pytest.approx(1.0 + distance * math.cos(0.5))
+    assert reckoning.pose.y == pytest.approx(2.0 + distance * math.sin(0.5))
 
 
 def test_the_slip_follows_the_wheel_torque():
@@ -63,21 +63,21 @@ def test_a_turn_rotates_the_pose_about_the_right_wheel_by_the_gyro():
     reckoning = odometry()
     reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))
     pivot = reckoning.kinematics.pivot_of(reckoning.pose)
-    Ride(reckoning).roll(-5.0, 0.0, 0.25, 4.0)
+    Feed(reckoning).roll(-5.0, 0.0, 0.25, 4.0)
     assert reckoning.pose.heading == pytest.approx(1.5)
     assert reckoning.kinematics.pivot_of(reckoning.pose) == pytest.approx(pivot)
     assert reckoning.travelled == 0.0
 
 
 def test_unequal_slip_of_the_sides_gives_an_arc():
-    # Left slips 0.276, right 0.236: the middle of the axle covers what the mean slip leaves.
+    # Left slips 0.276, right 0.236: the middle of the axle moves by the mean slip.
     reckoning = odometry()
     left, right = 0.15 * (1.0 - 0.276), 0.15 * (1.0 - 0.236)
     yaw = (right - left) / CHASSIS.track_width
-    Ride(reckoning).roll(1.0, 1.0, yaw, 20.0)
+    Feed(reckoning).roll(1.0, 1.0, yaw, 20.0)
     radius = 0.5 * (left + right) / yaw
     angle = yaw * 20.0
-    # The middle of the axle on its arc, from there base_link behind it.
+    # The middle of the axle moves on an arc; base_link lies behind it.
     x = 0.08 + radius * math.sin(angle) - 0.08 * math.cos(angle)
     y = radius * (1.0 - math.cos(angle)) - 0.08 * math.sin(angle)
     assert reckoning.pose.x == pytest.approx(x, abs=2e-3)
@@ -86,25 +86,25 @@ def test_unequal_slip_of_the_sides_gives_an_arc():
 
 def test_a_wheel_that_overruns_its_axle_rolls_without_slip():
     reckoning = odometry()
-    Ride(reckoning).roll(0.0, 1.0, 0.0, 1.0)
+    Feed(reckoning).roll(0.0, 1.0, 0.0, 1.0)
     assert reckoning.pose.x == pytest.approx(0.15)
 
 
 def test_the_gyro_bias_is_estimated_at_rest_and_removed():
     reckoning = odometry()
-    ride = Ride(reckoning, bias=3e-3)
+    feed = Feed(reckoning, bias=3e-3)
     before = reckoning.bias_error
-    ride.roll(0.0, 0.0, 0.0, 5.0, rests=True)
+    feed.roll(0.0, 0.0, 0.0, 5.0, at_rest=True)
     assert reckoning.bias == pytest.approx(3e-3, abs=2e-5)
     assert reckoning.bias_error < 0.02 * before
     assert reckoning.pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-    ride.roll(1.0, 1.0, 0.0, 20.0)
+    feed.roll(1.0, 1.0, 0.0, 20.0)
     assert reckoning.pose.heading == pytest.approx(0.0, abs=5e-4)
 
 
 def test_an_unestimated_bias_increases_the_heading_covariance():
     reckoning = odometry(initial_heading_std=0.0)
-    Ride(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
+    Feed(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
     error = math.sqrt(reckoning.covariance()[2, 2])
     assert error == pytest.approx(0.005 * 20.0, rel=0.02)
     assert reckoning.pose.heading == pytest.approx(0.06, rel=0.01)
@@ -116,7 +116,7 @@ def test_gravity_gives_the_pitch_at_rest_and_the_gyro_integrates_it():
     for k in range(200):
         reckoning.on_gyro((0.0, 0.0, 0.0), force, H * k, at_rest=True)
     assert reckoning.attitude.pitch == pytest.approx(0.1, abs=1e-3)
-    # Standing nose down, the body's x is ahead and down: gravity's reaction pulls along -x.
+    # Nose down, gravity's reaction has a component along -x.
     for k in range(200, 250):
         reckoning.on_gyro((0.0, 0.1, 0.0), G, H * k, at_rest=False)
     assert reckoning.attitude.pitch > 0.18
@@ -124,21 +124,21 @@ def test_gravity_gives_the_pitch_at_rest_and_the_gyro_integrates_it():
 
 def test_rotation_at_a_touchdown_does_not_enter_the_gyro_bias():
     reckoning = odometry()
-    ride = Ride(reckoning, bias=1e-3)
-    ride.roll(0.0, 0.0, -0.004, 0.1, rests=True)
-    ride.roll(0.0, 0.0, -0.2, 0.3, rests=True)
+    feed = Feed(reckoning, bias=1e-3)
+    feed.roll(0.0, 0.0, -0.004, 0.1, at_rest=True)
+    feed.roll(0.0, 0.0, -0.2, 0.3, at_rest=True)
     assert reckoning.bias_error == pytest.approx(0.005, rel=1e-3)
-    ride.roll(0.0, 0.0, 0.0, 5.0, rests=True)
+    feed.roll(0.0, 0.0, 0.0, 5.0, at_rest=True)
     assert reckoning.bias == pytest.approx(1e-3, abs=2e-5)
 
 
 def test_a_rover_hauled_with_still_wheels_changes_its_heading():
-    # The winch hauls it over the floor; its wheels are still.
+    # The winch hauls the rover over the floor while its wheels are still.
     reckoning = odometry()
-    ride = Ride(reckoning, bias=1e-3)
-    ride.roll(0.0, 0.0, 0.0, 5.0, rests=True)
+    feed = Feed(reckoning, bias=1e-3)
+    feed.roll(0.0, 0.0, 0.0, 5.0, at_rest=True)
     bias = reckoning.bias
-    ride.roll(0.0, 0.0, 0.3, 4.0, rests=True)
+    feed.roll(0.0, 0.0, 0.3, 4.0, at_rest=True)
     assert reckoning.pose.heading == pytest.approx(1.2, abs=1e-3)
     assert reckoning.bias == pytest.approx(bias, abs=1e-6)
 
@@ -161,10 +161,10 @@ def test_a_taut_tether_corrects_the_slip():
     reckoning.set_pose(GroundPose(0.0, 5.0, math.pi / 2.0))
     reckoning.on_tether(taut(0.0, 5.0, 3.0), is_taut=True)
     assert reckoning.drop == pytest.approx(3.0)
-    ride = Ride(reckoning)
+    feed = Feed(reckoning)
     y = 5.0
     for _ in range(800):
-        ride.roll(1.0, 1.0, 0.0, H)
+        feed.roll(1.0, 1.0, 0.0, H)
         y += 0.15 * (1.0 - 0.32) * H
         reckoning.on_tether(taut(0.0, y, 3.0), is_taut=True)
     blind = 5.0 + 0.15 * (1.0 - CHASSIS.driving_slip) * 16.0
@@ -190,8 +190,8 @@ def test_the_sag_is_that_of_a_shallow_catenary():
     length = 2.0 * a * math.sinh(chord / (2.0 * a))
     end_tension = horizontal * math.cosh(chord / (2.0 * a))
     weight = weight_by_length * length
-    found = chord_of(TetherMeasurement(length, end_tension + 0.5 * weight, weight), chord)
-    assert length - found == pytest.approx(length - chord, rel=0.02)
+    chord = chord_of(TetherMeasurement(length, end_tension + 0.5 * weight, weight), chord)
+    assert length - chord == pytest.approx(length - chord, rel=0.02)
 
 
 def test_the_covariance_matches_a_monte_carlo_simulation():
@@ -206,7 +206,7 @@ def test_the_covariance_matches_a_monte_carlo_simulation():
             slip = CHASSIS.driving_slip + keep * (slip - CHASSIS.driving_slip) + spread
         ends.append(x)
     reckoning = odometry(initial_position_std=0.0, slip_std=scatter, slip_correlation_distance=5.0)
-    Ride(reckoning).roll(1.0, 1.0, 0.0, 40.0)
-    told = math.sqrt(reckoning.covariance()[0, 0])
-    assert told == pytest.approx(float(np.std(ends)), rel=0.35)
-    assert reckoning.pose.x == pytest.approx(float(np.mean(ends)), abs=3.0 * told / math.sqrt(60.0))
+    Feed(reckoning).roll(1.0, 1.0, 0.0, 40.0)
+    std = math.sqrt(reckoning.covariance()[0, 0])
+    assert std == pytest.approx(float(np.std(ends)), rel=0.35)
+    assert reckoning.pose.x == pytest.approx(float(np.mean(ends)), abs=3.0 * std / math.sqrt(60.0))

@@ -1,4 +1,4 @@
-"""From poses to turns and straight ways: what is planned leads there, by left turns alone."""
+"""Planned turns and straight segments lead to the goal by left turns only."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ angles = st.floats(-math.pi, math.pi)
 poses = st.builds(GroundPose, places, places, angles)
 
 
-def carried_out(start: GroundPose, goal: Goal) -> GroundPose:
-    """The course to a goal, as the ideal mechanism makes it."""
-    heading, way = course(RATCHETS, start, goal)
-    assert way >= 0.0
-    pose = RATCHETS.driven(RATCHETS.turned(start, left_turn(start.heading, heading)), way)
+def executed(start: GroundPose, goal: Goal) -> GroundPose:
+    """The course to a goal, executed by the ideal mechanism."""
+    heading, length = course(RATCHETS, start, goal)
+    assert length >= 0.0
+    pose = RATCHETS.driven(RATCHETS.turned(start, left_turn(start.heading, heading)), length)
     assert wrapped(pose.heading - heading) == pytest.approx(0.0, abs=1e-9)
     if goal.has_heading:
         pose = RATCHETS.turned(pose, left_turn(pose.heading, goal.heading))
@@ -37,7 +37,7 @@ def carried_out(start: GroundPose, goal: Goal) -> GroundPose:
 @settings(deadline=None)
 @given(poses, poses)
 def test_two_turns_and_a_straight_segment_reach_every_pose(start: GroundPose, end: GroundPose):
-    pose = carried_out(start, Goal(*end))
+    pose = executed(start, Goal(*end))
     assert (pose.x, pose.y) == pytest.approx((end.x, end.y), abs=1e-9)
     assert wrapped(pose.heading - end.heading) == pytest.approx(0.0, abs=1e-9)
 
@@ -49,7 +49,7 @@ def test_a_turn_and_a_straight_segment_reach_every_position_not_under_the_wheel(
 ):
     pivot = RATCHETS.pivot_of(start)
     assume(math.hypot(x - pivot[0], y - pivot[1]) > 0.22)
-    pose = carried_out(start, Goal(x, y))
+    pose = executed(start, Goal(x, y))
     assert (pose.x, pose.y) == pytest.approx((x, y), abs=1e-7)
 
 
@@ -62,15 +62,15 @@ def test_a_position_under_the_wheel_is_reached_from_farther_away(
     goal = Goal(px + distance * math.cos(towards), py + distance * math.sin(towards))
     away = planner().next_segment(start, goal)
     assert (away.turn, away.is_last) == (0.0, False)
-    pose = carried_out(RATCHETS.driven(start, away.length), goal)
+    pose = executed(RATCHETS.driven(start, away.length), goal)
     assert (pose.x, pose.y) == pytest.approx((goal.x, goal.y), abs=1e-7)
 
 
 def test_a_goal_ahead_of_the_rover_is_straight_ahead():
     start = GroundPose(1.0, 2.0, 0.5)
-    heading, way = course(RATCHETS, start, Goal(*RATCHETS.driven(start, 3.0)))
+    heading, length = course(RATCHETS, start, Goal(*RATCHETS.driven(start, 3.0)))
     assert wrapped(heading - start.heading) == pytest.approx(0.0, abs=1e-9)
-    assert way == pytest.approx(3.0)
+    assert length == pytest.approx(3.0)
 
 
 def planner(**values: float) -> DrivePlanner:
@@ -104,7 +104,7 @@ def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
     for _ in range(5):
         made.update_curvature(0.04, 2.0)
     assert made.curvature == pytest.approx(0.02, rel=0.01)
-    # An arc of 0.02 rad/m over 1 m, begun right of its chord.
+    # An arc of 0.02 rad/m over 1 m starts right of its chord.
     segment = made.next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
     straight = planner().next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
     assert segment.heading - straight.heading == pytest.approx(

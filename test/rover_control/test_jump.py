@@ -1,4 +1,4 @@
-"""The jump as a whole, on the spatial plant with its real sensors; without ROS."""
+"""Jump controller on the spatial plant with its real sensors, without ROS."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ pytestmark = pytest.mark.usefixtures("compiled")
 
 
 @pytest.fixture(scope="module")
-def jumped() -> JumpingRover:
-    """A rover with a spring 5 % too stiff that was to jump 0.2 m high, three times."""
+def rover() -> JumpingRover:
+    """A rover with a spring 5 % too stiff after three requested jumps of 0.2 m."""
     rover = JumpingRover(Stand(slope=0.05, downhill=1.0, spring=1.05), seed=3)
     for _ in range(3):
         assert rover.perform_jump(0.2)
     return rover
 
 
-def test_every_jump_begins_and_ends_in_standby(jumped: JumpingRover):
-    phases = [change.phase.value for _, change in jumped.changes]
+def test_every_jump_begins_and_ends_in_standby(rover: JumpingRover):
+    phases = [change.phase.value for _, change in rover.changes]
     assert phases == 3 * [
         "compressing", "settling", "releasing", "flight", "landed", "hooking", "standby",
     ]  # fmt: skip
-    assert not jumped.refusals
+    assert not rover.refusals
 
 
-def test_heights_are_measured_to_millimetres(jumped: JumpingRover):
-    told = [record.flown.height for record in jumped.records]
-    assert told == pytest.approx(jumped.heights, abs=4e-3)
+def test_heights_are_measured_to_millimetres(rover: JumpingRover):
+    heights = [record.flown.height for record in rover.records]
+    assert heights == pytest.approx(rover.heights, abs=4e-3)
 
 
-def test_the_estimate_adapts_to_a_stiff_spring(jumped: JumpingRover):
-    errors = [abs(height / 0.2 - 1.0) for height in jumped.heights]
+def test_the_estimate_adapts_to_a_stiff_spring(rover: JumpingRover):
+    errors = [abs(height / 0.2 - 1.0) for height in rover.heights]
     assert errors[0] > 0.04
     assert errors[2] < 0.5 * errors[0]
-    assert jumped.control.spring.gain > 1.02
-    assert all(record.accepted for record in jumped.records)
-    strokes = [record.stroke for record in jumped.records]
+    assert rover.control.spring.gain > 1.02
+    assert all(record.accepted for record in rover.records)
+    strokes = [record.stroke for record in rover.records]
     assert strokes[2] < strokes[0]
 
 
-def test_a_record_is_a_sample_of_the_contract(jumped: JumpingRover):
-    record = jumped.records[0]
+def test_a_record_is_a_sample_of_the_contract(rover: JumpingRover):
+    record = rover.records[0]
     sample = flown_sample(record)
     assert set(sample.joints) == {*TOPICS[topics.JUMP_FLOWN].joints}
     flown, low, high = sample.joints[JUMP_HEIGHT]
@@ -61,20 +61,20 @@ def test_a_record_is_a_sample_of_the_contract(jumped: JumpingRover):
 
 
 def test_a_height_beyond_the_stroke_limit_is_refused_with_the_limit(
-    jumped: JumpingRover,
+    rover: JumpingRover,
 ):
-    now = jumped.now_ns
+    now = rover.now_ns
     with pytest.raises(Refusal, match=r"at most 0\.2 m the rover rises by 0\.\d+ m") as caught:
-        jumped.control.request(JointSample(now, {JUMP_HEIGHT: JointValue(1.0)}), now)
+        rover.control.request(JointSample(now, {JUMP_HEIGHT: JointValue(1.0)}), now)
     assert caught.value.code is RefusalCode.OUT_OF_LIMITS
-    assert jumped.control.phase.value == "standby"
+    assert rover.control.phase.value == "standby"
 
 
-def test_the_spring_estimate_can_be_reset(jumped: JumpingRover):
-    kept = jumped.control.spring
-    jumped.control.reset_spring()
-    assert jumped.control.spring.gain == 1.0
-    jumped.control.spring = kept
+def test_the_spring_estimate_can_be_reset(rover: JumpingRover):
+    kept = rover.control.spring
+    rover.control.reset_spring()
+    assert rover.control.spring.gain == 1.0
+    rover.control.spring = kept
 
 
 def test_a_request_is_refused_before_any_sample():

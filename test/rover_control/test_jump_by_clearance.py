@@ -1,4 +1,4 @@
-"""Jumps by clearance: what is asked, what answers lead to, every way out. Without a plant."""
+"""Jumps by clearance: prediction request, result and every cancellation. Without a plant."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ GOOD = Prediction(
 
 
 class Standing:
-    """A rover that stands, and its controller."""
+    """A standing rover and its jump controller."""
 
     def __init__(self, *, knows_place: bool = True) -> None:
         self.jump = Jump(JumpSettings())

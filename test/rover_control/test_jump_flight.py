@@ -1,4 +1,4 @@
-"""Flights measured by an IMU, against flights that are known."""
+"""Flights measured by an IMU, against known trajectories."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rover_control.jump_flight import FlightRecorder, MeasuredJump
 NANO = 1_000_000_000
 STEP = NANO // 100
 G = 1.62
-HELD, UP = 0.5, 0.05  # times of standing and of the push [s]
+HELD, UP = 0.5, 0.05  # durations of rest and push [s]
 
 
 def fly(
@@ -28,15 +28,15 @@ def fly(
     gap: int = -1,
     recorder: FlightRecorder | None = None,
 ) -> MeasuredJump | None:
-    """A parabola from rest to rest, its push and its landing `push` [s] long, as an IMU tells it.
+    """A parabola from rest to rest, push and landing `push` [s] long, as measured by an IMU.
 
     Args:
         speed, ahead: at take-off, up and along the level x [m/s].
         bias: of the accelerometer [m/s^2].
         tilt: of the body about its y [rad].
-        spin: about the vertical while it flies [rad/s].
+        spin: about the vertical in flight [rad/s].
         clip: range of the accelerometer [m/s^2].
-        gap: number of the first of ten samples that are lost.
+        gap: index of the first of ten lost samples.
     """
     recorder = FlightRecorder(imu_offset=0.0) if recorder is None else recorder
     recorder.begin()
@@ -99,7 +99,7 @@ def test_accelerometer_saturation_is_corrected():
     short = 0.01  # 110 m/s^2
     flown = fly(1.1, push=short, clip=80.0)
     assert flown is not None
-    # The landing is as short: half of what is left over is its own.
+    # The landing is as short: half of the remaining velocity is its own.
     assert flown.height == pytest.approx(rise(1.1, short), rel=0.02)
 
 

@@ -1,4 +1,4 @@
-"""jump_node and sim_node as processes of their own; the operator is a third one, the test."""
+"""jump_node and sim_node as processes; the test is the operator."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ NOW_NS = 5 * NANO
 
 
 def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
-    """Start simulator and sequencer; returns the latter once it may be asked for a jump.
+    """Start simulator and jump_node; returns the latter once it accepts requests.
 
-    Simulated time goes slowly, so that on a busy machine no sensor and no command is lost for that.
+    Simulated time is slow, so that no sample is lost on a busy machine.
     """
     observer = harness.observer()
     observer.listen(topics.EVENTS)
@@ -49,7 +49,7 @@ def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
     harness.processes.start(
         "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
     )
-    # The last one of each node's topics that is listened to: where it is heard, so are the others.
+    # Each node's last topic: once it is matched, so are the others.
     observer.wait_for_text(topics.JUMP_PHASE, "standby")
     observer.listen(topics.JUMP_MOTOR_STATE).wait()
     observer.wait_until_ready(NODE)
@@ -57,7 +57,7 @@ def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
 
 
 def request(observer: Observer, stroke: float, speed: float = 0.0) -> None:
-    """Ask as an operator does: without a stamp."""
+    """Send a request without a time stamp, as an operator does."""
     observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, stroke, speed, stamp_ns=0)
 
 
@@ -99,7 +99,7 @@ def test_commands_are_sent_only_while_compressing(harness: NodeHarness):
     begin, end = (stamp_of(observer, f"jump_{phase}") for phase in ("compressing", "flight"))
     assert end - begin > 0.9 * NANO
     stamps = [sample.stamp_ns for sample in samples]
-    # The first answers the request, the last comes before the take-off is known.
+    # The first one answers the request, the last one precedes the detected take-off.
     assert begin <= stamps[0] <= begin + NANO // 20
     assert stamps[-1] <= end
     gaps = [later - earlier for earlier, later in pairwise(stamps)]
@@ -107,7 +107,7 @@ def test_commands_are_sent_only_while_compressing(harness: NodeHarness):
 
 
 def stamp_of(observer: Observer, event: str) -> int:
-    """When the sequencer told of an event [ns]."""
+    """Time at which jump_node reported an event [ns]."""
     feed = observer.listen(topics.EVENTS)
     return int(feed.wait(lambda sample: sample.statuses[0].name == event).stamp_ns)
 
@@ -133,17 +133,17 @@ def test_a_bad_request_is_refused_with_its_reason_and_nothing_moves(
     shared_sim: Observer, stroke: float, code: str
 ):
     observer = shared_sim
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    count = len(observer.listen(topics.DIAGNOSTICS))
     message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
     message.position[0] = stroke
     observer.publisher(topics.JUMP_REQUEST).publish(message)
-    observer.wait_for_refusal(topics.JUMP_REQUEST, code, heard)
+    observer.wait_for_refusal(topics.JUMP_REQUEST, code, count)
     assert not observer.listen(topics.JUMP_MOTOR_COMMAND).samples
 
 
 @pytest.fixture(scope="module")
 def shared_sim(shared_harness: NodeHarness) -> Observer:
-    """Simulator and sequencer for requests that come to nothing."""
+    """Simulator and jump_node for requests that are refused."""
     return start_both(shared_harness)[1]
 
 
@@ -157,9 +157,9 @@ def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
 
 
 def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
-    heard = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
-    assert topics.CONTACT in heard
-    assert not heard & forbidden_to_controllers()
+    subscriptions = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
+    assert topics.CONTACT in subscriptions
+    assert not subscriptions & forbidden_to_controllers()
 
 
 def test_without_sensors_a_request_is_refused(harness: NodeHarness):
@@ -192,11 +192,11 @@ def test_after_a_kill_the_nut_stops_and_the_next_node_lets_the_spring_down(
     stopped = float(observer.wait_for_event("jump_motor_silent").values["compression"])
     assert 0.02 < stopped < 0.1
 
-    events, told = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
+    events, count = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
     harness.processes.start(MODULE, {"use_sim_time": True})
-    observer.wait_until_ready(NODE, told)
+    observer.wait_until_ready(NODE, count)
     request(observer, 0.1)
-    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase", told)
+    refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase", count)
     assert "compressed by" in refusal.message
     since = len(observer.listen(topics.JUMP_PHASE))
     assert observer.call(topics.JUMP_ABORT).success
@@ -224,9 +224,9 @@ def test_a_deactivated_node_sends_nothing_and_the_nut_stops(harness: NodeHarness
     wait_for_compression(observer, 0.02)
     assert observer.change_state(NODE, "deactivate")
     observer.wait_for_event("jump_motor_silent")
-    told = len(observer.listen(topics.DIAGNOSTICS))
+    count = len(observer.listen(topics.DIAGNOSTICS))
     assert observer.change_state(NODE, "activate")
-    observer.wait_until_ready(NODE, told)
+    observer.wait_until_ready(NODE, count)
     assert observer.call(topics.JUMP_ABORT).success
     wait_for_compression(observer, -1.0, 1e-9)
 
@@ -237,21 +237,23 @@ def test_parameters_have_ranges_and_take_effect(harness: NodeHarness):
     assert observer.set_parameter(NODE, "max_stroke", 0.05).successful
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "out_of_limits")
-    assert "at most 0.05 m" in refusal.message
+    assert "limit 0.05 m" in refusal.message
 
 
 def test_health_names_missing_sensors(harness: NodeHarness):
     harness.processes.start(MODULE, {"use_sim_time": True})
     observer = harness.observer()
-    observer.wait_for_status(topics.DIAGNOSTICS, partial(says, f"waiting for {topics.CLOCK}"))
-    # A clock that stands: what was heard stays fresh.
+    observer.wait_for_status(
+        topics.DIAGNOSTICS, partial(has_message, f"waiting for {topics.CLOCK}")
+    )
+    # The clock stands still: received samples stay fresh.
     diagnostics = observer.listen(topics.DIAGNOSTICS)
 
     def knows_time() -> bool:
         observer.send(topics.CLOCK, ClockSample(NOW_NS))
         return bool(diagnostics.last.stamp_ns == NOW_NS)
 
-    observer.wait_until(knows_time, "the clock is not heard")
+    observer.wait_until(knows_time, "the node has no time")
     sensors: dict[str, Sample] = {
         topics.CONTACT: JointSample(NOW_NS, {FLOOR_SWITCH: JointValue(1.0)}),
         topics.JUMP_MOTOR_STATE: JointSample(NOW_NS, {JUMP_SCREW: JointValue(0.0)}),
@@ -260,14 +262,14 @@ def test_health_names_missing_sensors(harness: NodeHarness):
     missing = list(sensors)
     for topic, sample in sensors.items():
         words = f"waiting for {', '.join(missing)}"
-        status = observer.wait_for_status(topics.DIAGNOSTICS, partial(says, words))
+        status = observer.wait_for_status(topics.DIAGNOSTICS, partial(has_message, words))
         assert (status.name, status.level) == (f"{NODE}: node", Level.WARN)
         observer.send(topic, sample)
         missing.remove(topic)
     observer.wait_until_ready(NODE)
 
 
-def says(words: str, status: Status) -> bool:
+def has_message(words: str, status: Status) -> bool:
     return status.message == words
 
 

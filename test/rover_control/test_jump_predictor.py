@@ -1,4 +1,4 @@
-"""Jumps predicted by the plant: what is picked, what is refused, and that it comes out so."""
+"""Jumps predicted by the plant: selection, rejection, and agreement with the flown jump."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_equal_requests_give_equal_predictions(usual: Prediction):
 
 @pytest.mark.parametrize("ahead", [-0.16, 0.16])
 def test_a_prediction_on_a_slope_with_rolling_wheels_succeeds(ahead: float):
-    # One way its ratchets let it roll: it finds no rest.
+    # The ratchets let it roll in one direction: it does not settle.
     slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
     prediction_request = PredictionRequest(slope, 0.15, False, 1)
     found = JumpPredictor(FEW).predict(prediction_request, SpringEstimate(SpringParameters()))

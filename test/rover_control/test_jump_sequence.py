@@ -1,4 +1,4 @@
-"""The jump's sequence, stepped without ROS against a rover made of three numbers."""
+"""Jump sequence without ROS, on a minimal model of the rover."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ GRAVITY = 9.81
 class Rover:
     """A rover that stands, compresses, flies for half a second and lands.
 
-    Sensors speak at 100 Hz, the sequence is stepped at 20 Hz. After a release the nut of a rover
-    that `springs_back` stands on the latch again; else it must be driven up past it.
+    Sensors publish at 100 Hz, the sequence is stepped at 20 Hz. After a release the nut of a
+    rover that `springs_back` is above the latch again; otherwise it must be driven past it.
     """
 
     def __init__(self, parameters: JumpParameters = PARAMETERS) -> None:
@@ -70,9 +70,9 @@ class Rover:
             return
         if self.command is None or self.stuck:
             return
-        way = self.command.compression - self.compression
-        if abs(way) > self.command.rate * dt:
-            self.compression += math.copysign(self.command.rate * dt, way)
+        distance = self.command.compression - self.compression
+        if abs(distance) > self.command.rate * dt:
+            self.compression += math.copysign(self.command.rate * dt, distance)
             return
         self.compression = self.command.compression
         self.hooked = self.hooked or self.compression <= 0.0
@@ -181,16 +181,16 @@ def test_an_unhooked_latch_is_detected_early_and_hooked_by_letting_down(rover: R
 
 
 @pytest.mark.parametrize(
-    ("wrong", "value", "reason"),
+    ("attribute", "value", "reason"),
     [
         ("tilt", 0.5, "tilt is 0.5 rad, limit 0.35"),
         ("tension", 3.0, "tether tension is 3 N, limit 2 N; give slack"),
     ],
 )
 def test_tilt_or_tension_beyond_the_limit_prevents_the_release(
-    rover: Rover, wrong: str, value: float, reason: str
+    rover: Rover, attribute: str, value: float, reason: str
 ):
-    setattr(rover, wrong, value)
+    setattr(rover, attribute, value)
     rover.request()
     rover.run(15.0)
     assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
@@ -307,9 +307,9 @@ def test_a_request_with_a_compressed_spring_is_refused_until_an_abort(rover: Rov
 
 
 def test_a_stroke_beyond_the_limit_is_refused(rover: Rover):
-    wrong = refusal(rover, 0.31)
-    assert wrong.code is RefusalCode.OUT_OF_LIMITS
-    assert "limit 0.3 m" in wrong.reason
+    raised = refusal(rover, 0.31)
+    assert raised.code is RefusalCode.OUT_OF_LIMITS
+    assert "limit 0.3 m" in raised.reason
 
 
 @pytest.mark.parametrize("sensor", [topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.IMU])
@@ -317,9 +317,9 @@ def test_a_request_without_a_sensor_is_refused(rover: Rover, sensor: str):
     assert "never received" in _refused_without_sensors()
     rover.stale = {sensor}
     rover.run(0.3)
-    wrong = refusal(rover)
-    assert wrong.code is RefusalCode.STALE
-    assert sensor in wrong.reason
+    raised = refusal(rover)
+    assert raised.code is RefusalCode.STALE
+    assert sensor in raised.reason
 
 
 def _refused_without_sensors() -> str:

@@ -1,4 +1,4 @@
-"""The spring's estimate: its model, and what it learns from jumps that it cannot see into."""
+"""Spring estimate: its model and its convergence to unknown springs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PARAMETERS = SpringParameters()
 
 
 def true_height(stroke: float, gain: float, zero: float, tilt: float = 0.0) -> float:
-    """Energy and momentum written out: Body 2 is thrown and takes Body 1 along."""
+    """Energy and momentum written out: Body 2 is accelerated and takes Body 1 along."""
     m1, m2, g = 6.0, 4.0, 1.62
     x = stroke + zero
     thrown = math.sqrt(2.0 * (0.5 * 824.0 * x**2 - m2 * g * x) / m2)
@@ -104,7 +104,7 @@ def test_quantiles_are_those_of_a_normal_plus_a_uniform_error():
         (0.2 * math.exp(-1.644854 * 0.02), 0.2 * math.exp(1.644854 * 0.02)), rel=1e-6
     )
     assert Height(0.2, 0.0).interval(0.9) == (0.2, 0.2)
-    # Where both are alike, by drawing.
+    # Where both errors are similar, by Monte Carlo.
     generator = np.random.default_rng(2)
     drawn = 0.03 * generator.standard_normal(400_000) + 0.05 * generator.uniform(-1, 1, 400_000)
     height = Height(0.2, 0.03, 0.05)

@@ -1,4 +1,4 @@
-"""Wheels or jump: each rule, and what moves the choice."""
+"""Choice between wheels and jump by each rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mission's supervisor on nodes that do what they are asked: order, trouble, operators."""
+"""Mission supervisor on cooperative nodes: order of the legs, failures, operators and restarts."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ def test_a_hanging_leg_is_tried_again_after_a_pause():
     machine.refuses[topics.DESCENT_REQUEST] = "it swings too much"
     machine.run(10.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
-    asked = machine.requests.count(topics.DESCENT_REQUEST)
+    count = machine.requests.count(topics.DESCENT_REQUEST)
     machine.refuses.clear()
     machine.run(MissionParameters().retry_delay - 12.0, until=MissionPhase.STANDBY)
-    assert machine.requests.count(topics.DESCENT_REQUEST) == asked
+    assert machine.requests.count(topics.DESCENT_REQUEST) == count
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 
@@ -142,7 +142,7 @@ def test_a_rover_that_cannot_turn_drives_on_before_it_jumps():
 
 def test_the_wheel_risk_is_1_above_the_slope_limit():
     machine = start_mission(MissionPhase.DRIVING)
-    # So likely to topple, a jump is worse than wheels that got stuck once on level ground.
+    # At this probability of toppling a jump is worse than wheels stuck once on level ground.
     machine.stuck, machine.slope, machine.upright = 1, 0.4, 0.7
     assert finished(machine)
     (choice,) = machine.choices
@@ -178,7 +178,7 @@ def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
     while machine.jump != "flight":
         machine.tick()
     machine.tick()
-    machine.jump = "fault"  # as of one that has toppled
+    machine.jump = "fault"  # as after toppling
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert finished(machine)
@@ -231,7 +231,7 @@ def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
     machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
-    machine.descent = "exposing"  # the last word heard
+    machine.descent = "exposing"  # the last phase received
     machine.run(0.3, until=MissionPhase.STANDBY)
     machine.descent = "standby"
     assert finished(machine)
@@ -240,7 +240,7 @@ def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
     machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
-    machine.descent = "exposing"  # and somebody has asked for another one
+    machine.descent = "exposing"  # another command source has requested a stop
     assert finished(machine)
     assert topics.DESCENT_ABORT in machine.requests
 
@@ -339,7 +339,7 @@ def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():
     machine = start_mission(MissionPhase.APPROACHING)
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
-    # As the descent has let the winch be held, while it gave it back.
+    # The descent controller holds the winch when it releases it.
     machine.emit("winch_node", "winch_hold", "asked to hold")
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
@@ -384,11 +384,11 @@ def test_a_compressed_spring_is_let_down_before_the_lift():
 def test_a_restarted_drive_node_gets_the_pose():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
-    told = len(machine.requests)
+    before = len(machine.requests)
     machine.place, machine.drive = (0.0, 0.0, 0.0), "released"
     machine.tick()
     machine.tick()
-    assert topics.DRIVE_START in machine.requests[told:]
+    assert topics.DRIVE_START in machine.requests[before:]
     assert machine.place[0] == pytest.approx(2.0, abs=0.5)
     assert finished(machine)
     assert machine.place[:2] == (0.0, 0.0)
@@ -434,7 +434,7 @@ def test_a_descent_interrupted_during_the_downtime_is_resumed():
     saved, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
     machine.mission = Mission(PLAN)
     machine.mission.restore(saved, machine.now_ns)
-    machine.mission.step(machine.now_ns)  # before anything latched was heard
+    machine.mission.step(machine.now_ns)  # before any latched sample is received
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 

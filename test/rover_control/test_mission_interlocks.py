@@ -1,4 +1,4 @@
-"""The table of interlocks: what it says, how each condition is seen, and that it is kept."""
+"""Interlocks: the table, the detection of each condition, and their enforcement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rover_control.observed_state import ObservedState
 NOW = 10.0
 NOW_NS = round(NOW * 1e9)
 
-# Rows: conditions; columns: descend, lower, lift, drive, slacken, jump. x = it must not be.
+# Rows: conditions; columns: descend, lower, lift, drive, slacken, jump. x = forbidden.
 TABLE = """
 WINCH_STALE   x x x x x x
 DRIVE_STALE   . . . x . .
@@ -118,8 +118,8 @@ def test_a_forbidden_action_has_a_violated_interlock(
     condition: Condition, action: Action, is_forbidden: bool
 ):
     on_floor = action not in (Action.DESCEND, Action.LOWER)
-    seen = observed(**({"on_floor": on_floor} | SEEN[condition]))  # type: ignore[arg-type]
-    assert not is_forbidden or violated_interlock(action, seen, NOW) is not None
+    state = observed(**({"on_floor": on_floor} | SEEN[condition]))  # type: ignore[arg-type]
+    assert not is_forbidden or violated_interlock(action, state, NOW) is not None
 
 
 @pytest.mark.parametrize("action", MOVING)
@@ -161,15 +161,15 @@ def test_a_mission_never_sends_a_forbidden_request(seed: int):
     machine = MissionMachine()
     machine.publish()
     machine.mission.go(machine.now_ns)
-    asked: list[Request] = []
+    sent: list[Request] = []
     handle = machine.handle
 
     def checked(request: Request) -> None:
-        asked.append(request)
+        sent.append(request)
         acts = ACT_OF.get(request.name, ())
         if acts:
-            seen, now = machine.mission.observed, machine.now
-            assert any(violated_interlock(action, seen, now) is None for action in acts), (
+            state, now = machine.mission.observed, machine.now
+            assert any(violated_interlock(action, state, now) is None for action in acts), (
                 request,
                 seed,
             )
@@ -191,4 +191,4 @@ def test_a_mission_never_sends_a_forbidden_request(seed: int):
         machine.tick()
         if machine.mission.phase is MissionPhase.HOLDING and machine.mission.leg is not None:
             machine.mission.resume(machine.now_ns)
-    assert len(asked) > 10
+    assert len(sent) > 10

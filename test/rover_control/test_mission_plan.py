@@ -1,4 +1,4 @@
-"""Plans of missions: what is read, and what is refused and how."""
+"""Mission plans: what is read, and what is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rescues: what the winch does for a rover that cannot go on by itself."""
+"""Recoveries of an immobilized rover by the winch."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rover_control.mission_legs import MissionPhase
 from rover_control.mission_plan import Lift, Recovery
 from rover_control.mission_route import LegKind
 
-TRIALS = 15  # of being stuck: three trials of a way with two jumps and two detours each
-CALMS = 240.0  # so long at most [s]
+TRIALS = 15  # number of failures in three trials of a leg with two jumps and two detours each
+CALMS = 240.0  # time limit of the damping [s]
 
 
 def test_an_unreachable_waypoint_is_skipped_and_the_rover_returns():
     machine = start_mission(MissionPhase.DRIVING)
-    machine.stuck = 3 * TRIALS  # before both recoveries, and after them
+    machine.stuck = 3 * TRIALS  # before both recoveries and after them
     assert finished(machine)
     assert missed(machine) == ["waypoint 1 at (2, 0) m"]
     (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
@@ -67,7 +67,7 @@ def test_a_restarted_winch_gets_time_to_detect_touchdown():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(1.0, until=MissionPhase.STANDBY)
     length = machine.length
-    machine._on_floor, machine.length = False, length - 0.1  # as it tells at first
+    machine._on_floor, machine.length = False, length - 0.1  # as a restarted winch reports at first
     machine.run(10.0, until=MissionPhase.LIFTING)
     machine._on_floor, machine.length = True, length
     assert finished(machine)

@@ -1,4 +1,4 @@
-"""The legs of a mission, from a plan, and how far it is."""
+"""Legs derived from a plan, and the progress along them."""
 
 from __future__ import annotations
 

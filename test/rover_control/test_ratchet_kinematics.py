@@ -1,4 +1,4 @@
-"""What one motor and two ratchets can do, and what they cannot, with the reason."""
+"""Feasible and infeasible motions of one motor with two ratchets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_turn_leaves_the_right_wheel_where_it_is():
     after = RATCHETS.turned(pose, 1.9)
     assert RATCHETS.pivot_of(after) == pytest.approx(RATCHETS.pivot_of(pose))
     assert after.heading == pytest.approx(2.6)
-    # base_link goes round the right wheel: sqrt(0.08^2 + 0.22^2) m away from it.
+    # base_link moves on a circle about the right wheel, radius sqrt(0.08^2 + 0.22^2) m.
     chord = 2.0 * math.hypot(0.08, 0.22) * math.sin(0.95)
     assert pose.distance(after.x, after.y) == pytest.approx(chord)
 
@@ -36,9 +36,9 @@ def test_a_left_turn_moves_base_link_back():
     assert after.y == pytest.approx(-0.0008, rel=0.1)
 
 
-def test_rates_follow_from_radius_track_and_slip():
+def test_rates_follow_from_radius_width_and_slip():
     assert RATCHETS.driving_rate(0.1) == pytest.approx(0.1 / (0.15 * (1.0 - 0.256)))
-    # The left wheel's way back on a circle of the track_width's radius.
+    # The left wheel moves back on a circle with the radius of the track width.
     assert RATCHETS.turning_rate(0.2) == pytest.approx(-0.2 * 0.44 / (0.15 * (1.0 - 0.33)))
 
 

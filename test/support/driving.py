@@ -1,4 +1,4 @@
-"""Commands as a controller would send them: streamed in simulated time."""
+"""Streams of drive commands in simulated time, as a controller sends them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def drive(
     until: Callable[[], bool],
     limit: float = 60.0,
 ) -> None:
-    """Command a drive at its contract's rate until a condition holds, looked at before each one.
+    """Command a drive at its contract's rate until a condition, checked before each command, holds.
 
     Args:
-        observer: who commands.
+        observer: sends the commands.
         topic: of the command.
-        joints: what it says.
+        joints: content of the command.
         until: the condition.
         limit: AssertionError after this much simulated time [s].
     """
@@ -49,6 +49,6 @@ def drive_nut(
 
 
 def has_event(observer: Observer, name: str, since: int = 0) -> Callable[[], bool]:
-    """Whether an event has come, as a condition for ``drive_nut``."""
+    """Condition for ``drive_nut``: whether an event has arrived."""
     feed = observer.listen(topics.EVENTS)
     return lambda: any(s.name == name for e in feed.samples[since:] for s in e.statuses)

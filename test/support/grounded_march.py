@@ -1,4 +1,4 @@
-"""Step a tether that lies, falls or slides on a terrain, by the kernel's own parts."""
+"""Steps a tether on a terrain with the parts of the kernel."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ from rover_sim.physics.tether_contact import (
     tether_contact_energy,
 )
 
-# Entries of the log.
+# Indices of the log.
 (
     TETHER_HEAT, GROUND_HEAT, CONTACT_ENERGY, NORMAL, TOUCHING, ITERATIONS, STEPS, HALVINGS,
     LEAST_HEAT, DEEPEST,
@@ -104,7 +104,7 @@ def _march(
 
 
 class GroundedTether:
-    """A tether in space on a terrain; ends free, or held in their places, or with a mass."""
+    """A spatial tether on a terrain, with free or fixed ends or an end mass."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class GroundedTether:
         mass: float = 0.0,
         room: int = 0,
     ) -> None:
-        """Start at rest with nodes (n + 1, 2, 3); `held` names ends whose places do not move."""
+        """Start at rest with nodes (n + 1, 2, 3); `held` are the ends with fixed positions."""
         n = cable.elements
         self.cable, self.terrain, self.mass = cable, terrain, mass
         self.law = (parameters or TetherContactParameters()).law()
@@ -131,7 +131,7 @@ class GroundedTether:
             self.work.end_fixed[end, :3] = 1.0
 
     def run(self, duration: float, h: float, tolerance: float = 1e-10) -> None:
-        """Step on; steps that do not converge are halved."""
+        """Advance; steps that do not converge are halved."""
         ok = _march(
             self.terrain, self.law, self.cable, self.mass, h, round(duration / h), self.q, self.v,
             self.anchors, self.work, self.contact, *self._after, tolerance, self.log,
@@ -145,7 +145,7 @@ class GroundedTether:
 
     @property
     def ground_energy(self) -> float:
-        """Stored in ground and anchors [J]."""
+        """Energy stored in ground and anchors [J]."""
         return float(
             tether_contact_energy(
                 self.terrain, self.law, self.cable, self.q, self.anchors, self.contact
@@ -154,7 +154,7 @@ class GroundedTether:
 
     @property
     def energy(self) -> float:
-        """Everything stored [J]."""
+        """Total stored energy [J]."""
         n = self.cable.elements
         total: Any = sum(tether_energies(self.cable, self.q, self.v)) + self.ground_energy
         rate = self.v[:3, n]
@@ -163,5 +163,5 @@ class GroundedTether:
 
     @property
     def dissipated(self) -> float:
-        """By tether and ground since the start [J]."""
+        """Energy dissipated by tether and ground since the start [J]."""
         return float(self.log[TETHER_HEAT] + self.log[GROUND_HEAT])

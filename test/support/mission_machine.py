@@ -1,4 +1,4 @@
-"""Nodes that do at once what a mission asks of them, each in the words of the contract."""
+"""Model of the nodes that a mission commands; each responds at once on its topics."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
 
 STEP = 0.1  # [s]
-FLOOR = 9.0  # length at which the floor is touched [m]
+FLOOR = 9.0  # length at touchdown [m]
 PLAN = MissionPlan(
     looks=(Look(depth=4.0),),
     landing=Landing(approach_depth=7.0, max_depth=10.0, rate=0.1),
@@ -44,19 +44,21 @@ PLAN = MissionPlan(
 
 
 class MissionMachine:
-    """A mission with everybody whom it asks.
+    """A mission with models of all nodes that it commands.
 
     Attributes:
-        slope: nose up, of what the rover stands on [rad].
-        stuck: how often the driving gets stuck from now on.
-        upright: probability of landing so that is predicted.
-        advice: against jumps.
-        turned: by the descent's gyro, since its start [rad].
-        swings: so much that no stop is reached.
-        rate: of the last length that the winch was asked for [m/s].
-        choices: reasons of what the mission has chosen.
-        refuses: topics and services that are refused, with the reason.
-        asked: names of all that was asked for.
+        slope: inclination of the ground, nose up [rad].
+        stuck: number of times that the drive will still get stuck.
+        cannot_turn: the rover cannot turn where it is stuck.
+        jump_fails: the next jump does not leave the ground.
+        upright: predicted probability of landing upright.
+        rejection: why a prediction rejects the jump.
+        turned: heading of the descent controller's gyro [rad].
+        swings: the rover swings, so that no stop ends.
+        rate: of the last length request to the winch [m/s].
+        choices: events of the choices between wheels and jump.
+        refuses: reasons of refusals, by topic or service.
+        requests: names of all topics and services requested.
     """
 
     def __init__(self, plan: MissionPlan = PLAN, settings: MissionSettings | None = None) -> None:
@@ -70,9 +72,9 @@ class MissionMachine:
         self.place = (0.0, 0.0, 0.0)
         self.slope = 0.0
         self.stuck = 0
-        self.cannot_turn = False  # where it is stuck
-        self.jump_fails = False  # the next one does not leave the ground
-        self.upright, self.rejection = 1.0, ""  # of jumps, as they are predicted; advice against
+        self.cannot_turn = False
+        self.jump_fails = False
+        self.upright, self.rejection = 1.0, ""
         self.turned = 0.0
         self.swings = False
         self.rate = math.nan
@@ -85,7 +87,7 @@ class MissionMachine:
         self._goal: tuple[float, float] | None = None
         self._stop: tuple[str, float] | None = None
         self._length_goal: float | None = None
-        self._busy = 0.0  # the jump, or a way, goes on for so long [s]
+        self._busy = 0.0  # remaining time of a jump or drive [s]
 
     @property
     def now_ns(self) -> int:
@@ -97,10 +99,10 @@ class MissionMachine:
 
     _on_floor = False
 
-    # --- stepped ---------------------------------------------------------------------------------
+    # --- simulation ------------------------------------------------------------------------------
 
     def run(self, limit: float = 4000.0, until: MissionPhase | None = None) -> None:
-        """Until nothing is under way, or the mission is in a phase."""
+        """Run until the mission is in a phase, or until no leg is active."""
         for _ in range(round(limit / STEP)):
             self.tick()
             if until is None and not self.mission.is_active:
@@ -165,11 +167,11 @@ class MissionMachine:
                 reason = "3 pictures" if pictures else "reached"
                 self.emit("descent_node", "stop_ended", reason, depth=depth, pictures=pictures)
         if self._length_goal is not None and self.winch == "length":
-            way = self._length_goal - self.length
-            self.length += math.copysign(min(abs(way), 0.1 * STEP * 10), way)
-            if way < 0.0:
-                self.slope = 0.0  # a rover that hangs is upright
-            if self.length >= FLOOR and way > 0.0:
+            distance = self._length_goal - self.length
+            self.length += math.copysign(min(abs(distance), 0.1 * STEP * 10), distance)
+            if distance < 0.0:
+                self.slope = 0.0  # a hanging rover is upright
+            if self.length >= FLOOR and distance > 0.0:
                 self.length, self._on_floor = FLOOR, True
                 self._end_length(f"touchdown at {FLOOR} m")
             elif abs(self._length_goal - self.length) < 1e-6:
@@ -182,7 +184,7 @@ class MissionMachine:
             return
         if self.jump == "flight" and self.jump_fails:
             self.jump_fails = False
-            status = Status("jump_landed", "it has not left the ground", Level.WARN, "jump_node")
+            status = Status("jump_landed", "no take-off", Level.WARN, "jump_node")
             self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
         if self.jump == "flight":
             self.jump, self.nut, self.slack = "standby", -0.03, 0.0
@@ -194,25 +196,25 @@ class MissionMachine:
                 self.emit(
                     "drive_node",
                     "drive_stuck",
-                    "the wheels turn and nothing else",
+                    "the wheels turn but the rover does not move",
                     turning=int(self.cannot_turn),
                 )
             else:
-                way = math.dist(self._goal, self.place[:2])
-                share = min(0.2 / way, 1.0) if way > 0.0 else 1.0
+                distance = math.dist(self._goal, self.place[:2])
+                share = min(0.2 / distance, 1.0) if distance > 0.0 else 1.0
                 x, y = (
                     at + share * (to - at) for at, to in zip(self.place, self._goal, strict=False)
                 )
                 self.place = (x, y, self.place[2])
                 if share == 1.0:
                     self.drive = "released"
-                    self.emit("drive_node", "drive_done", "all goals are reached")
+                    self.emit("drive_node", "drive_done", "all goals reached")
 
     def _end_length(self, reason: str) -> None:
         self._length_goal, self.winch = None, "hold"
         self.emit("winch_node", "winch_hold", reason)
 
-    # --- asked -----------------------------------------------------------------------------------
+    # --- requests --------------------------------------------------------------------------------
 
     def handle(self, request: Request) -> None:
         if request.name in self.refuses:
@@ -275,7 +277,7 @@ class MissionMachine:
             self.jump, self.nut = "standby", 0.0
 
     def restart_mission(self, after: float = 1.0) -> None:
-        """The mission is killed, and started again so much later [s]."""
+        """Kill the mission and restart it after a time [s]."""
         saved = self.mission.checkpoint(self.now_ns)
         self.now += after
         self.mission = Mission(self.plan, self.settings)
@@ -286,7 +288,7 @@ class MissionMachine:
 def start_mission(
     until: MissionPhase | None = None, plan: MissionPlan = PLAN, **settings: object
 ) -> MissionMachine:
-    """One whose mission is under way, or in a phase."""
+    """A machine whose mission is active, or in a phase."""
     machine = MissionMachine(plan, MissionSettings(**settings))  # type: ignore[arg-type]
     machine.publish()
     machine.mission.go(machine.now_ns)
@@ -297,16 +299,16 @@ def start_mission(
 
 
 def finished(machine: MissionMachine) -> bool:
-    """Whether the mission goes on to its end."""
+    """Whether the mission runs to its end."""
     machine.run()
     return machine.events[-3:].count("mission_done") == 1
 
 
 def results(machine: MissionMachine) -> set[LegResult]:
-    """Of the legs that are over."""
+    """Results of the finished legs."""
     return {done.result for done in machine.mission.record}
 
 
 def missed(machine: MissionMachine) -> list[str]:
-    """Legs that were not done."""
+    """Legs that were not completed."""
     return [done.leg for done in machine.mission.record if done.result is not LegResult.DONE]

@@ -1,7 +1,7 @@
-"""A rover that rolls as its ratchets let it, with slip of its own on each side, and its sensors.
+"""A rover that rolls as its ratchets allow, with separate slip of each side, and its sensors.
 
-Kinematic, apart from the controllers' own model: the wheels' contact points move, and the pose
-follows from them. A mother machine holds the tether at a tension.
+Kinematic and independent of the controller's model: the contact points of the wheels move, and the
+pose follows from them. A mother machine holds the tether at a tension.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from msg_schemas.machine import (
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.drive import Drive
 
-RADIUS, TRACK, AHEAD = 0.15, 0.44, 0.08  # [m]
+RADIUS, TRACK_WIDTH, AXLE_OFFSET = 0.15, 0.44, 0.08  # [m]
 GRAVITY = 1.62  # [m/s^2]
-DENSITY = 0.005  # of the tether [kg/m]
-SERVO = 40.0  # bandwidth of the wheel's rate [rad/s]
+DENSITY = 0.005  # linear density of the tether [kg/m]
+SERVO = 40.0  # bandwidth of the wheel rate [rad/s]
 
 
 @dataclass
@@ -41,13 +41,13 @@ class RollingRover:
     Attributes:
         slip: of the left and the right wheel straight ahead.
         turning_slip: of the left wheel in a turn.
-        drop: height of the fairlead over the attachment [m].
+        drop: height of the fairlead above the attachment [m].
         gyro_bias: [rad/s].
-        seed: of the sensors' noise.
+        seed: of the sensor noise.
         stuck: the wheels turn, the rover does not move.
         blocked: the wheels do not turn.
-        obeys: the winch takes requests.
-        roll: of what it stands on [rad].
+        obeys: the winch accepts requests.
+        roll: inclination of the ground [rad].
     """
 
     slip: tuple[float, float] = (0.256, 0.256)
@@ -68,7 +68,7 @@ class RollingRover:
     current: float = 0.6  # of the driven wheels [A]
     rates: tuple[float, float] = (0.0, 0.0)
     angles: tuple[float, float] = (0.0, 0.0)
-    way: float = 0.0
+    travelled: float = 0.0
     requests: list[tuple[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -85,19 +85,19 @@ class RollingRover:
         return self.now_ns * 1e-9
 
     def step(self, drive: Drive, h: float = 0.02) -> None:
-        """Let the controller act, move, and let it hear what the sensors say."""
+        """Step the controller, move the rover, and send its sensors' samples to the controller."""
         drives = drive.step(self.now_ns)
         if drives.winch is not None and self.obeys:
             self.requests.append((drives.winch.joint, drives.winch.effort))
             self.mode = "tension" if drives.winch.joint == WINCH_AT_TENSION else "hold"
         self._roll(drives.wheel_rate, h)
         self.now_ns += round(h * 1e9)
-        self.tell(drive, h)
+        self.send_samples(drive, h)
 
     def _roll(self, rate: float | None, h: float) -> None:
-        wanted = 0.0 if rate is None or self.blocked else rate
+        setpoint = 0.0 if rate is None or self.blocked else rate
         u, w = self.rates
-        u += min(SERVO * h, 1.0) * (wanted - u)
+        u += min(SERVO * h, 1.0) * (setpoint - u)
         w = max(u, 0.0)
         self.rates = (u, w)
         self.angles = (self.angles[0] + u * h, self.angles[1] + w * h)
@@ -105,21 +105,21 @@ class RollingRover:
         right = RADIUS * w * (1.0 - self.slip[1])
         if self.stuck:
             left = right = 0.0
-        self.yaw_rate = (right - left) / TRACK
+        self.yaw_rate = (right - left) / TRACK_WIDTH
         middle = self.heading + 0.5 * self.yaw_rate * h
         c, s = math.cos(self.heading), math.sin(self.heading)
-        px = self.x + c * AHEAD + s * 0.5 * TRACK + right * h * math.cos(middle)
-        py = self.y + s * AHEAD - c * 0.5 * TRACK + right * h * math.sin(middle)
+        px = self.x + c * AXLE_OFFSET + s * 0.5 * TRACK_WIDTH + right * h * math.cos(middle)
+        py = self.y + s * AXLE_OFFSET - c * 0.5 * TRACK_WIDTH + right * h * math.sin(middle)
         self.heading += self.yaw_rate * h
         c, s = math.cos(self.heading), math.sin(self.heading)
-        self.x = px - c * AHEAD - s * 0.5 * TRACK
-        self.y = py - s * AHEAD + c * 0.5 * TRACK
+        self.x = px - c * AXLE_OFFSET - s * 0.5 * TRACK_WIDTH
+        self.y = py - s * AXLE_OFFSET + c * 0.5 * TRACK_WIDTH
         speed = 0.5 * (left + right)
         self._acceleration, self._speed = (speed - self._speed) / h, speed
-        self.way += abs(speed) * h
+        self.travelled += abs(speed) * h
 
-    def tell(self, drive: Drive, h: float = 0.02) -> None:
-        """What all sensors say now."""
+    def send_samples(self, drive: Drive, h: float = 0.02) -> None:
+        """Send one sample of every sensor."""
         noise = self._noise.standard_normal(6)
         stamp, root = self.now_ns, math.sqrt(h)
         yaw = getattr(self, "yaw_rate", 0.0)
@@ -163,7 +163,7 @@ class RollingRover:
         drive.on_winch_estimate(JointSample(stamp, estimate), stamp)
 
     def run(self, drive: Drive, limit: float) -> None:
-        """Go on until nothing is driven and all stands, or so long [s]."""
+        """Run until the rover is at rest without a goal, or for a time [s]."""
         ends = self.now + limit
         while self.now < ends:
             self.step(drive)
