@@ -173,7 +173,7 @@ class _Cursor:
         if self.at > len(self.data):
             raise _LayoutMismatch
 
-    def whole(self, kind: str = "I") -> int:
+    def integer(self, kind: str = "I") -> int:
         width = struct.calcsize(kind)
         self.align(width)
         (value,) = struct.unpack_from("<" + kind, self.data, self.at)
@@ -182,7 +182,7 @@ class _Cursor:
         return int(value)
 
     def text(self) -> str:
-        length = self.whole()
+        length = self.integer()
         begin = self.at
         self.skip(length)
         self.fixed[begin : self.at] = True
@@ -208,12 +208,12 @@ class _Cursor:
 
 def _joints(cursor: _Cursor) -> None:
     cursor.header()
-    names = [cursor.text() for _ in range(cursor.whole())]
+    names = [cursor.text() for _ in range(cursor.integer())]
     if len(set(names)) != len(names):
         raise _LayoutMismatch
     places: dict[str, int] = {}
     for part in ("position", "velocity", "effort"):
-        if cursor.whole() != len(names):
+        if cursor.integer() != len(names):
             raise _LayoutMismatch
         cursor.align(_FLOAT)
         for name in names:
@@ -256,16 +256,16 @@ def _clock(cursor: _Cursor) -> None:
 
 def _tether(cursor: _Cursor) -> None:
     cursor.header()
-    height, width = cursor.whole(), cursor.whole()
-    for _ in range(cursor.whole()):
+    height, width = cursor.integer(), cursor.integer()
+    for _ in range(cursor.integer()):
         cursor.text()
-        cursor.whole()
-        cursor.whole("B")
-        cursor.whole()
-    cursor.whole("B")
-    cursor.whole()
-    cursor.whole()
-    size = cursor.whole()
+        cursor.integer()
+        cursor.integer("B")
+        cursor.integer()
+    cursor.integer("B")
+    cursor.integer()
+    cursor.integer()
+    size = cursor.integer()
     if size != height * width * _NODE * _FLOAT or not size:
         raise _LayoutMismatch
     cursor.nodes = (cursor.at, height * width)

@@ -457,9 +457,9 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
             names = {name: str(full) for name, full in written.items() if name in TOPICS}
             return names, identity.get("namespace", "/")
         if sum(scan.counts.values()) >= _LEADING and len(scan.files) == 1 and scan.closed:
-            announced = {(topic.name, topic.type) for topic in scan.announced}
-            if announced:  # the index lists all topics, and there is no identity record
-                present |= announced
+            declared = {(topic.name, topic.type) for topic in scan.declared_topics}
+            if declared:  # the index lists all topics, and there is no identity record
+                present |= declared
                 break
     spaces = _namespaces(present)
     if namespace is None:

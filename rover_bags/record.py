@@ -1,14 +1,12 @@
 """The recorder node: `mother_rover bag record`, and the executable `bag_record` of launch files.
 
-It records the contract's topics (or a selection, or everything it can discover) exactly as they
-come over the wire, into a bag that survives the death of the recorder, of the disk's free space,
-and of the machine's power.
+Records the contract's topics (or a selection, or every discovered topic) in serialised form. The
+bag remains readable if the recorder is killed, the disk fills up or the machine loses power.
 
-Times in the bag: each message's log time is when the middleware received it and its publish time
-is when its publisher sent it, both by the machine's clock, never by simulated time. So no message
-carries time 0 because ``/clock`` had not come yet, times only grow when simulated time is
-reset, and transport latency can be told. Simulated time stands in the messages' own headers and
-in the recorded clock.
+Log time is the reception by the middleware, publication time the time of sending, both by the wall
+clock. So no message has time 0 before the first ``/clock``, times increase across resets of
+simulated time, and transport latency can be measured. Simulated time is in the messages' headers
+and in the recorded clock.
 """
 
 import argparse
@@ -48,14 +46,14 @@ from msg_schemas.parameters import parameter
 from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
-from rover_bags.files.spool import Continuity, Item, Source, Spool
 from rover_bags.files.store import (
     IDENTITY_RECORD,
     BagError,
     BagWriter,
-    sealed,
     standard_type,
+    with_checksum,
 )
+from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
 
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
@@ -63,7 +61,7 @@ _QUEUE_DEPTH = 1000
 _TAKE_PERIOD = 0.01
 _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
-"""Exit code of a recording that the disk ended, beyond the exit codes of every node."""
+"""Exit code of a recording that ended because the disk failed."""
 _NANO = 1_000_000_000
 _STRING = TOPICS[topics.CONFIG].message
 _STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -74,44 +72,58 @@ class RecordParameters:
     """Parameters of the recorder."""
 
     output: str = parameter(
-        "", "-", "folder to create for the bag; empty = named by date and time", read_only=True
+        "", "-", "folder of the new bag; empty = named by date and time", read_only=True
     )
     topics: str = parameter(
-        "", "-", "topics to record, separated by blanks; empty = all of the contract",
+        "", "-", "topics to record, separated by blanks; empty = all topics of the contract",
         read_only=True,
     )  # fmt: skip
     discover: bool = parameter(
-        False, "-", "record every topic of a standard type that appears, too", read_only=True
+        False, "-", "also record every discovered topic of a standard type", read_only=True
     )
     duration: float = parameter(
-        0.0, "s", "wall time after which recording ends; 0 = until told", 0.0, 1e7, read_only=True
+        0.0,
+        "s",
+        "wall time after which recording ends; 0 = until a signal",
+        0.0,
+        1e7,
+        read_only=True,
     )
     compression: str = parameter(
-        "zstd", "-", "of the bag's chunks", choices=("zstd", "lz4", "none"), read_only=True
+        "zstd",
+        "-",
+        "compression of the bag's chunks",
+        choices=("zstd", "lz4", "none"),
+        read_only=True,
     )
     chunk_period: float = parameter(
-        0.25, "s", "longest wait of a message before it is on disk", 0.02, 60.0, read_only=True
+        0.25, "s", "longest time before a message is written to disk", 0.02, 60.0, read_only=True
     )
     sync: bool = parameter(
         True, "-", "force every chunk onto the disk, against loss of power", read_only=True
     )
     queue_mib: int = parameter(
-        64, "MiB", "what may wait for a stalled disk before messages drop", 1, 4096, read_only=True
+        64,
+        "MiB",
+        "queue size for a stalled disk, beyond which messages are dropped",
+        1,
+        4096,
+        read_only=True,
     )
     min_free_mib: int = parameter(
-        16, "MiB", "free room at which the disk counts as full", 0, 1_000_000, read_only=True
+        16, "MiB", "free space at which the disk counts as full", 0, 1_000_000, read_only=True
     )
 
 
 class _PolledGroup(CallbackGroup):
-    """What the executor does not wait for.
+    """Callback group of subscriptions that the node polls itself.
 
-    It looks at every subscription for every message that comes on any of them, which costs ten
-    times what the message does: 1.2 cores at 3000 messages a second.
+    The executor checks every subscription for each message of any of them. That costs ten times as
+    much as the message itself: 1.2 cores at 3000 messages per second.
     """
 
     def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - rclpy's signature
-        """Never by the executor."""
+        """Return False: the executor never executes them."""
         return False
 
 
@@ -123,7 +135,7 @@ class _Recorded:
     profile: QoSProfile
     subscription: Any = None
     publishers: int = 1
-    continuity: Continuity = field(default_factory=Continuity)
+    sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
     received: bool = False
 
 
@@ -132,14 +144,14 @@ class RecordNode(ContractNode):
 
     NAME = "bag_record"
     PARAMETERS = (RecordParameters,)
-    EXECUTOR = SingleThreadedExecutor  # the other asks no group what is to be left
+    EXECUTOR = SingleThreadedExecutor  # other executors ignore `can_execute`
     disk_failed: ClassVar[bool] = False
 
     def __init__(self, **node_options: Any) -> None:
         super().__init__(**node_options)
         self._recorded: dict[str, _Recorded] = {}
         self._refused_topics: set[str] = set()
-        self._spool: Spool | None = None
+        self._queue: WriteQueue | None = None
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._polled_group = _PolledGroup()
@@ -164,19 +176,21 @@ class RecordNode(ContractNode):
             sync=options.sync,
             reserve=options.min_free_mib << 20,
         )
-        writer.add_metadata(IDENTITY_RECORD, sealed(self._identity()))
-        self._spool = Spool(writer, limit=options.queue_mib << 20, notes=self._note_configuration)
+        writer.add_metadata(IDENTITY_RECORD, with_checksum(self._identity()))
+        self._queue = WriteQueue(
+            writer, limit=options.queue_mib << 20, metadata_of=self._configuration_record
+        )
         self._began = time.monotonic()
-        for name, row_name in selected.items():
-            if row_name is not None:
-                row = TOPICS[row_name]
+        for name, contract_name in selected.items():
+            if contract_name is not None:
+                spec = TOPICS[contract_name]
                 self._subscribe(
                     name,
-                    row.message,
-                    qos.profile(row.intent, _QUEUE_DEPTH),
-                    first=row_name == topics.CONFIG,
+                    spec.message,
+                    qos.profile(spec.intent, _QUEUE_DEPTH),
+                    first=contract_name == topics.CONFIG,
                 )
-        self._by_name = [name for name, row_name in selected.items() if row_name is None]
+        self._by_name = [name for name, contract_name in selected.items() if contract_name is None]
         self._recording_timers = [
             self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
             self.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
@@ -186,23 +200,23 @@ class RecordNode(ContractNode):
         self.get_logger().info(f"recording into {self._path}")
 
     def release(self) -> None:
-        """Take what has arrived, unsubscribe, close the bag and say what is in it."""
+        """Take the received messages, unsubscribe, close the bag and print its summary."""
         for timer in self._recording_timers:
             self.destroy_timer(timer)
         self._recording_timers.clear()
         self._take_messages()
         for recorded in self._recorded.values():
             self.destroy_subscription(recorded.subscription)
-        spool, self._spool = self._spool, None
-        if spool is None:
+        queue, self._queue = self._queue, None
+        if queue is None:
             return
-        failed = spool.error
+        failed = queue.error
         try:
-            summary = spool.close(self._identity())
+            summary = queue.close(self._identity())
         except BagError as error:
             RecordNode.disk_failed = True
             print(f"bag_record: {error}", file=sys.stderr)
-            summary = spool.summary
+            summary = queue.summary
         if failed is not None:
             RecordNode.disk_failed = True
             print(f"bag_record: {failed}", file=sys.stderr)
@@ -212,10 +226,10 @@ class RecordNode(ContractNode):
             f"{summary.duration:.1f} s into {self._path} ({summary.size / 2**20:.2f} MiB)"
         )
         lines += [f"  {count:8d}  {name}" for name, count in sorted(summary.counts.items())]
-        silent = sorted(set(self._recorded) - set(summary.counts))
-        if silent:
-            lines.append(f"  nothing came on: {', '.join(silent)}")
-        for losses, what in zip(spool.losses, ("dropped by the recorder", "lost on the way"),
+        empty = sorted(set(self._recorded) - set(summary.counts))
+        if empty:
+            lines.append(f"  no message received on: {', '.join(empty)}")
+        for losses, what in zip(queue.losses, ("dropped by the recorder", "lost in transport"),
                                 strict=True):  # fmt: skip
             for name, count in sorted(losses.items()):
                 lines.append(f"  {count:8d}  {name}: {what}")
@@ -223,45 +237,46 @@ class RecordNode(ContractNode):
         self._recorded.clear()
 
     def health(self) -> tuple[Status, ...]:
-        """State of bag, queue and disk, and losses by topic."""
-        spool = self._spool
-        if spool is None:
+        """Return the state of bag, queue and disk, and losses by topic."""
+        queue = self._queue
+        if queue is None:
             return ()
-        dropped, lost = spool.losses
-        summary = spool.summary
+        dropped, lost = queue.losses
+        summary = queue.summary
         values = {
             "bag": str(self._path),
             "messages": str(summary.messages),
             "bytes_on_disk": str(summary.size),
-            "bytes_waiting": str(spool.waiting),
+            "bytes_waiting": str(queue.waiting),
             **{f"dropped {name}": str(count) for name, count in sorted(dropped.items())},
             **{f"lost in transport {name}": str(count) for name, count in sorted(lost.items())},
         }
-        error = spool.error
+        error = queue.error
         if error is not None:
             return (Status(f"{self.NAME}: bag", str(error), Level.ERROR, self.NAME, values),)
         level = Level.WARN if dropped or lost else Level.OK
         text = "messages were lost" if dropped or lost else "recording"
         return (Status(f"{self.NAME}: bag", text, level, self.NAME, values),)
 
-    # --- what to record ---------------------------------------------------------------------------
+    # --- selection of topics
+    # ---------------------------------------------------------------------------
 
     def _selected(self, names: Sequence[str]) -> dict[str, str | None]:
-        """Full topic names and their rows in the contract (None: a topic outside it)."""
-        rows = {self.resolve_topic_name(name): name for name in TOPICS}
+        """Full topic names and their contract names (None: a topic outside the contract)."""
+        contract = {self.resolve_topic_name(name): name for name in TOPICS}
         if not names:
-            return dict(rows)
+            return dict(contract)
         chosen = []
         for name in names:
             try:
                 chosen.append(self.resolve_topic_name(name))
-            except RuntimeError as error:  # what rclpy's own errors have in common
+            except RuntimeError as error:  # base class of rclpy's errors
                 reason = str(error).split(", at ", maxsplit=1)[0]
-                raise ValueError(f"topics: {name!r} is no topic name: {reason}") from error
-        return {name: rows.get(name) for name in chosen}
+                raise ValueError(f"topics: {name!r} is not a valid topic name: {reason}") from error
+        return {name: contract.get(name) for name in chosen}
 
     def _discover(self) -> None:
-        """Takes on topics that have appeared and weakens subscriptions that do not match."""
+        """Subscribe to new topics, and relax the QoS of subscriptions that do not match."""
         discover = self.parameters_of(RecordParameters).discover
         present = dict(self.get_topic_names_and_types())
         for name in present if discover else self._by_name:
@@ -269,7 +284,7 @@ class RecordNode(ContractNode):
                 continue
             offers = self.get_publishers_info_by_topic(name)
             if offers:
-                self._subscribe(name, offers[0].topic_type, _matching(offers, _strong_profile()))
+                self._subscribe(name, offers[0].topic_type, _matching(offers, _strictest_profile()))
         for name, recorded in list(self._recorded.items()):
             offers = self.get_publishers_info_by_topic(name)
             recorded.publishers = len(offers)
@@ -283,8 +298,8 @@ class RecordNode(ContractNode):
             matching = _matching(offers, recorded.profile)
             if not _same(matching, recorded.profile):
                 self.get_logger().warning(
-                    f"{name}: a publisher offers less than the contract asks for; recording "
-                    "with what it offers"
+                    f"{name}: a publisher offers a weaker QoS than the contract requires; "
+                    "recording with the offered QoS"
                 )
                 self.destroy_subscription(recorded.subscription)
                 recorded.profile = matching
@@ -314,18 +329,18 @@ class RecordNode(ContractNode):
         )
 
     def _take_messages(self) -> None:
-        """Take what waits on all topics, in the order in which it has come."""
+        """Take the received messages of all topics and queue them in order of reception."""
         items = [item for recorded in self._recorded.values() for item in self._waiting(recorded)]
-        spool = self._spool
-        if spool is None:
+        queue = self._queue
+        if queue is None:
             return
         for item in sorted(items, key=lambda item: item.log_ns):
-            spool.offer(item)
+            queue.offer(item)
             if item.source.first and "scenario" in _configuration(item.data):
-                spool.release()
+                queue.release()
 
     def _waiting(self, recorded: _Recorded) -> Iterator[Item]:
-        """What waits on one topic, up to what its queue holds."""
+        """Received messages of one topic, at most its queue depth."""
         message_type = message_class(recorded.source.kind.name)
         subscription = recorded.subscription.handle
         for _ in range(_QUEUE_DEPTH):
@@ -345,10 +360,10 @@ class RecordNode(ContractNode):
             recorded.source = replace(recorded.source, qos=profiles)
         received = info["received_timestamp"] or time.time_ns()
         sequence = info["publication_sequence_number"] or 0
-        if sequence and self._spool is not None:
-            gap = recorded.continuity.gap_before(sequence, recorded.publishers)
+        if sequence and self._queue is not None:
+            gap = recorded.sequence_monitor.gap_before(sequence, recorded.publishers)
             if gap:
-                self._spool.missed(name, gap)
+                self._queue.count_lost(name, gap)
         sent = info["source_timestamp"] or received
         return Item(recorded.source, received, sent, sequence, data)
 
@@ -357,7 +372,7 @@ class RecordNode(ContractNode):
             self._refused_topics.add(key)
             self.get_logger().warning(reason)
 
-    # --- what the bag says of itself --------------------------------------------------------------
+    # --- identity of the bag -------------------------------------------------------------------
 
     def _identity(self) -> dict[str, str]:
         names = {name: self.resolve_topic_name(name) for name in TOPICS}
@@ -370,30 +385,31 @@ class RecordNode(ContractNode):
         }
 
     @staticmethod
-    def _note_configuration(data: bytes) -> tuple[str, dict[str, str]] | None:
+    def _configuration_record(data: bytes) -> tuple[str, dict[str, str]] | None:
         content = _configuration(data)
         if not content:
             return None
-        note = {"node": str(content.get("node", "")), "json": json.dumps(content, sort_keys=True)}
+        values = {"node": str(content.get("node", "")), "json": json.dumps(content, sort_keys=True)}
         if "seed" in content:
-            note["seed"] = str(content["seed"])
-        return CONFIG_RECORD, sealed(note)
+            values["seed"] = str(content["seed"])
+        return CONFIG_RECORD, with_checksum(values)
 
-    # --- when to end ------------------------------------------------------------------------------
+    # --- end of the recording
+    # ------------------------------------------------------------------------------
 
     def _watch(self) -> None:
         duration = self.parameters_of(RecordParameters).duration
         over = duration > 0.0 and time.monotonic() - self._began >= duration
-        if over or (self._spool is not None and self._spool.error is not None):
+        if over or (self._queue is not None and self._queue.error is not None):
             self.exit_code = ExitCode.OK
 
 
 def _never_called(_message: object) -> None:
-    raise AssertionError("the executor has taken what is left to the recorder")
+    raise AssertionError("the executor executed a subscription that the recorder polls")
 
 
 def _configuration(data: bytes) -> dict[str, Any]:
-    """Contents of a configuration message; empty where it holds none."""
+    """Contents of a configuration message; empty if it is not valid JSON."""
     try:
         text = getattr(_STORE.deserialize_cdr(data, _STRING), "data", "")
         content = json.loads(text)
@@ -402,7 +418,7 @@ def _configuration(data: bytes) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _strong_profile() -> QoSProfile:
+def _strictest_profile() -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=_QUEUE_DEPTH,
@@ -432,7 +448,7 @@ def _same(one: QoSProfile, other: QoSProfile) -> bool:
 
 
 def _as_rosbags(profile: QoSProfile) -> Qos:
-    """A profile as bags write it; rmw says infinite where nothing is set."""
+    """Convert a QoS profile to the form of bags; unset durations are infinite in rmw."""
 
     def span(duration: Any) -> QosTime:
         return QosTime(duration.nanoseconds // _NANO, duration.nanoseconds % _NANO)
@@ -465,19 +481,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "config:=settings. Exit codes: 0 recorded, 1 crashed, 2 refused (arguments, or a bag that "
         "cannot be written), 4 the disk is full or failed (what was recorded until then is kept)."
     )
-    parser.add_argument("-o", "--output", metavar="DIR", help="folder to create for the bag")
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder of the new bag")
     parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="record only these (default: the contract's)"
+        "--topics",
+        nargs="+",
+        metavar="TOPIC",
+        help="record only these topics (default: those of the contract)",
     )
     parser.add_argument(
-        "-a", "--all", action="store_true", help="also every other topic of a standard type"
+        "-a", "--all", action="store_true", help="also record every other topic of a standard type"
     )
     parser.add_argument("-d", "--duration", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--compression", choices=("zstd", "lz4", "none"))
-    parser.add_argument("--no-sync", action="store_true", help="leave it to the system when "
-                        "chunks are forced onto the disk")  # fmt: skip
-    parser.add_argument("--queue-mib", type=int, metavar="N", help="what may wait for a disk")
-    parser.add_argument("--min-free-mib", type=int, metavar="N", help="room to leave on the disk")
+    parser.add_argument("--no-sync", action="store_true", help="do not force chunks onto the "
+                        "disk (faster, less safe on power loss)")  # fmt: skip
+    parser.add_argument("--queue-mib", type=int, metavar="N", help="queue size for a stalled disk")
+    parser.add_argument(
+        "--min-free-mib", type=int, metavar="N", help="free space to leave on the disk"
+    )
 
 
 def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
@@ -495,7 +516,7 @@ def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
     assignments: list[str] = []
     for name, value in given.items():
         if value is not None:
-            # A quoted text stays one, even where it reads like a number.
+            # Quote texts, so that one that looks like a number stays a text.
             assignments += ["-p", f"{name}:={json.dumps(value)}"]
     return ["--ros-args", *assignments] if assignments else []
 

@@ -1,7 +1,7 @@
-"""``mother_rover bag recover``: makes a valid bag of a truncated or damaged one.
+"""``mother_rover bag recover``: make a valid bag of a truncated or damaged one.
 
-What is whole is copied byte by byte; what is damaged is named and left out. The broken bag is
-only ever read.
+Copies intact messages byte by byte and reports damaged parts, which it skips. The damaged bag is
+only read.
 """
 
 import argparse
@@ -26,7 +26,7 @@ RECOVERY_RECORD = "mother_rover.recovery"
 class ExitCode(IntEnum):
     """Exit codes of ``mother_rover bag recover``."""
 
-    WHOLE = 0
+    COMPLETE = 0
     LOSSES = 1
     REFUSED = 2
     NOT_WRITTEN = 3
@@ -34,18 +34,18 @@ class ExitCode(IntEnum):
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was rescued from a bag and what was not.
+    """Result of the recovery of a bag.
 
     Attributes:
-        source: The broken bag.
+        source: The damaged bag.
         was_closed: Whether its recorder had closed it.
-        had_metadata: Whether it had a sound ``metadata.yaml``.
-        summary: The clean bag.
-        damage: What was left out.
-        lost: Messages known to be lost, by topic. Without an index it tells only of damaged
-            chunks that are followed by their own index.
-        unverified: Messages by topic that were taken though no checksum protects them.
-        attachments: Attachments left out; they carry no messages.
+        had_metadata: Whether it had a valid ``metadata.yaml``.
+        summary: Summary of the new bag.
+        damage: Damaged parts, which were skipped.
+        lost: Messages known to be lost, by topic. Without an index of the file, only those of
+            damaged chunks that are followed by their own index.
+        unverified: Recovered messages without a checksum, by topic.
+        attachments: Number of skipped attachments; they carry no messages.
     """
 
     source: Path
@@ -58,8 +58,8 @@ class Recovery:
     attachments: int
 
     @property
-    def whole(self) -> bool:
-        """Whether everything that the broken bag holds was rescued."""
+    def complete(self) -> bool:
+        """Whether every message of the damaged bag was recovered."""
         return not (self.damage or self.lost or self.attachments)
 
     def text(self) -> str:
@@ -68,7 +68,7 @@ class Recovery:
         lines = [
             f"{self.source}: "
             + ("closed by its recorder" if self.was_closed else "never closed by its recorder")
-            + ("" if self.had_metadata else ", without a sound metadata.yaml"),
+            + ("" if self.had_metadata else ", without a valid metadata.yaml"),
         ]
         lines.append(
             f"recovered {summary.messages} messages on {len(summary.counts)} topics over "
@@ -78,18 +78,17 @@ class Recovery:
         if self.unverified:
             total = sum(self.unverified.values())
             lines.append(
-                f"{total} of them carry no checksum in the source: taken as they are, their "
-                "contents cannot be vouched for"
+                f"{total} of them have no checksum in the source: they were copied unverified"
             )
-        if self.whole:
-            lines.append("nothing that the bag holds was left out")
+        if self.complete:
+            lines.append("every message of the bag was recovered")
             if not self.was_closed:
                 lines.append(
-                    "what its recorder had not yet written when it ended is not in the file "
+                    "messages that its recorder had not written yet are not in the file "
                     "(mother_rover bag record: at most the last half second)"
                 )
             return "\n".join(lines)
-        lines.append("left out:")
+        lines.append("skipped:")
         for item in self.damage:
             where = f"{item.file}, byte {item.offset}" + (
                 f" to {item.offset + item.length}" if item.length else ""
@@ -103,27 +102,29 @@ class Recovery:
             lines.append(f"  {sum(self.lost.values())} messages are known to be lost:")
             lines += [f"  {count:8d}  {topic}" for topic, count in sorted(self.lost.items())]
         elif self.damage:
-            lines.append("  how many messages that were, no index tells")
+            lines.append("  number of lost messages unknown: the file has no index")
         if self.attachments:
             lines.append(f"  {self.attachments} attachments (they carry no messages)")
         return "\n".join(lines)
 
 
 def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recovery:
-    """Copies what is whole in a bag into a new, clean one.
+    """Copy the intact messages of a bag into a new bag.
 
     Args:
-        source: The broken bag: its folder or one of its files. It is only read.
+        source: The damaged bag: its folder or one of its files. It is only read.
         target: Folder to create.
-        compression: Of the new bag's chunks.
+        compression: Compression of the new bag's chunks.
 
     Raises:
-        ScanError: The source is no bag, or nothing can be recovered from it.
+        ScanError: The source is not a bag, or nothing can be recovered from it.
         BagError: The target cannot be written.
     """
     scan = BagScan(source)
     if target.resolve() == source.resolve():
-        raise ScanError(f"{target} is the broken bag itself, which stays as it is; name a new one")
+        raise ScanError(
+            f"{target} is the damaged bag itself, which is only read; choose a new folder"
+        )
     messages = iter(scan)
     first = next(messages, None)
     if first is None:
@@ -131,11 +132,11 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
         raise ScanError(f"nothing can be recovered from {source}: {why}")
     with BagWriter(target, compression=compression, sync=False) as writer:
         channels: dict[Topic, int] = {}
-        carried = 0
+        copied = 0
         for message in chain([first], messages):
-            carried = _carry_metadata(scan, writer, carried)
+            copied = _copy_metadata(scan, writer, copied)
             if message.topic not in channels:
-                channels[message.topic] = _announce(writer, message.topic)
+                channels[message.topic] = _declare(writer, message.topic)
             writer.write(
                 channels[message.topic],
                 message.log_ns,
@@ -143,10 +144,10 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
                 message.data,
                 message.sequence,
             )
-        _carry_metadata(scan, writer, carried)
-        for topic in scan.announced:
+        _copy_metadata(scan, writer, copied)
+        for topic in scan.declared_topics:
             if topic not in channels:
-                channels[topic] = _announce(writer, topic)
+                channels[topic] = _declare(writer, topic)
         recovery = Recovery(
             source=source,
             was_closed=scan.closed,
@@ -155,23 +156,23 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
             damage=tuple(scan.damage),
             lost=scan.lost,
             unverified=dict(scan.unverified),
-            attachments=sum(file.foreign for file in scan.files),
+            attachments=sum(file.attachments for file in scan.files),
         )
         writer.add_metadata(RECOVERY_RECORD, {"source": str(source), "text": recovery.text()})
         summary = writer.close({"recovered_from": str(source)})
     return replace(recovery, summary=summary)
 
 
-def _carry_metadata(scan: BagScan, writer: BagWriter, carried: int) -> int:
-    """Copies the metadata records found since the last call; rosbag2's own is written anew."""
+def _copy_metadata(scan: BagScan, writer: BagWriter, copied: int) -> int:
+    """Copy the metadata records found since the last call, except rosbag2's own."""
     found = scan.metadata
-    for name, values in found[carried:]:
+    for name, values in found[copied:]:
         if name != "rosbag2":
             writer.add_metadata(name, values)
     return len(found)
 
 
-def _announce(writer: BagWriter, topic: Topic) -> int:
+def _declare(writer: BagWriter, topic: Topic) -> int:
     kind = TopicType(
         topic.type, topic.schema.encode(), topic.schema_encoding or "ros2msg", topic.type_hash
     )
@@ -183,13 +184,13 @@ def _announce(writer: BagWriter, topic: Topic) -> int:
 
 
 def as_json(recovery: Recovery) -> str:
-    """The recovery as JSON for machines."""
+    """Return the recovery as JSON."""
     summary = recovery.summary
     content = {
         "source": str(recovery.source),
         "target": str(summary.path),
         "was_closed": recovery.was_closed,
-        "whole": recovery.whole,
+        "complete": recovery.complete,
         "messages": summary.messages,
         "duration_s": summary.duration,
         "recovered": dict(summary.counts),
@@ -204,14 +205,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = (
         "Make a valid bag of one whose recorder was killed, whose disk filled up or whose file is "
-        "damaged. The broken bag is only read."
+        "damaged. The damaged bag is only read."
     )
     parser.epilog = (
-        "Exit codes: 0 every message was recovered, 1 recovered without damaged parts, 2 no bag or "
+        "Exit codes: 0 every message was recovered, 1 damaged parts were skipped, 2 no bag or "
         "nothing to recover, 3 the new bag could not be written."
     )
-    parser.add_argument("broken", type=Path, help="the broken bag: its folder or its file")
-    parser.add_argument("out", type=Path, help="the clean bag: a folder that does not exist yet")
+    parser.add_argument("damaged", type=Path, help="the damaged bag: its folder or its file")
+    parser.add_argument("out", type=Path, help="the new bag: a folder that does not exist yet")
     parser.add_argument("--compression", choices=("zstd", "lz4", "none"), default="zstd")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 
@@ -219,7 +220,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`ExitCode`."""
     try:
-        recovery = recover(options.broken, options.out, compression=options.compression)
+        recovery = recover(options.damaged, options.out, compression=options.compression)
     except ScanError as error:
         print(f"mother_rover bag recover: {error}", file=sys.stderr)
         return ExitCode.REFUSED
@@ -227,4 +228,4 @@ def run(options: argparse.Namespace) -> int:
         print(f"mother_rover bag recover: {error}", file=sys.stderr)
         return ExitCode.NOT_WRITTEN
     print(as_json(recovery) if options.json else recovery.text())
-    return ExitCode.WHOLE if recovery.whole else ExitCode.LOSSES
+    return ExitCode.COMPLETE if recovery.complete else ExitCode.LOSSES

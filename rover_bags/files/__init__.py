@@ -1,5 +1,5 @@
-"""What lies on disk: bags written, walked record by record whatever their state, vouched for.
+"""File formats: write bags, and scan intact or damaged bags record by record.
 
-``store`` writes bags and ``spool`` hands it what the recorder hears; ``scan`` walks the files of
-any bag (``mcap_scan``, ``sqlite_scan``), ``folder`` tells which they are. Bytes, not numbers.
+``store`` writes bags and ``write_queue`` decouples it from the recorder. ``scan`` reads all files
+of a bag (``mcap_scan``, ``sqlite_scan``), which ``folder`` finds. Messages stay serialised here.
 """

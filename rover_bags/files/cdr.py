@@ -1,4 +1,4 @@
-"""Samples as they stand in a bag, without a recorder: for bags that are made up."""
+"""Serialise samples as a recorder does, to write synthetic bags."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def cdr(name: str, sample: Sample) -> bytes:
-    """A sample of a contract topic as it stands in a bag."""
+    """Return a sample of a contract topic, serialised in CDR."""
     return serialised(TOPICS[name].message, encode(name, sample))
 
 
 def serialised(kind: str, message: Any) -> bytes:
-    """A ROS message in CDR, without the padding that rclpy may add."""
+    """Return a ROS message in CDR, without the padding that rclpy may add."""
     return bytes(STORE.serialize_cdr(_converted(message, kind), kind))
 
 

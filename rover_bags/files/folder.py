@@ -1,4 +1,4 @@
-"""What a bag's folder holds, whatever its recorder left of it."""
+"""Find the files of a bag, also of an incomplete one."""
 
 import re
 from pathlib import Path
@@ -10,52 +10,49 @@ from rover_bags.files.store import BagError
 
 
 class ScanError(BagError):
-    """Something that is not a bag, or of a kind that cannot be read."""
+    """A path that is not a bag, or a bag of an unsupported format."""
 
 
-PACKED: Final = ".zstd"
-"""Added to the name of a file that was compressed as a whole."""
+ZSTD_SUFFIX: Final = ".zstd"
+"""Suffix of a file that was compressed as a whole."""
 _KINDS: Final = (".mcap", ".db3")
 _DESCRIPTION: Final = "metadata.yaml"
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag in their order.
+    """Return the files of a bag in their order.
 
     Args:
         path: The bag's folder or one of its files.
 
     Raises:
-        ScanError: There is none.
+        ScanError: There is no bag.
     """
     if not path.exists():
         raise ScanError(f"there is no bag {path}")
     if path.is_file():
         if path.name == _DESCRIPTION:
-            raise ScanError(f"{path} only describes a bag; give its folder {path.parent}")
+            raise ScanError(f"{path} describes a bag; give the bag's folder {path.parent} instead")
         return [path]
     for kind in _KINDS:
-        # A file that stands there packed and unpacked is one.
-        found = {_plain_name(file): file for file in path.glob(f"*{kind}{PACKED}")}
+        # A file that exists both compressed and decompressed counts once.
+        found = {_plain_name(file): file for file in path.glob(f"*{kind}{ZSTD_SUFFIX}")}
         found |= {file.name: file for file in path.glob(f"*{kind}")}
         if found:
             return sorted(found.values(), key=_file_order)
     raise ScanError(
         f"{path} is not a bag: the folder holds no file ending in "
-        f"{', '.join(_KINDS)} (or these with {PACKED} behind)"
+        f"{', '.join(_KINDS)} (optionally followed by {ZSTD_SUFFIX})"
     )
 
 
 def is_sqlite(file: Path) -> bool:
-    """Whether a file of a bag is one of SQLite, by its name."""
+    """Return whether a file of a bag is an SQLite file, by its name."""
     return _plain_name(file).endswith(".db3")
 
 
 def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
-    """Names of files that belong to a bag and are not there.
-
-    Known from the bag's description, or else from a gap in their numbers.
-    """
+    """Return the names of missing files, from ``metadata.yaml`` or from gaps in their numbers."""
     if path.is_file():
         return []
     there = bag_files(path)
@@ -72,7 +69,7 @@ def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
 
 
 def _plain_name(file: Path) -> str:
-    return file.name.removesuffix(PACKED)
+    return file.name.removesuffix(ZSTD_SUFFIX)
 
 
 def _number(file: Path) -> int | None:
@@ -85,7 +82,7 @@ def _file_order(path: Path) -> tuple[int, str]:
 
 
 def stored_metadata(path: Path) -> dict[str, Any] | None:
-    """The bag's ``metadata.yaml`` where it is there and sound, else None."""
+    """Return the contents of the bag's ``metadata.yaml``, or None if it is missing or damaged."""
     try:
         content = yaml.safe_load((path / _DESCRIPTION).read_text(encoding="utf-8"))
         information = content["rosbag2_bagfile_information"]
@@ -94,8 +91,8 @@ def stored_metadata(path: Path) -> dict[str, Any] | None:
     return information if isinstance(information, dict) else None
 
 
-def without_description(path: Path) -> str:
-    """Why a bag's folder has no sound ``metadata.yaml``; nothing where it has, or for a file."""
+def metadata_problem(path: Path) -> str:
+    """Return "missing" or "damaged" for ``metadata.yaml``; "" if it is valid or path is a file."""
     if path.is_file() or stored_metadata(path) is not None:
         return ""
     return "damaged" if (path / _DESCRIPTION).exists() else "missing"

@@ -1,10 +1,10 @@
-"""Walks an MCAP file of a bag, whole or broken, and vouches for what it yields.
+"""Scan an MCAP file, intact or damaged, and verify its checksums.
 
-Readers that trust a bag's index cannot open one whose recorder was killed, and some return
-wrong data where a bit has flipped. This one reads the data section itself: every chunk is
-checked against its checksum and size, a damaged stretch is named and skipped, and the walk goes
-on at the next chunk that proves itself by its checksum. Messages that no checksum protects
-(other recorders leave them out) are yielded and counted as unverified.
+Readers that rely on a bag's index cannot open one whose recorder was killed, and some return wrong
+data after a bit flip. This scan reads the data section itself: it checks every chunk against its
+checksum and size, reports and skips a damaged part, and continues at the next chunk with a valid
+checksum. Messages without a checksum (other recorders omit them) are yielded and counted as
+unverified.
 
 Format: https://mcap.dev/spec
 """
@@ -29,7 +29,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from rover_bags.files.folder import ScanError
 from rover_bags.files.records import Damage, Message, Topic
-from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, unsealed
+from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FRAME: Final = struct.Struct("<BQ")
@@ -50,12 +50,12 @@ _IN_DATA: Final = frozenset(
         int(Opcode.DATA_END),
     }
 )
-"""Kinds of records that may stand before the index at the end."""
+"""Record types of the data section."""
 _LARGEST_CHUNK: Final = 1 << 30
-"""A chunk that claims to be larger [byte] when unpacked is taken for damaged."""
+"""Largest uncompressed size of a valid chunk [byte]."""
 
 _RELEASED: Final = 1 << 25
-"""After so many bytes of the file those behind are let go."""
+"""Number of bytes after which mapped pages are released."""
 _PAGE: Final = mmap.PAGESIZE
 
 
@@ -69,25 +69,25 @@ class _Chunk:
     packed: memoryview
 
 
-class _Broken(Exception):
-    """A record that is not what it should be."""
+class _InvalidRecord(Exception):
+    """A record that is damaged or inconsistent."""
 
 
 class McapScan:
     """One pass over one MCAP file.
 
-    Iterate over it for the messages; the attributes are complete when the iteration is.
+    Iterate over it for the messages; the attributes are complete after the iteration.
 
     Attributes:
         path: The file.
         closed: Whether the recorder closed it (index and footer are there).
-        damage: What was left out.
-        unverified: Messages by topic that were yielded though no checksum protects them.
-        announced: Every topic that the file describes.
-        metadata: Metadata records by name, in their order.
-        done: Bytes that have been read.
-        foreign: Attachments, which carry no messages and are not read.
-        expected: Messages by topic as the index at the end counts them; None without one.
+        damage: Damaged parts, which were skipped.
+        unverified: Yielded messages without a checksum, by topic.
+        declared_topics: Every topic declared in the file.
+        metadata: Metadata records with their names, in recorded order.
+        done: Number of bytes that have been read.
+        attachments: Number of attachments, which are not read.
+        expected: Messages by topic as counted by the index; None without an index.
     """
 
     def __init__(self, path: Path) -> None:
@@ -96,20 +96,20 @@ class McapScan:
         self.damage: list[Damage] = []
         self.unverified: Counter[str] = Counter()
         self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.foreign = 0
+        self.attachments = 0
         self.expected: dict[str, int] | None = None
         self.done = 0
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
         self._topics: dict[int, Topic] = {}
-        self._spare: dict[int, Topic] = {}
-        self._orphans: Counter[int] = Counter()
+        self._fallback_topics: dict[int, Topic] = {}
+        self._undeclared: Counter[int] = Counter()
         self._in_chunks: bool | None = None
 
     @property
-    def announced(self) -> list[Topic]:
-        """Every topic that the file describes."""
-        return list({**self._spare, **self._topics}.values())
+    def declared_topics(self) -> list[Topic]:
+        """Every topic declared in the file."""
+        return list({**self._fallback_topics, **self._topics}.values())
 
     def __iter__(self) -> Iterator[Message]:
         try:
@@ -123,15 +123,15 @@ class McapScan:
             mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
             view = memoryview(mapped)
             try:
-                yield from self._walk(view, mapped)
+                yield from self._scan_data(view, mapped)
             finally:
                 view.release()
                 with contextlib.suppress(BufferError):
                     mapped.close()
 
-    # --- the walk over the file ------------------------------------------------------------------
+    # --- scan of the file ------------------------------------------------------------------------
 
-    def _walk(self, view: memoryview, mapped: mmap.mmap) -> Iterator[Message]:
+    def _scan_data(self, view: memoryview, mapped: mmap.mmap) -> Iterator[Message]:
         end = len(view)
         position = len(MAGIC)
         if bytes(view[:position]) != MAGIC:
@@ -146,7 +146,7 @@ class McapScan:
                 self._check_data(body, checksum)
                 break
             if opcode is None:
-                self._leave_out(position, following - position, self._cut_reason(view, position))
+                self._skip(position, following - position, self._cut_reason(view, position))
             else:
                 yield from self._record(view, opcode, body, position, following)
             checksum = zlib.crc32(view[position:following], checksum)
@@ -157,8 +157,8 @@ class McapScan:
                 mapped.madvise(mmap.MADV_DONTNEED, released, position // _PAGE * _PAGE - released)
                 released = position // _PAGE * _PAGE
         if position >= end and self.closed:
-            self._leave_out(end, 0, "the record that ends the data is missing")
-        self._count_orphans()
+            self._skip(end, 0, "the record that ends the data is missing")
+        self._report_undeclared()
 
     def _first_chunk(self, view: memoryview, mapped: mmap.mmap) -> int:
         found = self._search(view, mapped, 0)
@@ -166,29 +166,29 @@ class McapScan:
             raise ScanError(
                 f"{self.path} is not an MCAP file: it neither begins as one nor holds a sound chunk"
             )
-        self._leave_out(0, found, "the file's beginning is damaged")
+        self._skip(0, found, "the file's beginning is damaged")
         return found
 
     def _frame(
         self, view: memoryview, mapped: mmap.mmap, position: int
     ) -> tuple[int, Opcode | None]:
-        """End and kind of the record at a position; kind None where it is damaged or cut."""
+        """End and type of the record at a position; type None if it is damaged or cut."""
         if position + _FRAME.size <= len(view):
             number, length = _FRAME.unpack_from(view, position)
             start = position + _FRAME.size
             if start + length <= len(view) and number in _IN_DATA:
                 opcode = Opcode(number)
-                if self._adds_up(view, mapped, opcode, start, start + length):
+                if self._is_plausible(view, mapped, opcode, start, start + length):
                     return start + length, opcode
         found = self._search(view, mapped, position + 1)
         return (len(view) if found is None else found), None
 
-    def _adds_up(
+    def _is_plausible(
         self, view: memoryview, mapped: mmap.mmap, opcode: Opcode, start: int, end: int
     ) -> bool:
-        """Whether a record's length can be believed, so that nothing behind it is jumped over.
+        """Whether a record's length is plausible, so that no valid record is skipped.
 
-        Chunks prove themselves later; the others carry no checksum of their own.
+        Chunks are checked by their checksum later; other records have none.
         """
         body = view[start:end]
         if opcode == Opcode.MESSAGE_INDEX:
@@ -198,7 +198,7 @@ class McapScan:
         if opcode == Opcode.CHUNK:
             return end == len(view) or view[end] in _IN_DATA
         if opcode == Opcode.MESSAGE:
-            return not self._has_sound_chunk(view, mapped)
+            return not self._has_valid_chunk(view, mapped)
         if opcode == Opcode.ATTACHMENT:
             return len(body) > 4 and zlib.crc32(body[:-4]) == struct.unpack("<I", body[-4:])[0]
         kind = {
@@ -209,12 +209,12 @@ class McapScan:
         }[opcode]
         try:
             _parse(kind, body)
-        except _Broken:
+        except _InvalidRecord:
             return False
         return True
 
-    def _has_sound_chunk(self, view: memoryview, mapped: mmap.mmap) -> bool:
-        """Whether the file keeps its messages in chunks, so that bare ones cannot be genuine."""
+    def _has_valid_chunk(self, view: memoryview, mapped: mmap.mmap) -> bool:
+        """Whether the file stores messages in chunks, so that bare messages are invalid."""
         if self._in_chunks is None:
             self._in_chunks = self._search(view, mapped, 0) is not None
         return self._in_chunks
@@ -222,17 +222,17 @@ class McapScan:
     def _cut_reason(self, view: memoryview, position: int) -> str:
         left = len(view) - position
         if left < _FRAME.size:
-            return f"the file ends inside a record's header ({left} bytes of it are there)"
+            return f"the file ends inside a record's header ({left} bytes of it are present)"
         opcode, length = _FRAME.unpack_from(view, position)
         if opcode in _IN_DATA and length + _FRAME.size > left:
             return (
-                f"the file ends inside a record: {length + _FRAME.size} bytes announced, "
-                f"{left} are there"
+                f"the file ends inside a record: {length + _FRAME.size} bytes declared, "
+                f"{left} present"
             )
-        return "no record can be made out"
+        return "no valid record"
 
     def _search(self, view: memoryview, mapped: mmap.mmap, start: int) -> int | None:
-        """Next position of a chunk that its checksum proves sound."""
+        """Position of the next chunk with a valid checksum."""
         lead = bytes([Opcode.CHUNK])
         position = mapped.find(lead, start)
         while position != -1:
@@ -243,9 +243,9 @@ class McapScan:
                     try:
                         chunk = _parse_chunk(view[position + _FRAME.size : following])
                         if chunk.crc:
-                            _unpack(chunk)
+                            _decompress(chunk)
                             return position
-                    except _Broken:
+                    except _InvalidRecord:
                         pass
             position = mapped.find(lead, position + 1)
         return None
@@ -258,24 +258,24 @@ class McapScan:
             if opcode == Opcode.CHUNK:
                 chunk = _parse_chunk(body)
                 span = (chunk.start_ns, chunk.end_ns)
-                contents = _unpack(chunk)
+                contents = _decompress(chunk)
                 yield from self._messages(contents, verified=chunk.crc != 0)
             elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}:
                 yield from self._messages(view[position:following], verified=False)
             elif opcode == Opcode.METADATA:
                 self._keep_metadata(_parse(Metadata, body))
             elif opcode == Opcode.ATTACHMENT:
-                self.foreign += 1
-        except _Broken as error:
+                self.attachments += 1
+        except _InvalidRecord as error:
             counts = self._indexed(view, following) if opcode == Opcode.CHUNK else {}
             name = opcode.name.lower().replace("_", " ")
-            self._leave_out(position, following - position, f"{name}: {error}", counts, span)
+            self._skip(position, following - position, f"{name}: {error}", counts, span)
 
     def _messages(self, records: memoryview | bytes, *, verified: bool) -> Iterator[Message]:
-        """Messages of a sequence of records, which the caller has checked where it can.
+        """Messages of a sequence of records.
 
-        Where no checksum vouches for the records, they are first walked through whole, so that
-        nothing of a sequence that does not add up is yielded.
+        All records are parsed before the first message is yielded: nothing of an inconsistent
+        sequence is returned.
         """
         frames = list(_frames(records))
         parsed = [
@@ -286,7 +286,7 @@ class McapScan:
         for opcode, record in parsed:
             known = self._schemas if opcode == Opcode.SCHEMA else self._channels
             if not verified and known.setdefault(record.id, record) != record:
-                raise _Broken("it contradicts what was announced before")
+                raise _InvalidRecord("it contradicts an earlier declaration")
             known[record.id] = record
             if opcode == Opcode.CHANNEL:
                 self._topics[record.id] = self._described(record)
@@ -294,9 +294,9 @@ class McapScan:
             if opcode != Opcode.MESSAGE:
                 continue
             channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(records, start)
-            topic = self._topics.get(channel) or self._spare.get(channel)
+            topic = self._topics.get(channel) or self._fallback_topics.get(channel)
             if topic is None:
-                self._orphans[channel] += 1
+                self._undeclared[channel] += 1
                 continue
             if not verified:
                 self.unverified[topic.name] += 1
@@ -304,23 +304,23 @@ class McapScan:
             yield Message(topic, log_ns, publish_ns, sequence, data)
 
     def _described(self, channel: Any) -> Topic:
-        """A channel's topic; its type from elsewhere where that was announced in a lost chunk."""
+        """A channel's topic; if its schema was in a lost chunk, from a copy of the declaration."""
         topic = _topic(channel, self._schemas)
-        spare = self._spare.get(channel.id)
+        spare = self._fallback_topics.get(channel.id)
         lost = channel.schema_id != 0 and channel.schema_id not in self._schemas
         return spare if lost and spare is not None and spare.name == topic.name else topic
 
-    # --- what stands around the data -------------------------------------------------------------
+    # --- metadata and index ---------------------------------------------------------------------
 
     def _keep_metadata(self, record: Metadata) -> None:
         values: dict[str, str] = record.metadata
         if CHECKSUM_KEY in values:
-            checked = unsealed(values)
+            checked = verified_contents(values)
             if checked is None:
-                raise _Broken(f"the record {record.name!r} does not fit its checksum")
+                raise _InvalidRecord(f"the checksum of the record {record.name!r} is wrong")
             values = checked
             if record.name == CHANNEL_RECORD:
-                self._spare[int(values["id"])] = Topic(
+                self._fallback_topics[int(values["id"])] = Topic(
                     name=values["topic"],
                     type=values["type"],
                     encoding="cdr",
@@ -333,7 +333,7 @@ class McapScan:
         self.metadata.append((record.name, values))
 
     def _read_summary(self, view: memoryview) -> None:
-        """Reads the index at the file's end where there is a sound one."""
+        """Read the index at the file's end if there is a valid one."""
         start = len(view) - len(MAGIC) - _FOOTER_LENGTH
         if start < len(MAGIC) or bytes(view[-len(MAGIC) :]) != MAGIC:
             return
@@ -344,15 +344,15 @@ class McapScan:
         summary, _, crc = _FOOTER.unpack_from(view, start + _FRAME.size)
         if not len(MAGIC) <= summary <= start:
             if summary:
-                self._leave_out(start, _FOOTER_LENGTH, "footer: points outside the file")
+                self._skip(start, _FOOTER_LENGTH, "footer: points outside the file")
             return
         if crc and zlib.crc32(view[summary : len(view) - len(MAGIC) - 4]) != crc:
-            self._leave_out(summary, start - summary, "index: does not fit its checksum")
+            self._skip(summary, start - summary, "index: wrong checksum")
             return
         try:
             self._take_summary(view[summary:start])
-        except _Broken as error:
-            self._leave_out(summary, start - summary, f"index: {error}")
+        except _InvalidRecord as error:
+            self._skip(summary, start - summary, f"index: {error}")
 
     def _take_summary(self, records: memoryview) -> None:
         statistics: Statistics | None = None
@@ -368,23 +368,25 @@ class McapScan:
                 channels[channel.id] = channel
             elif opcode == Opcode.STATISTICS:
                 statistics = _parse(Statistics, body)
-        self._spare.update({number: _topic(item, schemas) for number, item in channels.items()})
+        self._fallback_topics.update(
+            {number: _topic(item, schemas) for number, item in channels.items()}
+        )
         if statistics is not None:
             counts: Counter[str] = Counter()
             for number, count in statistics.channel_message_counts.items():
-                topic = self._spare.get(number)
+                topic = self._fallback_topics.get(number)
                 counts[topic.name if topic else f"channel {number}"] += count
             self.expected = dict(counts)
 
     def _check_data(self, body: memoryview, checksum: int) -> None:
         expected = struct.unpack("<I", body)[0]
         if expected and expected != checksum and not self.damage:
-            self._leave_out(
-                0, 0, "the data as a whole do not fit their checksum, though every chunk does"
+            self._skip(
+                0, 0, "the checksum of the data section is wrong, though all chunks are valid"
             )
 
     def _indexed(self, view: memoryview, position: int) -> dict[str, int]:
-        """Messages by topic as the index records behind a damaged chunk count them."""
+        """Messages by topic as counted by the index records behind a damaged chunk."""
         counts: Counter[str] = Counter()
         while position + _FRAME.size <= len(view):
             opcode, length = _FRAME.unpack_from(view, position)
@@ -392,17 +394,17 @@ class McapScan:
             if opcode != Opcode.MESSAGE_INDEX or following > len(view) or length < 6:
                 break
             channel, size = struct.unpack_from("<HI", view, position + _FRAME.size)
-            topic = self._topics.get(channel) or self._spare.get(channel)
+            topic = self._topics.get(channel) or self._fallback_topics.get(channel)
             counts[topic.name if topic else f"channel {channel}"] += size // 16
             position = following
         return dict(counts)
 
-    def _count_orphans(self) -> None:
-        if self._orphans:
-            counts = {f"channel {number}": count for number, count in self._orphans.items()}
-            self._leave_out(0, 0, "messages of topics whose description is not in the file", counts)
+    def _report_undeclared(self) -> None:
+        if self._undeclared:
+            counts = {f"channel {number}": count for number, count in self._undeclared.items()}
+            self._skip(0, 0, "messages of topics that are not declared in the file", counts)
 
-    def _leave_out(
+    def _skip(
         self,
         offset: int,
         length: int,
@@ -427,16 +429,16 @@ def _topic(channel: Any, schemas: dict[int, Any]) -> Topic:
 
 
 def _frames(records: memoryview | bytes) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and end of the contents of each record in a sequence that must add up."""
+    """Type, start and end of the contents of each record of a consistent sequence."""
     position, end = 0, len(records)
     while position < end:
         if position + _FRAME.size > end:
-            raise _Broken("its records do not add up")
+            raise _InvalidRecord("the lengths of its records are inconsistent")
         opcode, length = _FRAME.unpack_from(records, position)
         start = position + _FRAME.size
         position = start + length
         if position > end or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
-            raise _Broken("its records do not add up")
+            raise _InvalidRecord("the lengths of its records are inconsistent")
         yield opcode, start, position
 
 
@@ -445,19 +447,19 @@ def _parse_chunk(body: memoryview) -> _Chunk:
         start_ns, end_ns, size, crc, name_length = _CHUNK.unpack_from(body)
         position = _CHUNK.size
         if name_length > 8:
-            raise _Broken("its compression has no name that is known")
+            raise _InvalidRecord("its compression is unknown")
         name = bytes(body[position : position + name_length]).decode("ascii")
         position += name_length
         (packed,) = struct.unpack_from("<Q", body, position)
     except (struct.error, UnicodeDecodeError) as error:
-        raise _Broken("its header cannot be read") from error
+        raise _InvalidRecord("its header cannot be read") from error
     if position + 8 + packed != len(body) or size > _LARGEST_CHUNK:
-        raise _Broken("its lengths do not add up")
+        raise _InvalidRecord("its lengths are inconsistent")
     return _Chunk(start_ns, end_ns, size, crc, name, body[position + 8 :])
 
 
-def _unpack(chunk: _Chunk) -> bytes:
-    """Contents of a chunk; raises where size or checksum do not fit."""
+def _decompress(chunk: _Chunk) -> bytes:
+    """Contents of a chunk; raises if size or checksum is wrong."""
     try:
         if chunk.compression == "zstd":
             contents = zstandard.ZstdDecompressor().decompress(
@@ -468,23 +470,23 @@ def _unpack(chunk: _Chunk) -> bytes:
         elif not chunk.compression:
             contents = bytes(chunk.packed)
         else:
-            raise _Broken(f"its compression {chunk.compression!r} is not known")
+            raise _InvalidRecord(f"its compression {chunk.compression!r} is unknown")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-        raise _Broken("it cannot be unpacked") from error
+        raise _InvalidRecord("it cannot be decompressed") from error
     if len(contents) != chunk.size:
-        raise _Broken(f"{chunk.size} bytes announced, {len(contents)} are there")
+        raise _InvalidRecord(f"{chunk.size} bytes declared, {len(contents)} present")
     if chunk.crc and zlib.crc32(contents) != chunk.crc:
-        raise _Broken("it does not fit its checksum")
+        raise _InvalidRecord("its checksum is wrong")
     return contents
 
 
 def _parse(kind: Any, body: memoryview | bytes) -> Any:
-    """One record of the mcap library's; raises where it cannot be read."""
+    """Parse one record with the mcap library; raises if it is invalid."""
     stream = BytesIO(body)
     try:
         record = kind.read(ReadDataStream(stream))
     except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError) as error:
-        raise _Broken("it cannot be read") from error
+        raise _InvalidRecord("it cannot be read") from error
     if stream.tell() != len(body):
-        raise _Broken("its length does not fit its contents")
+        raise _InvalidRecord("its length does not match its contents")
     return record

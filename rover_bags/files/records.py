@@ -1,11 +1,11 @@
-"""What every scan of a bag's file yields, whatever the file's format."""
+"""Records that scans of all file formats yield."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
 class Topic(NamedTuple):
-    """One recorded topic as the bag announces it."""
+    """One recorded topic, as declared in the bag."""
 
     name: str
     type: str
@@ -17,7 +17,7 @@ class Topic(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One recorded message, its bytes untouched; times in ns since 1970."""
+    """One recorded message, serialised; times in ns since 1970."""
 
     topic: Topic
     log_ns: int
@@ -28,16 +28,16 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Damage:
-    """A stretch of the file that was left out.
+    """A damaged part of a file, which was skipped.
 
     Attributes:
-        file: The file's name.
+        file: Name of the file.
         offset: First byte.
-        length: Bytes.
-        reason: What is wrong with it.
-        counts: Messages lost by topic, as the bag's index tells; empty where it does not.
-        span_ns: Log time of the first and last message in it, as its header tells, or of the
-            messages before and after it.
+        length: Number of bytes.
+        reason: Description of the damage.
+        counts: Lost messages by topic, from the bag's index; empty if unknown.
+        span_ns: Log times of the first and last message in it, from its header, or of the messages
+            before and after it.
     """
 
     file: str
@@ -47,11 +47,11 @@ class Damage:
     counts: dict[str, int] = field(default_factory=dict)
     span_ns: tuple[int, int] | None = None
 
-    def words(self, start_ns: int) -> str:
-        """What was left out and when, counted from the bag's first message [ns since 1970]."""
+    def describe(self, start_ns: int) -> str:
+        """Describe the damage; times count from the bag's first message [ns since 1970]."""
         place = f", byte {self.offset}" if self.offset or self.length else ""
         when = ""
         if self.span_ns is not None:
             begin, end = ((value - start_ns) * 1e-9 for value in self.span_ns)
             when = f", about {begin:.3f} s to {end:.3f} s after the first message"
-        return f"{self.file}{place}: {self.reason}{when}; left out"
+        return f"{self.file}{place}: {self.reason}{when}; skipped"

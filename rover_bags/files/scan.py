@@ -1,8 +1,8 @@
-"""Walks all files of a bag, of whatever kind and in whatever state, as one sequence of messages.
+"""Scan all files of a bag, intact or damaged, as one sequence of messages.
 
-MCAP and SQLite files, split or not, compressed chunk by chunk, message by message or file by file,
-with or without a sound ``metadata.yaml``. What cannot be read is named, with the messages lost and
-their time as far as anything in the bag tells them.
+Supports MCAP and SQLite, split files, compression by chunk, message or file, and bags with or
+without a valid ``metadata.yaml``. Unreadable parts are reported with the number and time of lost
+messages, as far as the bag shows them.
 """
 
 import tempfile
@@ -14,45 +14,45 @@ from typing import Any, Final, Protocol
 import zstandard
 
 from rover_bags.files.folder import (
-    PACKED,
+    ZSTD_SUFFIX,
     ScanError,
     bag_files,
     is_sqlite,
+    metadata_problem,
     missing_files,
     stored_metadata,
-    without_description,
 )
 from rover_bags.files.mcap_scan import McapScan
 from rover_bags.files.records import Damage, Message, Topic
 from rover_bags.files.sqlite_scan import SqliteScan
 
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
-"""No CDR message begins so: its first byte is 0."""
+"""Never the start of a CDR message, whose first byte is 0."""
 _LARGEST_MESSAGE: Final = 1 << 30
 _BLOCK: Final = 1 << 20
 
 
 class FileScan(Protocol):
-    """What the scan of one file offers; see `McapScan` for the attributes."""
+    """The interface of a file's scan; see `McapScan` for the attributes."""
 
     path: Path
     closed: bool
     damage: list[Damage]
     unverified: Counter[str]
     metadata: list[tuple[str, dict[str, str]]]
-    foreign: int
+    attachments: int
     expected: dict[str, int] | None
     done: int
 
     @property
-    def announced(self) -> list[Topic]:
-        """Every topic that the file describes."""
+    def declared_topics(self) -> list[Topic]:
+        """Every topic declared in the file."""
 
     def __iter__(self) -> Iterator[Message]: ...
 
 
-class PackedScan:
-    """A file that was compressed as a whole; it is unpacked into a scratch folder to be read."""
+class CompressedScan:
+    """Scan of a file compressed as a whole; it is decompressed into a temporary folder."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -60,46 +60,46 @@ class PackedScan:
         self.damage: list[Damage] = []
         self.unverified: Counter[str] = Counter()
         self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.foreign = 0
+        self.attachments = 0
         self.expected: dict[str, int] | None = None
-        self.announced: list[Topic] = []
+        self.declared_topics: list[Topic] = []
         self.done = 0
 
     def __iter__(self) -> Iterator[Message]:
         with tempfile.TemporaryDirectory(prefix="mother_rover_") as folder:
-            plain = Path(folder) / self.path.name.removesuffix(PACKED)
-            trouble = self._unpack(plain)
+            plain = Path(folder) / self.path.name.removesuffix(ZSTD_SUFFIX)
+            problem = self._decompress(plain)
             inner = _plain_scan(plain)
-            # One list for both: what the inner scan finds is seen while it walks.
+            # Share the list, so that metadata are visible during the scan.
             self.metadata = inner.metadata
             try:
                 yield from inner
                 self.done = self.path.stat().st_size
             except ScanError as error:
                 why = str(error).replace(str(plain), str(self.path))
-                raise ScanError(f"{trouble}; {why}" if trouble else why) from None
-            self.closed = inner.closed and not trouble
-            cut = Damage(self.path.name, plain.stat().st_size, 0, trouble) if trouble else None
+                raise ScanError(f"{problem}; {why}" if problem else why) from None
+            self.closed = inner.closed and not problem
+            cut = Damage(self.path.name, plain.stat().st_size, 0, problem) if problem else None
             self.damage = [*([cut] if cut else []), *inner.damage]
-            self.unverified, self.foreign = inner.unverified, inner.foreign
-            self.expected, self.announced = inner.expected, inner.announced
+            self.unverified, self.attachments = inner.unverified, inner.attachments
+            self.expected, self.declared_topics = inner.expected, inner.declared_topics
 
-    def _unpack(self, plain: Path) -> str:
-        """Unpacks as much as can be; returns what stopped it, or nothing."""
+    def _decompress(self, plain: Path) -> str:
+        """Decompress as much as possible; return the reason of an early end, or ""."""
         with self.path.open("rb") as packed, plain.open("wb") as target:
             reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
             try:
                 while block := reader.read(_BLOCK):
                     target.write(block)
             except zstandard.ZstdError as error:
-                return f"{self.path.name} cannot be unpacked to its end ({error})"
-        if not _ends_whole(self.path):
-            return f"{self.path.name} is cut: its compressed data have no end"
+                return f"{self.path.name} cannot be decompressed to its end ({error})"
+        if not _is_complete(self.path):
+            return f"{self.path.name} is cut: its compressed data are incomplete"
         return ""
 
 
-def _ends_whole(path: Path) -> bool:
-    """Whether the compressed frames of a file are complete."""
+def _is_complete(path: Path) -> bool:
+    """Whether the last compressed frame of a file is complete."""
     unpacker = zstandard.ZstdDecompressor().decompressobj()
     with path.open("rb") as packed:
         while block := packed.read(_BLOCK):
@@ -120,15 +120,15 @@ def _plain_scan(path: Path) -> FileScan:
 class BagScan:
     """One pass over all files of a bag, in their order.
 
-    Iterate over it for the messages; the attributes are complete when the iteration is.
+    Iterate over it for the messages; the attributes are complete after the iteration.
 
     Args:
         path: The bag's folder, or one file of a bag.
 
     Attributes:
-        files: The scans of its files.
-        information: The bag's ``metadata.yaml``, None where there is no sound one.
-        counts: Messages by topic that were yielded.
+        files: Scans of the files.
+        information: Contents of ``metadata.yaml``; None if it is missing or damaged.
+        counts: Yielded messages by topic.
 
     Raises:
         ScanError: There is no bag.
@@ -138,28 +138,28 @@ class BagScan:
         self.path = path
         self.information = stored_metadata(path)
         self.files: list[FileScan] = [
-            PackedScan(file) if file.name.endswith(PACKED) else _plain_scan(file)
+            CompressedScan(file) if file.name.endswith(ZSTD_SUFFIX) else _plain_scan(file)
             for file in bag_files(path)
         ]
         self.counts: Counter[str] = Counter()
-        self._beside = [self._missing(name) for name in missing_files(path, self.information)]
+        self._bag_damage = [self._missing(name) for name in missing_files(path, self.information)]
 
     def __iter__(self) -> Iterator[Message]:
         self.counts.clear()
         for file in self.files:
             try:
                 for message in file:
-                    whole = self._unpacked(file, message)
+                    whole = self._decompressed(file, message)
                     if whole is not None:
                         self.counts[message.topic.name] += 1
                         yield whole
             except ScanError as error:
                 if len(self.files) == 1:
                     raise
-                self._beside.append(Damage(file.path.name, 0, 0, str(error)))
+                self._bag_damage.append(Damage(file.path.name, 0, 0, str(error)))
 
-    def _unpacked(self, file: FileScan, message: Message) -> Message | None:
-        """The message, decompressed where the recorder compressed each by itself."""
+    def _decompressed(self, file: FileScan, message: Message) -> Message | None:
+        """The message, decompressed if the recorder compressed it by itself."""
         if not message.data.startswith(_ZSTD_MAGIC):
             return message
         try:
@@ -167,15 +167,15 @@ class BagScan:
                 message.data, max_output_size=_LARGEST_MESSAGE
             )
         except (zstandard.ZstdError, MemoryError):
-            why = "a compressed message cannot be unpacked"
+            why = "a compressed message cannot be decompressed"
             span = (message.log_ns, message.log_ns)
             lost = {message.topic.name: 1}
-            self._beside.append(Damage(file.path.name, 0, 0, why, lost, span))
+            self._bag_damage.append(Damage(file.path.name, 0, 0, why, lost, span))
             return None
         return message._replace(data=data)
 
     def _missing(self, name: str) -> Damage:
-        """What is known of a file that is not there."""
+        """Damage record of a missing file, with its time and message count if known."""
         files = (self.information or {}).get("files")
         row: Any = next(
             (
@@ -196,12 +196,12 @@ class BagScan:
 
     @property
     def size(self) -> int:
-        """Of its files [byte]."""
+        """Size of all files [byte]."""
         return sum(file.path.stat().st_size for file in self.files)
 
     @property
     def done(self) -> int:
-        """Bytes of its files that have been read."""
+        """Number of bytes that have been read."""
         return sum(file.done for file in self.files)
 
     @property
@@ -211,49 +211,49 @@ class BagScan:
 
     @property
     def damage(self) -> list[Damage]:
-        """Everything that was left out."""
-        return [*self._beside, *(item for file in self.files for item in file.damage)]
+        """All damaged or missing parts."""
+        return [*self._bag_damage, *(item for file in self.files for item in file.damage)]
 
     def defects(self, start_ns: int) -> list[str]:
-        """What its files lack: their end, their description, stretches of them.
+        """Describe what is missing or damaged in the files.
 
         Args:
-            start_ns: Log time of its first message [ns since 1970].
+            start_ns: Log time of the bag's first message [ns since 1970].
         """
         found = []
         if not self.closed:
             found.append(
-                "this bag has no proper end: its recorder was killed or a file was cut, and what "
-                "should follow is missing"
+                "the bag is not closed: its recorder was killed or a file was cut, and later "
+                "messages are missing"
             )
-        if why := without_description(self.path):
+        if why := metadata_problem(self.path):
             found.append(
-                f"metadata.yaml is {why}: nothing tells whether files are missing after the last"
+                f"metadata.yaml is {why}: missing files after the last one cannot be detected"
             )
-        return [*found, *(item.words(start_ns) for item in self.damage)]
+        return [*found, *(item.describe(start_ns) for item in self.damage)]
 
     @property
     def unverified(self) -> Counter[str]:
-        """Messages by topic that no checksum protects."""
+        """Messages without a checksum, by topic."""
         return sum((file.unverified for file in self.files), Counter())
 
     @property
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
-        """Metadata records in their order."""
+        """Metadata records in recorded order."""
         return [item for file in self.files for item in file.metadata]
 
     @property
-    def announced(self) -> list[Topic]:
-        """Every topic that the files describe."""
-        return list(dict.fromkeys(topic for file in self.files for topic in file.announced))
+    def declared_topics(self) -> list[Topic]:
+        """Every topic declared in the files."""
+        return list(dict.fromkeys(topic for file in self.files for topic in file.declared_topics))
 
     @property
     def expected(self) -> dict[str, int] | None:
-        """Messages by topic as the bag itself counts them; None where nothing counts them.
+        """Messages by topic as counted by the bag: its files' indexes, or else ``metadata.yaml``.
 
-        The files' own indexes are believed first, then the bag's ``metadata.yaml``.
+        None if neither exists.
         """
-        if not self._beside and all(file.expected is not None for file in self.files):
+        if not self._bag_damage and all(file.expected is not None for file in self.files):
             total: Counter[str] = Counter()
             for file in self.files:
                 total.update(file.expected or {})
@@ -261,7 +261,7 @@ class BagScan:
         return self._described()
 
     def _described(self) -> dict[str, int] | None:
-        """Messages by topic as ``metadata.yaml`` counts them; a bag that was not closed has 0."""
+        """Messages by topic according to ``metadata.yaml``, which has 0 if it was not closed."""
         if self.information is None or self.path.is_file():
             return None
         try:
@@ -275,7 +275,7 @@ class BagScan:
 
     @property
     def lost(self) -> dict[str, int]:
-        """Messages by topic that the bag should hold and that were not yielded."""
+        """Messages by topic that the bag counts and that were not yielded."""
         expected = self.expected
         missing: Counter[str] = Counter()
         if expected is None:

@@ -1,11 +1,9 @@
-"""Walks an SQLite file of a bag, as ``ros2 bag record --storage sqlite3`` writes them.
+"""Scan an SQLite file written by ``ros2 bag record --storage sqlite3``.
 
-Such files carry no checksums: everything they yield counts as unverified. A file that is cut or
-damaged is read around the damage: rows are numbered without gaps by the recorder, so the numbers
-that cannot be read tell how many messages are lost, and the messages beside them when.
-
-Nothing here writes beside the bag: a file whose recorder left a journal, or that ends within a
-page, is read from a copy.
+The format has no checksums: all messages count as unverified. Damaged parts are skipped. The
+recorder numbers rows consecutively, so missing numbers give the count of lost messages and their
+neighbours the time. Nothing is written next to the bag: a file with a journal, or that ends within
+a page, is read from a copy.
 """
 
 import contextlib
@@ -25,21 +23,21 @@ from rover_bags.files.store import BagError, standard_type
 _MAGIC: Final = b"SQLite format 3\x00"
 _JOURNALS: Final = ("-wal", "-journal")
 _FARTHEST: Final = 1 << 40
-"""No bag has more rows: where the search for the next readable row ends."""
+"""Upper bound of row numbers, at which the search for a readable row ends."""
 
 
 class SqliteScan:
-    """One pass over one SQLite file; the face of a scan of an MCAP file.
+    """One pass over one SQLite file, with the interface of `McapScan`.
 
     Attributes:
-        path: The file, as it is named in the bag.
-        closed: Whether nothing shows that the recorder was stopped or the file cut.
-        damage: What was left out.
-        unverified: Messages by topic; all of them, as the format has no checksums.
-        announced: Every topic that the file describes.
+        path: The file.
+        closed: False if the recorder was stopped or the file is cut.
+        damage: Damaged parts, which were skipped.
+        unverified: All messages by topic, as the format has no checksums.
+        declared_topics: Every topic declared in the file.
         metadata: Metadata records of MCAP files; none here.
-        foreign: Attachments of MCAP files; none here.
-        expected: Messages by topic as an index counts them; the format has none.
+        attachments: Attachments of MCAP files; none here.
+        expected: None: the format has no index.
     """
 
     def __init__(self, path: Path, name: str | None = None) -> None:
@@ -47,21 +45,21 @@ class SqliteScan:
         self.closed = True
         self.damage: list[Damage] = []
         self.unverified: Counter[str] = Counter()
-        self.announced: list[Topic] = []
+        self.declared_topics: list[Topic] = []
         self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.foreign = 0
+        self.attachments = 0
         self.done = 0
         self.expected: dict[str, int] | None = None
         self._name = name or path.name
         self._surplus = 0
 
     def __iter__(self) -> Iterator[Message]:
-        self._look_at_header()
+        self._check_header()
         with contextlib.ExitStack() as stack:
             source = self._readable(stack)
             uri = f"file:{quote(str(source))}?mode=ro"
             if source == self.path:
-                uri += "&immutable=1"  # no lock, no journal: nothing is written beside it
+                uri += "&immutable=1"  # no lock and no journal: nothing is written
             try:
                 database = sqlite3.connect(uri, uri=True)
             except sqlite3.Error as error:
@@ -69,7 +67,7 @@ class SqliteScan:
             stack.callback(database.close)
             yield from self._read(database)
 
-    def _look_at_header(self) -> None:
+    def _check_header(self) -> None:
         try:
             size = self.path.stat().st_size
             with self.path.open("rb") as stream:
@@ -83,19 +81,19 @@ class SqliteScan:
         page = int.from_bytes(head[16:18], "big")
         page = 65536 if page == 1 else page
         self._surplus = size % page if page else 0
-        announced = page * int.from_bytes(head[28:32], "big")
-        if announced > size:
+        declared = page * int.from_bytes(head[28:32], "big")
+        if declared > size:
             self.closed = False
-            self._leave_out(
-                f"the file is cut: {announced} bytes announced, {size} are there",
+            self._skip(
+                f"the file is cut: {declared} bytes declared, {size} present",
                 offset=size,
-                length=announced - size,
+                length=declared - size,
             )
 
     def _readable(self, stack: contextlib.ExitStack) -> Path:
-        """The file itself, or a copy: with its journal, and without the piece of a page at its end.
+        """The file, or a copy with its journal and without an incomplete last page.
 
-        SQLite would fill such a piece up with zeros and take them for messages.
+        SQLite would pad an incomplete page with zeros and read these as messages.
         """
         journals = [
             journal
@@ -117,16 +115,16 @@ class SqliteScan:
     # --- rows ------------------------------------------------------------------------------------
 
     def _read(self, database: sqlite3.Connection) -> Iterator[Message]:
-        # Lets a file be opened that is shorter than its header says.
+        # Allows a file to be opened that is shorter than its header states.
         with contextlib.suppress(sqlite3.Error):
             database.execute("PRAGMA writable_schema=ON")
             database.execute("PRAGMA cell_size_check=ON")
         try:
             topics = dict(self._topics(database))
         except (sqlite3.Error, BagError) as error:
-            self._leave_out(f"its topics cannot be read ({error}), so no message can be named")
+            self._skip(f"its topics cannot be read ({error}), so no message can be assigned")
             return
-        self.announced = list(topics.values())
+        self.declared_topics = list(topics.values())
         last_id, last_ns = 0, None
         while True:
             try:
@@ -143,7 +141,7 @@ class SqliteScan:
                 following = self._next_readable(database, last_id + 1)
                 if following is None:
                     after = f"after {last_id} messages" if last_id else "from the first on"
-                    self._leave_out(f"its messages cannot be read {after} ({error})", span=last_ns)
+                    self._skip(f"its messages cannot be read {after} ({error})", span=last_ns)
                     self.closed = False
                     return
                 last_id, lost = following - 1, following - last_id - 1
@@ -158,7 +156,7 @@ class SqliteScan:
         )
 
     def _next_readable(self, database: sqlite3.Connection, start: int) -> int | None:
-        """The next row that can be read, found by leaps and then between the last two."""
+        """The next readable row, by exponential search and bisection."""
 
         def readable(number: int) -> int | None:
             try:
@@ -188,7 +186,7 @@ class SqliteScan:
         number, topic_id, stamp, data = row
         topic = topics.get(topic_id) if isinstance(topic_id, int) else None
         if topic is None or not isinstance(stamp, int) or not isinstance(data, bytes):
-            self._leave_out(f"message {number} is damaged: its row is none of a message")
+            self._skip(f"message {number} is damaged: its row is not a message")
             return None
         self.unverified[topic.name] += 1
         return Message(topic, stamp, stamp, 0, data)
@@ -198,7 +196,7 @@ class SqliteScan:
         """Topics by number; columns differ between the releases of rosbag2."""
         columns = [row[1] for row in database.execute("PRAGMA table_info(topics)")]
         if not {"id", "name", "type"} <= set(columns):
-            raise BagError("it has no table of topics")
+            raise BagError("it has no topics table")
         definitions: dict[str, tuple[str, str]] = {}
         with contextlib.suppress(sqlite3.Error):
             definitions = {
@@ -229,19 +227,19 @@ class SqliteScan:
                 ),
             )
 
-    # --- what is lost ----------------------------------------------------------------------------
+    # --- losses ----------------------------------------------------------------------------------
 
     def _lose(self, count: int, before_ns: int | None, after_ns: int | None) -> None:
         known = [stamp for stamp in (before_ns, after_ns) if stamp is not None]
         words = "message" if count == 1 else "messages"
         self.damage.append(
             Damage(
-                self._name, 0, 0, f"{count} {words} of topics unknown cannot be read", {},
+                self._name, 0, 0, f"{count} {words} of unknown topics cannot be read", {},
                 (known[0], known[-1]) if known else None,
             )
         )  # fmt: skip
 
-    def _leave_out(
+    def _skip(
         self, reason: str, *, offset: int = 0, length: int = 0, span: int | None = None
     ) -> None:
         spanned = None if span is None else (span, span)

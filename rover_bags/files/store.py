@@ -1,17 +1,15 @@
-"""Writes bags: a folder with ``metadata.yaml`` and ``<name>_0.mcap``.
+"""Write bags: a folder with ``metadata.yaml`` and ``<name>_0.mcap``.
 
-The layout is rosbag2's version 9 (ROS 2 Jazzy), so ``ros2 bag``, rosbags and the MCAP tools
-read it. What this writer adds to a plain MCAP writer is what happens on bad days:
+The layout is rosbag2's version 9 (ROS 2 Jazzy): ``ros2 bag``, rosbags and the MCAP tools read it.
+In addition to a plain MCAP writer, this writer is robust to failures:
 
-* Messages reach the file in whole, checksummed chunks at least every ``chunk_period`` seconds of
-  wall time, however slow the data are, so that a killed recorder leaves all but the last
-  fraction of a second. Each chunk is followed by an fdatasync, so that this also holds for a
-  machine that loses its power.
-* A chunk that the disk did not take whole is cut off again: the file always ends at the end of a
-  chunk.
-* The recording ends while there is still room for the index, not when there is none.
-* The description of each topic is stored twice, once of it outside the chunks, so that one
-  damaged chunk cannot make the others unreadable.
+* Messages reach the file in complete, checksummed chunks at least every ``chunk_period`` seconds of
+  wall time, so that a killed recorder loses only the last fraction of a second. An fdatasync after
+  each chunk extends this to a loss of power.
+* A chunk that the disk did not accept completely is truncated: the file always ends with a chunk.
+* The recording ends while there is still room for the index.
+* The declaration of each topic is stored twice, once outside the chunks, so that one damaged chunk
+  does not make others unreadable.
 
 Nothing here needs ROS.
 """
@@ -40,9 +38,9 @@ ROS_DISTRO: Final = "jazzy"
 IDENTITY_RECORD: Final = "mother_rover"
 """MCAP metadata record with the versions, the configuration and the seed of a recording."""
 CHANNEL_RECORD: Final = "mother_rover.channel"
-"""MCAP metadata record that repeats one topic's description outside the chunks."""
+"""MCAP metadata record that repeats one topic's declaration outside the chunks."""
 LOSSES_RECORD: Final = "mother_rover.losses"
-"""MCAP metadata record with the messages that the recorder could not keep, by topic."""
+"""MCAP metadata record with the numbers of dropped and lost messages, by topic."""
 CHECKSUM_KEY: Final = "crc32"
 
 _COMPRESSIONS: Final = {
@@ -54,34 +52,34 @@ _FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 
 class BagError(OSError):
-    """A bag that cannot be written or read; the text says which, why, and what to do."""
+    """A bag that cannot be written or read; the message states path, reason and remedy."""
 
 
 class DiskFullError(BagError):
-    """The disk (or a quota or size limit) has no more room; what was written is whole."""
+    """The disk, a quota or a size limit is exhausted; the chunks written so far are complete."""
 
 
-def sealed(values: Mapping[str, str]) -> dict[str, str]:
-    """The same mapping with a checksum of its contents, as MCAP metadata records have none."""
+def with_checksum(values: Mapping[str, str]) -> dict[str, str]:
+    """Return the mapping with a checksum of its contents, as MCAP metadata records have none."""
     text = json.dumps(dict(sorted(values.items())), ensure_ascii=True)
     return {**values, CHECKSUM_KEY: f"{zlib.crc32(text.encode()):08x}"}
 
 
-def unsealed(values: Mapping[str, str]) -> dict[str, str] | None:
-    """The contents of a :func:`sealed` mapping; None where the checksum does not fit."""
+def verified_contents(values: Mapping[str, str]) -> dict[str, str] | None:
+    """Return the contents of a :func:`with_checksum` mapping, or None if the checksum is wrong."""
     contents = {key: value for key, value in values.items() if key != CHECKSUM_KEY}
-    return contents if sealed(contents) == dict(values) else None
+    return contents if with_checksum(contents) == dict(values) else None
 
 
 @dataclass(frozen=True)
 class TopicType:
-    """What a reader needs to decode a topic's messages.
+    """A message type with its definition.
 
     Attributes:
         name: Type name such as ``sensor_msgs/msg/JointState``.
-        schema: Definition text with that of every nested type.
-        encoding: Language of the text (``ros2msg``).
-        type_hash: RIHS01 hash of the type; empty where it is not known.
+        schema: Definition text, including nested types.
+        encoding: Encoding of the text (``ros2msg``).
+        type_hash: RIHS01 hash of the type; empty if unknown.
     """
 
     name: str
@@ -94,7 +92,7 @@ _STORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
 
 def standard_type(name: str) -> TopicType:
-    """Definition and hash of a message type of the standard packages.
+    """Return definition and hash of a message type of the standard packages.
 
     Raises:
         BagError: The type is not one of Jazzy's common interfaces.
@@ -105,20 +103,20 @@ def standard_type(name: str) -> TopicType:
     except (TypesysError, KeyError) as error:
         raise BagError(
             f"no definition of message type {name!r} is known; "
-            "bags hold types of the standard packages (std_msgs, sensor_msgs, ...)"
+            "record types of the standard packages (std_msgs, sensor_msgs, ...)"
         ) from error
 
 
 @dataclass(frozen=True)
 class BagSummary:
-    """What a closed bag holds.
+    """Summary of a bag.
 
     Attributes:
         path: The bag's folder.
         counts: Messages by topic.
         first_ns: Log time of the first message [ns since 1970]; 0 for an empty bag.
         last_ns: Log time of the last message [ns since 1970].
-        size: Bytes of the MCAP file.
+        size: Size of the MCAP file [byte].
     """
 
     path: Path
@@ -139,10 +137,10 @@ class BagSummary:
 
 
 class _Disk:
-    """The file below the MCAP writer: takes bytes, writes them in whole groups of records.
+    """File object for the MCAP writer that writes complete groups of records only.
 
-    The writer's own offsets count what it handed over, so a group that the disk refuses ends
-    the file: it is cut back to the last whole group and nothing can be added.
+    The MCAP writer counts its own offsets, so a failed group ends the file: it is truncated to the
+    last complete group, and nothing can be added.
     """
 
     def __init__(self, path: Path, *, sync: bool) -> None:
@@ -199,7 +197,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _create_folder(path: Path) -> None:
-    """Makes the bag's folder, which must not exist, with a reason where that fails."""
+    """Create the bag's folder, which must not exist."""
     try:
         if path.is_symlink() or path.exists():
             if _any_mcap(path) or (path / "metadata.yaml").exists():
@@ -207,7 +205,7 @@ def _create_folder(path: Path) -> None:
             else:
                 kind = "a folder" if path.is_dir() else "a file"
             raise BagError(
-                f"cannot write the bag {path}: {kind} of that name exists already and is never "
+                f"cannot write the bag {path}: {kind} of that name exists and is never "
                 "overwritten; choose another name or remove it"
             )
         path.mkdir(parents=True)
@@ -221,8 +219,8 @@ def _create_folder(path: Path) -> None:
         if error.errno in _FULL:
             raise DiskFullError(f"cannot write the bag {path}: the disk is full") from error
         raise BagError(
-            f"cannot write the bag {path}: its folder cannot be made ({error.strerror}); "
-            "choose a folder that can be written"
+            f"cannot write the bag {path}: its folder cannot be created ({error.strerror}); "
+            "choose a writable location"
         ) from error
 
 
@@ -234,8 +232,7 @@ def _any_mcap(folder: Path) -> bool:
 class BagWriter:
     """Writes one bag.
 
-    Use it as a context manager or call :meth:`close`; what happens to a writer that is neither
-    closed nor abandoned is what happens when a recorder is killed: the bag lacks its index and
+    Use it as a context manager or call :meth:`close`. A bag that was not closed lacks its index and
     ``metadata.yaml`` and holds every message of the chunks written so far.
 
     Args:
@@ -243,14 +240,12 @@ class BagWriter:
         compression: ``zstd``, ``lz4`` or ``none``, by chunk.
         chunk_period: Longest wall time [s] that a message waits before its chunk is written.
         chunk_bytes: Uncompressed size [byte] at which a chunk is written before its period ends.
-        sync: Whether each chunk is forced onto the disk (against loss of power; a killed process
-            loses nothing either way).
-        reserve: Free room [byte] below which the disk counts as full: room in which the index
-            and the metadata can still be written.
+        sync: Whether each chunk is forced onto the disk, against loss of power.
+        reserve: Free space [byte] below which the disk counts as full, for index and metadata.
 
     Raises:
         BagError: The folder exists or cannot be written.
-        DiskFullError: There is less free room than ``reserve``.
+        DiskFullError: Less than ``reserve`` is free.
     """
 
     def __init__(
@@ -317,7 +312,7 @@ class BagWriter:
             self.close()
 
     def add_topic(self, name: str, kind: TopicType, qos: Iterable[Qos] = ()) -> int:
-        """Announces a topic; returns the number that :meth:`write` wants.
+        """Declare a topic; return its channel number for :meth:`write`.
 
         Args:
             name: Full topic name.
@@ -337,7 +332,7 @@ class BagWriter:
         self._topics[channel] = _Topic(name, kind, profiles)
         self.add_metadata(
             CHANNEL_RECORD,
-            sealed(
+            with_checksum(
                 {
                     "id": str(channel),
                     "topic": name,
@@ -351,23 +346,23 @@ class BagWriter:
         return channel
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Adds an MCAP metadata record; it reaches the disk with the next chunk."""
+        """Add an MCAP metadata record; it is written with the next chunk."""
         self._writer.add_metadata(name, dict(values))
 
     def write(
         self, channel: int, log_ns: int, publish_ns: int, data: bytes, sequence: int = 0
     ) -> None:
-        """Adds a message; it reaches the disk when its chunk is full or its period over.
+        """Add a message; it is written when its chunk is full or its period has passed.
 
         Args:
             channel: Number from :meth:`add_topic`.
             log_ns: Time of receipt [ns since 1970].
             publish_ns: Time of publication [ns since 1970].
             data: Serialised message (CDR with its 4 byte header).
-            sequence: The publisher's count of the message; 0 where it is not known.
+            sequence: Sequence number by the publisher; 0 if unknown.
 
         Raises:
-            DiskFullError: There is no more room; close the bag.
+            DiskFullError: The disk is full; close the bag.
             BagError: The disk failed; close the bag.
         """
         topic = self._topics[channel]
@@ -390,21 +385,21 @@ class BagWriter:
 
     @property
     def due(self) -> float:
-        """Wall time [s] until the chunk in progress must be written; infinite without one."""
+        """Wall time [s] until the current chunk must be written; infinite without a chunk."""
         if self._chunk_opened is None:
             return float("inf")
         return max(0.0, self._chunk_opened + self._period - time.monotonic())
 
     def flush_if_due(self) -> None:
-        """Writes the chunk in progress when its period is over; call it while data are absent."""
+        """Write the current chunk if its period has passed; call it while no messages come."""
         if self.due == 0.0:
             self.flush()
 
     def flush(self) -> None:
-        """Writes the chunk in progress and everything else that waits, whole or not at all.
+        """Write the current chunk and all pending records, completely or not at all.
 
         Raises:
-            DiskFullError: There is no more room.
+            DiskFullError: The disk is full.
             BagError: The disk failed.
         """
         self._check_room()
@@ -416,13 +411,13 @@ class BagWriter:
             raise self._explained(error, "the recording ended:") from error
 
     def close(self, custom: Mapping[str, str] | None = None) -> BagSummary:
-        """Writes index, checksums and ``metadata.yaml``.
+        """Write index, checksums and ``metadata.yaml``, and close the file.
 
         Args:
             custom: Texts for the field ``custom_data`` of the metadata.
 
         Raises:
-            DiskFullError: There was no room for that; every chunk written before is whole and
+            DiskFullError: The disk is full; every chunk written before is complete and
                 ``mother_rover bag recover`` makes a clean bag of it.
             BagError: The disk failed; as above.
         """
@@ -430,7 +425,7 @@ class BagWriter:
         if self._broken:
             self._disk.close()
             raise BagError(
-                f"the bag {self.path} has no index, as the disk took no more; every message up "
+                f"the bag {self.path} has no index, as the disk failed; every message up "
                 f"to then is whole: make a clean bag elsewhere with "
                 f"`mother_rover bag recover {self.path} <new bag>`"
             )
@@ -450,13 +445,13 @@ class BagWriter:
         return self.summary
 
     def abandon(self) -> None:
-        """Leaves the bag as it is, without index, as a killed recorder would."""
+        """Close the file without an index, as if the recorder were killed."""
         self._closed = True
         self._disk.close()
 
     @property
     def summary(self) -> BagSummary:
-        """What has been written so far."""
+        """Summary of what has been written so far."""
         return BagSummary(
             path=self.path,
             counts={topic.name: topic.count for topic in self._topics.values()},
@@ -469,8 +464,8 @@ class BagWriter:
         free = shutil.disk_usage(self.path).free
         if free < self._reserve:
             raise DiskFullError(
-                f"{free / 2**20:.1f} MiB are free where the bag {self.path} is to be written and "
-                f"{self._reserve / 2**20:.1f} MiB are kept free to close it; make room or choose "
+                f"{free / 2**20:.1f} MiB are free for the bag {self.path}, and "
+                f"{self._reserve / 2**20:.1f} MiB are reserved to close it; free space or choose "
                 "another disk"
             )
 
@@ -482,9 +477,7 @@ class BagWriter:
             else ""
         )
         if error.errno in _FULL:
-            return DiskFullError(
-                f"{what} {self.path}: no room is left on the disk ({error.strerror}){rescue}"
-            )
+            return DiskFullError(f"{what} {self.path}: the disk is full ({error.strerror}){rescue}")
         return BagError(f"{what} {self.path}: {error.strerror}{rescue}")
 
     def _metadata(self, custom: Mapping[str, str]) -> dict[str, Any]:
@@ -537,7 +530,7 @@ def _yaml(value: object) -> str:
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Writes equal mappings in full: yaml-cpp's readers of bags do not expect aliases."""
+    """Writes equal mappings in full: yaml-cpp based readers do not expect aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
         del data

@@ -166,11 +166,11 @@ def damaged(batch: Batch) -> Measured:
     wrong, refused, details = 0, 0, {}
     runs = batch.runs * 10
     for index, generator in enumerate(batch.generators(runs)):
-        spoilt = bytearray(data)
+        corrupted = bytearray(data)
         for _ in range(int(generator.integers(1, 4))):
-            spoilt[int(generator.integers(len(data)))] ^= 1 << int(generator.integers(8))
+            corrupted[int(generator.integers(len(data)))] ^= 1 << int(generator.integers(8))
         broken = batch.folder / "damaged.mcap"
-        broken.write_bytes(bytes(spoilt))
+        broken.write_bytes(bytes(corrupted))
         try:
             found = set(_contents(broken))
         except BagError:

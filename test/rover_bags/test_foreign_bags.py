@@ -50,7 +50,7 @@ def test_undamaged_bags_are_read_completely(
     assert not scan.damage
     assert not scan.lost
     assert scan.closed
-    assert {topic.type for topic in scan.announced} == {"std_msgs/msg/String"}
+    assert {topic.type for topic in scan.declared_topics} == {"std_msgs/msg/String"}
     assert scan.unverified.total() == len(recorded)
 
 
@@ -61,8 +61,8 @@ def test_a_damaged_metadata_file_is_ignored(tmp_path: Path, text: str):
     (tmp_path / "bag" / METADATA).write_text(text, encoding="utf-8")
     scan = BagScan(tmp_path / "bag")
     assert sorted(contents(scan)) == sorted(recorded)
-    (remark,) = scan.defects(START)
-    assert remark.startswith("metadata.yaml is damaged")
+    (defect,) = scan.defects(START)
+    assert defect.startswith("metadata.yaml is damaged")
 
 
 @every_kind
@@ -85,13 +85,13 @@ def test_a_missing_file_is_reported_with_its_time_and_message_count(tmp_path: Pa
     assert gone.span_ns is not None
     assert gone.span_ns[0] == START + 30 * STEP
     assert sum(scan.lost.values()) == 30
-    (remark,) = scan.defects(START)
-    assert "missing, with 30 messages, about 0.300 s to 0.590 s after the first" in remark
+    (defect,) = scan.defects(START)
+    assert "missing, with 30 messages, about 0.300 s to 0.590 s after the first" in defect
     (bag / METADATA).unlink()
     undescribed = BagScan(bag)
     assert contents(undescribed) == parts[0] + parts[2]
     assert [item.file for item in undescribed.damage] == [gone.file]
-    assert "whether files are missing after the last" in undescribed.defects(START)[0]
+    assert "missing files after the last one cannot be detected" in undescribed.defects(START)[0]
 
 
 def test_an_invalid_file_does_not_affect_the_others(tmp_path: Path):
@@ -201,7 +201,7 @@ def test_other_files_are_refused_with_the_reason(tmp_path: Path):
         list(BagScan(file))
     description = tmp_path / METADATA
     description.write_text("rosbag2_bagfile_information: {}", encoding="utf-8")
-    with pytest.raises(ScanError, match=f"give its folder {tmp_path}"):
+    with pytest.raises(ScanError, match=f"give the bag's folder {tmp_path}"):
         BagScan(description)
     sqlite3.connect(tmp_path / "other.db3").execute("CREATE TABLE t (x)").connection.commit()
     scan = BagScan(tmp_path / "other.db3")
@@ -214,7 +214,7 @@ def test_every_kind_of_bag_is_recovered(tmp_path: Path, kind: Kind):
     recorded = messages(40)
     write(tmp_path / "bag", kind, recorded)
     recovery = recover(tmp_path / "bag", tmp_path / "clean")
-    assert recovery.whole
+    assert recovery.complete
     assert sorted(contents(BagScan(tmp_path / "clean"))) == sorted(recorded)
     assert storage_file(tmp_path / "clean").suffix == ".mcap"
 
@@ -225,7 +225,7 @@ def test_the_report_lists_losses(tmp_path: Path):
     bag = read_bag(tmp_path / "bag")
     text = as_text(bag, measure(bag))
     assert "the file is cut" in text
-    assert "has no proper end" in text
+    assert "the bag is not closed" in text
     assert "/words: " in text
-    assert "messages that the bag should hold cannot be read" in text
+    assert "messages counted in the bag's index cannot be read" in text
     assert "carry no checksum" in text

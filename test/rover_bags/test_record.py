@@ -1,4 +1,4 @@
-"""The recorder as a process: kill -9, signals, refusals, full disk, namespaces, weak peers."""
+"""The recorder as a process: kill -9, signals, refusals, full disk, namespaces, weaker QoS."""
 
 import json
 import re
@@ -17,7 +17,6 @@ from msg_schemas import topics
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.folder import stored_metadata
 from rover_bags.files.scan import BagScan
-from rover_bags.files.spool import Continuity, Item, Source, Spool
 from rover_bags.files.store import (
     IDENTITY_RECORD,
     LOSSES_RECORD,
@@ -25,6 +24,7 @@ from rover_bags.files.store import (
     BagWriter,
     standard_type,
 )
+from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
 from rover_bags.record import CONFIG_RECORD, DISK_FAILED
 from rover_bags.recover import recover
 from rover_verify.harness.processes import PATIENCE, Process, Processes
@@ -52,15 +52,15 @@ def sent(source: Process) -> list[tuple[int, int]]:
     return [(int(row[0]), int(row[1])) for row in rows]
 
 
-def wait_until_heard(source: Process, count: int) -> None:
-    """Wait until a source has sent so many messages to someone who listens."""
+def wait_until_received(source: Process, count: int) -> None:
+    """Wait until a source has sent a number of messages to a subscriber."""
     source.wait_for_output(rf"(?m) {count}$")
 
 
-def told_lost(recorder: Process, topic: str) -> int:
-    """How many messages the recorder says that it was sent and never got."""
-    said = re.search(rf"(\d+)  {topic}: lost on the way", recorder.output)
-    return int(said[1]) if said else 0
+def reported_lost(recorder: Process, topic: str) -> int:
+    """Number of messages that the recorder reports as lost in transport."""
+    match = re.search(rf"(\d+)  {topic}: lost in transport", recorder.output)
+    return int(match[1]) if match else 0
 
 
 def numbers(bag: Path, name: str = "/" + topics.JUMP_MOTOR_STATE) -> list[int]:
@@ -84,7 +84,7 @@ def test_after_kill_9_all_but_the_last_second_is_recovered(
     bag = tmp_path / "bag"
     recorder = start_recorder(processes, bag)
     source = processes.start(SOURCE, None, "contract", str(rate))
-    wait_until_heard(source, round(4 * rate))
+    wait_until_received(source, round(4 * rate))
     killed_at = time.time_ns()
     assert recorder.stop(signal.SIGKILL) == -signal.SIGKILL
     source.stop()
@@ -104,13 +104,13 @@ def test_after_kill_9_all_but_the_last_second_is_recovered(
 
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_closes_the_bag_and_says_what_is_in_it(
+def test_a_signal_closes_the_bag_and_prints_its_summary(
     tmp_path: Path, processes: Processes, number: signal.Signals
 ):
     bag = tmp_path / "bag"
     recorder = start_recorder(processes, bag)
     source = processes.start(SOURCE, None, "contract", "200")
-    wait_until_heard(source, 300)
+    wait_until_received(source, 300)
     source.stop()
     assert recorder.stop(number) == 0
     found = numbers(bag)
@@ -144,7 +144,7 @@ def test_a_namespace_and_a_selection_are_followed(tmp_path: Path, processes: Pro
         for name in ("rover1", "rover2")
     )
     other.wait_for_output(r"(?m)^50 ")
-    wait_until_heard(mine, 50)
+    wait_until_received(mine, 50)
     assert recorder.stop() == 0
     scan = BagScan(bag)
     full = "/rover1/" + topics.JUMP_MOTOR_STATE
@@ -154,12 +154,12 @@ def test_a_namespace_and_a_selection_are_followed(tmp_path: Path, processes: Pro
 
 
 @pytest.mark.process
-def test_all_takes_topics_outside_the_contract_with_the_profile_they_offer(
+def test_all_records_topics_outside_the_contract_with_their_offered_profile(
     tmp_path: Path, processes: Processes
 ):
     recorder = start_recorder(processes, tmp_path / "bag", "--all")
     source = processes.start(SOURCE, None, "stranger", "100")
-    wait_until_heard(source, 50)
+    wait_until_received(source, 50)
     assert recorder.stop() == 0
     found = [m for m in BagScan(tmp_path / "bag") if m.topic.name == "/" + STRANGE_TOPIC]
     assert len(found) >= 20
@@ -167,32 +167,30 @@ def test_all_takes_topics_outside_the_contract_with_the_profile_they_offer(
 
 
 @pytest.mark.process
-def test_a_latched_topic_from_a_volatile_peer_is_still_recorded(
-    tmp_path: Path, processes: Processes
-):
+def test_a_volatile_publisher_of_a_latched_topic_is_recorded(tmp_path: Path, processes: Processes):
     recorder = start_recorder(processes, tmp_path / "bag")
     source = processes.start(SOURCE, None, "volatile", "100")
-    wait_until_heard(source, 50)
+    wait_until_received(source, 50)
     assert recorder.stop() == 0
     full = "/" + topics.TENSION_WATCH
     assert len([m for m in BagScan(tmp_path / "bag") if m.topic.name == full]) >= 20
-    assert "offers less than the contract asks for" in recorder.output
+    assert "offers a weaker QoS than the contract requires" in recorder.output
 
 
 @pytest.mark.process
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["--output", "{taken}"], "exists already"),
+        (["--output", "{taken}"], "of that name exists"),
         (["--output", "{taken}/file/bag"], "is a file"),
-        (["--output", "/proc/bag"], "cannot be made"),
+        (["--output", "/proc/bag"], "cannot be created"),
         (["--output", "{new}", "--min-free-mib", "1000000"], "MiB are free"),
         (["--output", "{new}", "--duration", "-1"], "duration"),
         (["--output", "{new}", "--topics", "not:a:name"], "not:a:name"),
         (["--nonsense"], "--nonsense"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_with_the_reason(
+def test_bad_arguments_are_refused_with_the_reason(
     tmp_path: Path, processes: Processes, arguments: list[str], reason: str
 ):
     taken = tmp_path / "taken"
@@ -223,13 +221,13 @@ def test_a_disk_that_fills_up_ends_the_recording_with_its_own_exit_code(
         )
         processes.start(SOURCE, None, "contract", "2000")
         assert recorder.wait() == DISK_FAILED
-        assert "no room is left" in recorder.output
+        assert "the disk is full" in recorder.output
         result = recover(disk / "bag", tmp_path / "clean")
-        assert result.whole
+        assert result.complete
         found = numbers(tmp_path / "clean")
         assert found == sorted(found)
         missing = found[-1] - found[0] + 1 - len(found)
-        assert missing <= told_lost(recorder, "/" + topics.JUMP_MOTOR_STATE)
+        assert missing <= reported_lost(recorder, "/" + topics.JUMP_MOTOR_STATE)
         assert len(found) > 500
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -259,21 +257,21 @@ class StalledDisk:
         self._write(*arguments, **more)  # type: ignore[arg-type]
 
 
-def test_a_stalled_disk_blocks_nobody_and_what_drops_is_counted_by_topic(tmp_path: Path):
+def test_a_stalled_disk_blocks_no_callback_and_drops_are_counted_by_topic(tmp_path: Path):
     writer = BagWriter(tmp_path / "bag", sync=False)
     disk = StalledDisk(writer)
-    spool = Spool(writer, limit=100_000, hold=0.0)
+    queue = WriteQueue(writer, limit=100_000, hold=0.0)
     busy, quiet = (
         Source(name, standard_type("std_msgs/msg/String")) for name in ("/busy", "/quiet")
     )
-    assert spool.offer(_item(quiet, 0))
+    assert queue.offer(_item(quiet, 0))
     assert disk.reached.wait(PATIENCE)
-    kept = sum(spool.offer(_item(busy, number)) for number in range(1, 1001))
-    spool.offer(_item(quiet, 2000, size=90_000))
+    kept = sum(queue.offer(_item(busy, number)) for number in range(1, 1001))
+    queue.offer(_item(quiet, 2000, size=90_000))
     assert 100 < kept < 400
-    assert spool.losses[0] == {"/busy": 1000 - kept, "/quiet": 1}
+    assert queue.losses[0] == {"/busy": 1000 - kept, "/quiet": 1}
     disk.open.set()
-    spool.close()
+    queue.close()
     assert [m.log_ns for m in BagScan(tmp_path / "bag")] == [0, *range(1, kept + 1)]
     custom = (stored_metadata(tmp_path / "bag") or {})["custom_data"]
     assert json.loads(custom["dropped_by_recorder"]) == {"/busy": 1000 - kept, "/quiet": 1}
@@ -281,31 +279,31 @@ def test_a_stalled_disk_blocks_nobody_and_what_drops_is_counted_by_topic(tmp_pat
     assert json.loads(records[LOSSES_RECORD]["dropped_by_recorder"])["/quiet"] == 1
 
 
-def test_the_configuration_comes_first_though_it_was_heard_last(tmp_path: Path):
-    spool = Spool(BagWriter(tmp_path / "bag", sync=False), hold=PATIENCE)
+def test_the_configuration_is_written_first(tmp_path: Path):
+    queue = WriteQueue(BagWriter(tmp_path / "bag", sync=False), hold=PATIENCE)
     kind = standard_type("std_msgs/msg/String")
     data, config = Source("/data", kind), Source("/config", kind, first=True)
     for number in range(1, 6):
-        spool.offer(_item(data, number))
-    spool.offer(_item(config, 6))
-    spool.release()
-    spool.close()
+        queue.offer(_item(data, number))
+    queue.offer(_item(config, 6))
+    queue.release()
+    queue.close()
     assert [m.log_ns for m in BagScan(tmp_path / "bag")] == [6, 1, 2, 3, 4, 5]
 
 
-def test_a_disk_failure_reaches_the_one_who_closes(tmp_path: Path):
+def test_a_disk_failure_stops_the_queue_and_is_reported(tmp_path: Path):
     writer = BagWriter(tmp_path / "bag", sync=False)
-    spool = Spool(writer, hold=0.0)
+    queue = WriteQueue(writer, hold=0.0)
 
     def fail(*_: object, **__: object) -> None:
         raise BagError("the disk is on fire")
 
     writer.write = fail  # type: ignore[method-assign]
-    spool.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 1))
-    spool._thread.join(PATIENCE)
-    assert "on fire" in str(spool.error)
-    assert not spool.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 2))
-    spool.close()
+    queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 1))
+    queue._thread.join(PATIENCE)
+    assert "on fire" in str(queue.error)
+    assert not queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 2))
+    queue.close()
 
 
 @pytest.mark.parametrize(
@@ -318,6 +316,6 @@ def test_a_disk_failure_reaches_the_one_who_closes(tmp_path: Path):
         ([10, 1, 11, 2, 14, 3, 15, 5], 2, 3),
     ],
 )
-def test_gaps_in_the_publishers_counts_are_losses(sequences: list[int], publishers: int, lost: int):
-    continuity = Continuity()
-    assert sum(continuity.gap_before(number, publishers) for number in sequences) == lost
+def test_gaps_in_sequence_numbers_are_losses(sequences: list[int], publishers: int, lost: int):
+    sequence_monitor = SequenceMonitor()
+    assert sum(sequence_monitor.gap_before(number, publishers) for number in sequences) == lost

@@ -1,4 +1,4 @@
-"""Bags on disk: whole, killed, cut, damaged, and where they must not be written."""
+"""Bags on disk: intact, interrupted, cut and damaged ones, and refused locations."""
 
 import errno
 import os
@@ -66,7 +66,7 @@ def write_bag(path: Path, count: int = 300, *, close: bool = True, chunk: int = 
     """A bag of two topics in many small chunks; returns what was written."""
     rng = random.Random(7)
     writer = BagWriter(path, chunk_bytes=chunk, sync=False, compression="zstd")
-    writer.add_metadata(store.IDENTITY_RECORD, store.sealed({"seed": "7"}))
+    writer.add_metadata(store.IDENTITY_RECORD, store.with_checksum({"seed": "7"}))
     channels = {
         "/words": writer.add_topic("/words", standard_type(STRING), [LATCHED]),
         "/more": writer.add_topic("/more", standard_type(STRING)),
@@ -114,7 +114,7 @@ def test_rosbags_reads_back_every_message_type_and_profile(tmp_path: Path):
             assert getattr(typed.deserialize(data, connection.msgtype), "data", "")
 
 
-def test_the_mcap_library_with_its_ros2_decoder_reads_the_same_with_checksums(tmp_path: Path):
+def test_the_mcap_library_reads_the_same_messages_and_verifies_checksums(tmp_path: Path):
     written = write_bag(tmp_path / "bag")
     with mcap_file(tmp_path / "bag").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -170,7 +170,7 @@ def test_metadata_has_the_fields_of_rosbag2_version_9(tmp_path: Path):
     assert "*id" not in text
 
 
-def test_the_file_alone_tells_rosbag2_what_metadata_yaml_says(tmp_path: Path):
+def test_the_file_holds_the_contents_of_metadata_yaml(tmp_path: Path):
     write_bag(tmp_path / "bag")
     records = dict(_metadata_of(tmp_path / "bag"))
     inside = yaml.safe_load(records["rosbag2"]["serialized_metadata"])
@@ -226,7 +226,7 @@ def test_a_lone_message_reaches_the_file_within_its_period(tmp_path: Path):
 
 
 @pytest.mark.parametrize("what", ["bag", "folder", "file", "link"])
-def test_whatever_has_the_name_already_is_not_touched(tmp_path: Path, what: str):
+def test_an_existing_path_is_not_overwritten(tmp_path: Path, what: str):
     target = tmp_path / "taken"
     if what == "bag":
         write_bag(target, 3)
@@ -237,23 +237,23 @@ def test_whatever_has_the_name_already_is_not_touched(tmp_path: Path, what: str)
     else:
         target.symlink_to(tmp_path / "nowhere")
     before = sorted(str(p) for p in tmp_path.rglob("*"))
-    with pytest.raises(BagError, match="exists already"):
+    with pytest.raises(BagError, match="of that name exists"):
         BagWriter(target)
     assert sorted(str(p) for p in tmp_path.rglob("*")) == before
 
 
-def test_a_file_within_the_path_is_named(tmp_path: Path):
+def test_a_file_within_the_path_is_reported(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(BagError, match="a part of its path is a file"):
         BagWriter(tmp_path / "file" / "bag")
 
 
-def test_a_folder_that_cannot_be_written_is_refused_and_nothing_is_left(tmp_path: Path):
-    with pytest.raises(BagError, match="cannot be made"):
+def test_an_unwritable_folder_is_refused_without_leftovers(tmp_path: Path):
+    with pytest.raises(BagError, match="cannot be created"):
         BagWriter(Path("/proc/no_bag_here"))
 
 
-def test_too_little_room_is_refused_before_anything_is_written(tmp_path: Path):
+def test_too_little_free_space_is_refused_before_writing(tmp_path: Path):
     with pytest.raises(DiskFullError, match="MiB are free"):
         BagWriter(tmp_path / "bag", reserve=1 << 60)
     assert list(tmp_path.iterdir()) == []
@@ -315,18 +315,18 @@ FILLING = textwrap.dedent(
 )
 
 
-def test_what_was_written_before_the_disk_failed_is_whole(tmp_path: Path):
+def test_chunks_written_before_a_disk_failure_are_intact(tmp_path: Path):
     bag = tmp_path / "bag"
     run = subprocess.run(
         [sys.executable, "-c", FILLING, str(bag)], capture_output=True, text=True, check=False
     )
     assert run.returncode == 3, run.stderr
     full, sent, at_close = run.stdout.strip().splitlines()
-    assert "no room is left" in full
+    assert "the disk is full" in full
     assert "bag recover" in full
     assert "bag recover" in at_close
     result = recover(bag, tmp_path / "clean")
-    assert result.whole
+    assert result.complete
     found = [m.data for m in BagScan(tmp_path / "clean")]
     assert found == [text_message(f"{i:06d}" + "x" * 300) for i in range(len(found))]
     lost_to_the_full_disk = int(sent) + 1 - len(found)
@@ -343,7 +343,7 @@ def _tmpfs(folder: Path, size: str) -> bool:
         return False
 
 
-def test_a_really_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
+def test_a_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
     disk = tmp_path / "disk"
     if not _tmpfs(disk, "300k"):
         pytest.skip("mounting a small disk needs root")
@@ -356,7 +356,7 @@ def test_a_really_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
         with pytest.raises(BagError, match="bag recover"):
             writer.close()
         result = recover(disk / "bag", tmp_path / "clean")
-        assert result.whole
+        assert result.complete
         assert result.summary.messages > 300
         assert sent - result.summary.messages < 40
     finally:
@@ -366,19 +366,19 @@ def test_a_really_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
 # --- killed, cut, damaged ------------------------------------------------------------------------
 
 
-def test_a_bag_that_was_never_closed_is_recovered_whole(tmp_path: Path):
+def test_a_bag_that_was_never_closed_is_recovered_completely(tmp_path: Path):
     written = write_bag(tmp_path / "bag", close=False)
     before = mcap_file(tmp_path / "bag").read_bytes()
     assert not (tmp_path / "bag" / "metadata.yaml").exists()
     result = recover(tmp_path / "bag", tmp_path / "clean")
-    assert result.whole
+    assert result.complete
     assert not result.was_closed
     assert contents(tmp_path / "clean") == written
     assert mcap_file(tmp_path / "bag").read_bytes() == before
     with Reader(tmp_path / "clean") as reader:
         assert reader.message_count == len(written)
     identity = dict(_metadata_of(tmp_path / "clean"))[store.IDENTITY_RECORD]
-    assert store.unsealed(identity) == {"seed": "7"} or identity == {"seed": "7"}
+    assert store.verified_contents(identity) == {"seed": "7"} or identity == {"seed": "7"}
 
 
 def _is_subsequence(found: Written, written: Written) -> bool:
@@ -386,7 +386,7 @@ def _is_subsequence(found: Written, written: Written) -> bool:
     return all(item in remaining for item in found)
 
 
-def test_cut_anywhere_every_whole_chunk_before_the_cut_comes_back(tmp_path: Path):
+def test_every_complete_chunk_before_a_cut_is_recovered(tmp_path: Path):
     written = write_bag(tmp_path / "bag", close=False)
     original = mcap_file(tmp_path / "bag").read_bytes()
     ends = _chunk_ends(original)
@@ -429,7 +429,7 @@ def _chunk_ends(data: bytes) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_flipped_bit_is_never_silently_wrong(tmp_path: Path, closed: bool):
+def test_a_flipped_bit_never_yields_wrong_data(tmp_path: Path, closed: bool):
     written = write_bag(tmp_path / "bag", close=closed)
     original = mcap_file(tmp_path / "bag").read_bytes()
     rng = random.Random(2)
@@ -452,7 +452,7 @@ def test_a_flipped_bit_is_never_silently_wrong(tmp_path: Path, closed: bool):
     assert recovered > 0.93 * 400 * len(written)
 
 
-def test_many_flipped_bits_are_never_silently_wrong(tmp_path: Path):
+def test_many_flipped_bits_never_yield_wrong_data(tmp_path: Path):
     written = write_bag(tmp_path / "bag", close=False)
     original = mcap_file(tmp_path / "bag").read_bytes()
     rng = random.Random(3)
@@ -471,7 +471,7 @@ def test_many_flipped_bits_are_never_silently_wrong(tmp_path: Path):
         assert len(found) == len(written) or scan.damage
 
 
-def test_losses_are_counted_by_topic_and_the_damaged_chunk_is_named(
+def test_losses_are_counted_by_topic_and_the_damaged_chunk_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     written = write_bag(tmp_path / "bag")
@@ -490,7 +490,7 @@ def test_losses_are_counted_by_topic_and_the_damaged_chunk_is_named(
     assert "chunk:" in printed
 
 
-def test_the_first_chunk_may_be_lost_without_losing_the_others(tmp_path: Path):
+def test_a_lost_first_chunk_does_not_affect_the_others(tmp_path: Path):
     written = write_bag(tmp_path / "bag", close=False)
     data = bytearray(mcap_file(tmp_path / "bag").read_bytes())
     end, inside = _chunk_ends(bytes(data))[0]
@@ -502,7 +502,7 @@ def test_the_first_chunk_may_be_lost_without_losing_the_others(tmp_path: Path):
 
 
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_type_announced_in_a_lost_chunk_is_still_known(tmp_path: Path, closed: bool):
+def test_a_type_declared_in_a_lost_chunk_is_known(tmp_path: Path, closed: bool):
     writer = BagWriter(tmp_path / "bag", sync=False)
     first = writer.add_topic("/first", standard_type(STRING))
     writer.write(first, START, START, text_message("first"))
@@ -522,7 +522,7 @@ def test_a_type_announced_in_a_lost_chunk_is_still_known(tmp_path: Path, closed:
     assert found == [("/second", STRING, text_message("second"))]
 
 
-def test_messages_without_checksums_are_said_to_be_unverified(tmp_path: Path):
+def test_messages_without_checksums_are_reported_as_unverified(tmp_path: Path):
     kind = STORE.types[STRING]
     writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
     with writer:
@@ -536,11 +536,11 @@ def test_messages_without_checksums_are_said_to_be_unverified(tmp_path: Path):
     assert result.summary.messages == 50
 
 
-def test_a_missing_metadata_file_does_not_matter(tmp_path: Path):
+def test_a_missing_metadata_file_is_tolerated(tmp_path: Path):
     written = write_bag(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
     result = recover(tmp_path / "bag", tmp_path / "clean")
-    assert result.whole
+    assert result.complete
     assert not result.had_metadata
     assert contents(tmp_path / "clean") == written
 
@@ -556,14 +556,14 @@ def test_a_path_without_a_bag_is_refused_and_leaves_no_output(
     assert not (tmp_path / "clean").exists()
 
 
-def test_the_clean_bag_may_not_exist_yet(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_existing_target_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_bag(tmp_path / "bag")
     (tmp_path / "clean").mkdir()
     assert (
         main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "clean")])
         == ExitCode.NOT_WRITTEN
     )
-    assert "exists already" in capsys.readouterr().err
+    assert "of that name exists" in capsys.readouterr().err
     assert (
         main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "bag")]) == ExitCode.REFUSED
     )

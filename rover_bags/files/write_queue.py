@@ -1,9 +1,8 @@
-"""The thread between a recorder's callbacks and its disk.
+"""Bounded queue between a recorder and its disk, with a writer thread.
 
-Callbacks hand over messages and return at once, however long the disk stalls. What waits is
-bounded; what does not fit any more is dropped, counted by topic, and the counts go into the bag.
-
-Nothing here needs ROS.
+The recorder hands over messages without blocking, however long the disk stalls. Messages that
+exceed the limit are dropped and counted by topic; the counts are written into the bag. Nothing here
+needs ROS.
 """
 
 import json
@@ -16,24 +15,31 @@ from typing import NamedTuple
 
 from rosbags.interfaces import Qos
 
-from rover_bags.files.store import LOSSES_RECORD, BagError, BagSummary, BagWriter, TopicType, sealed
+from rover_bags.files.store import (
+    LOSSES_RECORD,
+    BagError,
+    BagSummary,
+    BagWriter,
+    TopicType,
+    with_checksum,
+)
 
 _LOSSES_PERIOD = 0.5
-_GATHER = 0.05
+_BATCH_PERIOD = 0.05
 _IDLE = 1.0
 _OVERHEAD = 200
-"""Memory [byte] that a waiting message takes beyond its own bytes, roughly."""
+"""Approximate memory overhead of a queued message [byte]."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A topic that messages come from.
+    """A recorded topic.
 
     Attributes:
         name: Full topic name.
         kind: Message type.
-        qos: What its publishers offer.
-        first: Whether its messages go before all others of the first moments.
+        qos: QoS profiles offered by its publishers.
+        first: Whether its messages precede all others at the start of the file.
     """
 
     name: str
@@ -43,7 +49,7 @@ class Source:
 
 
 class Item(NamedTuple):
-    """A message on its way to the disk; times in ns since 1970."""
+    """A message to write; times in ns since 1970."""
 
     source: Source
     log_ns: int
@@ -52,23 +58,23 @@ class Item(NamedTuple):
     data: bytes
 
 
-class Continuity:
-    """Tells from publishers' message counts how many messages of a topic did not arrive.
+class SequenceMonitor:
+    """Counts the lost messages of a topic from its publishers' sequence numbers.
 
-    The middleware says which number a publisher gave to a message, but not which publisher it
-    was. So each count that goes on by one is one publisher's; a jump within as many counts as
-    there are publishers is a loss.
+    The middleware reports a message's sequence number but not its publisher. A number that
+    continues a known sequence belongs to it. If all publishers have a sequence, any other number is
+    a gap in the nearest sequence below it.
     """
 
     def __init__(self) -> None:
         self._last: list[int] = []
 
     def gap_before(self, sequence: int, publishers: int) -> int:
-        """Number of messages that should have come before this one and did not.
+        """Return the number of messages lost before this one.
 
         Args:
-            sequence: The publisher's count of the message, from 1.
-            publishers: How many publishers the topic has now.
+            sequence: Sequence number of the message, from 1.
+            publishers: Current number of publishers of the topic.
         """
         last = self._last
         if sequence - 1 in last:
@@ -84,19 +90,18 @@ class Continuity:
         return sequence - 1 - nearest
 
 
-class Spool:
-    """Takes messages from any thread and writes them from its own.
+class WriteQueue:
+    """Accepts messages from any thread and writes them in its own.
 
-    For the first ``hold`` seconds after the first message everything waits, so that topics
-    marked ``first`` come first in the file, whatever the order in which they were discovered;
-    :meth:`release` ends that early.
+    Writing starts ``hold`` seconds after the first message, so that topics marked ``first`` precede
+    all others in the file, in whatever order they were discovered; :meth:`release` starts it early.
 
     Args:
-        writer: The bag; the spool closes it.
-        limit: Bytes that may wait.
-        hold: Longest wait [s] of the first messages.
-        notes: Called in the writer's thread with the first message of each distinct content of
-            a ``first`` topic; returns the metadata record to write, or None.
+        writer: Writer of the bag; the queue closes it.
+        limit: Largest size of the queue [byte].
+        hold: Delay of the first write [s].
+        metadata_of: Called in the writer thread with each distinct message of a ``first`` topic;
+            returns the metadata record to write, or None.
     """
 
     def __init__(
@@ -105,20 +110,20 @@ class Spool:
         *,
         limit: int = 64 << 20,
         hold: float = 0.4,
-        notes: Callable[[bytes], tuple[str, dict[str, str]] | None] | None = None,
+        metadata_of: Callable[[bytes], tuple[str, dict[str, str]] | None] | None = None,
     ) -> None:
         self._writer = writer
         self._limit = limit
         self._hold = hold
-        self._notes = notes
-        self._noted: set[bytes] = set()
+        self._metadata_of = metadata_of
+        self._described: set[bytes] = set()
         self._queue: deque[Item] = deque()
         self._waiting = 0
         self._changed = threading.Condition()
         self._released_at: float | None = None
         self._stopping = False
         self._dropped: Counter[str] = Counter()
-        self._missed: Counter[str] = Counter()
+        self._lost: Counter[str] = Counter()
         self._losses_written: dict[str, int] = {}
         self._losses_at = 0.0
         self._channels: dict[str, int] = {}
@@ -128,7 +133,7 @@ class Spool:
         self._thread.start()
 
     def offer(self, item: Item) -> bool:
-        """Hands over a message; False where it was dropped because too much waits already."""
+        """Queue a message; return False if it was dropped because the queue is full."""
         size = len(item.data) + _OVERHEAD
         with self._changed:
             if self._error or self._stopping or self._waiting + size > self._limit:
@@ -142,44 +147,44 @@ class Spool:
         return True
 
     def release(self) -> None:
-        """Ends the wait of the first messages."""
+        """Start writing now."""
         with self._changed:
             self._released_at = 0.0
             self._changed.notify()
 
-    def missed(self, topic: str, count: int) -> None:
-        """Counts messages that were lost before they reached the recorder."""
+    def count_lost(self, topic: str, count: int) -> None:
+        """Count messages that were lost before they reached the recorder."""
         with self._changed:
-            self._missed[topic] += count
+            self._lost[topic] += count
 
     @property
     def error(self) -> BagError | None:
-        """Why nothing more is written; None while all is well."""
+        """The error that stopped the writer, or None."""
         with self._changed:
             return self._error
 
     @property
     def waiting(self) -> int:
-        """Bytes that wait for the disk."""
+        """Size of the queued messages [byte]."""
         with self._changed:
             return self._waiting
 
     @property
     def losses(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Messages by topic that were dropped here, and that were lost on their way here."""
+        """Messages dropped by the recorder and messages lost in transport, by topic."""
         with self._changed:
-            return dict(self._dropped), dict(self._missed)
+            return dict(self._dropped), dict(self._lost)
 
     @property
     def summary(self) -> BagSummary:
-        """What has been written so far."""
+        """Summary of the bag so far."""
         return self._writer.summary
 
     def close(self, custom: dict[str, str] | None = None) -> BagSummary:
-        """Writes what waits and closes the bag.
+        """Write the queued messages and close the bag.
 
         Raises:
-            BagError: The disk failed, now or before; the text says what is whole.
+            BagError: The disk failed; the message states what is recoverable.
         """
         with self._changed:
             self._stopping = True
@@ -187,16 +192,16 @@ class Spool:
         self._thread.join()
         if self._error is None:
             self._write_losses(time.monotonic(), at_end=True)
-        dropped, missed = self.losses
+        dropped, lost = self.losses
         return self._writer.close(
             {
                 **(custom or {}),
                 "dropped_by_recorder": json.dumps(dropped, sort_keys=True),
-                "lost_in_transport": json.dumps(missed, sort_keys=True),
+                "lost_in_transport": json.dumps(lost, sort_keys=True),
             }
         )
 
-    # --- the writer's thread ----------------------------------------------------------------------
+    # --- writer thread ----------------------------------------------------------------------------
 
     def _run(self) -> None:
         while True:
@@ -217,7 +222,7 @@ class Spool:
                 return
 
     def _take(self) -> tuple[list[Item], bool]:
-        """Everything that waits, once there is something to do."""
+        """Wait for work; return the queued messages and whether to stop."""
         with self._changed:
             while not self._stopping:
                 now = time.monotonic()
@@ -226,8 +231,8 @@ class Spool:
                 elif now < self._released_at:
                     self._changed.wait(self._released_at - now)
                 else:
-                    # One wake-up for many messages: the period of the chunks bounds the delay.
-                    self._changed.wait(min(self._writer.due, _GATHER))
+                    # Wake up once for many messages; the chunk period bounds the delay.
+                    self._changed.wait(min(self._writer.due, _BATCH_PERIOD))
                     if self._queue or self._writer.due == 0.0:
                         break
             batch = list(self._queue)
@@ -244,23 +249,23 @@ class Spool:
         if channel is None:
             channel = self._writer.add_topic(source.name, source.kind, source.qos)
             self._channels[source.name] = channel
-        if source.first and self._notes is not None and item.data not in self._noted:
-            self._noted.add(item.data)
-            note = self._notes(item.data)
-            if note is not None:
-                self._writer.add_metadata(*note)
+        if source.first and self._metadata_of is not None and item.data not in self._described:
+            self._described.add(item.data)
+            record = self._metadata_of(item.data)
+            if record is not None:
+                self._writer.add_metadata(*record)
         self._writer.write(channel, item.log_ns, item.publish_ns, item.data, item.sequence)
 
     def _write_losses(self, now: float, *, at_end: bool = False) -> None:
-        dropped, missed = self.losses
+        dropped, lost = self.losses
         losses = Counter(dropped)
-        losses.update(missed)
+        losses.update(lost)
         if losses == self._losses_written and not (at_end and losses):
             return
         self._losses_at = now + _LOSSES_PERIOD
         self._losses_written = dict(losses)
         values = {
             "dropped_by_recorder": json.dumps(dropped, sort_keys=True),
-            "lost_in_transport": json.dumps(missed, sort_keys=True),
+            "lost_in_transport": json.dumps(lost, sort_keys=True),
         }
-        self._writer.add_metadata(LOSSES_RECORD, sealed(values))
+        self._writer.add_metadata(LOSSES_RECORD, with_checksum(values))
