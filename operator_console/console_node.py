@@ -104,7 +104,7 @@ class OperatorConsole(ContractNode):
                 given.certificate_file, given.key_file,
             ),
             self._on_command,
-            self._past,
+            self._history_content,
         )  # fmt: skip
         server.latch("commands", {"commands": command_rows()})
         server.latch("machine", {"machine": dict(DEFAULT_MACHINE)})
@@ -163,7 +163,7 @@ class OperatorConsole(ContractNode):
         if new_entries and self._server is not None:
             self._server.send("journal", {"entries": [entry.as_dict() for entry in new_entries]})
 
-    def _past(self) -> Content:
+    def _history_content(self) -> Content:
         with self._state_lock:
             return {
                 "frames": self._history.frames(),

@@ -300,7 +300,7 @@ class OperatorLink:
         return completion
 
     def undo(self, order: Order, timeout: float = ANSWER_TIMEOUT) -> SentOrder | None:
-        """Stop safely what an order started; None = nothing moves by it."""
+        """Stop the motion of an order safely; None = it has none."""
         undo = order.command.undo
         return self.send(COMMANDS[undo].order({}), timeout) if undo else None
 

@@ -28,7 +28,7 @@ PAGE: Final = Path(__file__).parent / "page"
 _COOKIE: Final = "console"
 _LARGEST_MESSAGE: Final = 65_536  # [B]
 _PING: Final = 5.0  # [s]
-_START_PATIENCE: Final = 20.0  # [s]
+_START_TIMEOUT: Final = 20.0  # [s]
 _TYPES: Final = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
@@ -73,10 +73,12 @@ class ServerSettings:
 class Server:
     """Starts with ``start`` and ends with ``stop``; any thread may call the other methods."""
 
-    def __init__(self, settings: ServerSettings, on_command: OnCommand, past: GetHistory) -> None:
+    def __init__(
+        self, settings: ServerSettings, on_command: OnCommand, history: GetHistory
+    ) -> None:
         self.settings = settings
         self.on_command = on_command
-        self.past = past
+        self.history = history
         self.trials = TrialCounter()
         self.workers = ThreadPoolExecutor(1, "console-bags")
         self.latched: dict[str, str] = {}
@@ -103,7 +105,7 @@ class Server:
         """
         self._thread.start()
         try:
-            self.port = self._started.result(_START_PATIENCE)
+            self.port = self._started.result(_START_TIMEOUT)
         except OSError as error:
             where = f"{self.settings.address} port {self.settings.port}"
             raise ServerError(f"the console cannot listen on {where}: {error}") from error
@@ -355,7 +357,7 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
         )  # fmt: skip
         for text in tuple(self.server.latched.values()):
             self._send(text)
-        self._send(_text({"kind": "past", **self.server.past()}))
+        self._send(_text({"kind": "history", **self.server.history()}))
         self.server.pages.add(self)
 
     def on_close(self) -> None:
@@ -363,7 +365,7 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
         self.server.pages.discard(self)
 
     def send(self, text: str, may_drop: bool) -> None:
-        """Send, unless the page has not even taken what came before and gets the next one."""
+        """Send, unless the text may be dropped and an earlier one is still pending."""
         lags = self._pending is not None and not self._pending.done()
         if not (lags and may_drop):
             self._send(text)

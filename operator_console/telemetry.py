@@ -33,7 +33,7 @@ _DEGREES = 180.0 / math.pi
 _MIN_STALE_AGE = 1.0  # a younger value is never stale [s]
 _STALE_PERIODS = 5.0  # missed messages of a topic until its value is stale
 _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
-_REST_TIME_NS = 500_000_000  # for which the drum must be slow
+_REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
 _REPORTS = 50  # refusals and events
 

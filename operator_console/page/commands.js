@@ -1,5 +1,5 @@
-// The operators' commands: confirm before something moves, refusals shown with their reason. A command
-// that must be renewed lasts while its button is pressed.
+// The operators' commands. Those that move something need confirmation; a refusal shows its reason. A
+// command that must be renewed lasts while its button is pressed.
 
 import { element, number } from "./format.js";
 

@@ -2,7 +2,7 @@
 
 export function number(value, digits) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  // A minus sign as wide as a digit; no "-0.0".
+  // Use a minus sign of digit width; avoid "-0.0".
   const text = value.toFixed(digits);
   return (Number(text) === 0 ? (0).toFixed(digits) : text).replace("-", "−");
 }

@@ -36,15 +36,15 @@ const replay = new Replay({
   onClose: () => {
     for (const view of [side, top]) { view.trail = []; view.place = state.place; view.machine = state.machine; }
     plots.range = null;
-    plots.fill(past.frames);
-    journal.fill(past.journal);
+    plots.fill(history.frames);
+    journal.fill(history.journal);
     showMode();
     refresh();
     plots.draw(null);
   },
   onFail: (text) => commands.show("✕", "replay", text, "error"),
 });
-const past = { frames: [], journal: [] };
+const history = { frames: [], journal: [] };
 const commands = new Commands({
   send: (name, values) => link.command(name, values),
   renew: (name, press) => link.renew(name, press),
@@ -64,27 +64,27 @@ function receive(content) {
   } else if (content.kind === "machine" || content.kind === "place") {
     state[content.kind] = content[content.kind];
     if (!replay.isOpen) for (const view of [side, top]) view.set(content.kind, state[content.kind]);
-  } else if (content.kind === "past") {
-    past.frames = content.frames;
-    past.journal = content.journal;
-    if (!replay.isOpen) { plots.fill(past.frames); journal.fill(past.journal); plots.draw(null); }
+  } else if (content.kind === "history") {
+    history.frames = content.frames;
+    history.journal = content.journal;
+    if (!replay.isOpen) { plots.fill(history.frames); journal.fill(history.journal); plots.draw(null); }
   } else if (content.kind === "journal") {
-    past.journal.push(...content.entries);
-    past.journal.splice(0, past.journal.length - 300);
+    history.journal.push(...content.entries);
+    history.journal.splice(0, history.journal.length - 300);
     if (!replay.isOpen) content.entries.forEach((entry) => journal.add(entry));
   } else if (content.kind === "frame") {
     state.frame = content;
     state.at = performance.now();
-    keepPast(content);
+    keepHistory(content);
     if (!replay.isOpen) { plots.add(content); refresh(); }
   }
 }
 
-function keepPast(frame) {
-  const last = past.frames.at(-1);
-  if (last && frame.time < last.time) past.frames.length = 0;
-  if (!last || frame.time - last.time >= 0.5 || frame.time < last.time) past.frames.push({ time: frame.time, values: frame.values });
-  if (past.frames.length > 2000) past.frames.splice(0, 200);
+function keepHistory(frame) {
+  const last = history.frames.at(-1);
+  if (last && frame.time < last.time) history.frames.length = 0;
+  if (!last || frame.time - last.time >= 0.5 || frame.time < last.time) history.frames.push({ time: frame.time, values: frame.values });
+  if (history.frames.length > 2000) history.frames.splice(0, 200);
 }
 
 function refresh() {

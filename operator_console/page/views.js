@@ -422,7 +422,7 @@ function cross(o, a, b) {
   return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
 }
 
-// 1, 2 or 5 times a power of ten, at least so much.
+// The smallest 1, 2 or 5 times a power of ten that is not less.
 function niceStep(least) {
   const power = 10 ** Math.floor(Math.log10(least));
   return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= least);

@@ -78,8 +78,8 @@ def offline(batch: Batch) -> Measured:
     """Of what the page loads; in a browser a request elsewhere fails the test, too."""
     server = "test/operator_console/test_server.py"
     names = (
-        "test_the_page_comes_with_all_it_needs_and_nothing_from_elsewhere",
-        "test_no_file_of_the_page_names_another_place",
+        "test_the_page_loads_only_files_of_this_server",
+        "test_no_file_of_the_page_refers_to_another_server",
     )
     page = "test/operator_console/test_page.py::test_a_bag_is_replayed_on_the_same_page"
     return failing(batch.folder, (*(f"{server}::{name}" for name in names), page))
@@ -90,9 +90,9 @@ def access(batch: Batch) -> Measured:
     server = "test/operator_console/test_server.py"
     names = (
         "test_nothing_is_shown_without_the_token",
-        "test_other_names_and_other_sites_are_turned_away",
+        "test_other_host_names_and_sites_are_refused",
         "test_wrong_tokens_are_counted",
-        "test_view_only_takes_no_command",
+        "test_view_only_accepts_no_command",
     )
     pages = "test/operator_console/test_page_access.py"
     return failing(batch.folder, (pages, *(f"{server}::{name}" for name in names)))

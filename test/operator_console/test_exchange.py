@@ -1,4 +1,4 @@
-"""An answer is recognised as one's own, and the end of what was exchange_of for as that."""
+"""A request recognises its own answer and its own end."""
 
 from collections.abc import Mapping
 from typing import Any

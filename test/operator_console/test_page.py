@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.process]
 
 START, LOW = 5.0, 30.0  # start and target depth [m]
-POLL_PERIOD = 50  # polling period [ms]
+POLL_PERIOD = 50  # [ms]
+PLACE = {"wall": [], "floor": [[-9, -30, 9, -30]], "levels": [], "boulders": [[1, 0, -29, 1]]}
 QUICK = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
 
 
@@ -168,6 +169,7 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     settings = ServerSettings("127.0.0.1", 0, Access(), BagShelf(tmp_path))
     server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})
     server.latch("commands", {"commands": []})
+    server.latch("place", {"place": PLACE})
     server.start()
     try:
         with browser_page() as page:

@@ -1,4 +1,4 @@
-"""Who may look and who may command: tokens, names of the server, other sites' pages."""
+"""Access rules: tokens, host names, other sites."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def token_file(folder: Path, token: str, mode: int = 0o600) -> str:
     return str(path)
 
 
-def test_everyone_on_this_machine_is_the_operator_without_tokens():
+def test_without_tokens_everyone_on_this_computer_is_the_operator():
     access = open_access("127.0.0.1", "", "", view_only=False)
     assert access.role("") is Role.OPERATOR
     assert not access.needs_token
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "192.168.1.7", "::", "pit.example"])
-def test_other_machines_are_let_in_by_token_only(address: str, tmp_path: Path):
+def test_other_computers_need_a_token(address: str, tmp_path: Path):
     with pytest.raises(AccessError, match=r"set token_file, or listen on 127\.0\.0\.1"):
         open_access(address, "", "", view_only=False)
     with pytest.raises(AccessError, match="token"):
@@ -44,7 +44,7 @@ def test_other_machines_are_let_in_by_token_only(address: str, tmp_path: Path):
     assert access.role(OPERATOR) is Role.OPERATOR
 
 
-def test_a_viewer_may_look_and_view_only_makes_viewers_of_all(tmp_path: Path):
+def test_a_viewer_cannot_command_and_view_only_applies_to_all(tmp_path: Path):
     files = token_file(tmp_path, OPERATOR), token_file(tmp_path, VIEWER)
     access = open_access("0.0.0.0", *files, view_only=False)
     assert access.role(VIEWER) is Role.VIEWER
@@ -54,7 +54,7 @@ def test_a_viewer_may_look_and_view_only_makes_viewers_of_all(tmp_path: Path):
     assert open_access("127.0.0.1", "", "", view_only=True).role("") is Role.VIEWER
 
 
-def test_tokens_that_protect_nothing_are_refused(tmp_path: Path):
+def test_weak_or_readable_tokens_are_refused(tmp_path: Path):
     with pytest.raises(AccessError, match="at least 16 characters"):
         read_token(token_file(tmp_path, "short"))
     with pytest.raises(AccessError, match="chmod 600"):
@@ -102,7 +102,7 @@ def test_only_the_servers_own_page_is_its_origin(origin: str | None, own: bool):
     assert is_own_origin(origin, "127.0.0.1:8642") is own
 
 
-def test_wrong_tokens_cannot_be_tried_by_the_thousand():
+def test_the_rate_of_wrong_tokens_is_limited():
     counter = TrialCounter()
     for trial in range(10):
         assert counter.may_try(float(trial))

@@ -1,4 +1,4 @@
-"""A bag as frames: the same as live, with ages, the journal and what is missing."""
+"""A bag as frames of the page, with ages, journal and remarks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def test_frames_show_what_the_bag_holds_at_their_time(folder: Path):
+def test_frames_show_the_bag_s_values_at_their_times(folder: Path):
     replay = read_replay(folder / "jump")
     times = [made["time"] for made in replay.frames]
     assert times == sorted(times)

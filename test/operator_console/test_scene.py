@@ -62,20 +62,24 @@ def test_a_place_without_a_wall_has_no_levels():
     assert place_of(DrawingSample(0, ()))["levels"] == []
 
 
-def test_the_machines_sizes_are_those_of_the_configuration():
-    scenario = {"rover": {"body1_size": [0.4, 0.3, 0.2], "wheels": {"radius": 0.2}}, "name": "pit"}
+def test_the_sizes_of_the_machine_come_from_the_configuration():
+    scenario = {
+        "rover": {"body1_size": [0.4, 0.3, 0.2], "wheels": {"radius": 0.2, "track_width": 0.3}},
+        "name": "pit",
+    }
     machine = machine_of(json.dumps({"scenario": scenario}))
     assert machine is not None
     assert machine["body1_size"] == [0.4, 0.3, 0.2]
     assert machine["body2_size"] == [0.24, 0.24, 0.08]
     assert machine["wheels"]["radius"] == 0.2
+    assert machine["wheels"]["track_width"] == 0.3
     assert machine_of(json.dumps({"node": "/winch_node"})) is None
     planar = machine_of(json.dumps({"scenario": {"rover": {"body1_size": [0.3, 0.1]}}}))
     assert planar is not None
     assert planar["body1_size"] == [0.30, 0.24, 0.15]
 
 
-def test_truth_goes_before_payout_and_keeps_both_ends():
+def test_truth_replaces_the_payout_and_keeps_both_ends():
     nodes = np.zeros((400, 7))
     nodes[:, 2] = -np.linspace(0.0, 12.0, 400)
     nodes[:, 6] = 16.0

@@ -39,7 +39,7 @@ class Desk:
         return answer
 
     def get(self, path: str, **options: Any) -> httpclient.HTTPResponse:
-        """One request, answered with whatever status."""
+        """Send one request; return the response with any status."""
 
         async def fetch() -> httpclient.HTTPResponse:
             client = httpclient.AsyncHTTPClient()
@@ -52,7 +52,7 @@ class Desk:
     def talk(
         self, *sent: object, headers: dict[str, str] | None = None, unanswered: int = 0
     ) -> list[dict[str, Any]]:
-        """What comes over the live connection until each message has its answer, but so many."""
+        """Send messages; return everything received until all but `unanswered` have answers."""
 
         async def speak() -> list[dict[str, Any]]:
             url = f"ws://127.0.0.1:{self.server.port}/live"
@@ -61,7 +61,7 @@ class Desk:
             for message in sent:
                 await socket.write_message(json.dumps(message))
             received: list[dict[str, Any]] = []
-            expected = len(sent) - unanswered + 3  # welcome, commands, past
+            expected = len(sent) - unanswered + 3  # welcome, commands, history
             while len(received) < expected:
                 text = await socket.read_message()
                 if text is None:
@@ -217,12 +217,12 @@ def test_wrong_tokens_are_counted(desks: list[Desk]):
     assert desk.get("/enter", method="POST", body=f"token={OPERATOR}").code == 429
 
 
-def test_frames_reach_the_pages_that_look(desks: list[Desk]):
+def test_frames_reach_the_connected_pages(desks: list[Desk]):
     desk = opened(desks)
 
     async def look() -> dict[str, Any]:
         socket = await websocket.websocket_connect(f"ws://127.0.0.1:{desk.server.port}/live")
-        while json.loads(await socket.read_message() or "{}")["kind"] != "past":
+        while json.loads(await socket.read_message() or "{}")["kind"] != "history":
             pass
         while not desk.server.pages:
             await asyncio.sleep(0.01)

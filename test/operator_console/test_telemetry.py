@@ -1,4 +1,4 @@
-"""What is known is report with its age, and what should have been heard again as stale."""
+"""Values have ages and become stale; nodes have health."""
 
 import json
 import math
@@ -68,7 +68,7 @@ def test_nothing_is_known_at_first():
     assert json.loads(json.dumps(now.as_dict()))["alarms"] == []
 
 
-def test_a_value_grows_stale_and_stays_readable():
+def test_a_value_becomes_stale_and_stays_readable():
     known = Telemetry()
     known.on_sample(topics.WINCH_ESTIMATE, estimate(12.3456, -0.01, 16.2), 10.0)
     fresh, old = known.snapshot(10.9).reading("depth"), known.snapshot(12.5).reading("depth")
@@ -76,7 +76,7 @@ def test_a_value_grows_stale_and_stays_readable():
     assert (old.text, old.is_stale, old.age) == ("12.346 m", True, 2.5)
 
 
-def test_the_next_source_serves_where_the_best_is_silent_or_does_not_know():
+def test_the_next_source_replaces_a_stale_or_invalid_one():
     known = Telemetry()
     known.on_sample(topics.WINCH_ESTIMATE, estimate(12.0, 0.0, 0.0, valid=False), 10.0)
     known.on_sample(topics.LOAD_CELL, WrenchSample(1, (3.0, 0.0, -4.0)), 10.0)
@@ -107,7 +107,7 @@ def test_angles_are_in_degrees_and_budgets_in_percent():
 def test_a_phase_is_as_fresh_as_its_node():
     known = Telemetry()
     known.on_sample(topics.WINCH_MODE, TextSample("fault"), 1.0)
-    assert known.snapshot(1.1).reading("winch").is_stale  # kept for late comers by who is gone
+    assert known.snapshot(1.1).reading("winch").is_stale  # latched by a node that has ended
     known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 50.0)
     now = known.snapshot(50.5).reading("winch")
     assert (now.value, now.is_stale, now.is_warning) == ("fault", False, True)
@@ -136,7 +136,7 @@ def test_a_node_reports_its_problems_and_becomes_silent():
     assert (node.level, node.is_silent, node.details) == ("OK", True, ())
 
 
-def test_refusals_are_kept_apart_from_health():
+def test_refusals_are_separate_from_health():
     known = Telemetry()
     refusal = Refusal(topics.WINCH_REQUEST, RefusalCode.NOT_ARMED, "the winch is in stop")
     status = RefusalLog("winch_node").take(refusal)
@@ -154,7 +154,7 @@ def test_refusals_are_kept_apart_from_health():
     assert now.nodes[0].level == "OK"
 
 
-def test_alarms_are_those_that_are_on():
+def test_only_active_alarms_are_shown():
     known = Telemetry()
     joints = {name: JointValue(float(name == "snag")) for name in machine.ALARM_NAMES}
     known.on_sample(topics.WINCH_ALARMS, JointSample(1, joints), 1.0)
@@ -170,13 +170,13 @@ def test_alarms_are_those_that_are_on():
         (0.0, 1.0, "standby", False),
     ],
 )
-def test_rest_is_a_while_of_resting_by_the_drum_s_own_time(
+def test_rest_requires_half_a_second_of_the_drum_s_own_time(
     rate: float, brake: float, jump: str, rests: bool
 ):
     known = Telemetry()
     known.on_sample(topics.JUMP_PHASE, TextSample(jump), 0.5)
     assert not known.is_at_rest(0.0)
-    for tick in range(52):  # slow simulated time: 0.01 s of it each 0.1 s
+    for tick in range(52):  # slow simulated time: 0.01 s per 0.1 s
         known.on_sample(topics.WINCH_STATE, drum(12.0, 0.2, 1.0, stamp=tick), tick * 0.1)
     for tick in range(52, 102):
         known.on_sample(topics.WINCH_STATE, drum(12.0, rate, brake, stamp=tick), tick * 0.1)
