@@ -1,4 +1,4 @@
-"""The hanging rover with winch and descent; all arguments of sim.launch.py hold.
+"""The hanging rover with winch and descent controllers; arguments as sim.launch.py.
 
 ros2 launch mother_rover descent.launch.py record:=descent_bag
 ros2 service call /winch/rearm std_srvs/srv/Trigger

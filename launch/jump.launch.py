@@ -1,4 +1,4 @@
-"""The rover with its jump and winch controllers; all arguments of sim.launch.py hold.
+"""The rover with jump and winch controllers; arguments as sim.launch.py.
 
 ros2 launch mother_rover jump.launch.py
 ros2 topic pub --once /jump/request sensor_msgs/msg/JointState \

@@ -1,4 +1,4 @@
-"""The hanging rover behind a link to its drives: bridge, winch, descent, and emulated drives.
+"""The hanging rover with drives on a link: bridge, drive emulator, winch and descent controllers.
 
 ros2 launch mother_rover rehearsal.launch.py record:=rehearsal_bag
 ros2 service call /drives/arm std_srvs/srv/SetBool "{data: true}"
@@ -6,7 +6,7 @@ ros2 service call /winch/rearm std_srvs/srv/Trigger
 ros2 topic pub --once /descent/request sensor_msgs/msg/JointState \
     "{name: [observation_stop], position: [12.0]}"
 
-With the real machine, one argument says so, and nothing is emulated:
+With the real drives:
 
 ros2 launch mother_rover rehearsal.launch.py drives:=socketcan:can0
 """

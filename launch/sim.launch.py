@@ -1,4 +1,4 @@
-"""The plant alone, and on request a recorder and RViz.
+"""The plant alone, with optional recorder and RViz.
 
 ros2 launch mother_rover sim.launch.py scenario:=lunar_jump real_time_factor:=2.0 record:=bag1
 ros2 launch mother_rover sim.launch.py plant:=mock namespace:=rover2

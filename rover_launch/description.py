@@ -1,4 +1,4 @@
-"""What `plan` starts, told to ROS 2's own `launch`; importable where ROS 2 is sourced."""
+"""Convert a launch plan to a launch description of ROS 2; needs a sourced ROS 2."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from rover_launch.plan import PACKAGE, Plan, ProcessSpec, arguments_of, plan
 
 
 def describe(*controllers: str, **defaults: str) -> LaunchDescription:
-    """A launch of the plant with controllers, and on request with recorder and viewer.
+    """Return the launch description of the plant, controllers, optional recorder and viewer.
 
     Args:
         controllers: executables of the controllers.
-        defaults: of arguments that are other than in `plan.arguments_of`.
+        defaults: of arguments, in place of those of `plan.arguments_of`.
     """
     config = str(Path(get_package_share_directory(PACKAGE)) / "config")
     arguments = arguments_of(controllers, config, defaults)
@@ -52,7 +52,7 @@ def _node(started: ProcessSpec, planned: Plan) -> Node:
     shutdown = (
         {"on_exit": Shutdown(reason=started.shutdown_reason)} if started.shutdown_reason else {}
     )
-    # A namespace has a clock of its own: the one topic that is absolute by convention.
+    # The clock's name is absolute by convention; each namespace has its own clock.
     own_clock = [(topics.CLOCK, topics.CLOCK.strip("/"))] if planned.namespace else []
     return Node(
         package=started.package,

@@ -1,8 +1,8 @@
-"""Which processes a launch starts, with which parameters. Pure: no ROS is imported.
+"""Plan of a launch: processes and their parameters. Pure: imports no ROS.
 
-All launch files share the arguments of `arguments_of`, and what `plan` makes of their values: the
-plant, the controllers, the recorder and the viewer, all in one namespace with a clock of its own,
-so that several rovers run side by side.
+All launch files share the arguments of `arguments_of` and the function `plan`, which plans the
+plant, the controllers, the recorder and the viewer in one namespace with its own clock, so that
+several rovers can run at the same time.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ PLANTS: Mapping[str, str] = {
     MOCK: "mock_plant",
     HIL: "hil_bridge",
 }
-"""Executable that stands for the plant towards the controllers."""
+"""Executable of each kind of plant."""
 
 PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
     "scenario": (str, "name of a scenario of the package, or path of a .yaml file"),
-    "overrides": (str, 'changes to the scenario by dotted path: {"start.slack": 2.0}'),
+    "overrides": (str, 'overrides of the scenario by dotted path: {"start.slack": 2.0}'),
     "seed": (int, "seed of the sensors' errors"),
-    "model": (str, "planar or spatial: refuse a scenario of another; scenario: take what it says"),
+    "model": (str, "scenario: the scenario's model; planar, spatial: refuse another model"),
     "real_time_factor": (float, "simulated seconds per second; 0 = as fast as possible"),
-    "start_paused": (bool, "true: simulated time stands still until stepped or resumed"),
-    "duration": (float, "end after this much simulated time [s]; 0 = never"),
+    "start_paused": (bool, "true: start with simulated time paused"),
+    "duration": (float, "simulated time after which the plant ends [s]; 0 = never"),
 }
-"""Parameters of the plant that go before those of its file where they are given: type, meaning."""
+"""Arguments that override parameters of the plant's file: type, meaning."""
 
 EMULATOR_PARAMETERS = ("scenario", "overrides", "seed")
-"""Those of them that emulated drives have as well: they keep to the wall clock."""
+"""The parameters among them that the drive emulator has; it runs in real time."""
 
 PRIORITY = "realtime_priority"
-"""Parameter of every node; plant and controllers are given it, as the loop goes through them."""
+"""Real-time priority, a parameter of every node; set for plant and controllers."""
 
 CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
     "winch_node": ("winch_node",),
@@ -54,10 +54,10 @@ CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
     "drive_node": ("drive_node",),
     "mission_node": ("mission_node",),
 }
-"""Parameter files of each controller, the last one's values hold."""
+"""Parameter files of each controller; later files override earlier ones."""
 
 EXTRA_FILES_WITH_DESCENT: Mapping[str, tuple[str, ...]] = {"winch_node": ("winch_descent",)}
-"""Further files of a controller beside `descent_node`."""
+"""Additional parameter files of a controller that runs together with `descent_node`."""
 
 _FILE_ARGUMENTS = {"sim_node": "sim_params_file", "winch_descent": "winch_descent_file"}
 
@@ -66,11 +66,11 @@ HANGING_DEFAULTS: Mapping[str, str] = {
     "model": SPATIAL,
     "overrides": '{"winch.min_length": 1.4, "tether.element_length": 0.9}',
 }
-"""Defaults where the hanging rover is controlled: it may come up to 1.6 m below the fairlead."""
+"""Defaults for the hanging rover, which may rise to 1.6 m below the fairlead."""
 
 
 class PlanError(ValueError):
-    """An argument that makes no sense: which one, its value, and what would."""
+    """An invalid argument; the message has its name, value and the valid values."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,13 @@ class Argument:
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """One process.
+    """A process to start.
 
     Attributes:
-        files: parameter files, the last one's values hold.
-        parameters: that go before those of the files.
+        files: parameter files; later files override earlier ones.
+        parameters: override those of the files.
         arguments: before ``--ros-args``.
-        shutdown_reason: why all the others end when it does; empty: they go on.
+        shutdown_reason: reason to end the launch when the process ends; empty: it goes on.
     """
 
     executable: str
@@ -103,18 +103,18 @@ class ProcessSpec:
 
     @property
     def enclave_name(self) -> str:
-        """Whose access it has: its own, or what is not of the suite that of the operator."""
+        """Name of its access enclave; processes of other packages have the operator's."""
         return self.executable if self.package == PACKAGE else "operator"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a launch starts.
+    """The processes of a launch.
 
     Attributes:
         namespace: of all processes; empty: none.
         log_level: of all nodes of the suite.
-        messages: what the operator should know.
+        messages: to be logged for the operator.
     """
 
     namespace: str
@@ -124,63 +124,63 @@ class Plan:
 
 
 def files_of(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Names of the parameter files of plants and controllers in ``config/``, without ending."""
+    """Return the names of the parameter files in ``config/`` by executable, without suffix."""
     files: dict[str, tuple[str, ...]] = {
         name: (name,) for name in (*PLANTS.values(), "drive_emulator", "view_node")
     }
     for name in controllers:
-        further = EXTRA_FILES_WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
-        files[name] = CONTROLLER_FILES[name] + further
+        additional = EXTRA_FILES_WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
+        files[name] = CONTROLLER_FILES[name] + additional
     return files
 
 
 def arguments_of(
     controllers: Sequence[str], config: str, defaults: Mapping[str, str]
 ) -> tuple[Argument, ...]:
-    """The arguments of a launch file.
+    """Return the arguments of a launch file.
 
     Args:
-        controllers: that it starts.
+        controllers: of the launch file.
         config: folder of the parameter files.
-        defaults: values of arguments that are other here.
+        defaults: of arguments, in place of the usual ones.
     """
     found = [
         Argument(
             "plant",
             SIM,
-            "sim: simulated; mock: follows commands perfectly; hil: behind a link to its drives",
+            "sim: simulated; mock: follows commands exactly; hil: drives on a link",
             tuple(PLANTS),
         ),
         *(
-            Argument(name, "", f"{about}; empty = as the file")
+            Argument(name, "", f"{about}; empty = as in the file")
             for name, (_, about) in PARAMETERS.items()
         ),
         Argument(
             "drives",
             EMULATED,
-            "of plant:=hil: emulated, or the link to real ones: socketcan:can0, "
+            "with plant:=hil: emulated, or the link to real drives: socketcan:can0, "
             "serial:/dev/ttyUSB0:3000000",
         ),
         Argument(
             "link",
             "",
-            "of plant:=hil to emulated drives, each rover its own; empty = as the files",
+            "link to emulated drives, one per rover, with plant:=hil; empty = as in the files",
         ),
         Argument(
             PRIORITY,
             "",
-            "of plant and controllers, by SCHED_RR, from 1; empty = scheduled as any process",
+            "SCHED_RR priority of plant and controllers, from 1; empty = normal scheduling",
         ),
-        Argument("namespace", "", "of all nodes; each namespace has a clock of its own"),
-        Argument("record", "", "folder to create for a bag; empty = no recorder"),
+        Argument("namespace", "", "of all nodes; each namespace has its own clock"),
+        Argument("record", "", "folder of the bag to create; empty = no recorder"),
         Argument("rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)),
         Argument(
             CONSOLE,
             FALSE,
-            "true: the operators' page, by itself on this machine alone",
+            "true: the operators' page, on this machine only",
             (FALSE, TRUE),
         ),
-        Argument("rviz_config", f"{config}/mother_rover.rviz", "what RViz shows"),
+        Argument("rviz_config", f"{config}/mother_rover.rviz", "view configuration of RViz"),
         Argument("log_level", "info", "of all nodes", ("debug", "info", "warn", "error", "fatal")),
         *(
             Argument(_argument_of(file), f"{config}/{file}.yaml", f"parameters of {name}")
@@ -202,15 +202,15 @@ def plan(
     given: Mapping[str, str],
     find: Callable[[str], str | None] = shutil.which,
 ) -> Plan:
-    """Which processes are started.
+    """Plan the processes of a launch.
 
     Args:
         controllers: executables of the controllers.
         given: value of each argument of `arguments_of`.
-        find: path of a command of this machine, or None.
+        find: returns the path of a command, or None.
 
     Raises:
-        PlanError: a value is of the wrong kind, or the wanted plant has no such argument.
+        PlanError: a value has the wrong type, or the argument does not apply to the plant.
     """
     messages = []
     kind = given["plant"]
@@ -218,8 +218,8 @@ def plan(
         raise PlanError(f"plant is {kind!r}, it must be one of {', '.join(PLANTS)}")
     if kind != HIL and given["drives"] != EMULATED:
         raise PlanError(
-            f"drives is {given['drives']!r}, but plant is {kind}: nothing would speak to them; "
-            f"plant:={HIL} does"
+            f"drives is {given['drives']!r}, but plant:={kind} has no link to drives; "
+            f"set plant:={HIL}"
         )
     started = _hil(given) if kind == HIL else [_simulated(PLANTS[kind], given)]
     simulated_time = kind != HIL or given["drives"] == EMULATED
@@ -255,8 +255,8 @@ def plan(
             )
         else:
             messages.append(
-                f"rviz:=true, but there is no {VIEWER} on this machine (with ROS 2 Jazzy: apt "
-                f"install ros-jazzy-{VIEWER}); everything else is started"
+                f"rviz:=true, but {VIEWER} is not installed (apt install ros-jazzy-{VIEWER}); "
+                "all other processes start"
             )
     if given[CONSOLE] == TRUE:
         started.append(
@@ -279,21 +279,21 @@ def _simulated(executable: str, given: Mapping[str, str]) -> ProcessSpec:
 
 
 def _hil(given: Mapping[str, str]) -> list[ProcessSpec]:
-    """The bridge, and the drives that it speaks to unless they are real."""
+    """Return the bridge, and the drive emulator unless the drives are real."""
     emulated = given["drives"] == EMULATED
     for name in PARAMETERS:
-        plays = {"", "scenario", SPATIAL} if name == "model" else {""}
-        if name not in EMULATOR_PARAMETERS and given[name] not in plays:
+        allowed = {"", "scenario", SPATIAL} if name == "model" else {""}
+        if name not in EMULATOR_PARAMETERS and given[name] not in allowed:
             raise PlanError(
-                f"{name} is {given[name]!r}: with plant:=hil nothing has that, it keeps to the "
-                "wall clock; emulated drives play a spatial scenario"
+                f"{name} is {given[name]!r}: it must be empty with plant:=hil, which runs in real "
+                "time and simulates a spatial scenario"
             )
     link = given["link"] if emulated else given["drives"]
     of_link: dict[str, Value] = {"link": link} if link else {}
     bridge = ProcessSpec(
         PLANTS[HIL],
         files=(given[_argument_of(PLANTS[HIL])],),
-        # Real drives run by the wall clock, emulated ones by the plant's.
+        # Real drives run by the wall clock, emulated ones by simulated time.
         parameters={"use_sim_time": emulated, **of_link},
     )
     if not emulated:
@@ -320,8 +320,8 @@ def _typed(name: str, text: str) -> Value:
             return {TRUE: True, FALSE: False}[text.lower()]
         return kind(text)
     except (ValueError, KeyError):
-        wanted = "true or false" if kind is bool else f"of type {kind.__name__}"
-        raise PlanError(f"{name} is {text!r}, it must be {wanted}") from None
+        expected = "true or false" if kind is bool else f"of type {kind.__name__}"
+        raise PlanError(f"{name} is {text!r}, it must be {expected}") from None
 
 
 def _priority(given: Mapping[str, str]) -> dict[str, Value]:
@@ -332,5 +332,5 @@ def _priority(given: Mapping[str, str]) -> dict[str, Value]:
 
 
 def _argument_of(file: str) -> str:
-    """Argument that names a parameter file."""
+    """Return the name of the argument of a parameter file."""
     return _FILE_ARGUMENTS.get(file, f"{file}_params_file")

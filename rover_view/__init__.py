@@ -1,1 +1,1 @@
-"""What viewers such as RViz and Foxglove need besides the plant's topics: frames and pictures."""
+"""Frames and markers for viewers such as RViz and Foxglove, besides the plant's topics."""

@@ -1,4 +1,4 @@
-"""Where on the wall pictures were taken, out of what the descent tells of each."""
+"""Markers of the images taken of the wall, from the descent's observations."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from msg_schemas.table import (
     WALL_DISTANCE,
     WORLD_FRAME,
 )
-from rover_view.robot_model import RobotModel, about_z, plus, product, turn
+from rover_view.robot_model import RobotModel, about_z, plus, product, rotate
 
 STEADY: Colour = (0.20, 0.75, 0.35, 0.8)
 SMEARED: Colour = (0.85, 0.25, 0.15, 0.8)
 UNKNOWN: Colour = (0.60, 0.60, 0.60, 0.8)
 SHARP, BLURRED = 0.5, 2.0
-"""Smear up to which a picture is drawn as steady, and from which as smeared [px]."""
-_NONE_SEEN = 1000.0  # what the range finder tells then [m]
-_SIZE = (0.02, 0.6, 0.6)  # of what is drawn [m]
+"""Smear of an image up to which it is drawn as steady, and from which as smeared [px]."""
+_OUT_OF_RANGE = 1000.0  # the range finder's reading without a wall [m]
+_SIZE = (0.02, 0.6, 0.6)  # of a marker [m]
 
 
 class ObservedWall:
-    """The pictures so far.
+    """The images taken so far.
 
-    The rover hangs straight below the fairlead when it takes one. The gyro tells headings since the
-    start, when base_link's x is taken to lie along the x of map.
+    The rover is assumed vertically below the fairlead. Headings are the gyro's since the start,
+    where base_link's x is assumed along the x of map.
     """
 
     def __init__(self) -> None:
         self._shapes: list[Shape] = []
 
-    def add(self, picture: JointSample, machine: RobotModel) -> bool:
-        """Take a picture; False where the range finder saw no wall.
+    def add(self, observation: JointSample, model: RobotModel) -> bool:
+        """Add an image; False without a wall in range.
 
         Args:
-            picture: a sample of the descent's observations.
-            machine: where its camera is.
+            observation: a sample of the descent's observations.
+            model: with the camera's frame.
         """
-        joints = picture.joints
-        if WALL_DISTANCE not in joints or joints[WALL_DISTANCE].position >= _NONE_SEEN:
+        joints = observation.joints
+        if WALL_DISTANCE not in joints or joints[WALL_DISTANCE].position >= _OUT_OF_RANGE:
             return False
         heading = about_z(joints[HEADING].position)
-        camera = machine.joints[CAMERA_FRAME]
+        camera = model.joints[CAMERA_FRAME]
         attachment = (
-            machine.joints[TETHER_FRAME].position if TETHER_FRAME in machine.joints else 3 * (0.0,)
+            model.joints[TETHER_FRAME].position if TETHER_FRAME in model.joints else 3 * (0.0,)
         )
-        look = turn(camera.orientation, (joints[WALL_DISTANCE].position, 0.0, 0.0))
-        x, y, z = turn(heading, plus(camera.position, look))
+        ray = rotate(camera.orientation, (joints[WALL_DISTANCE].position, 0.0, 0.0))
+        x, y, z = rotate(heading, plus(camera.position, ray))
         self._shapes.append(
             Shape(
                 "observed_wall",
@@ -67,7 +67,7 @@ class ObservedWall:
         return True
 
     def drawing(self, stamp_ns: int) -> DrawingSample:
-        """All pictures."""
+        """Return the markers of all images."""
         return DrawingSample(stamp_ns, tuple(self._shapes))
 
 

@@ -1,4 +1,4 @@
-"""How high and how far a jump is predicted to go, drawn where the rover stands."""
+"""Markers of a jump's predicted height and range, at the rover's position."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ _WIDTH = (0.02, 0.0, 0.0)  # [m]
 _SIDES = 48
 
 
-def predicted(prediction: JointSample, body1: OdometrySample, stamp_ns: int) -> DrawingSample:
-    """The interval of 90 % of height, as a mark over the rover, and of range, as rings about it.
+def prediction_markers(
+    prediction: JointSample, body1: OdometrySample, stamp_ns: int
+) -> DrawingSample:
+    """Draw the 90 % interval of the height as a line above the rover, of the range as two rings.
 
     Args:
-        prediction: a sample of the jump's predictions; values, lower and upper ends.
-        body1: where the rover stands.
+        prediction: a sample of the jump's predictions: values, lower and upper bounds.
+        body1: pose of the rover.
         stamp_ns: of the drawing.
     """
     x, y, z = body1.position
-    height, way = prediction.joints[JUMP_HEIGHT], prediction.joints[JUMP_RANGE]
+    height, distance = prediction.joints[JUMP_HEIGHT], prediction.joints[JUMP_RANGE]
     low, high = height.velocity, height.effort
     mark = Shape(
         "predicted_height", "line", WORLD_FRAME, MARK, _WIDTH, ((x, y, z + low), (x, y, z + high))
     )
     rings = tuple(
         Shape("predicted_range", "line", WORLD_FRAME, RING, _WIDTH, _ring(body1.position, radius))
-        for radius in (way.velocity, way.effort)
+        for radius in (distance.velocity, distance.effort)
         if radius > 0.0
     )
     return DrawingSample(stamp_ns, (mark, *rings))

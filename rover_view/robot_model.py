@@ -1,4 +1,4 @@
-"""What the robot description says of the machine's joints, and where its links then are."""
+"""Link frames of the rover, from its robot description (URDF) and joint states."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from msg_schemas.table import (
 
 
 class DescriptionError(ValueError):
-    """A robot description that is none: what is missing or wrong in it."""
+    """An invalid robot description; the message has the reason."""
 
 
 class LinkFrame(NamedTuple):
-    """A frame in its parent."""
+    """The frame of a link in its parent's."""
 
     parent: str
     child: str
@@ -35,11 +35,11 @@ class LinkFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Joints of a robot description.
+    """Joint frames of a robot description.
 
     Attributes:
-        joints: by the name of the child's link, each at its zero.
-        fixed: those of them that do not move.
+        joints: frame at the joint's zero position, by the name of the child link.
+        fixed: frames of the fixed joints.
         drum_radius: [m]; nan without a drum.
     """
 
@@ -52,11 +52,11 @@ class RobotModel:
         """Read a robot description.
 
         Raises:
-            DescriptionError: it is no URDF, or not that of our machine.
+            DescriptionError: it is not a URDF, or not of the rover.
         """
         try:
             robot = ET.fromstring(description)
-            joints = [(joint.get("type"), _placed(joint)) for joint in robot.iter("joint")]
+            joints = [(joint.get("type"), _frame_of(joint)) for joint in robot.iter("joint")]
             radii = [
                 float(cylinder.attrib["radius"])
                 for cylinder in robot.findall(
@@ -64,8 +64,8 @@ class RobotModel:
                 )
             ]
         except (ET.ParseError, KeyError, ValueError) as error:
-            raise DescriptionError(f"the robot description is no URDF: {error!r}") from None
-        by_child = {placed.child: placed for _, placed in joints}
+            raise DescriptionError(f"the robot description is not a URDF: {error!r}") from None
+        by_child = {frame.child: frame for _, frame in joints}
         missing = {
             BODY1_FRAME,
             BODY2_FRAME,
@@ -75,49 +75,50 @@ class RobotModel:
         } - by_child.keys()
         if missing:
             raise DescriptionError(f"the robot description has no link {sorted(missing)[0]}")
-        fixed = tuple(placed for kind, placed in joints if kind == "fixed")
+        fixed = tuple(frame for kind, frame in joints if kind == "fixed")
         return cls(by_child, fixed, radii[0] if radii else math.nan)
 
     def bodies(self, body1: OdometrySample, body2: OdometrySample | None) -> list[LinkFrame]:
-        """The bodies' frames; Body 2 is where the slider lets it be nearest to where it is told."""
-        placed = [LinkFrame(WORLD_FRAME, BODY1_FRAME, body1.position, body1.orientation)]
+        """Return the bodies' frames; Body 2 is projected onto the slider's axis."""
+        frames = [LinkFrame(WORLD_FRAME, BODY1_FRAME, body1.position, body1.orientation)]
         if body2 is not None:
-            away = _minus(body2.position, body1.position)
-            slide = turn(conjugate(body1.orientation), away)[2]
-            placed.append(LinkFrame(BODY1_FRAME, BODY2_FRAME, (0.0, 0.0, slide), IDENTITY))
-        return placed
+            offset = _minus(body2.position, body1.position)
+            slide = rotate(conjugate(body1.orientation), offset)[2]
+            frames.append(LinkFrame(BODY1_FRAME, BODY2_FRAME, (0.0, 0.0, slide), IDENTITY))
+        return frames
 
     def wheels(self, left: float, right: float) -> list[LinkFrame]:
-        """Frames of wheels that have turned by so much [rad]."""
+        """Return the frames of the wheels at given angles [rad]."""
         angles = ((WHEEL_LEFT, left), (WHEEL_RIGHT, right))
         return [self.joints[name]._replace(orientation=about_y(angle)) for name, angle in angles]
 
     def drum(self, length: float) -> list[LinkFrame]:
-        """The drum's frame with so much paid out [m]; nothing without a drum."""
+        """Return the drum's frame at a payout [m]; empty without a drum."""
         if WINCH_DRUM not in self.joints or not self.drum_radius > 0.0:
             return []
         angle = math.remainder(length / self.drum_radius, 2.0 * math.pi)
         return [self.joints[WINCH_DRUM]._replace(orientation=about_y(angle))]
 
 
-def _placed(joint: ET.Element) -> LinkFrame:
+def _frame_of(joint: ET.Element) -> LinkFrame:
     parent, child = joint.find("parent"), joint.find("child")
     if parent is None or child is None:
-        raise KeyError(f"joint {joint.get('name')} joins no two links")
+        raise KeyError(f"joint {joint.get('name')} lacks a parent or child link")
     origin = joint.find("origin")
-    place, turned = ZERO, ZERO
+    position, angles = ZERO, ZERO
     if origin is not None:
-        place, turned = _three(origin.get("xyz", "0 0 0")), _three(origin.get("rpy", "0 0 0"))
-    return LinkFrame(parent.attrib["link"], child.attrib["link"], place, _quaternion(*turned))
+        position = _vector_of(origin.get("xyz", "0 0 0"))
+        angles = _vector_of(origin.get("rpy", "0 0 0"))
+    return LinkFrame(parent.attrib["link"], child.attrib["link"], position, _quaternion(*angles))
 
 
-def _three(text: str) -> Vector:
+def _vector_of(text: str) -> Vector:
     x, y, z = (float(part) for part in text.split())
     return x, y, z
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Of URDF's angles: about the fixed x, y and z axes, in turn."""
+    """Return the quaternion of URDF's angles, about the fixed x, y and z axes in turn."""
     return product(about_z(yaw), product(about_y(pitch), _about_x(roll)))
 
 
@@ -126,17 +127,17 @@ def _about_x(angle: float) -> Quaternion:
 
 
 def about_y(angle: float) -> Quaternion:
-    """A turn about y [rad]."""
+    """Return a rotation about y [rad]."""
     return 0.0, math.sin(0.5 * angle), 0.0, math.cos(0.5 * angle)
 
 
 def about_z(angle: float) -> Quaternion:
-    """A turn about z [rad]."""
+    """Return a rotation about z [rad]."""
     return 0.0, 0.0, math.sin(0.5 * angle), math.cos(0.5 * angle)
 
 
 def product(first: Quaternion, second: Quaternion) -> Quaternion:
-    """The second rotation, then the first."""
+    """Return the second rotation followed by the first."""
     x0, y0, z0, w0 = first
     x1, y1, z1, w1 = second
     return (
@@ -147,20 +148,20 @@ def product(first: Quaternion, second: Quaternion) -> Quaternion:
     )
 
 
-def conjugate(turned: Quaternion) -> Quaternion:
-    """The rotation back."""
-    x, y, z, w = turned
+def conjugate(rotation: Quaternion) -> Quaternion:
+    """Return the inverse rotation."""
+    x, y, z, w = rotation
     return -x, -y, -z, w
 
 
-def turn(turned: Quaternion, vector: Vector) -> Vector:
-    """A vector, turned."""
-    x, y, z, _ = product(product(turned, (*vector, 0.0)), conjugate(turned))
+def rotate(rotation: Quaternion, vector: Vector) -> Vector:
+    """Return a rotated vector."""
+    x, y, z, _ = product(product(rotation, (*vector, 0.0)), conjugate(rotation))
     return x, y, z
 
 
 def plus(a: Vector, b: Vector) -> Vector:
-    """The sum of two vectors."""
+    """Return the sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 

@@ -1,4 +1,4 @@
-"""The ``view_node`` executable: the frames of the machine's links, and the observed wall."""
+"""The ``view_node`` executable: publishes link frames, the observed wall and predicted jumps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
 from rover_view.observed_wall import ObservedWall
-from rover_view.predicted_jump import predicted
+from rover_view.predicted_jump import prediction_markers
 from rover_view.robot_model import DescriptionError, LinkFrame, RobotModel
 
 try:
@@ -29,30 +29,30 @@ except ImportError:  # not among the wheels on PyPI; a sourced ROS 2 has it
     TFMessage = None
 
 NO_TF = (
-    "no tf: tf2_msgs cannot be imported here (ROS 2 Jazzy has it as ros-jazzy-tf2-msgs); viewers "
-    "show markers, but no robot model"
+    "no tf: tf2_msgs cannot be imported (install ros-jazzy-tf2-msgs); viewers show the markers, "
+    "but no robot model"
 )
 _NOTHING = JointValue()
 
 
 @dataclass(frozen=True)
 class ViewParameters:
-    """How often frames are told."""
+    """Publishing rate of the frames."""
 
     frame_rate: float = parameter(
-        30.0, "Hz", "of the frames of what moves", 1.0, 100.0, read_only=True
+        30.0, "Hz", "publishing rate of the moving frames", 1.0, 100.0, read_only=True
     )
 
 
 class ViewNode(ContractNode):
-    """Tells viewers where the machine's links are, and where its pictures were taken."""
+    """Publishes link frames, and markers of the observed wall and of predicted jumps."""
 
     NAME = "view_node"
     PARAMETERS = (ViewParameters,)
 
     def setup(self) -> None:
-        """Open everything; without tf2_msgs, say so and go on with the wall."""
-        self._machine: RobotModel | None = None
+        """Open topics; without tf2_msgs, log a warning and publish the markers only."""
+        self._model: RobotModel | None = None
         self._wall = ObservedWall()
         self._wall_publisher = self.publisher(topics.OBSERVED_WALL)
         self._jump_publisher = self.publisher(topics.PREDICTED_JUMP)
@@ -60,17 +60,17 @@ class ViewNode(ContractNode):
         self._body2: OdometrySample | None = None
         self._wheels: tuple[float, float] = (0.0, 0.0)
         self._length: float | None = None
-        self._told_ns = -1
+        self._published_ns = -1
         self._moving: Any = None
         self._still: Any = None
         self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
-        self.subscribe(topics.DESCENT_OBSERVATION, self._on_picture)
+        self.subscribe(topics.DESCENT_OBSERVATION, self._on_observation)
         self.subscribe(topics.TRUTH_BODY1, self._on_body1)
         self.subscribe(topics.JUMP_PREDICTION, self._on_prediction)
         if TFMessage is None:
             self.get_logger().warning(NO_TF)
             return
-        # Relative names, so that rovers in namespaces have trees of their own.
+        # Relative names: each namespace has its own tree of frames.
         moving, still = TRANSFORMS
         self._moving = self.create_publisher(TFMessage, moving, 100)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -80,39 +80,39 @@ class ViewNode(ContractNode):
         self.subscribe(topics.WINCH_STATE, self._on_winch)
 
     def start(self) -> None:
-        """Tell frames from now on."""
+        """Start publishing frames."""
         if self._moving is not None:
             rate = self.parameters_of(ViewParameters).frame_rate
             self.every(1.0 / rate, self._publish_frames, by_wall_clock=True)
 
     def clock_jumped(self) -> None:
-        """Begin anew: the pictures are of another run."""
-        self._told_ns = -1
+        """Clear the images, which belong to another run."""
+        self._published_ns = -1
         self._wall = ObservedWall()
         self._wall_publisher.send(self._wall.drawing(self.now_ns()))
 
     def _on_description(self, sample: TextSample) -> None:
         try:
-            self._machine = RobotModel.read(sample.text)
+            self._model = RobotModel.read(sample.text)
         except DescriptionError as error:
             raise Refusal(topics.ROBOT_DESCRIPTION, RefusalCode.BAD_TEXT, str(error)) from None
         if self._still is not None:
-            self._still.publish(frames_message(self._machine.fixed, self.now_ns()))
+            self._still.publish(frames_message(self._model.fixed, self.now_ns()))
 
-    def _on_picture(self, sample: JointSample) -> None:
-        if self._machine is None:
+    def _on_observation(self, sample: JointSample) -> None:
+        if self._model is None:
             raise Refusal(
                 topics.DESCENT_OBSERVATION,
                 RefusalCode.NOT_ACTIVE,
-                f"nothing is known of the camera, {topics.ROBOT_DESCRIPTION} was not heard",
+                f"the camera's pose is unknown: no {topics.ROBOT_DESCRIPTION} was received",
             )
-        if self._wall.add(sample, self._machine):
+        if self._wall.add(sample, self._model):
             self._wall_publisher.send(self._wall.drawing(sample.stamp_ns))
 
     def _on_prediction(self, sample: JointSample) -> None:
-        # Against hardware nobody tells the truth: what is predicted has no place to be drawn at.
+        # With hardware there is no ground truth, so the rover's position is unknown.
         if self._body1 is not None:
-            self._jump_publisher.send(predicted(sample, self._body1, self.now_ns()))
+            self._jump_publisher.send(prediction_markers(sample, self._body1, self.now_ns()))
 
     def _on_body1(self, sample: OdometrySample) -> None:
         self._body1 = sample
@@ -128,27 +128,27 @@ class ViewNode(ContractNode):
         self._length = sample.joints[WINCH_DRUM].position
 
     def _publish_frames(self) -> None:
-        machine, body = self._machine, self._body1
-        if machine is None or body is None or body.stamp_ns == self._told_ns:
+        model, body = self._model, self._body1
+        if model is None or body is None or body.stamp_ns == self._published_ns:
             return
-        self._told_ns = body.stamp_ns
-        placed = [*machine.bodies(body, self._body2), *machine.wheels(*self._wheels)]
+        self._published_ns = body.stamp_ns
+        frames = [*model.bodies(body, self._body2), *model.wheels(*self._wheels)]
         if self._length is not None:
-            placed += machine.drum(self._length)
-        self._moving.publish(frames_message(placed, body.stamp_ns))
+            frames += model.drum(self._length)
+        self._moving.publish(frames_message(frames, body.stamp_ns))
 
 
-def frames_message(placed: Iterable[LinkFrame], stamp_ns: int) -> Any:
-    """The frames as tf's message."""
+def frames_message(frames: Iterable[LinkFrame], stamp_ns: int) -> Any:
+    """Return the frames as a message of tf."""
     transforms = []
-    for each in placed:
-        told = TransformStamped()
-        told.header.stamp = to_time(stamp_ns)
-        told.header.frame_id, told.child_frame_id = each.parent, each.child
-        place, turned = told.transform.translation, told.transform.rotation
-        place.x, place.y, place.z = each.position
-        turned.x, turned.y, turned.z, turned.w = each.orientation
-        transforms.append(told)
+    for frame in frames:
+        message = TransformStamped()
+        message.header.stamp = to_time(stamp_ns)
+        message.header.frame_id, message.child_frame_id = frame.parent, frame.child
+        translation, rotation = message.transform.translation, message.transform.rotation
+        translation.x, translation.y, translation.z = frame.position
+        rotation.x, rotation.y, rotation.z, rotation.w = frame.orientation
+        transforms.append(message)
     return TFMessage(transforms=transforms)
 
 

@@ -26,8 +26,8 @@ def test_the_first_descent_by_hand(harness: NodeHarness, tmp_path: Path):
 
 def test_the_controller_of_one_s_own_lands(harness: NodeHarness):
     session = Session(harness)
-    heading = "Against the mock plant, then against the plant"
+    heading = "Run it with the mock plant, then with the simulated plant"
     for command in documented.section("docs/tutorials/own_controller.md", heading):
-        if "sim_node" not in command.words:  # the plant's turn: minutes on a busy machine
+        if "sim_node" not in command.words:  # the simulator takes minutes on a busy machine
             session.do(command)
-    session.started["lander"].wait_for_output("landed: it stands at 7.5")
+    session.started["lander"].wait_for_output("landed: on the floor at 7.5")

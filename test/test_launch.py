@@ -158,17 +158,20 @@ def test_the_operators_page_is_started_on_request():
         ({"plant": "toy"}, "plant is 'toy', it must be one of sim, mock, hil"),
         ({"real_time_factor": "fast"}, "real_time_factor is 'fast', it must be of type float"),
         ({"start_paused": "maybe"}, "start_paused is 'maybe', it must be true or false"),
-        ({"plant": "hil", "real_time_factor": "2"}, "real_time_factor is '2': with plant:=hil"),
-        ({"plant": "hil", "model": "planar"}, "emulated drives play a spatial scenario"),
+        (
+            {"plant": "hil", "real_time_factor": "2"},
+            "real_time_factor is '2': it must be empty with plant:=hil",
+        ),
+        ({"plant": "hil", "model": "planar"}, "simulates a spatial scenario"),
         ({"realtime_priority": "high"}, "is 'high', it must be a whole number from 1"),
-        ({"drives": "socketcan:can0"}, "plant is sim: nothing would speak to them"),
+        ({"drives": "socketcan:can0"}, "plant:=sim has no link to drives"),
     ],
 )
-def test_what_makes_no_sense_is_refused(values: dict[str, str], complaint: str):
+def test_an_inconsistent_argument_is_refused(values: dict[str, str], complaint: str):
     with pytest.raises(PlanError, match=complaint):
         planned(**values)
 
 
-def test_a_default_of_an_argument_that_is_not_there_is_refused():
+def test_a_default_of_an_unknown_argument_is_refused():
     with pytest.raises(PlanError, match="has the argument speed"):
         arguments_of((), CONFIG, {"speed": "2"})

@@ -45,14 +45,14 @@ def test_the_lander_slows_down_before_the_floor_and_stops_on_it():
     lander = imported("lander")
     parameters = lander.LanderParameters()
     own = lander.Lander(parameters)
-    length, rate = 4.0, own.rate(4.0, stands=False)
+    length, rate = 4.0, own.rate(4.0, on_ground=False)
     assert rate == parameters.fast
     while length < parameters.floor + 0.2:
         before, length = rate, length + 0.1 * rate
-        rate = own.rate(length, stands=False)
-        assert 0.0 <= before - rate <= 0.11 * parameters.slowing
+        rate = own.rate(length, on_ground=False)
+        assert 0.0 <= before - rate <= 0.11 * parameters.deceleration
     assert rate == pytest.approx(parameters.slow)
-    assert own.rate(length, stands=True) == 0.0
+    assert own.rate(length, on_ground=True) == 0.0
 
 
 # ------------------------------------------------------------------------------ a load cell

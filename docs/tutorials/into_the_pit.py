@@ -1,4 +1,4 @@
-"""Lets the rover down into the pit of shallow_pit.yaml, and tells how it gets there."""
+"""Lowers the rover into the pit of shallow_pit.yaml and prints the result."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Lowers the rover to the floor: fast at first, slowly where the floor may be."""
+"""Lowers the rover to the floor: fast at first, slowly near the floor."""
 
 import sys
 from dataclasses import dataclass
@@ -13,31 +13,31 @@ from msg_schemas.samples import JointSample, JointValue
 
 @dataclass(frozen=True)
 class LanderParameters:
-    """What is known of the place, and how careful to be."""
+    """Expected depth of the floor, and payout rates."""
 
-    floor: float = parameter(7.3, "m", "least length at which it may stand", 1.0, 300.0)
-    fast: float = parameter(0.3, "m/s", "payout rate on the way", 0.01, 0.5)
-    slow: float = parameter(0.05, "m/s", "payout rate where the floor may be", 0.01, 0.1)
-    slowing: float = parameter(0.05, "m/s^2", "from the one to the other", 0.01, 0.5)
+    floor: float = parameter(7.3, "m", "smallest payout at touchdown", 1.0, 300.0)
+    fast: float = parameter(0.3, "m/s", "payout rate above the floor", 0.01, 0.5)
+    slow: float = parameter(0.05, "m/s", "payout rate near the floor", 0.01, 0.1)
+    deceleration: float = parameter(0.05, "m/s^2", "from fast to slow", 0.01, 0.5)
 
 
 class Lander:
-    """Pure: what is heard goes in, what is wanted of the winch comes out."""
+    """Computes the payout rate; pure, without ROS."""
 
     def __init__(self, parameters: LanderParameters) -> None:
         self.parameters = parameters
 
-    def rate(self, length: float, stands: bool) -> float:
-        """Payout rate [m/s] at a length [m]; 0 when it is done."""
-        if stands:
+    def rate(self, length: float, on_ground: bool) -> float:
+        """Return the payout rate [m/s] at a payout [m]; 0 on the ground."""
+        if on_ground:
             return 0.0
         p = self.parameters
-        way = max(p.floor - length, 0.0)
-        return float(min(p.fast, (p.slow**2 + 2.0 * p.slowing * way) ** 0.5))
+        distance = max(p.floor - length, 0.0)
+        return float(min(p.fast, (p.slow**2 + 2.0 * p.deceleration * distance) ** 0.5))
 
 
 class LanderNode(ContractNode):
-    """Asks the winch to go on for as long as the rover does not stand."""
+    """Requests the payout from the winch until the rover is on the ground."""
 
     NAME = "lander"
     PARAMETERS = (LanderParameters,)
@@ -45,28 +45,28 @@ class LanderNode(ContractNode):
     def setup(self) -> None:
         """Open topics."""
         self._lander = Lander(self.parameters_of(LanderParameters))
-        self._length, self._stands = 0.0, False
+        self._length, self._on_ground = 0.0, False
         self._request = self.publisher(topics.WINCH_REQUEST)
         self.subscribe(topics.WINCH_STATE, self._on_winch)
         self.subscribe(topics.CONTACT, self._on_contact)
 
     def start(self) -> None:
-        """Ask five times a second: what is not renewed within one, the winch ends by itself."""
-        self.every(0.2, self._ask)
+        """Renew the request five times a second; the winch ends it one second after the last."""
+        self.every(0.2, self._publish_request)
 
     def _on_winch(self, sample: JointSample) -> None:
         self._length = sample.joints[WINCH_DRUM].position
 
     def _on_contact(self, sample: JointSample) -> None:
-        if sample.joints[FLOOR_SWITCH].position and not self._stands:
-            self.event("landed", f"it stands at {self._length:.2f} m")
-            self._stands = True
+        if sample.joints[FLOOR_SWITCH].position and not self._on_ground:
+            self.event("landed", f"on the floor at {self._length:.2f} m")
+            self._on_ground = True
 
-    def _ask(self) -> None:
-        rate = self._lander.rate(self._length, self._stands)
+    def _publish_request(self) -> None:
+        rate = self._lander.rate(self._length, self._on_ground)
         if rate and self._length:
-            asked = JointValue(self._length + 2.0 * rate, rate)
-            self._request.send(JointSample(self.now_ns(), {WINCH_WHILE_RENEWED: asked}))
+            setpoint = JointValue(self._length + 2.0 * rate, rate)
+            self._request.send(JointSample(self.now_ns(), {WINCH_WHILE_RENEWED: setpoint}))
 
 
 if __name__ == "__main__":

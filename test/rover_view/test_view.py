@@ -28,8 +28,8 @@ from rover_sim.robot_description import robot_description
 from rover_sim.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
 from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
-from rover_view.predicted_jump import predicted
-from rover_view.robot_model import DescriptionError, RobotModel, about_y, about_z, turn
+from rover_view.predicted_jump import prediction_markers
+from rover_view.robot_model import DescriptionError, RobotModel, about_y, about_z, rotate
 
 SCENARIO = load_overridden("marius_hills", "")
 assert isinstance(SCENARIO, SpatialScenario)
@@ -57,7 +57,7 @@ def test_the_fixed_frames_are_those_that_no_joint_moves():
 
 def test_body2_is_placed_along_the_slider_of_a_tilted_rover():
     tilted = about_y(0.3)
-    offset = turn(tilted, (0.0, 0.0, 0.15))
+    offset = rotate(tilted, (0.0, 0.0, 0.15))
     body1 = OdometrySample(0, (1.0, 2.0, -9.0), tilted, (0, 0, 0), (0, 0, 0))
     there = (1.0 + offset[0], 2.0 + offset[1], -9.0 + offset[2])
     body2 = OdometrySample(0, there, tilted, (0, 0, 0), (0, 0, 0))
@@ -72,20 +72,20 @@ def test_wheels_and_drum_turn_at_their_places():
     assert left.child == WHEEL_LEFT
     assert left.position == pytest.approx((0.08, 0.22, 0.0))
     # Rolling forward, the wheel's top goes forward.
-    assert turn(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
+    assert rotate(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
     (drum,) = MACHINE.drum(0.05 * 0.5)
     assert drum.child == WINCH_DRUM
     # Paying out, the side where the tether leaves goes down.
-    assert turn(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
+    assert rotate(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
 
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("no xml", "no URDF"),
-        ("<robot><joint name='a'/></robot>", "joins no two links"),
+        ("no xml", "not a URDF"),
+        ("<robot><joint name='a'/></robot>", "lacks a parent or child link"),
         ("<robot/>", "has no link base_link"),
-        (DESCRIPTION.replace("0.08 0.22 0", "0.08 x 0"), "no URDF"),
+        (DESCRIPTION.replace("0.08 0.22 0", "0.08 x 0"), "not a URDF"),
     ],
 )
 def test_what_is_no_description_of_ours_is_refused(text: str, complaint: str):
@@ -101,7 +101,7 @@ def test_a_picture_lies_where_the_camera_looked():
     assert shape.position == pytest.approx((-3.0, 0.0, -12.0 - 0.28 + 0.05))
     assert wall.add(picture(12.0, 0.5 * math.pi, wall_distance=2.84), MACHINE)
     assert wall.drawing(7).shapes[1].position == pytest.approx((0.0, -3.0, -12.23))
-    assert turn(about_z(0.5 * math.pi), (-1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
+    assert rotate(about_z(0.5 * math.pi), (-1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
     encoded = encode(topics.OBSERVED_WALL, wall.drawing(7))
     assert len(decode(topics.OBSERVED_WALL, encoded).shapes) == 2
 
@@ -137,7 +137,7 @@ def test_a_jump_that_is_predicted_is_marked_where_the_rover_stands():
         JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
     }
     stands = OdometrySample(0, (1.0, 2.0, -4.8), (0.0, 0.0, 0.0, 1.0), (0, 0, 0), (0, 0, 0))
-    drawing = predicted(JointSample(5, joints), stands, 7)
+    drawing = prediction_markers(JointSample(5, joints), stands, 7)
     mark, inner, outer = drawing.shapes
     assert mark.points[0] == pytest.approx((1.0, 2.0, -4.55))
     assert mark.points[1] == pytest.approx((1.0, 2.0, -4.45))
@@ -146,4 +146,4 @@ def test_a_jump_that_is_predicted_is_marked_where_the_rover_stands():
         assert ring.points[0] == pytest.approx(ring.points[-1])
     assert len(decode(topics.PREDICTED_JUMP, encode(topics.PREDICTED_JUMP, drawing)).shapes) == 3
     still = {**joints, JUMP_RANGE: JointValue()}
-    assert len(predicted(JointSample(5, still), stands, 7).shapes) == 1
+    assert len(prediction_markers(JointSample(5, still), stands, 7).shapes) == 1
