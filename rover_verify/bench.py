@@ -1,9 +1,9 @@
-"""`mother_rover bench`: speed and error of the plant, side by side with Exudyn in one run.
+"""`mother_rover bench`: speed and error of the plant compared with Exudyn in one run.
 
-Single thread, CPU time, warm-up excluded, several repetitions in turn, medians. Every case is
-compared at matched tip error: each code is surveyed over step sizes, tolerances and methods, its
-errors taken against its own strongly refined solution; then the peer's fastest setting within the
-case's accuracy meets our fastest setting that is no less accurate than it.
+Single thread, CPU time without warm-up, medians of repetitions in turn. Every case is compared at
+matched tip error: both codes run over step sizes, tolerances and methods, with errors relative to
+their own strongly refined solutions; then the peer's fastest setting within the case's accuracy is
+compared with our fastest setting that is at least as accurate.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rover_verify.bench_cases import (
     survey,
     timed,
 )
-from rover_verify.bench_row import Row, Tell, bench_row
+from rover_verify.bench_row import Progress, Row, bench_row
 from rover_verify.trial import SAMPLE, Setting
 
 COST_ELEMENTS = (20, 50, 100, 200)
@@ -42,12 +42,12 @@ _COST_DURATION = 0.5
 _SWEEP_RUNS = 2000
 
 
-def measure_case(case: Case, repetitions: int, tell: Tell) -> Row:
-    """One row: both codes at matched error, and at the step that each is usually run at."""
+def measure_case(case: Case, repetitions: int, progress: Progress) -> Row:
+    """One row: both codes at matched error, and at the usual step of each."""
     ours = Ours(case)
     peer = Exudyn(case) if exudyn_peer.load() is not None else None
-    own = survey(case, ours, lambda text: tell(f"ours {text}"))
-    other = None if peer is None else survey(case, peer, lambda text: tell(f"Exudyn {text}"))
+    own = survey(case, ours, lambda text: progress(f"ours {text}"))
+    other = None if peer is None else survey(case, peer, lambda text: progress(f"Exudyn {text}"))
     pair = match(case, own, other)
     settings: list[tuple[Ours | Exudyn, Setting]] = [
         (ours, pair.ours.setting),
@@ -57,7 +57,7 @@ def measure_case(case: Case, repetitions: int, tell: Tell) -> Row:
         settings += [(peer, pair.peer.setting), (peer, PEER_USUAL)]
 
     runs = [partial(code.run, setting, case.duration) for code, setting in settings]
-    times = timed(runs, repetitions, tell)
+    times = timed(runs, repetitions, progress)
     return _row(case, pair, own, other, times)
 
 
@@ -72,7 +72,7 @@ def _row(case: Case, pair: Match, own: Survey, other: Survey | None, times: Sequ
         setting=str(pair.ours.setting),
         duration_s=case.duration,
         errors_compared_until_s=case.compared_until,
-        wanted_error_m=case.accuracy,
+        target_error_m=case.accuracy,
         reference_change_m=own.reference_change,
         rtf_flown=rates[1],
         error_flown_m=None if flown is None else flown.error,
@@ -101,7 +101,7 @@ def _row(case: Case, pair: Match, own: Survey, other: Survey | None, times: Sequ
     return row
 
 
-def measure_costs(repetitions: int, tell: Tell) -> list[Row]:
+def measure_costs(repetitions: int, progress: Progress) -> list[Row]:
     """Cost of one step over the number of elements, at the flown step and tolerance."""
     chosen = [
         Case("cost per step", "tether_pendulum", (), n, _COST_DURATION, _COST_DURATION, 1e-3)
@@ -110,7 +110,7 @@ def measure_costs(repetitions: int, tell: Tell) -> list[Row]:
     codes = [Ours(case) for case in chosen]
     runs = [partial(code.run, FLOWN, _COST_DURATION) for code in codes]
     iterations = [trial.iterations for run in runs if (trial := run()) is not None]
-    times = timed(runs, repetitions, tell)
+    times = timed(runs, repetitions, progress)
     steps = round(_COST_DURATION / FLOWN.h)
     peak = core_peak.peak_gflops()
     rows: list[Row] = []
@@ -136,12 +136,12 @@ def measure_costs(repetitions: int, tell: Tell) -> list[Row]:
 def run_bench(
     chosen: Sequence[Case], repetitions: int, *, costs: bool = True, quiet: bool = False
 ) -> list[Row]:
-    """Measure the given cases; progress as a bar, or as a line a case if quiet."""
+    """Measure the given cases; shows progress as a bar, or one line per case if quiet."""
     rows: list[Row] = []
     total = len(chosen) + (1 if costs else 0)
     with tqdm(total=total, disable=quiet, unit="case", dynamic_ncols=True, leave=False) as bar:
 
-        def tell(text: str) -> None:
+        def progress(text: str) -> None:
             bar.set_postfix_str(text, refresh=True)
 
         _warm_up(chosen)
@@ -149,11 +149,11 @@ def run_bench(
             bar.set_description(f"{case.name}, n = {case.elements}")
             if quiet:
                 print(f"{case.name}, n = {case.elements} ...", flush=True)
-            rows.append(measure_case(case, repetitions, tell))
+            rows.append(measure_case(case, repetitions, progress))
             bar.update()
         if costs:
             bar.set_description("cost per step")
-            rows += measure_costs(repetitions, tell)
+            rows += measure_costs(repetitions, progress)
             bar.update()
     return rows
 
@@ -239,14 +239,14 @@ def _peer_setting(row: Row) -> str:
 
 
 def notes(*, peer: bool) -> str:
-    """What a reader of the table must know."""
+    """Notes for the reader of the table."""
     first, last = cases()[0].compared_until, cases()[-1].compared_until
     lines = [
         "Errors: largest distance of the tether's tip from the code's own solution at 1/32 ms",
         f"(1/16 ms beyond n = 20), each {SAMPLE:g} s to {first:g} s (pendulum), {last:g} s (jump).",
         "Later the undamped pendulum is chaotic (it cracks like a whip): its 2 s runs are timed,",
-        "but paths can be compared only before.",
-        "At any error: the same comparison along the peer's whole frontier of cost and error.",
+        "but their paths are compared only before.",
+        "At any error: the same comparison along the peer's whole Pareto front of cost and error.",
     ]
     if peer:
         lines += [
@@ -255,7 +255,7 @@ def notes(*, peer: bool) -> str:
             f"Verlet with a spring of {exudyn_peer.PIN_STIFFNESS:g} N/m as pin where stable.",
         ]
     else:
-        lines.append("Exudyn is not installed (pip install exudyn): no comparison, no peer.")
+        lines.append("Exudyn is not installed (pip install exudyn): no comparison with a peer.")
     return "\n".join(lines)
 
 
@@ -268,7 +268,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for bench.json")
     parser.add_argument("--repetitions", type=int, default=5, help="timings of each (median)")
     parser.add_argument(
-        "--case", action="append", metavar="NAME", help="only cases whose name holds this word"
+        "--case", action="append", metavar="NAME", help="only cases whose name contains NAME"
     )
     parser.add_argument("--elements", type=int, nargs="+", metavar="N", help="only these n")
 

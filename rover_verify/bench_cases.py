@@ -1,4 +1,4 @@
-"""The motions of the bench, and how each code is taken through them at matched tip error."""
+"""Cases of the bench, and the runs of both codes at matched tip error."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from rover_verify.trial import SAMPLE, Setting, Trial
 _NO_COMMAND = Command()
 
 OURS = "energy_momentum"
-# The step and tolerance that the suite itself flies with.
+# The step and tolerance of the suite's own runs.
 FLOWN = Setting(1e-3, 1e-8, OURS)
 PEER_USUAL = Setting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
-# A run shorter than this is repeated, and the shortest counts: what the machine does besides would
-# otherwise weigh more on short runs than on long ones [s].
+# A shorter run is repeated and its shortest time counts: other load on the computer would otherwise
+# distort short runs more than long ones [s].
 _LONG_ENOUGH = 0.1
 _MOST_REPEATS = 50
-# A fine ladder, so that errors can be matched closely; each divides the sampling period.
+# Fine steps, so that errors can be matched closely; each divides the sampling period.
 _PARTS = (10, 12, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50, 60, 70, 80, 100, 140, 200, 400)
 _STEPS = tuple(SAMPLE / k for k in _PARTS)
 
@@ -37,13 +37,13 @@ class Case:
     """One motion at one number of elements.
 
     Attributes:
-        name: as the table shows it.
+        name: shown in the table.
         scenario: name of a shipped scenario.
         overrides: by dotted path.
         elements: n.
         duration: simulated time that is timed [s].
-        compared_until: tip errors count up to here [s]; later the motion is chaotic and paths
-            cannot be compared point by point.
+        compared_until: end of the comparison of tip errors [s]; later the motion is chaotic and
+            paths cannot be compared point by point.
         accuracy: tip error at which the codes are compared [m].
     """
 
@@ -66,7 +66,7 @@ class Case:
         return PlanarPlant(load_scenario(self.scenario, overrides))
 
     def start(self) -> PlanarState:
-        """Where both codes start; a rover has just taken off."""
+        """Initial state of both codes; a rover has just taken off."""
         plant = self.plant()
         state = plant.initial_state()
         return state if plant.scenario.rover is None else plant.take_off(state)
@@ -113,7 +113,7 @@ class Ours:
         return None if state.phase.final else Trial(spent, np.array(path), iterations)
 
     def settings(self) -> list[Setting]:
-        """What may be best: every step with a loose and a tight tolerance [m]."""
+        """Candidate settings: every step with loose and tight tolerances [m]."""
         return [Setting(h, tolerance, OURS) for h in _STEPS for tolerance in (1e-3, 1e-5, 1e-8)]
 
     def reference(self) -> Setting:
@@ -123,11 +123,11 @@ class Ours:
 
 
 class Exudyn:
-    """The peer: implicit methods on pins and joints, and explicit ones on pins made of springs.
+    """The peer: implicit methods with pins and joints, explicit ones with springs as pins.
 
-    Exudyn's explicit integrators take the pin's constraint away wrongly when the mass matrix is
-    not diagonal (they converge to a motion 18 mm off), so they get a stiff spring instead; the
-    error that its compliance makes counts as theirs. Joints of a rover they cannot take at all.
+    Exudyn's explicit integrators eliminate the pin's constraint wrongly if the mass matrix is not
+    diagonal (they converge to a motion that deviates by 18 mm), so they get a stiff spring instead,
+    whose compliance counts as their error. They do not support the joints of a rover.
     """
 
     def __init__(self, case: Case) -> None:
@@ -145,10 +145,10 @@ class Exudyn:
         return self._pinned.run(setting, duration)
 
     def settings(self) -> list[Setting]:
-        """What may be best: generalised-alpha, and Verlet where its stable step is not tiny."""
+        """Candidate settings: generalised-alpha, and Verlet where its stable step is not tiny."""
         steps, tolerances = list(_STEPS), [1e-2, 1e-3, 1e-5]
         if self._case.elements > _COARSE:
-            # On fine meshes these are never the best; with a rover they fail, and take minutes.
+            # Others are never the best on fine meshes; with a rover they fail after minutes.
             steps, tolerances = [h for h in steps if 5e-4 <= h <= 2.5e-3], [1e-3, 1e-5]
             if self._springy is None:
                 steps = [h for h in steps if h <= 1.25e-3]
@@ -166,7 +166,7 @@ class Exudyn:
 
 @dataclass(frozen=True)
 class Point:
-    """One setting of one code in a case: what it costs and how far it is off."""
+    """Cost and error of one setting of one code in a case."""
 
     setting: Setting
     cpu: float
@@ -176,10 +176,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Survey:
-    """A code's settings in a case, and how well its reference has converged.
+    """Results of a code's settings in a case, and the convergence of its reference.
 
     Attributes:
-        points: every setting that got through.
+        points: every setting that completed the run.
         reference_change: largest change of the reference when its step is halved [m].
     """
 
@@ -187,7 +187,7 @@ class Survey:
     reference_change: float
 
     def fastest(self, error: float) -> Point | None:
-        """The cheapest setting whose error is not above the given one."""
+        """The fastest setting whose error is not above the given one."""
         good = [point for point in self.points if point.error <= error]
         return min(good, key=lambda point: point.cpu, default=None)
 
@@ -196,11 +196,11 @@ class Survey:
         return min(self.points, key=lambda point: point.error)
 
     def at(self, setting: Setting) -> Point | None:
-        """The point of a setting, None if that did not get through."""
+        """The point of a setting, None if it did not complete the run."""
         return next((point for point in self.points if point.setting == setting), None)
 
     def frontier(self) -> list[Point]:
-        """Settings that no other beats in both cost and error, dearest last."""
+        """Pareto front of cost and error, by increasing cost."""
         kept: list[Point] = []
         for point in sorted(self.points, key=lambda point: point.cpu):
             if not kept or point.error < kept[-1].error:
@@ -211,17 +211,17 @@ class Survey:
 Code = Ours | Exudyn
 
 
-def survey(case: Case, code: Code, tell: Callable[[str], None]) -> Survey:
-    """Take a code through a case at its reference and at all its settings."""
+def survey(case: Case, code: Code, progress: Callable[[str], None]) -> Survey:
+    """Run a code on a case at its reference and at all its settings."""
     until = case.compared_until
     fine = code.reference()
     coarser = Setting(2.0 * fine.h, fine.tolerance, fine.method)
-    tell("reference")
+    progress("reference")
     reference = _path(code.run(fine, until))
     change = _trial(code.run(coarser, until)).error(reference, until)
     points = []
     for setting in code.settings():
-        tell(str(setting))
+        progress(str(setting))
         trial = _best(partial(code.run, setting, case.duration))
         if trial is not None:
             points.append(
@@ -231,7 +231,7 @@ def survey(case: Case, code: Code, tell: Callable[[str], None]) -> Survey:
 
 
 def _best(run: Callable[[], Trial | None]) -> Trial | None:
-    """The fastest of as many runs as are long enough together."""
+    """The fastest of repeated runs; short runs are repeated more often."""
     best = run()
     if best is None:
         return None
@@ -244,7 +244,7 @@ def _best(run: Callable[[], Trial | None]) -> Trial | None:
 
 def _trial(trial: Trial | None) -> Trial:
     if trial is None:
-        raise RuntimeError("the reference solution did not get through")
+        raise RuntimeError("the reference solution diverged")
     return trial
 
 
@@ -263,8 +263,8 @@ class Match:
 def match(case: Case, ours: Survey, peer: Survey | None) -> Match:
     """Settings of equal accuracy: the peer's fastest within the case's accuracy, ours to match.
 
-    Ours is the fastest that is no less accurate than the peer's; so what is left of the
-    difference in accuracy counts against us.
+    Ours is the fastest that is at least as accurate as the peer's, so the remaining difference in
+    accuracy is to our disadvantage.
     """
     if peer is None:
         return Match(ours.fastest(case.accuracy) or ours.most_accurate(), None)
@@ -275,7 +275,7 @@ def match(case: Case, ours: Survey, peer: Survey | None) -> Match:
 def ratios_along(ours: Survey, peer: Survey, accuracy: float) -> Iterator[tuple[float, float]]:
     """(peer's error, peer's cost over ours) at each point of the peer's frontier.
 
-    Only where ours can be as accurate, and where the error is at most ten times the wanted one.
+    Only points that ours can match and whose error is at most ten times the case's accuracy.
     """
     for theirs in peer.frontier():
         own = ours.fastest(theirs.error)
@@ -284,15 +284,15 @@ def ratios_along(ours: Survey, peer: Survey, accuracy: float) -> Iterator[tuple[
 
 
 def timed(
-    runs: Sequence[Callable[[], Trial | None]], repetitions: int, tell: Callable[[str], None]
+    runs: Sequence[Callable[[], Trial | None]], repetitions: int, progress: Callable[[str], None]
 ) -> list[float]:
-    """Median CPU time of each run [s], taken in turn so that a noisy spell hits all alike.
+    """Median CPU time of each run [s]; runs take turns so that other load affects all alike.
 
-    What is short is repeated each time, see `_best`.
+    Short runs are repeated each time, see `_best`.
     """
     spent: list[list[float]] = [[] for _ in runs]
     for repetition in range(repetitions):
-        tell(f"timing {repetition + 1}/{repetitions}")
+        progress(f"timing {repetition + 1}/{repetitions}")
         for index, run in enumerate(runs):
             trial = _best(run)
             if trial is not None:

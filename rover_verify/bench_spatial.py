@@ -1,4 +1,4 @@
-"""The bench of the spatial plant: everything on, resting on rubble, and its worst 10 ms."""
+"""Bench of the spatial plant: at rest on rubble with all models on, and its slowest 10 ms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from rover_sim import Command, JumpMotorCommand, SpatialPlant, SpatialState, load_spatial
 from rover_verify import core_peak
-from rover_verify.bench_row import Row, Tell, bench_row
+from rover_verify.bench_row import Progress, Row, bench_row
 
 RESTING: Final = "rest on rubble"
 WORST: Final = "worst window"
@@ -20,19 +20,19 @@ WORST_ELEMENTS: Final = 50
 _SCENARIO = "floor_rubble"
 _TICK = 0.01  # of the control loop [s]
 _DURATION = 2.0  # simulated and timed [s]
-_JUMPING = 7.0  # a compression, the jump, the landing, the bounces [s]
+_JUMPING = 7.0  # compression, jump, landing and bounces [s]
 _STROKE = Command(jump=JumpMotorCommand(0.15, 0.06))
 _IDLE = Command()
 
 
 def make_plant(elements: int) -> SpatialPlant:
-    """The default machine on rubble, slack tether on the floor, of so many elements."""
+    """The default machine on rubble with `elements` elements, slack tether on the floor."""
     overrides = {"tether.element_length": None, "tether.elements": elements}
     return SpatialPlant(load_spatial(_SCENARIO, overrides))
 
 
 def _rest(plant: SpatialPlant, start: SpatialState, tick: float) -> tuple[float, int]:
-    """CPU time of a rest [s], tick by tick as the simulator's node steps, and iterations."""
+    """CPU time [s] and Newton iterations of a rover at rest, stepped by `tick` [s]."""
     state, iterations = start, 0
     began = time.process_time()
     for _ in range(round(_DURATION / tick)):
@@ -41,11 +41,11 @@ def _rest(plant: SpatialPlant, start: SpatialState, tick: float) -> tuple[float,
     return time.process_time() - began, iterations
 
 
-def measure_rest(repetitions: int, tell: Tell) -> list[Row]:
-    """One row for each number of elements, taken in turn.
+def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
+    """One row for each number of elements, measured in turn.
 
-    Of each the shortest time counts: there is no peer beside it that what else the machine does
-    would slow down as much.
+    The shortest time of each counts: without a peer no ratio cancels the effect of other load on
+    the computer.
     """
     plants = [make_plant(n) for n in ELEMENTS]
     starts = [plant.initial_state() for plant in plants]
@@ -53,7 +53,7 @@ def measure_rest(repetitions: int, tell: Tell) -> list[Row]:
     whole: list[list[float]] = [[] for _ in ELEMENTS]
     iterations = [0 for _ in ELEMENTS]
     for repetition in range(repetitions + 1):  # the first warms up
-        tell(f"timing {repetition}/{repetitions}")
+        progress(f"timing {repetition}/{repetitions}")
         for k, (plant, start) in enumerate(zip(plants, starts, strict=True)):
             spent, iterations[k] = _rest(plant, start, _TICK)
             in_one, _ = _rest(plant, start, _DURATION)
@@ -62,7 +62,7 @@ def measure_rest(repetitions: int, tell: Tell) -> list[Row]:
                 whole[k].append(in_one)
     steps = round(_DURATION / plants[0].scenario.integration.h)
     compiled = [min(times) / steps for times in whole]
-    # What a step costs is a line over the number of elements: what grows is the tether's.
+    # The cost of a step is linear in the number of elements; the slope is the tether's.
     slope, rest = np.polyfit(ELEMENTS, compiled, 1)
     peak = core_peak.peak_gflops()
     rows: list[Row] = []
@@ -91,11 +91,11 @@ def measure_rest(repetitions: int, tell: Tell) -> list[Row]:
     return rows
 
 
-def measure_worst(repetitions: int, tell: Tell) -> Row:
+def measure_worst(repetitions: int, progress: Progress) -> Row:
     """The slowest tick of a jump with its landing on rubble.
 
-    The same ticks are timed several times and the shortest time of each counts, so that what else
-    the machine does is not taken for the plant's.
+    The same ticks are timed several times and the shortest time of each counts, which excludes
+    other load on the computer.
     """
     plant = make_plant(WORST_ELEMENTS)
     start = plant.initial_state()
@@ -104,7 +104,7 @@ def measure_worst(repetitions: int, tell: Tell) -> Row:
     iterations = np.zeros(ticks)
     times = np.zeros(ticks)
     for repetition in range(max(3, repetitions)):
-        tell(f"jump {repetition + 1}")
+        progress(f"jump {repetition + 1}")
         state, released = start, False
         for k in range(ticks):
             began = time.thread_time_ns()
@@ -126,19 +126,19 @@ def measure_worst(repetitions: int, tell: Tell) -> Row:
     )
 
 
-def measure(names: Sequence[str], repetitions: int, tell: Tell) -> list[Row]:
-    """The rows of the chosen cases."""
+def measure(names: Sequence[str], repetitions: int, progress: Progress) -> list[Row]:
+    """Rows of the chosen cases."""
     rows: list[Row] = []
     if RESTING in names:
-        rows += measure_rest(repetitions, tell)
+        rows += measure_rest(repetitions, progress)
     if WORST in names:
-        rows.append(measure_worst(repetitions, tell))
+        rows.append(measure_worst(repetitions, progress))
     return rows
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> str:
     """The rows as text for a terminal."""
-    lines = [f"spatial plant, everything on, at 1 ms, in ticks of {_TICK * 1e3:g} ms"]
+    lines = [f"spatial plant, all models on, at 1 ms, in ticks of {_TICK * 1e3:g} ms"]
     resting = [row for row in rows if row["case"] == RESTING]
     if resting:
         lines.append(

@@ -1,4 +1,4 @@
-"""The bench of sweeps: how many planar jumps a second, over the number of worker processes."""
+"""Bench of sweeps: planar jumps per second over the number of worker processes."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ def jumps(runs: int, seed: int = 1) -> Plan:
 
 
 def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
-    """Wall time [s] of a plan's runs once each worker has made its first ones.
+    """Wall time [s] of a plan's runs, without each worker's first batches.
 
-    The first batches load (or compile) the code and are not counted.
+    The first batches load (or compile) the code.
 
     Raises:
-        ValueError: the first batches are all there is.
+        ValueError: the plan has no runs beyond the first batches.
     """
     store = SweepStore(folder, plan, package_version())
     begin, first = 0.0, 0
 
-    def tell(_rows: Sequence[Mapping[str, Any]]) -> None:
+    def on_rows(_rows: Sequence[Mapping[str, Any]]) -> None:
         nonlocal begin, first
         if not begin and store.done >= 2 * workers:
             begin, first = time.perf_counter(), store.done
 
     with local_processes(workers, plan.scenarios.values()) as crew:
-        run_sweep(plan, store, crew, tell)
+        run_sweep(plan, store, crew, on_rows)
     spent = time.perf_counter() - begin
     counted = plan.count - first
     store.finish()

@@ -1,4 +1,4 @@
-"""The commands that people run: the demonstration, and every executable's help."""
+"""The demonstration commands, and the help text of every executable."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def demo_attitude(batch: Batch) -> Measured:
 
 
 def demo_time(batch: Batch) -> Measured:
-    """Wall time of the demonstration, the environment being there [s]."""
+    """Wall time of the demonstration in an existing environment [s]."""
     began = time.monotonic()
     metrics = _shown(batch)
     return Measured(
@@ -56,7 +56,7 @@ def demo_time(batch: Batch) -> Measured:
 
 
 def mission_time(batch: Batch) -> Measured:
-    """Wall time of the whole mission's demonstration [s]; more than any where it fails."""
+    """Wall time of the demonstration of the whole mission [s]; inf if it fails."""
     folder = batch.folder / "mission"
     folder.mkdir()
     metrics = mission_show.show_mission(folder, seed=batch.seed, quiet=True)
@@ -68,7 +68,7 @@ def mission_time(batch: Batch) -> Measured:
 
 
 def demo_interrupted(batch: Batch) -> Measured:
-    """How many processes are left when the demonstration is interrupted at random moments."""
+    """Number of processes left after interrupting the demonstration at random instants."""
     left, details = 0, {}
     runs = min(batch.runs, 3)
     for index, generator in enumerate(batch.generators(runs)):
@@ -89,7 +89,7 @@ def demo_interrupted(batch: Batch) -> Measured:
 
 
 def _processes_in(folder: str) -> list[str]:
-    """Command lines of processes that work in a folder or below it."""
+    """Command lines of processes whose working folder is a folder or below it."""
     found = []
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():

@@ -1,4 +1,4 @@
-"""A body in space: on the tether, on a pivot, and free; against other codes and closed forms."""
+"""A rigid body on the tether, on a pivot and free, against other codes and closed forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rover_verify.checks.spatial_cases import (
 )
 
 _IDLE = Command()
-_WEIGHTLESS = 1.0e-6  # mass of a body that is not to count [kg]
+_WEIGHTLESS = 1.0e-6  # negligible mass of a body [kg]
 
 # Tether of Table 1 with one body of 5 kg, converged to 1e-5 by two codes: t [s] -> attachment [m]
 # and rotation vector [rad], body to map.
@@ -42,7 +42,7 @@ _SWUNG = {
 def one_body(
     mass: float, inertia: tuple[float, float, float], attachment: float
 ) -> dict[str, object]:
-    """A rover that is one rigid body, the tether so far above its centre of mass [m]."""
+    """A rover that is one rigid body, the attachment `attachment` [m] above its centre of mass."""
     return {
         **NO_ROTORS,
         **ENDLESS_SLIDER,
@@ -80,10 +80,10 @@ def swung_body(_batch: Batch) -> Measured:
         },
     )
     state, details = plant.initial_state(), {}
-    for time, wanted in _SWUNG.items():
+    for time, expected in _SWUNG.items():
         state, _ = plant.step(state, _IDLE, time - state.time)
         attitude = Rotation.from_quat(state.orientation).as_rotvec()
-        off = np.abs(np.concatenate([state.tip, attitude]) - np.array(wanted))
+        off = np.abs(np.concatenate([state.tip, attitude]) - np.array(expected))
         details[f"attachment at {time:g} s [m]"] = float(np.max(off[:3]))
         details[f"attitude at {time:g} s [rad]"] = float(np.max(off[3:]))
     return Measured(max(details.values()), "40 elements, 0.25 ms", details)
@@ -91,7 +91,7 @@ def swung_body(_batch: Batch) -> Measured:
 
 # --------------------------------------------------------------------------- pendulums in space
 
-# A rope that hardly stretches and hardly weighs anything, and damps what its tension rings.
+# A nearly inextensible and massless rope that damps the oscillation of its tension.
 _ROPE = {
     "axial_stiffness": 1.0e9,
     "bending_stiffness": 1.0e-9,
@@ -150,16 +150,16 @@ def conical(batch: Batch) -> Measured:
 
 
 def _cone_rate(length: float, gravity: float, lowest: float, highest: float) -> float:
-    """Azimuth's rate at the highest point of a spherical pendulum [rad/s]."""
+    """Rate of the azimuth at the highest point of a spherical pendulum [rad/s]."""
     u1, u2 = math.cos(highest), math.cos(lowest)
     energy = (1.0 - u1**2 - u2**2 - u1 * u2) / (u1 + u2)  # over m g l
     return math.sqrt(2.0 * gravity / length * (energy + u1) / (1.0 - u1**2))
 
 
 def _apsidal_angle(length: float, gravity: float, lowest: float, highest: float) -> float:
-    """Azimuth swept from the lowest to the highest point of a spherical pendulum [rad].
+    """Change of azimuth from the lowest to the highest point of a spherical pendulum [rad].
 
-    By u = cos of the angle from the vertical downwards, between u1 (highest point) and u2 (lowest):
+    With u the cosine of the angle from the downward vertical, from u1 (highest) to u2 (lowest),
     u'^2 = 2 g/l (u - u1)(u2 - u)(u + (1 + u1 u2)/(u1 + u2)) and the azimuth's rate is
     K/(1 - u^2) (Whittaker 1937, Analytical Dynamics, 55), integrated with u = mean + half cos p.
     """
@@ -196,11 +196,11 @@ def spherical(batch: Batch) -> Measured:
             if rates[0] > 0.0 >= rates[1]:
                 tops.append(_azimuth_at_top(plant, before))
             before = state
-        # From one top to the next: half a turn, and what the ellipse has precessed.
+        # From one top to the next: half a turn plus the precession of the ellipse.
         found = float(np.mean(np.mod(np.diff(tops), 2.0 * math.pi))) - math.pi
-        wanted = 2.0 * _apsidal_angle(length, gravity, lowest, highest) - math.pi
-        off = abs(found / wanted - 1.0)
-        details[f"run {index}: {wanted:.4f} rad a swing"] = off
+        expected = 2.0 * _apsidal_angle(length, gravity, lowest, highest) - math.pi
+        off = abs(found / expected - 1.0)
+        details[f"run {index}: {expected:.4f} rad a swing"] = off
         worst = max(worst, off)
     return Measured(worst, "six swings each, lengths and ellipses at random", details)
 
@@ -226,9 +226,9 @@ def _azimuth_at_top(plant: SpatialPlant, before: SpatialState) -> float:
 
 
 def _gyrostat(generator: np.random.Generator) -> tuple[SpatialPlant, SpatialState]:
-    """A rover that nothing holds, turning at random, its rotors spun up.
+    """A free rover that rotates about a random axis, its rotors spun up.
 
-    The tether is there, as every scenario has one, but it weighs and pulls nothing.
+    Every scenario has a tether; this one has negligible mass and stiffness.
     """
     inertia = generator.uniform(0.15, 0.25, 3)
     masses = generator.uniform(3.0, 7.0, 2)
@@ -265,7 +265,7 @@ def _gyrostat(generator: np.random.Generator) -> tuple[SpatialPlant, SpatialStat
     )
     spin_up = Command(
         jump=FlywheelCommand(float(generator.uniform(0.03, 0.08))),
-        # Forward, in which the ratchet lets both wheels run freely.
+        # Forward, where the ratchets leave both wheels free.
         wheel=WheelTorqueCommand(float(generator.uniform(0.05, 0.1))),
     )
     state, _ = plant.step(state, spin_up, 1.0)
@@ -287,16 +287,16 @@ def _angular_momentum(plant: SpatialPlant, state: SpatialState) -> Array:
     return angular + state.rotation @ inside
 
 
-def _coast(batch: Batch, look: Callable[[SpatialPlant, SpatialState], Array]) -> Measured:
-    """Largest change of what `look` sees, over 20 s of coasting."""
+def _coast(batch: Batch, quantity: Callable[[SpatialPlant, SpatialState], Array]) -> Measured:
+    """Largest change of a quantity over 20 s of coasting."""
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators(min(batch.runs, 5))):
         plant, state = _gyrostat(generator)
-        before, largest = look(plant, state), 0.0
+        before, largest = quantity(plant, state), 0.0
         rate = float(np.linalg.norm(state.omega))
         for _ in range(20):
             state, _ = plant.step(state, _IDLE, 1.0)
-            largest = max(largest, float(np.max(np.abs(look(plant, state) - before))))
+            largest = max(largest, float(np.max(np.abs(quantity(plant, state) - before))))
         details[f"run {index}: turning at {rate:.2f} rad/s"] = largest
         worst = max(worst, largest)
     return Measured(worst, "rotors and slider free, 20 s at 1 ms", details)
@@ -327,7 +327,7 @@ _ARAMID = {
     "axial_damping_time": 15.0e-3, "bending_damping_time": 50.0e-3,
 }  # fmt: skip
 _LEVER, _MASS, _MOON = 0.2, 10.0, 1.62  # attachment above the centre of mass [m], [kg], [m/s^2]
-_RAMP, _TURNS, _CONING_TICK = 60.0, 16, 0.01  # [s], turns that are measured, [s]
+_RAMP, _TURNS, _CONING_TICK = 60.0, 16, 0.01  # [s], measured turns, [s]
 
 
 def _coning_plant(
@@ -351,12 +351,12 @@ def _coning_plant(
 
 
 def _cone(plant: SpatialPlant, momentum: float, rate: float) -> tuple[float, float]:
-    """Tilt from the vertical [rad], rms, and yaw rate about +z [rad/s] of a rover that cones.
+    """Rms tilt from the vertical [rad] and yaw rate about +z [rad/s] of a coning rover.
 
-    The momenta h (cos Wt, sin Wt) about x and y are run up smoothly, then kept.
+    The amplitude of the momenta h (cos Wt, sin Wt) about x and y rises smoothly, then is constant.
     """
 
-    def wanted(time: float) -> Array:
+    def expected(time: float) -> Array:
         part = min(time / _RAMP, 1.0)
         size = momentum * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
         return size * np.array([math.cos(rate * time), math.sin(rate * time)])
@@ -368,7 +368,7 @@ def _cone(plant: SpatialPlant, momentum: float, rate: float) -> tuple[float, flo
     twists: list[float] = []
     for k in range(first + measured):
         now = k * _CONING_TICK
-        torque = (wanted(now + _CONING_TICK) - wanted(now)) / _CONING_TICK
+        torque = (expected(now + _CONING_TICK) - expected(now)) / _CONING_TICK
         command = Command(
             jump=FlywheelCommand(float(torque[0])), wheel=WheelTorqueCommand(float(torque[1]))
         )
@@ -376,7 +376,7 @@ def _cone(plant: SpatialPlant, momentum: float, rate: float) -> tuple[float, flo
         if k >= first:
             tilts.append(float(1.0 - state.rotation[2, 2]))
             twists.append(state.twist)
-    # 1 - cos is half the square; the twist counts about -z.
+    # 1 - cos is half the squared tilt; the twist is positive about -z.
     tilt = math.sqrt(2.0 * float(np.mean(tilts)))
     time = _CONING_TICK * np.arange(len(twists))
     return tilt, -float(np.polyfit(time, twists, 1)[0])
@@ -387,16 +387,16 @@ def _coned(
 ) -> tuple[float, float]:
     """Closed form of tilt th [rad] and yaw rate [rad/s] on a massless tether, to second order.
 
-    A cone of the rate O in the world, O = W + yaw, has its centre of mass at the radius k d th with
-    k = 1/(1 - O^2 l/g), and the tether inclined by O^2 k d th/g. From the moments about the centre
-    of mass and, as all comes from rest, no angular momentum about the vertical,
+    In a cone of the rate O in the world, O = W + yaw, the centre of mass has the radius k d th with
+    k = 1/(1 - O^2 l/g), and the tether's inclination is O^2 k d th/g. The moments about the centre
+    of mass, and zero angular momentum about the vertical (start from rest), give
 
         th = h O/(q - I O^2),     q = m g d (1 - O^2 k d/g),
         yaw = th^2 [O/2 - (q + m k^2 d^2 O^2)/(I_z O)].
 
-    The yaw is the swing-twist angle's rate, of which O th^2/2 is kinematic. Where O^2 I_z is small
-    beside m g d it is -(I/I_z) th^2 w_b^2/W with w_b^2 = m g d/I; on a pivot (l = 0) the tilt is
-    h W/(I_p |w_p^2 - W^2|) with the moment I_p and the frequency w_p about the pivot.
+    The yaw is the rate of the swing-twist angle, of which O th^2/2 is kinematic. If O^2 I_z is
+    small against m g d it is -(I/I_z) th^2 w_b^2/W with w_b^2 = m g d/I; on a pivot (l = 0) the
+    tilt is h W/(I_p |w_p^2 - W^2|) with the moment I_p and the frequency w_p about the pivot.
     """
     tilt, yaw = 0.0, 0.0
     for _ in range(50):
@@ -410,7 +410,7 @@ def _coned(
 
 
 def coning(batch: Batch) -> Measured:
-    """Largest relative deviation of the yaw rate by coning from its closed form."""
+    """Largest relative deviation of the yaw rate due to coning from its closed form."""
     worst, details = 0.0, {}
     count = min(batch.runs, 3)
     for index, generator in enumerate(batch.generators(count)):
@@ -426,15 +426,15 @@ def coning(batch: Batch) -> Measured:
         ):
             plant = _coning_plant(length, elements, inertia, about_z, **tether)
             tilt, yaw = _cone(plant, momentum, rate)
-            wanted_tilt, wanted = _coned(length, inertia, about_z, momentum, rate)
+            expected_tilt, expected = _coned(length, inertia, about_z, momentum, rate)
             leading = -_MASS * _MOON * _LEVER * tilt**2 / (about_z * rate)
             what = f"run {index}, {name}: "
             details[what + "tilt [deg]"] = math.degrees(tilt)
-            details[what + "tilt of the closed form [deg]"] = math.degrees(abs(wanted_tilt))
+            details[what + "tilt of the closed form [deg]"] = math.degrees(abs(expected_tilt))
             details[what + "yaw rate [deg/s]"] = math.degrees(yaw)
-            details[what + "yaw rate of the closed form [deg/s]"] = math.degrees(wanted)
+            details[what + "yaw rate of the closed form [deg/s]"] = math.degrees(expected)
             details[what + "yaw rate of its leading term at this tilt [deg/s]"] = math.degrees(
                 leading
             )
-            worst = max(worst, abs(yaw / wanted - 1.0))
+            worst = max(worst, abs(yaw / expected - 1.0))
     return Measured(worst, f"{count} rovers, {_TURNS} turns of the cone each", details)

@@ -1,6 +1,6 @@
-"""Plain machines in space for the checks: overrides that leave of a scenario what a check is about.
+"""Simplified spatial plants for the checks: overrides of the scenario `free_hang`.
 
-All start from the scenario `free_hang`, whose rover hangs over nothing.
+In `free_hang` the rover hangs without ground below it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 
 _NO_FRICTION = {"coulomb": 0.0, "breakaway": 0.0, "stribeck_rate": 1.0, "viscous": 0.0}
-_NEGLIGIBLE = 1.0e-12  # where a scenario wants a number above 0 [kg m^2]
+_NEGLIGIBLE = 1.0e-12  # where a scenario requires a value above 0 [kg m^2]
 
-# Nothing turns but the bodies, and the slider has no end.
+# Only the bodies rotate, and the slider has no end stops.
 NO_ROTORS: dict[str, object] = {
     "rover.jump_drive.inertia": _NEGLIGIBLE,
     "rover.jump_drive.friction": _NO_FRICTION,
@@ -41,7 +41,7 @@ ENDLESS_SLIDER: dict[str, object] = {
     "rover.slider.nut_stiffness": 1.0e-9,
 }
 
-# A drum that follows its commands at once and loses nothing.
+# A drum that follows its commands immediately and without losses.
 IDEAL_WINCH: dict[str, object] = {
     "winch.efficiency": 1.0,
     "winch.back_efficiency": 1.0,
@@ -54,12 +54,12 @@ IDEAL_WINCH: dict[str, object] = {
 
 
 def tether_of(**values: object) -> dict[str, object]:
-    """A tether by these values alone, with neither ground nor twist."""
+    """A tether with these values, without ground contact and twist."""
     return {"contact": None, **values}
 
 
 def make_plant(*parts: Mapping[str, object]) -> SpatialPlant:
-    """The plant of `free_hang` with all these overrides, later ones winning."""
+    """The plant of `free_hang` with overrides; later ones take precedence."""
     overrides: dict[str, object] = {}
     for part in parts:
         overrides.update(part)
@@ -67,7 +67,7 @@ def make_plant(*parts: Mapping[str, object]) -> SpatialPlant:
 
 
 def without_winch(length: float, elements: int, **values: object) -> dict[str, object]:
-    """A root that is pinned, and a tether of these values."""
+    """Overrides for a pinned root and a tether with these values."""
     return {
         "winch": None,
         "tether": tether_of(length=length, elements=elements, **values),
@@ -75,12 +75,12 @@ def without_winch(length: float, elements: int, **values: object) -> dict[str, o
 
 
 def spatial_twin(scenario: Scenario) -> SpatialPlant:
-    """The spatial plant with the tether and the rover of a planar jump, and nothing else."""
+    """The spatial plant with only the tether and the rover of a planar jump."""
     rover, integration = scenario.rover, scenario.integration
     assert rover is not None
     section = scenario.tether.section
     a, b = rover.attachment
-    # The planar model knows the moments about the axis across its plane only, y.
+    # The planar model only has the moments of inertia about y, normal to its plane.
     return make_plant(
         NO_ROTORS,
         ENDLESS_SLIDER,
@@ -112,7 +112,7 @@ def spatial_twin(scenario: Scenario) -> SpatialPlant:
 
 
 def twin_state(plant: SpatialPlant, state: PlanarState, azimuth: float) -> SpatialState:
-    """A planar state in the vertical plane of that azimuth [rad]."""
+    """A planar state, placed in the vertical plane of an azimuth [rad]."""
     turn = Rotation.from_euler("z", azimuth)
 
     def placed(vectors: Array) -> Array:

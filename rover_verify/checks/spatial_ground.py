@@ -1,4 +1,4 @@
-"""The ground under the rover in space: parked on a slope, a block that slides, restitution."""
+"""Ground contact of the spatial plant: parking on a slope, a sliding block, restitution."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _SLOPE = 15.0  # [deg]
 
 
 def parked(batch: Batch) -> Measured:
-    """How far a rover parked on a slope moves within a minute [m].
+    """Largest displacement of a parked rover on a slope within a minute [m].
 
-    The ratchets hold a rover that faces uphill to within 90 degrees; facing downhill, its right
-    wheel is free to roll. Every other run drives there and keeps its motor at rest; the others
-    have settled with the motor off. Regolith or bare rock, by chance.
+    The ratchets hold a rover that faces uphill within 90 degrees; facing downhill, its right wheel
+    is free to roll. In every other run the rover drives before and keeps its motor at zero rate; in
+    the others it has settled with the motor off. The ground is regolith or bare rock at random.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -82,8 +82,8 @@ def _moved_when_left(plant: SpatialPlant, state: SpatialState, brake: Command) -
 
 # -------------------------------------------------------------------------------------- block
 
-# A block: the rover's box on its belly, its wheels drawn in, Body 2 a grain. Its tether weighs
-# nothing, hangs through the ground and has slack wherever the block goes.
+# A block: the rover's box without effective wheels, Body 2 of negligible mass. Its massless tether
+# passes through the ground and is always slack.
 _BLOCK: dict[str, object] = {
     **NO_ROTORS,
     "rover.tail": None,
@@ -100,19 +100,19 @@ _MASS = 10.01  # [kg]
 _HALF_HEIGHT = 0.075  # [m]
 _ATTACHMENT = 0.28  # above its centre [m]
 _THREAD = {"line_density": 1.0e-4, "axial_stiffness": 100.0, "bending_stiffness": 1.0e-4}
-# Friction knows nothing of the contact's damping; this much keeps the block from rocking [s/m].
+# Friction does not depend on the contact's damping; this value prevents rocking [s/m].
 _QUIET = 30.0
 _OFFSETS = (-0.1, -0.01, 0.01, 0.1, 0.3)  # of tan(alpha) from mu
-# Before and while its acceleration is taken, on the Moon; elsewhere shorter for the same way [s].
+# Before and during the measurement on the Moon; with more gravity shorter for the same travel [s].
 _SETTLED, _WATCHED = 1.2, 0.8
 _MOON = 1.62  # [m/s^2]
 
 
 def block(batch: Batch) -> Measured:
-    """Error in mu by which a block holds or slides, from its acceleration below and above mu.
+    """Error in mu of a block on slopes below and above the friction angle.
 
-    It should be 0 while tan(alpha) < mu and g (sin(alpha) - mu cos(alpha)) above; what is off,
-    over g cos(alpha), is an error in mu.
+    Its acceleration should be 0 for tan(alpha) < mu and g (sin(alpha) - mu cos(alpha)) above; the
+    deviation over g cos(alpha) is the error in mu.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -132,14 +132,14 @@ def block(batch: Batch) -> Measured:
 
 
 def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, material: str) -> float:
-    """Of a block down the slope, once it has settled on it [m/s^2]."""
+    """Acceleration of a settled block down the slope [m/s^2]."""
     flat = np.array([math.cos(downhill), math.sin(downhill), 0.0])
     along = math.cos(alpha) * flat - np.array([0.0, 0.0, math.sin(alpha)])
     turn = Rotation.from_rotvec(alpha * np.cross([0.0, 0.0, 1.0], flat))
-    # Put down 3 m uphill of the fairlead's plumb line, so that it slides towards the fairlead.
+    # It starts 3 m uphill of the fairlead's plumb line and slides towards it.
     stiffness = 1.0e5 if material == "rock" else 2.0e4
     depth = (0.25 * _MASS * gravity * math.cos(alpha) / stiffness) ** (2.0 / 3.0)
-    foot = np.array([*(-3.0 * flat[:2]), -1.0])
+    base = np.array([*(-3.0 * flat[:2]), -1.0])
     law = {
         "stiffness": stiffness,
         "damping": _QUIET,
@@ -155,9 +155,9 @@ def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, mate
                 "downhill": math.degrees(downhill),
                 "material": material,
             },
-            f"place.{material}": law,
+            f"environment.{material}": law,
         },
-        foot + (_HALF_HEIGHT - depth) * turn.as_matrix()[:, 2],
+        base + (_HALF_HEIGHT - depth) * turn.as_matrix()[:, 2],
         turn,
         np.zeros(3),
     )
@@ -171,7 +171,7 @@ def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, mate
 def _placed_block(
     overrides: dict[str, object], centre: Array, turn: Rotation, velocity: Array
 ) -> tuple[SpatialPlant, SpatialState]:
-    """A block at a place, moving without turning; its tether is straight."""
+    """A block at a position with a velocity and no rotation; its tether is straight."""
     tip = centre + _ATTACHMENT * turn.as_matrix()[:, 2]
     start = {
         "kind": "straight",
@@ -186,15 +186,14 @@ def _placed_block(
 
 # -------------------------------------------------------------------------------- restitution
 
-_CORNER_STIFFNESS = 1.0e10  # so that a corner's impact is over before the block has turned
+_CORNER_STIFFNESS = 1.0e10  # a corner's impact ends before the block has rotated
 _CORNER_STEP = 2.0e-5  # [s]
 
 
 def bounce(batch: Batch) -> Measured:
     """Largest error of the speed after an impact, flat on four corners or on one, relative.
 
-    Hunt and Crossley's law gives a restitution by the speed alone, whatever mass and inertia stand
-    behind the point that hits.
+    By Hunt and Crossley's law the restitution depends on the speed alone, not on mass and inertia.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -218,7 +217,7 @@ def bounce(batch: Batch) -> Measured:
 
 
 def _rebound(law: ContactParameters, turn: Rotation, speed: float, step: float) -> float:
-    """Speed of the lowest corner after the impact over that before."""
+    """Ratio of the lowest corner's speeds after and before the impact."""
     corners = np.array([[x, y, -_HALF_HEIGHT] for x in (-0.15, 0.15) for y in (-0.12, 0.12)])
     low = corners[int(np.argmin(turn.apply(corners)[:, 2]))]
     height = 2.0 * step * speed - float(turn.apply(low)[2])

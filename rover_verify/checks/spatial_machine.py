@@ -1,4 +1,4 @@
-"""The machine in space: jumps from the floor, screw, flywheel, and a whole mission's energy."""
+"""The spatial plant's drives: jumps from the floor, screw, flywheel; energy of a whole mission."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rover_verify.checks import Batch, Measured
 _IDLE = Command()
 _MOON = 1.62  # [m/s^2]
 
-# A bare level floor, the rover standing on it, slack tether about.
+# A bare level floor with a standing rover and a slack tether.
 _STANDING: dict[str, object] = {
     "environment.relief": None,
     "environment.boulders": None,
@@ -41,8 +41,8 @@ def _standing(overrides: Mapping[str, object], material: str = "rock") -> Spatia
 
 # --------------------------------------------------------------------------------------- jump
 
-# The closed form's floor does not give way, and its slider has no friction. A light Body 2 meets
-# the end stop within a fraction of a millisecond.
+# The closed form has a rigid floor and no slider friction. A light Body 2 hits the end stop within
+# a fraction of a millisecond.
 _UNYIELDING: dict[str, object] = {
     "environment.rock": {"stiffness": 1.0e8, "damping": 1.0e3},
     "rover.slider.damping": 0.0,
@@ -50,17 +50,16 @@ _UNYIELDING: dict[str, object] = {
     "integration.h": 1.0e-4,
 }
 _NUT_RATE = 0.09  # a little below the flywheel's saturation [m/s]
-# Bodies 1 and 2 [kg] and compression [m] of the heights that the literature and the default
-# rover stand for.
+# Masses of Bodies 1 and 2 [kg] and compression [m] of the default rover and the source paper.
 _KNOWN = ((6.0, 4.0, 0.20), (3.0, 2.0, 0.20), (10.0, 0.5, 0.20), (10.0, 0.05, 0.20))
 
 
 def jump_heights(batch: Batch) -> Measured:
-    """Largest deviation of a jump's height from the closed form, full cycle on a floor, relative.
+    """Largest relative deviation of a jump's height from the closed form, full cycle on a floor.
 
-    The nut comes down, hooks, compresses to the stroke, the latch trips, Body 2 takes Body 1
-    along. The height is the rise of the common centre of mass over that of the rover that stands
-    with its spring relaxed.
+    The nut moves down to the latch and compresses to the stroke, the latch trips, and Body 2 pulls
+    Body 1 along. The height is the rise of the common centre of mass above that of the standing
+    rover with a relaxed spring.
     """
     worst, details = 0.0, {}
     for name, (m1, m2, compression) in _jumps(batch):
@@ -117,18 +116,18 @@ _FINE = 1.0e-3  # [s]
 
 
 class _Stroke(NamedTuple):
-    """What a stroke of the nut cost, and what it should have."""
+    """Measured and expected work of the motor in a stroke of the nut."""
 
-    motor: float  # work of the motor [J]
-    expected: float
+    motor: float  # measured [J]
+    expected: float  # [J]
 
 
 def screw(batch: Batch) -> Measured:
-    """Largest miss of the screw's work balance, of what compressing costs the motor.
+    """Largest error of the screw's work balance, relative to the motor's work in compression.
 
-    Compressing costs the motor the load's work over the efficiency, letting down it gets back the
-    load's work times 2 - 1/efficiency; the shaft's friction is paid both ways. The load's work is
-    what spring, gravity and slider show.
+    In compression the motor's work is the load's work over the efficiency; in let-down the load
+    returns its work times 2 - 1/efficiency; the shaft's friction adds in both directions. The
+    load's work is the energy change of spring, gravity and slider.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -141,9 +140,9 @@ def screw(batch: Batch) -> Measured:
         )
         down, up = _strokes(plant, depth, rate)
         name = f"run {index}, efficiency {efficiency:.2f}, lead {lead * 1e3:.2f} mm"
-        for way, stroke in (("compressing", down), ("letting down", up)):
+        for direction, stroke in (("compressing", down), ("letting down", up)):
             error = abs(stroke.motor - stroke.expected) / down.expected
-            details[f"{name}, {way} {stroke.motor:+.3f} J"] = error
+            details[f"{name}, {direction} {stroke.motor:+.3f} J"] = error
             worst = max(worst, error)
     return Measured(worst, f"{batch.runs} strokes down and up again, latch held", details)
 
@@ -159,7 +158,7 @@ def _strokes(plant: SpatialPlant, depth: float, rate: float) -> tuple[_Stroke, _
 def _sent(
     plant: SpatialPlant, state: SpatialState, position: float, rate: float
 ) -> tuple[SpatialState, _Stroke]:
-    """Send the nut to a position and wait until all is at rest."""
+    """Move the nut to a position and wait until all is at rest."""
     rover = plant.scenario.rover
     assert rover is not None
     drive = rover.jump_drive
@@ -175,7 +174,7 @@ def _sent(
     spent = {
         name: value - begin.energy_balance[name] for name, value in state.energy_balance.items()
     }
-    # What the nut gave: all that is stored beyond the drive, and what got lost there.
+    # Work of the nut: energy stored and dissipated outside the drive.
     load = end.stored - start.stored
     load += sum(
         value
@@ -187,7 +186,7 @@ def _sent(
 
 
 def _friction(law: Friction, rate: float) -> float:
-    """Friction torque of a shaft that turns, Stribeck's curve and a viscous part [N m]."""
+    """Friction torque of a turning shaft: Stribeck's curve plus a viscous part [N m]."""
     ratio = rate / law.stribeck_rate
     dry = law.coulomb + (law.breakaway - law.coulomb) * math.exp(-ratio * ratio)
     return dry + law.viscous * abs(rate)
@@ -195,16 +194,16 @@ def _friction(law: Friction, rate: float) -> float:
 
 # ----------------------------------------------------------------------------------- flywheel
 
-_HEAVY = 1.0e3  # moments of inertia of a rover that hardly turns [kg m^2]
+_HEAVY = 1.0e3  # large moments of inertia of the rover [kg m^2]
 _SPIN_TORQUE = 0.1  # at the shaft [N m]
 
 
 def flywheel(batch: Batch) -> Measured:
-    """Largest error of the flywheel: its coast-down, its momentum, its reaction, relative.
+    """Largest relative error of the flywheel's coast-down time, momentum and reaction.
 
-    Under a rover that hardly turns it stops after the integral of J dv / friction(v). Under the
-    default rover, hanging, its absolute momentum falls by the friction's impulse, and while it is
-    spun up the rover takes as much momentum the other way.
+    On a rover of large inertia it stops after the integral of J dv / friction(v). On the hanging
+    default rover its absolute momentum falls by the friction's impulse, and during spin-up the
+    rover gets the opposite momentum.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -230,7 +229,7 @@ def flywheel(batch: Batch) -> Measured:
         for name, error in errors.items():
             details[f"run {index}, from {spin:.0f} rad/s, {name}"] = error
         worst = max(worst, *errors.values())
-    return Measured(worst, f"{batch.runs} flywheels spun up and left to coast", details)
+    return Measured(worst, f"{batch.runs} flywheels, spun up and coasting", details)
 
 
 def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:
@@ -238,7 +237,7 @@ def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:
 
 
 def _spun_up(plant: SpatialPlant, rate: float) -> SpatialState:
-    """The nut near its upper end, the flywheel turning downwards at about that rate [rad/s]."""
+    """State with the nut near its upper end and the flywheel at about `rate`, downwards [rad/s]."""
     state = plant.initial_state()
     up = Command(jump=JumpMotorCommand(-0.056, 0.02))
     state, _ = plant.step(state, up, 3.0)
@@ -248,26 +247,26 @@ def _spun_up(plant: SpatialPlant, rate: float) -> SpatialState:
 
 
 def _coast_error(plant: SpatialPlant, spin: float) -> float:
-    """Of the time to the standstill."""
+    """Relative error of the time to standstill."""
     rover = plant.scenario.rover
     assert rover is not None
     drive = rover.jump_drive
     state = _spun_up(plant, spin)
     begin, before = state.time, state
     first = state.flywheel_rate
-    wanted, _ = quad(lambda v: drive.inertia / _friction(drive.friction, v), 0.0, first)
+    expected, _ = quad(lambda v: drive.inertia / _friction(drive.friction, v), 0.0, first)
     while state.flywheel_rate > 0.0:
         before = state
         state, _ = plant.step(state, _IDLE, _FINE)
-        if state.time > begin + 3.0 * wanted:
+        if state.time > begin + 3.0 * expected:
             return math.inf
     # Within the last step the friction is that of rest.
     rest = before.flywheel_rate * drive.inertia / drive.friction.breakaway
-    return abs((before.time + rest - begin) / wanted - 1.0)
+    return abs((before.time + rest - begin) / expected - 1.0)
 
 
 def _momentum_error(plant: SpatialPlant, spin: float) -> float:
-    """Of the momentum lost against the friction's impulse, down to a quarter of the rate."""
+    """Relative error of the momentum lost down to a quarter of the rate, against the impulse."""
     rover = plant.scenario.rover
     assert rover is not None
     drive = rover.jump_drive
@@ -283,12 +282,12 @@ def _momentum_error(plant: SpatialPlant, spin: float) -> float:
 
 
 def _reaction_error(plant: SpatialPlant) -> float:
-    """Of the momentum that the rover takes within 20 ms of torque."""
+    """Relative error of the rover's momentum after 20 ms of torque."""
     rover = plant.scenario.rover
     assert rover is not None
     state = plant.initial_state()
     state, _ = plant.step(state, Command(jump=FlywheelCommand(_SPIN_TORQUE)), 0.02)
-    # On a long tether it turns about its centre of mass.
+    # On a long tether the rover rotates about its centre of mass.
     across = rover.inertia[0] + rover.m1 * rover.m2 / rover.mass * state.s**2
     rotor = rover.jump_drive.inertia * (state.flywheel_rate + float(state.omega[0]))
     return abs(-across * float(state.omega[0]) / rotor - 1.0)
@@ -300,10 +299,10 @@ _HAPPENS = {"touchdown", "take_off", "apex", "latch_released"}
 
 
 def energy_audit(batch: Batch) -> Measured:
-    """Largest miss of the energy balance at any leg of scripted missions, over the heat by the end.
+    """Largest drift of the energy balance at any leg of scripted missions, relative to their heat.
 
     Raises:
-        RuntimeError: a mission did not come to its end, or was none.
+        RuntimeError: a mission did not end, or lacks its events or changes of the chain.
     """
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -313,7 +312,7 @@ def energy_audit(batch: Batch) -> Measured:
         lacking = _HAPPENS - {name for leg in mission.legs for name in leg.events}
         changes = [leg.splits for leg in mission.legs]
         if lacking or min(changes) >= 0 or max(changes) <= 0:
-            raise RuntimeError(f"no whole mission: lacks {lacking}, chain changed by {changes}")
+            raise RuntimeError(f"incomplete mission: no {lacking}, changes of the chain {changes}")
         heat = mission.legs[-1].energies.dissipated
         missed = max(abs(leg.energies.drift) for leg in mission.legs)
         details[f"run {index}, rubble {seed}, {heat:.1f} J of heat"] = missed / heat

@@ -1,4 +1,4 @@
-"""Jumps in one vertical plane of space against the planar plant, whichever way the plane stands."""
+"""Spatial jumps in a vertical plane of any azimuth against the planar plant."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _IDLE = Command()
 
 
 def _jumps(batch: Batch, h: float) -> Iterator[tuple[str, Scenario]]:
-    """The taut jump, then jumps at random; they fly on where they would land."""
+    """The taut jump, then random jumps; without landing."""
     fixed = {
         "after_landing": "fly_on",
         "integration.h": h,
@@ -73,7 +73,7 @@ def same_as_planar(batch: Batch) -> Measured:
 
 
 def order(batch: Batch) -> Measured:
-    """Least order at which jumps in space come to the planar jump of a far finer step."""
+    """Lowest order of convergence of spatial jumps to a planar jump with a much smaller step."""
     del batch
     worst, details = math.inf, {}
     for theta0 in (0.0, -10.0, 15.0):
@@ -86,13 +86,13 @@ def order(batch: Batch) -> Measured:
         fine = load_planar("taut_jump", overrides)
         planar = PlanarPlant(fine)
         flat, _ = planar.step(taken_off(planar), _IDLE, _DURATION)
-        wanted = np.array([*flat.nodes[-1, 0], *flat.G1, flat.theta])
+        expected = np.array([*flat.nodes[-1, 0], *flat.G1, flat.theta])
         errors = []
         for h in (1.0e-3, 5.0e-4, 2.5e-4):
             plant = spatial_twin(replace(fine, integration=replace(fine.integration, h=h)))
             start = twin_state(plant, taken_off(planar), 0.0)
             state, _ = plant.step(start, _IDLE, _DURATION)
-            errors.append(float(np.linalg.norm(_place(state) - wanted)))
+            errors.append(float(np.linalg.norm(_place(state) - expected)))
             details[f"theta0 = {theta0:g} deg, h = {h * 1e3:g} ms"] = errors[-1]
         found = min(math.log2(errors[0] / errors[1]), math.log2(errors[1] / errors[2]))
         worst = min(worst, found)
@@ -100,10 +100,10 @@ def order(batch: Batch) -> Measured:
 
 
 def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Array]:
-    """Height and travel of G1 up to where it falls through its start, and all places on the way.
+    """Height and travel of G1 until it falls through its start height, and all positions.
 
     Raises:
-        RuntimeError: it does not come down within 3 s.
+        RuntimeError: G1 does not return to its start height within 3 s.
     """
     tick = plant.scenario.integration.h
     start, level, height = state.G1, float(state.G1[2]), 0.0
@@ -120,17 +120,17 @@ def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Arr
             height = max(height, hermite(apex_instant(tick, *ends), tick, *ends) - level)
         if height > 0.0 and ends[2] <= level:
             instant = crossing_instant(0.0, tick, tick, *ends, level)
-            way = [
+            landing = [
                 hermite(instant, tick, before.G1[d], before.G1_rate[d], state.G1[d],
                         state.G1_rate[d])
                 for d in range(2)
             ]  # fmt: skip
-            return height, float(np.hypot(*(np.array(way) - start[:2]))), np.concatenate(places)
-    raise RuntimeError(f"{plant.scenario.name}: G1 does not come down")
+            return height, float(np.hypot(*(np.array(landing) - start[:2]))), np.concatenate(places)
+    raise RuntimeError(f"{plant.scenario.name}: G1 is above its start height for 3 s")
 
 
 def _turned_jumps(batch: Batch) -> Iterator[tuple[float, float, float]]:
-    """Azimuth [rad], relative deviation of height and travel, and distance off the plane [m]."""
+    """Azimuth [rad], relative deviation of height and travel, distance from the plane [m]."""
     generators = batch.generators(min(batch.runs, 8))
     for index, generator in enumerate(generators):
         azimuth = float(generator.uniform(-math.pi, math.pi))
@@ -152,7 +152,7 @@ def _turned_jumps(batch: Batch) -> Iterator[tuple[float, float, float]]:
 
 
 def turned(batch: Batch) -> Measured:
-    """Largest relative deviation of height and travel from the planar jump's, in turned planes."""
+    """Largest relative deviation of height and travel from the planar jump, in rotated planes."""
     details = {f"at {math.degrees(a):.1f} deg": off for a, off, _ in _turned_jumps(batch)}
     return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)
 

@@ -1,4 +1,4 @@
-"""Random machines, places and commands in space: what must never happen, whatever is asked."""
+"""Random machines, environments and commands in space: no divergence, no energy from nowhere."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rover_sim import (
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.spatial_snatch import fault
 
-# Ranges from which all is drawn, by dotted path; (low, high), the logarithm where `LOGARITHMIC`.
+# Ranges of the random values by dotted path; log-uniform where `LOGARITHMIC`, else uniform.
 RANGES: Mapping[str, tuple[float, float]] = {
     "tether.axial_stiffness": (2.0e3, 1.0e5),  # [N]
     "tether.bending_stiffness": (1.0e-6, 1.0e-2),  # [N m^2]
@@ -53,17 +53,17 @@ STARTS: Mapping[str, tuple[float, float]] = {
     "start.twist": (-180.0, 180.0),
     "start.payout_rate": (-0.5, 0.5),  # [m/s]
 }
-# Commands, redrawn at every tick of 0.2 s or kept: rates and torques within what the contract lets.
+# Commands, redrawn or kept at every tick of 0.2 s: rates and torques within the contract's limits.
 PAYOUT_RATE, WHEEL_RATE, WHEEL_TORQUE, FLYWHEEL_TORQUE = 0.5, 8.0, 2.0, 0.15
 DURATION, TICK = 5.0, 0.2  # [s]
-# More of the energy in play than this from nowhere, or to nowhere, is a fault. Less is what it
-# costs that drum and wheels take the tension and the ground's torques of the step before; how much
-# that is has a requirement of its own.
+# Largest drift of the energy balance, relative to the energy scale, as gain and as loss. Drum and
+# wheels use the tension and ground torques of the previous step, which causes a smaller drift; that
+# has its own requirement.
 GAIN, LOSS = 1.0e-2, 1.0e-2
 
 
 class Chance(Protocol):
-    """Where random values come from: numpy's generators, or a property test's strategies."""
+    """Source of random values: a numpy generator, or a property test's strategies."""
 
     def uniform(self, low: float, high: float) -> float:
         """A number from low to high."""
@@ -76,7 +76,7 @@ class Chance(Protocol):
 
 
 class Dice:
-    """Chance by a generator."""
+    """Random values from a numpy generator."""
 
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator = generator
@@ -103,7 +103,7 @@ class Trial:
     seed: int
 
     def __str__(self) -> str:
-        """One line to reproduce it by."""
+        """One line that reproduces the trial."""
         values = ", ".join(
             f"{path}: {value:.6g}" if isinstance(value, float) else f"{path}: {value}"
             for path, value in self.overrides.items()
@@ -112,7 +112,7 @@ class Trial:
 
 
 def random_trial(chance: Chance) -> Trial:
-    """A trial from the stated ranges: the rover hangs free, over a floor, or stands in rubble."""
+    """Random trial: the rover hangs free, hangs over a floor, or stands in rubble."""
     overrides: dict[str, object] = {}
     for path, (low, high) in RANGES.items():
         if path in LOGARITHMIC:
@@ -131,7 +131,7 @@ def random_trial(chance: Chance) -> Trial:
     length = chance.uniform(3.0, 20.0)
     overrides["tether.length"] = length
     if kind == "floor":
-        # Near enough to be struck, and swung into.
+        # Near enough for an impact or a swing into it.
         overrides["environment.floor"] = {
             "height": -length - chance.uniform(0.8, 2.0),
             "slope": chance.uniform(0.0, 20.0),
@@ -142,7 +142,7 @@ def random_trial(chance: Chance) -> Trial:
 
 
 def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Command:
-    """A command to all drives, or to some, from the stated ranges."""
+    """Random command to all drives or some of them."""
 
     def drawn(limit: float) -> float:
         return float(generator.uniform(-limit, limit))
@@ -172,7 +172,7 @@ def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Comma
 
 
 def _implausible(plant: SpatialPlant, state: SpatialState) -> str:
-    """What a state has that no tether can, or nothing."""
+    """Implausible property of a state's tether, or an empty string."""
     nodes = plant.to_full_nodes(state)
     stretch = np.linalg.norm(nodes[:, 1], axis=1)
     if not np.all((stretch > 0.3) & (stretch < 2.0)):
@@ -185,15 +185,15 @@ def _implausible(plant: SpatialPlant, state: SpatialState) -> str:
 
 
 def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, float]]:
-    """Run a trial for so long [s]; what went wrong, or nothing, and figures of the run."""
+    """Run a trial for `duration` [s]; returns its fault (or an empty string) and metrics."""
     plant = SpatialPlant(load_spatial(trial.scenario, trial.overrides))
-    figures = {"gain": 0.0, "loss": 0.0, "halved": 0.0, "touched": 0.0}
+    metrics = {"gain": 0.0, "loss": 0.0, "halved": 0.0, "touched": 0.0}
     try:
         state = plant.initial_state()
     except SettlingError as error:
-        # Said aloud, and no state given: not a silent failure.
-        figures["unsettled"] = 1.0
-        return ("" if str(error) else "a silent refusal"), figures
+        # A reported refusal is not a fault.
+        metrics["unsettled"] = 1.0
+        return ("" if str(error) else "a refusal without a message"), metrics
     generator = np.random.default_rng(trial.seed)
     start = plant.energies(state)
     mass, gravity = plant.scenario.tip_mass, plant.scenario.gravity
@@ -206,13 +206,13 @@ def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, flo
         state, result = plant.step(state, command, TICK)
         energies = result.energies
         scale = max(scale, energies.kinetic + energies.rotors, energies.dissipated)
-        figures["gain"] = max(figures["gain"], energies.drift / scale)
-        figures["loss"] = min(figures["loss"], energies.drift / scale)
-        figures["halved"] += result.outcome is Outcome.HALVED
-        figures["touched"] += state.phase is Phase.GROUNDED
+        metrics["gain"] = max(metrics["gain"], energies.drift / scale)
+        metrics["loss"] = min(metrics["loss"], energies.drift / scale)
+        metrics["halved"] += result.outcome is Outcome.HALVED
+        metrics["touched"] += state.phase is Phase.GROUNDED
         if state.phase is Phase.TETHER_BROKEN:
-            told = any(event.name == "tether_broken" for event in result.events)
-            return ("" if told else "broken without an event"), figures
+            has_event = any(event.name == "tether_broken" for event in result.events)
+            return ("" if has_event else "broken without an event"), metrics
         wrong = fault(result, state, scale, GAIN, LOSS) or _implausible(plant, state)
         if not wrong and not math.isclose(state.time, before.time + TICK, abs_tol=1e-9):
             wrong = f"the tick ended at {state.time - before.time:.6f} s"
@@ -221,41 +221,41 @@ def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, flo
                 wrong = wrong or f"{name} fell by {heats[name] - heat:.2g} J"
         heats = dict(state.energy_balance)
         if wrong:
-            return f"{wrong} at {state.time:.2f} s", figures
-    return "", figures
+            return f"{wrong} at {state.time:.2f} s", metrics
+    return "", metrics
 
 
 def random_machines(batch: Batch) -> Measured:
-    """How many random runs give NaN, energy without input, or fail, aloud or in silence."""
+    """Number of random runs that diverge, give NaN, create energy or fail otherwise."""
     bad, touched, halved, unsettled = 0, 0, 0, 0
     most, least = 0.0, 0.0
     details: dict[str, float | str] = {}
     for index, generator in enumerate(batch.generators()):
         trial = random_trial(Dice(generator))
-        wrong, figures = faults(trial)
+        wrong, metrics = faults(trial)
         bad += bool(wrong)
-        touched += figures["touched"] > 0.0
-        halved += figures["halved"] > 0.0
-        unsettled += "unsettled" in figures
-        most, least = max(most, figures["gain"]), min(least, figures["loss"])
+        touched += metrics["touched"] > 0.0
+        halved += metrics["halved"] > 0.0
+        unsettled += "unsettled" in metrics
+        most, least = max(most, metrics["gain"]), min(least, metrics["loss"])
         if wrong:
             details[f"run {index}: {trial}"] = wrong
-    details["runs that touched ground"] = float(touched)
+    details["runs with ground contact"] = float(touched)
     details["runs with halved steps"] = float(halved)
-    details["runs refused as they find no rest"] = float(unsettled)
-    details["energy that the books miss, largest gain, relative"] = most
-    details["largest loss, relative"] = least
+    details["runs refused because settling failed"] = float(unsettled)
+    details["drift of the energy balance, largest gain, relative"] = most
+    details["drift of the energy balance, largest loss, relative"] = least
     return Measured(bad, f"of {batch.runs} machines, {DURATION:g} s of random commands", details)
 
 
-def book_gap(batch: Batch) -> Measured:
-    """Largest share of the energy in play that the books of random runs miss."""
+def energy_gap(batch: Batch) -> Measured:
+    """Largest drift of the energy balance in random runs, relative to the energy scale."""
     details: dict[str, float | str] = {}
     worst = 0.0
     for index, generator in enumerate(batch.generators()):
         trial = random_trial(Dice(generator))
-        _, figures = faults(trial)
-        gap = max(figures["gain"], -figures["loss"])
+        _, metrics = faults(trial)
+        gap = max(metrics["gain"], -metrics["loss"])
         if gap > 1e-3:
             details[f"run {index}: {trial}"] = gap
         worst = max(worst, gap)

@@ -1,4 +1,4 @@
-"""Hard use of the tether in space: thrown slack, snatched, whipped, torn."""
+"""Hard use of the spatial tether: throws with slack, snatches, whips, breaking."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STIFFEST = 70.0e9  # [Pa]
 
 
 def _direction(generator: np.random.Generator) -> Array:
-    """Anywhere from 60 deg above to 60 deg below level."""
+    """Random direction within 60 deg of the horizontal."""
     up, around = generator.uniform(-1.0, 1.0) * math.pi / 3.0, generator.uniform(0.0, 2.0 * math.pi)
     return np.array(
         [math.cos(up) * math.cos(around), math.cos(up) * math.sin(around), math.sin(up)]
@@ -31,10 +31,10 @@ def _direction(generator: np.random.Generator) -> Array:
 
 
 def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[SpatialPlant, str]:
-    """A tether that starts straight, with the rover, a weight or nothing, thrown to the fairlead.
+    """Plant with a straight tether, its tip (rover, weight, free) thrown towards the fairlead.
 
     Ranges: 2 to 100 elements, E from 10 MPa to 70 GPa, 2 to 10 m, axial damping 0 or 0.1 to 10 ms,
-    1.62 or 9.81 m/s^2, thrown with up to 4 m/s; a `whip` has a free end and is let go at rest.
+    1.62 or 9.81 m/s^2, thrown at up to 4 m/s; a `whip` has a free end and is released at rest.
     """
     elements = int(generator.integers(2, 101))
     modulus = float(10.0 ** generator.uniform(7.0, math.log10(_STIFFEST)))
@@ -74,17 +74,17 @@ def thrown(generator: np.random.Generator, kind: str, **fixed: object) -> tuple[
 
 
 def is_finite(state: SpatialState) -> bool:
-    """Whether every number of the state is finite, but for those that say never."""
+    """Whether the state's arrays are finite."""
     arrays = (state.nodes, state.node_rates, state.fairlead_slope, state.body, state.memory)
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
 
 def fault(result: StepResult, state: SpatialState, scale: float, gain: float, loss: float) -> str:
-    """What is wrong with a tick, or nothing.
+    """Fault of a tick, or an empty string.
 
-    Of the energy in play, `scale` [J], the books may miss the shares `gain` and `loss`. Losses are
-    larger: rotors that friction holds follow the body's rate one step later, which takes energy
-    away, in proportion to the step.
+    The drift of the energy balance may reach the fractions `gain` and `loss` of the energy scale
+    `scale` [J]. Losses are larger: rotors held by friction follow the body's rate one step later,
+    which dissipates energy in proportion to the step.
     """
     if not is_finite(state):
         return "not finite"
@@ -94,12 +94,12 @@ def fault(result: StepResult, state: SpatialState, scale: float, gain: float, lo
     if not -loss * scale <= drift <= gain * scale:
         return f"energy drift {drift:.2g} of {scale:.2g} J"
     if not result.constraint_drift < 1e-6:
-        return f"the tether is {result.constraint_drift:.2g} m off the rover"
+        return f"distance of tether and rover attachment {result.constraint_drift:.2g} m"
     return ""
 
 
 def _energy_scale(plant: SpatialPlant, state: SpatialState) -> float:
-    """Energy that is in play [J]: of the throw, and of a fall by the tether's length."""
+    """Energy scale [J]: energy of the throw, and of a fall by twice the tether's length."""
     scenario = plant.scenario
     weight = scenario.tip_mass + 0.5 * scenario.tether.section.line_density * scenario.tether.length
     energies = plant.energies(state)
@@ -107,7 +107,7 @@ def _energy_scale(plant: SpatialPlant, state: SpatialState) -> float:
 
 
 def snatch(batch: Batch) -> Measured:
-    """How many throws and whips at 1 ms diverge, gain energy, or are not finite."""
+    """Number of throws and whips at 1 ms that diverge, gain energy, or are not finite."""
     details: dict[str, float | str] = {}
     bad, most, least = 0, 0.0, 0.0
     for index, generator in enumerate(batch.generators()):
@@ -126,15 +126,15 @@ def snatch(batch: Batch) -> Measured:
             if wrong:
                 break
         bad += bool(wrong)
-        told = f"peak {peak:.3g} N, {halved} ticks halved, to {smallest * 1e3:.3g} ms"
-        details[f"run {index}: {name}"] = wrong or told
-    details["energy that the books miss, largest gain, relative"] = most
-    details["largest loss, relative"] = least
+        summary = f"peak {peak:.3g} N, {halved} ticks halved, to {smallest * 1e3:.3g} ms"
+        details[f"run {index}: {name}"] = wrong or summary
+    details["drift of the energy balance, largest gain, relative"] = most
+    details["drift of the energy balance, largest loss, relative"] = least
     return Measured(bad, f"of {batch.runs} runs of 3 s at 1 ms, n to 100, E to 70 GPa", details)
 
 
 def _torn(generator: np.random.Generator, details: dict[str, float | str], name: str) -> int:
-    """Tear a thrown tether at a part of the tension that it would come to; promises not kept."""
+    """Break a thrown tether at a fraction of its peak tension; returns the number of failures."""
     elements = int(generator.integers(5, 60))
     seed = int(generator.integers(2**31))
     fixed: dict[str, object] = {"tether.elements": elements}
@@ -162,21 +162,22 @@ def _torn(generator: np.random.Generator, details: dict[str, float | str], name:
     _, unbroken, _ = throw(1.001 * peak)
     promises = {
         "an event, once": [event.name for event in events] == ["tether_broken"],
-        "with the tension that tore it": bool(events) and events[-1].values["tension"] > load,
-        "at the instant where the state stands": bool(events)
-        and abs(events[-1].time - state.time) < 1e-9,
-        "a state": state.phase is Phase.TETHER_BROKEN and is_finite(state),
-        "told as the outcome": last.outcome is Outcome.TETHER_BROKEN,
-        "no tension above it before": all(r.peak_tension <= load for r in results[:-1]),
-        "further steps leave it": again is state and after.outcome is Outcome.TETHER_BROKEN,
-        "the plant starts anew": fresh.phase is not Phase.TETHER_BROKEN,
-        "a stronger one holds": unbroken.phase is not Phase.TETHER_BROKEN
+        "with the breaking tension": bool(events) and events[-1].values["tension"] > load,
+        "at the time of the state": bool(events) and abs(events[-1].time - state.time) < 1e-9,
+        "a finite state in the phase": state.phase is Phase.TETHER_BROKEN and is_finite(state),
+        "reported as the outcome": last.outcome is Outcome.TETHER_BROKEN,
+        "no higher tension before": all(r.peak_tension <= load for r in results[:-1]),
+        "further steps do not change it": again is state and after.outcome is Outcome.TETHER_BROKEN,
+        "the plant can start again": fresh.phase is not Phase.TETHER_BROKEN,
+        "a stronger tether does not break": unbroken.phase is not Phase.TETHER_BROKEN
         and np.array_equal(unbroken.nodes, whole.nodes),
     }
     for promise, kept in promises.items():
         if not kept:
             details[f"{name}: {promise}"] = "NOT KEPT"
-    details[f"{name}, n = {elements}"] = f"torn at {load:.4g} N of {peak:.4g} N, {state.time:.2f} s"
+    details[f"{name}, n = {elements}"] = (
+        f"broken at {load:.4g} N of {peak:.4g} N, {state.time:.2f} s"
+    )
     return sum(not kept for kept in promises.values())
 
 
@@ -184,7 +185,7 @@ _WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle"
 
 
 def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
-    """Tear the tether in a running sim_node; promises not kept."""
+    """Break the tether in a running sim_node; returns the number of failures."""
     make_plant(_WEAK).warm_up()
     parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
     with open_harness(batch.folder) as harness:
@@ -197,15 +198,15 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
         clock = observer.listen(topics.CLOCK)
         count, stamp = len(clock), observer.time_ns()
         clock.wait(lambda sample: sample.stamp_ns > stamp + 200_000_000, count)
-        told = len(observer.listen(topics.TRUTH_PHASE))
+        published = len(observer.listen(topics.TRUTH_PHASE))
         answer = observer.call(topics.SIM_RESET_PLANT)
-        observer.wait_for_text(topics.TRUTH_PHASE, "hanging", since=told)
+        observer.wait_for_text(topics.TRUTH_PHASE, "hanging", since=published)
         promises = {
-            "the event tells the tension": float(event.values["tension"]) > 20.0,
-            "it is reset": answer.success,
-            "it ends well": process.stop() == 0,
+            "the event has the tension": float(event.values["tension"]) > 20.0,
+            "the reset succeeds": answer.success,
+            "the node exits with code 0": process.stop() == 0,
         }
-    details["sim_node"] = f"{event.message}; time runs on, reset, hangs again"
+    details["sim_node"] = f"{event.message}; time continues, reset, hangs again"
     for promise, kept in promises.items():
         if not kept:
             details[f"sim_node: {promise}"] = "NOT KEPT"
@@ -213,11 +214,11 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
 
 
 def tear(batch: Batch) -> Measured:
-    """How many promises about a broken tether are not kept, by the plant and by sim_node."""
+    """Number of conditions of a broken tether that plant or sim_node do not fulfil."""
     details: dict[str, float | str] = {}
     failures = 0
     count = min(batch.runs, 10)
     for index, generator in enumerate(batch.generators(count)):
         failures += _torn(generator, details, f"run {index}")
     failures += _simulator_lives_on(batch, details)
-    return Measured(failures, f"{count} throws of nine promises each, and sim_node's", details)
+    return Measured(failures, f"{count} throws with nine conditions each, and sim_node's", details)

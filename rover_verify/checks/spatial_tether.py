@@ -1,4 +1,4 @@
-"""A tether whose length the drum changes: pendulums, tensions, and far out and back."""
+"""Payout and reel-in by the drum: pendulums, tensions, long payouts and back."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ARAMID: Mapping[str, object] = {
 def _weight_on_drum(
     mass: float, length: float, longest: float, element: float, **tether: object
 ) -> dict[str, object]:
-    """A weight instead of the rover, on a tether of elements of so many metres."""
+    """A weight instead of the rover, on a tether with elements of `element` [m]."""
     return {
         "rover": None,
         "tip": {"mass": mass},
@@ -42,9 +42,9 @@ def _weight_on_drum(
 def _pendulum(
     mass: float, line_density: float, stretch: float, start: float, rate: float, angle: float
 ) -> float:
-    """Angle [rad] after 30 m, of a pendulum on a straight tether with its mass and its stretch.
+    """Angle [rad] after 30 m of payout of a pendulum on a straight tether with mass and stretch.
 
-    l th'' + 2 l' th' + g sin th = 0 for a massless one; the tether adds its own inertia and weight.
+    A massless tether gives l th'' + 2 l' th' + g sin th = 0; the tether adds inertia and weight.
     """
     duration = 30.0 / abs(rate)
     rho = line_density / stretch
@@ -63,7 +63,7 @@ def _pendulum(
 def _swung(
     mass: float, line_density: float, start: float, rate: float, angle: float, heading: float
 ) -> tuple[float, float]:
-    """Angle towards the heading [rad] after 30 m more or less of tether, and that across it."""
+    """Angles along and across the heading [rad] after paying out or reeling in 30 m."""
     duration = 30.0 / abs(rate)
     plant = make_plant(
         IDEAL_WINCH,
@@ -83,7 +83,9 @@ def _swung(
     for _ in range(30):
         state, _ = plant.step(state, command, duration / 30.0)
     if abs(state.length - start - rate * duration) > 1e-3:
-        raise RuntimeError(f"the drum is at {state.length:.4f} m, not where it was told to be")
+        raise RuntimeError(
+            f"paid-out length {state.length:.4f} m, expected {start + rate * duration:.4f} m"
+        )
     x, y, z = state.tip
     along, across = (
         x * math.cos(heading) + y * math.sin(heading),
@@ -93,10 +95,10 @@ def _swung(
 
 
 def lengthening(batch: Batch) -> Measured:
-    """Largest deviation of the angle from that of the pendulum's equation, both ways."""
+    """Largest deviation of the angle from the pendulum's equation, paying out and reeling in."""
     reference = _pendulum(10.0, 0.0, 1.0, 10.0, 0.25, math.radians(5.0))
     worst, details = 0.0, {"l th'' + 2 l' th' + g sin th = 0, 10 to 40 m [rad]": reference}
-    # The stated case on a light tether, and at random with the aramid's own mass.
+    # The reference case on a light tether, and random ones with the aramid's mass.
     cases = [(10.0, 5.0e-5, 10.0, 0.25, math.radians(5.0), 0.0)]
     for generator in batch.generators(min(batch.runs, 4)):
         reels_in = len(cases) % 2 == 1
@@ -113,13 +115,13 @@ def lengthening(batch: Batch) -> Measured:
     for mass, line_density, start, rate, angle, heading in cases:
         found, across = _swung(mass, line_density, start, rate, angle, heading)
         stretch = 1.0 + mass * _MOON / float(str(_ARAMID["axial_stiffness"]))
-        wanted = _pendulum(mass, line_density, stretch, start, rate, angle)
+        expected = _pendulum(mass, line_density, stretch, start, rate, angle)
         if line_density < 1e-3:
             worst = max(worst, abs(found - reference))
         name = f"{start:g} m at {rate:+.3f} m/s, {mass:.1f} kg, {line_density * 1e3:g} g/m"
         details[f"{name}: angle [rad]"] = found
-        details[f"{name}: off the equation with stretch and tether [rad]"] = found - wanted
-        worst = max(worst, abs(found - wanted), abs(across))
+        details[f"{name}: deviation from the equation with tether mass [rad]"] = found - expected
+        worst = max(worst, abs(found - expected), abs(across))
     return Measured(worst, f"{len(cases)} pendulums over splits and mergers", details)
 
 
@@ -151,20 +153,20 @@ def vertical_tension(batch: Batch) -> Measured:
         window = slice(200, 400)
         found = float(np.mean(tensions[window]))
         grown = float(np.polyfit(tick * np.arange(200), rates[window], 1)[0])
-        wanted = (mass + line_density * float(np.mean(lengths[window]))) * (_MOON - grown)
-        off = found / wanted - 1.0
+        expected = (mass + line_density * float(np.mean(lengths[window]))) * (_MOON - grown)
+        off = found / expected - 1.0
         details[f"run {index}: {mass:.1f} kg, {1e3 * line_density:.0f} g/m, a = {grown:+.3f}"] = off
         worst = max(worst, abs(off))
-    return Measured(worst, "winch with friction, mean over 2 s while it speeds up", details)
+    return Measured(worst, "winch with friction, mean over 2 s of acceleration", details)
 
 
-# A massless inextensible rope from 2 m at 0.5 m/s with 5 kg that start sideways at 0.2 m/s: place
-# in the x-z plane at t [s]; two other codes lie within 3 mm.
+# A massless inextensible rope from 2 m at 0.5 m/s with 5 kg that start sideways at 0.2 m/s:
+# position in the x-z plane at t [s]; two other codes agree within 3 mm.
 _PAID_OUT = {5.0: (-0.1165, -4.4985), 10.0: (-0.0119, -7.0000)}
 
 
 def stiff_cable(_batch: Batch) -> Measured:
-    """Largest distance of a weight on the stiff cable from the rope's closed motion."""
+    """Largest distance of a weight on the stiff cable from the rope's solution."""
     cable = {
         "axial_stiffness": None, "bending_stiffness": None, "bending_damping_time": 0.0,
         "youngs_modulus": 70.0e9, "radius": 3.45e-4, "density": 2700.0,
@@ -183,9 +185,9 @@ def stiff_cable(_batch: Batch) -> Measured:
     )
     command = Command(winch=WinchCommand(2.0, 0.5, feed_forward=5.0 * _MOON))
     state, details = plant.initial_state(), {}
-    for time, wanted in _PAID_OUT.items():
+    for time, expected in _PAID_OUT.items():
         state, _ = plant.step(state, command, time - state.time)
-        off = math.hypot(float(state.tip[0]) - wanted[0], float(state.tip[2]) - wanted[1])
+        off = math.hypot(float(state.tip[0]) - expected[0], float(state.tip[2]) - expected[1])
         details[f"at {time:g} s, {state.length:.4f} m out [m]"] = off
     return Measured(max(details.values()), "elements of 0.5 m, 1 ms", details)
 
@@ -200,13 +202,13 @@ _FAST_WINCH: Mapping[str, object] = {
 
 
 def _sound(plant: SpatialPlant, state: SpatialState) -> str:
-    """What is wrong with a state of a taut hanging tether, or nothing."""
+    """Fault of a state of a taut hanging tether, or an empty string."""
     nodes = plant.to_full_nodes(state)
     if not (np.all(np.isfinite(nodes)) and np.all(np.isfinite(state.body))):
         return "not finite"
     reach = float(np.linalg.norm(state.tip))
     if not abs(reach - state.length) < 0.01 * state.length + 0.02:
-        return f"the tip is {reach:.2f} m away on {state.length:.2f} m"
+        return f"the tip is {reach:.2f} m away with {state.length:.2f} m paid out"
     stretch = np.linalg.norm(nodes[:, 1], axis=1)
     if not np.all(np.abs(stretch - 1.0) < 0.05):
         return f"a slope of {stretch.min():.3f} to {stretch.max():.3f}"
@@ -214,7 +216,7 @@ def _sound(plant: SpatialPlant, state: SpatialState) -> str:
 
 
 def far_out_and_back(batch: Batch) -> Measured:
-    """How many runs from 2 m to 300 m of tether and back go wrong in any way."""
+    """Number of runs from 2 m to 300 m of tether and back with any fault."""
     bad, details = 0, {}
     count = min(batch.runs, 2)
     for index, generator in enumerate(batch.generators(count)):
@@ -232,15 +234,15 @@ def far_out_and_back(batch: Batch) -> Measured:
             },
         )
         state = plant.initial_state()
-        largest, wrong, halved, moved, drift, told_rate = _NEAR, "", 0, 0.0, 0.0, 0.0
+        largest, wrong, halved, moved, drift, commanded_rate = _NEAR, "", 0, 0.0, 0.0, 0.0
         for goal in (_FAR, _NEAR):
             while abs(goal - state.length) > 0.01 and not wrong and state.time < 1e3:
-                # Speed up and slow down as any winch does: a jerk would throw the rover.
-                way = goal - state.length
-                speed = math.copysign(min(rate, 0.02 + 0.3 * abs(way)), way)
-                told_rate += min(max(speed - told_rate, -0.02), 0.02)
-                told = WinchCommand(goal, told_rate, feed_forward=17.0)
-                state, result = plant.step(state, Command(winch=told), 0.1)
+                # Limited acceleration, as of any winch: a jerk would throw the rover.
+                remaining = goal - state.length
+                speed = math.copysign(min(rate, 0.02 + 0.3 * abs(remaining)), remaining)
+                commanded_rate += min(max(speed - commanded_rate, -0.02), 0.02)
+                command = WinchCommand(goal, commanded_rate, feed_forward=17.0)
+                state, result = plant.step(state, Command(winch=command), 0.1)
                 largest = max(largest, state.length)
                 moved = max(moved, abs(result.energies.gravity))
                 drift = max(drift, abs(result.energies.drift))

@@ -1,6 +1,6 @@
-"""Speed against the peer, over the number of elements, of the spatial plant, and of the start.
+"""Speed relative to the peer, over the number of elements, of the spatial plant, and start time.
 
-Single thread and CPU time, but for the start, which is wall time.
+Single thread and CPU time; the start is wall time.
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ def _ratio(name: str, elements: int) -> Measured:
 
 
 def pendulum_20(_batch: Batch) -> Measured:
-    """Speed over Exudyn's, pendulum, n = 20."""
+    """Speed relative to Exudyn, pendulum, n = 20."""
     return _ratio("pendulum, 1 s", 20)
 
 
 def whip_100(_batch: Batch) -> Measured:
-    """Speed over Exudyn's, pendulum through the whip, n = 100."""
+    """Speed relative to Exudyn, pendulum through the whip, n = 100."""
     return _ratio("pendulum, 2 s", 100)
 
 
 def jump_20(_batch: Batch) -> Measured:
-    """Speed over Exudyn's, tethered jump, n = 20."""
+    """Speed relative to Exudyn, tethered jump, n = 20."""
     return _ratio("jump", 20)
 
 
 def linear_cost(_batch: Batch) -> Measured:
-    """Cost of a step at n = 200 over that at n = 20."""
+    """Cost of a step at n = 200 relative to that at n = 20."""
     rows = bench.measure_costs(_REPETITIONS, lambda _text: None)
     details: dict[str, float | str] = {}
     for row in rows:
@@ -90,7 +90,7 @@ def _resting_at(elements: int) -> Measured:
     (row,) = [row for row in _resting() if row["n"] == elements]
     rtf = row["rtf"]
     assert isinstance(rtf, float)
-    return Measured(rtf, "everything on, ticks of 10 ms, best of the repetitions", _numbers(row))
+    return Measured(rtf, "all models on, ticks of 10 ms, best of the repetitions", _numbers(row))
 
 
 def spatial_20(_batch: Batch) -> Measured:
@@ -118,7 +118,7 @@ _START = "floor_rubble"
 
 
 def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
-    """Wall time from the start of sim_node to its word that it is ready [s], and its CPU time."""
+    """Wall time from the start of sim_node until it reports readiness [s], and its CPU time."""
     with open_harness(folder) as harness:
         observer = harness.observer()
         observer.listen(topics.DIAGNOSTICS)
@@ -139,20 +139,20 @@ def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
 
 
 def _cpu_time(pid: int) -> float:
-    """CPU time of a process and of its children that have ended [s]."""
+    """CPU time of a process and of its ended children [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
 
 
 def start_cold(batch: Batch) -> Measured:
-    """Time to readiness with nothing compiled yet [s]."""
+    """Time to readiness with an empty compilation cache [s]."""
     spent, cpu = _ready_after(batch.folder, batch.folder / "cache")
     note = "sim_node with the spatial plant, standing on rubble, empty cache"
     return Measured(spent, note, {"CPU time of all its processes [s]": cpu})
 
 
 def start_warm(batch: Batch) -> Measured:
-    """Median time to readiness once all is compiled [s]."""
+    """Median time to readiness with a filled compilation cache [s]."""
     cache_folder = batch.folder / "cache"
     first, _ = _ready_after(batch.folder, cache_folder)
     again = sorted(_ready_after(batch.folder, cache_folder) for _ in range(3))
@@ -163,8 +163,8 @@ def start_warm(batch: Batch) -> Measured:
     return Measured(again[1][0], "the same, after a start that compiled", details)
 
 
-def compiled_in_vain(batch: Batch) -> Measured:
-    """Functions that the second compiling process makes for other arguments than a step's."""
+def wasted_compilations(batch: Batch) -> Measured:
+    """Number of functions that the second compiling process compiles for wrong argument types."""
     cache_folder = batch.folder / "cache"
     code = (
         "from rover_sim import compile_ahead, load_scenario\n"
@@ -187,4 +187,4 @@ def compiled_in_vain(batch: Batch) -> Measured:
         name = function.py_func.__qualname__
         details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
     made = [kinds for kinds in details.values() if kinds != 1]
-    return Measured(len(made), f"of {len(details)}, by the compiled kinds of each", details)
+    return Measured(len(made), f"of {len(details)}; details: compiled versions of each", details)

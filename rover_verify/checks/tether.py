@@ -1,4 +1,4 @@
-"""The tether alone: closed forms of statics, and motions that independent codes have computed."""
+"""The tether alone: statics against closed forms, motion against independent codes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SAG_HORIZONTAL, _SAG_ENDS = 0.0651011, (0.0949152, 0.1315753)
 
 
 def rigid_rotation(batch: Batch) -> Measured:
-    """Largest nodal force of an unstretched tether turned by random angles, over EA."""
+    """Largest nodal force of an unstretched tether at random angles, relative to EA."""
     largest = 0.0
     for generator in batch.generators():
         angle = generator.uniform(-math.pi, math.pi)
@@ -63,7 +63,7 @@ def closed_circle(_batch: Batch) -> Measured:
 
 
 def elastica(_batch: Batch) -> Measured:
-    """Largest deviation from the tip-loaded elastica, of the length."""
+    """Largest deviation from the tip-loaded elastica, relative to the length."""
     worst, details = 0.0, {}
     for load, (deflection, shortening) in _ELASTICA.items():
         tip = static_equilibrium(
@@ -94,7 +94,7 @@ def sag(_batch: Batch) -> Measured:
 
 
 def sag_shape(_batch: Batch) -> Measured:
-    """Largest distance of a node from the elastic catenary, which knows no bending."""
+    """Largest distance of a node from the elastic catenary, which has no bending stiffness."""
     span, rise, length, elements = 4.0, 1.0, 5.0, 20
     nodes = static_equilibrium(
         _TABLE_1_HIGH, length, elements, (0.0, -9.81), (0.0, 0.0), (span, rise)
@@ -130,22 +130,22 @@ def sag_shape(_batch: Batch) -> Measured:
 
 def _tip_deviation(plant: PlanarPlant, tips: dict[float, tuple[float, float]]) -> Measured:
     state, worst, details = plant.initial_state(), 0.0, {}
-    for time, wanted in tips.items():
+    for time, expected in tips.items():
         state = run(plant, state, time - state.time).final
-        off = float(np.linalg.norm(state.nodes[-1, 0] - np.array(wanted)))
+        off = float(np.linalg.norm(state.nodes[-1, 0] - np.array(expected)))
         details[f"tip at {time:g} s [m]"] = off
         worst = max(worst, off)
     return Measured(worst, f"n = {plant.scenario.tether.elements}", details)
 
 
 def flexible_beam(_batch: Batch) -> Measured:
-    """Largest distance of the falling beam's tip from the other code's."""
+    """Largest distance of the falling beam's tip from the independent code's."""
     scenario = load_scenario("flexible_beam", {"integration.h": 2.5e-4})
     return _tip_deviation(PlanarPlant(scenario), _BEAM_TIPS)
 
 
 def damped_pendulum(_batch: Batch) -> Measured:
-    """Largest distance of the damped tether's tip from the other code's, through the whip."""
+    """Largest distance of the damped tether's tip from the independent code's, through the whip."""
     overrides = {"tether.elements": 80, "integration.h": 5e-4}
     scenario = load_scenario("tether_pendulum_damped", overrides)
     return _tip_deviation(PlanarPlant(scenario), _PENDULUM_TIPS)
