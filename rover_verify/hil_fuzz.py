@@ -1,7 +1,7 @@
-"""Messages and frames that nobody should obey, made at random.
+"""Random invalid messages and frames, which must have no effect.
 
-A fuzzed message is a good command with something wrong in it. A fuzzed frame is noise, or a frame
-that was seen on the link, damaged in a way that its checksum would not have found.
+A fuzzed message is a valid command with errors. A fuzzed frame is noise, or a frame recorded on the
+link with a corruption that its checksum would not detect.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COMMANDS: dict[str, dict[str, JointValue]] = {
     topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
     topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
 }
-"""A good command of each drive, by its topic."""
+"""A valid command of each drive, by topic."""
 
 _PARTS = ("position", "velocity", "effort")
 _NAMES = ("", "winch_drum ", "WINCH_DRUM", "drum", "jump_screw\n", "\u202e", "x" * 300, "ÿ")
@@ -52,18 +52,18 @@ _NANO = 1_000_000_000
 
 
 def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, Any]:
-    """A command with one to three things wrong in it: its topic, and the message.
+    """Topic and message of a command with one to three errors.
 
     Args:
-        generator: of what is random.
-        now_ns: at which a good one would be stamped.
+        generator: random number generator.
+        now_ns: stamp of a valid command.
     """
     topic = str(generator.choice(list(COMMANDS)))
     message = encode(topic, JointSample(now_ns, COMMANDS[topic]))
     message.header.frame_id = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
-    # Each at most once, so that none puts right what it has made wrong before.
-    for kind in generator.permutation(len(_WRONGS))[: int(generator.integers(1, 4))]:
-        _WRONGS[int(kind)](generator, topic, message, now_ns)
+    # Each error at most once: a second one could undo the first.
+    for kind in generator.permutation(len(_ERRORS))[: int(generator.integers(1, 4))]:
+        _ERRORS[int(kind)](generator, topic, message, now_ns)
     return topic, message
 
 
@@ -123,8 +123,8 @@ def _unstamped(_generator: Generator, _topic: str, message: Any, _now_ns: int) -
     message.header.stamp = to_time(0)
 
 
-_Wrong = Callable[[Generator, str, Any, int], None]
-_WRONGS: Sequence[_Wrong] = (
+_Error = Callable[[Generator, str, Any, int], None]
+_ERRORS: Sequence[_Error] = (
     _not_finite,
     _out_of_limits,
     _wrong_name,
@@ -141,11 +141,11 @@ _WRONGS: Sequence[_Wrong] = (
 
 
 def fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
-    """A frame that is noise, or a damaged one of those seen; never a good heartbeat of the bridge.
+    """A random or corrupted frame; never a valid heartbeat of the bridge.
 
     Args:
-        generator: of what is random.
-        seen: frames of the link.
+        generator: random number generator.
+        seen: frames recorded on the link.
     """
     while True:
         frame = _fuzzed_frame(generator, seen)

@@ -318,7 +318,7 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
         show.report(folder, harness.domain)
         processes: Sequence[Process] = list(show.nodes.values())
         domain = harness.domain
-    left = [process.module for process in processes if not process.group_is_gone()]
+    left = [process.module for process in processes if not process.has_group_exited()]
     if left:
         raise ShowError(f"processes left running: {', '.join(left)}")
     path = folder / "metrics.json"

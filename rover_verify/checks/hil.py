@@ -1,4 +1,4 @@
-"""The winch flown through the link to emulated drives, held against the same flight without it."""
+"""The winch over the link to emulated drives, compared with the same run without the link."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 _SCENARIO = "free_hang"
-_START = (8.0, 12.0)  # lengths that flights begin at [m]
-_WAY = (1.0, 2.0)  # and how far they go, down [m]
+_START = (8.0, 12.0)  # initial lengths [m]
+_DISTANCE = (1.0, 2.0)  # of payout [m]
 _RATE = (0.1, 0.3)  # [m/s]
 _LONGEST = 60.0  # [s]
 _MOST_RUNS = 5
-_HEARD = (topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
+_INPUTS = (topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
 _SETTLING = 0.2  # of devices and drives before the winch is armed [s]
 
 Floats = NDArray[np.float64]
 
 
 class _Flight:
-    """A winch's controller on a source of samples: armed, sent to a length, and back at rest."""
+    """A winch controller that is armed, requested to a length, and comes to rest."""
 
     def __init__(self, goal: float, rate: float) -> None:
         self._winch = Winch(WinchParameters())
@@ -40,9 +40,9 @@ class _Flight:
         self._requested = False
 
     def commands(self, samples: Mapping[str, Sample], stamp_ns: int) -> Mapping[str, JointSample]:
-        """What the winch tells its drive upon what is told at a time."""
+        """Commands of the winch to its drive, from the samples of a time."""
         winch = self._winch
-        drum, load, currents = (samples.get(name) for name in _HEARD)
+        drum, load, currents = (samples.get(name) for name in _INPUTS)
         if not (
             isinstance(drum, JointSample)
             and isinstance(load, WrenchSample)
@@ -70,7 +70,7 @@ class _Flight:
 
     @property
     def is_over(self) -> bool:
-        """Whether it holds again; RuntimeError after a fault."""
+        """Whether it holds again; raises RuntimeError after a fault."""
         if self._winch.mode is Mode.FAULT:
             raise RuntimeError(f"the winch is in fault: {self._winch.fault_reason}")
         return self._requested and self._winch.mode is Mode.HOLD
@@ -84,7 +84,7 @@ def _simulation(length: float, seed: int) -> Simulation[Any]:
 def _flown(
     simulation: Simulation[Any], flight: _Flight, cycle: Callable[[], None]
 ) -> Iterator[tuple[float, float, float]]:
-    """Time since the beginning [s], true length [m] and tension [N], cycle by cycle to rest."""
+    """Time since the start [s], true length [m] and tension [N] of each cycle until rest."""
     begun = simulation.stamp_ns
     while not flight.is_over:
         cycle()
@@ -102,7 +102,7 @@ def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
     simulation.tick()
 
     def cycle() -> None:
-        samples = dict(simulation.interface.samples(_HEARD))
+        samples = dict(simulation.interface.samples(_INPUTS))
         for topic, sample in flight.commands(samples, simulation.stamp_ns).items():
             simulation.accept_command(topic, sample)
         simulation.tick()
@@ -125,11 +125,11 @@ def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Flo
 
 
 def descent(batch: Batch) -> Measured:
-    """Largest distance of the drum's length from that of the same descent without a link."""
+    """Largest difference of length [m] from the same descent without the link."""
     worst, tension, late, flights = 0.0, 0.0, 0.0, min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(flights):
         length = float(generator.uniform(*_START))
-        goal = length + float(generator.uniform(*_WAY))
+        goal = length + float(generator.uniform(*_DISTANCE))
         rate = float(generator.uniform(*_RATE))
         seed = int(generator.integers(1, 2**31))
         direct = _direct(length, goal, rate, seed)
@@ -141,6 +141,6 @@ def descent(batch: Batch) -> Measured:
         late = max(late, abs(float(direct[-1, 0] - linked[-1, 0])))
     return Measured(
         worst,
-        f"{flights} descents of {_WAY[0]:g} to {_WAY[1]:g} m, both ways",
+        f"{flights} descents of {_DISTANCE[0]:g} to {_DISTANCE[1]:g} m, with and without the link",
         {"tension [N]": tension, "time to rest [s]": late},
     )

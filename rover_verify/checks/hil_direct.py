@@ -1,8 +1,8 @@
-"""A descent and a jump flown by the suite's nodes, once with the simulator and once over the link.
+"""A descent and a jump by the suite's nodes, with the simulator and over the link.
 
-The same processes control both: `sim_node` is their machine directly, or `hil_bridge` is, with
-`drive_emulator` behind it. Each run is recorded, and what it came to is read from its bag alone.
-Simulated time waits for the controllers in both, so that a busy machine is slow and not wrong.
+The same processes control both: their machine is `sim_node`, or `hil_bridge` with `drive_emulator`.
+The metrics of each run are computed from its bag. Simulated time waits for the controllers, so that
+a busy computer does not change the result.
 """
 
 from __future__ import annotations
@@ -45,28 +45,28 @@ _TIMEOUT = 3600.0  # by the wall clock [s]
 _LONGEST = 600.0  # of a descent or a jump, in simulated time [s]
 _TOP, _STOP = 3.0, 5.0  # [m]
 _HEIGHT = 0.2  # of the jump [m]
-_HEARD = (
+_OBSERVED = (
     topics.CLOCK, topics.DIAGNOSTICS, topics.EVENTS, topics.WINCH_MODE, topics.WINCH_STATE,
     topics.WINCH_COMMAND, topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
 )  # fmt: skip
-_WAITED_FOR = (topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND)
-_REST_NS = 2_000_000_000  # after the end: pictures are told when the camera has told of them
+_AWAITED = (topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND)
+_REST_NS = 2_000_000_000  # after the end, for the last pictures
 _ATTEMPTS = 50
 _WITHIN = 5  # cycles of SYNC: the rover's controller acts every fourth
-_LAST = 10.0  # of a flight [s]
-_STEADY = math.radians(0.14)  # a camera that turns no faster [rad/s]
-Figures = Mapping[str, float]
+_LAST = 10.0  # of a descent [s]
+_STEADY = math.radians(0.14)  # largest camera rate of a steady picture [rad/s]
+Metrics = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Bound:
-    """How far a figure over the link may be from that of the direct run."""
+    """Tolerance of a metric over the link against the direct run."""
 
     absolute: float = 0.0
     relative: float = 0.0
 
     def holds(self, direct: float, linked: float) -> bool:
-        """Whether it is within."""
+        """Whether the difference is within the tolerance."""
         return abs(linked - direct) <= self.absolute + self.relative * abs(direct)
 
 
@@ -81,18 +81,18 @@ BOUNDS: Mapping[str, Bound] = {
     "flight time [s]": Bound(relative=0.03),
     "stroke [m]": Bound(absolute=1e-3),
 }
-"""Two runs never are the same: sensors are sampled at 200 Hz over the link and quantised there."""
+"""The runs differ: over the link sensors are sampled at 200 Hz and quantised."""
 
 
 class _Run:
-    """Processes of one run, and the operator."""
+    """Processes of one run, and the observer."""
 
     def __init__(self, harness: NodeHarness, folder: Path, controllers: tuple[str, ...]) -> None:
         self.bag = folder / "bag"
-        self._stage = harness
+        self._harness = harness
         self._recorder = harness.processes.start("rover_bags.record", {"output": str(self.bag)})
         self.observer: Observer = harness.observer()
-        for name in _HEARD:
+        for name in _OBSERVED:
             self.observer.listen(name)
         for name in controllers:
             harness.processes.start(_MODULES[name], _parameters(name) | {"use_sim_time": True})
@@ -103,7 +103,7 @@ class _Run:
             self.observer.wait_until_ready(name)
         self.observer.wait_until(
             lambda: {topics.WINCH_STATE, topics.CLOCK.strip("/")} <= recorded_topics(self.bag),
-            "the recorder does not hear the machine",
+            "the recorder receives nothing from the machine",
         )
 
     def end(self) -> Bag:
@@ -120,7 +120,7 @@ _MODULES = {
 
 
 def _parameters(node: str) -> dict[str, object]:
-    """Parameters of a node as they are shipped; the winch's those for a descent."""
+    """Shipped parameters of a node; the winch's are those for a descent."""
     found: dict[str, object] = {}
     for name in (node, "winch_descent") if node == "winch_node" else (node,):
         path = _CONFIG / f"{name}.yaml"
@@ -135,21 +135,21 @@ class _Direct:
     """`sim_node`, stepped when the winch has answered."""
 
     def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
-        given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        harness.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **given})
+        parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
+        harness.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **parameters})
         self._lockstep: Lockstep | None = None
         self.nodes: tuple[str, ...] = ("sim_node",)
 
     def begin(self, observer: Observer) -> None:
         del observer
 
-    def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
+    def wait(self, observer: Observer, is_end: Callable[[Any], bool], since: int) -> None:
         events = observer.listen(topics.EVENTS)
         if self._lockstep is None:
             self._lockstep = Lockstep(
-                observer, topics.WINCH_COMMAND, _WAITED_FOR[1:], _WITHIN * SYNC_PERIOD
+                observer, topics.WINCH_COMMAND, _AWAITED[1:], _WITHIN * SYNC_PERIOD
             )
-        self._lockstep.run_until(lambda: any(map(ends, events.samples[since:])), _LONGEST)
+        self._lockstep.run_until(lambda: any(map(is_end, events.samples[since:])), _LONGEST)
         rested = observer.time_ns() + _REST_NS
         self._lockstep.run_until(lambda: observer.time_ns() >= rested, _LONGEST)
 
@@ -159,12 +159,12 @@ class _Linked:
 
     def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
         lockstep = {"link": harness.link, "lockstep": True, "lockstep_timeout": 30.0}
-        given = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
+        parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
         harness.processes.start(
             "rover_hil.emulator.emulator_node",
-            {"scenario": scenario["name"], **given, **lockstep},
+            {"scenario": scenario["name"], **parameters, **lockstep},
         )
-        waits = {"lockstep_commands": ",".join(_WAITED_FOR), "lockstep_within": _WITHIN}
+        waits = {"lockstep_commands": ",".join(_AWAITED), "lockstep_within": _WITHIN}
         harness.processes.start(
             "rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep}
         )
@@ -175,8 +175,8 @@ class _Linked:
         if not answer.success:
             raise RuntimeError(f"the drives cannot be armed: {answer.message}")
 
-    def wait(self, observer: Observer, ends: Callable[[Any], bool], since: int) -> None:
-        observer.listen(topics.EVENTS).wait(ends, since, _TIMEOUT)
+    def wait(self, observer: Observer, is_end: Callable[[Any], bool], since: int) -> None:
+        observer.listen(topics.EVENTS).wait(is_end, since, _TIMEOUT)
         observer.wait_for_time(observer.time_ns() + _REST_NS)
 
 
@@ -199,7 +199,7 @@ def _machine(
 
 
 def _arm(observer: Observer) -> None:
-    """Arm the winch, as soon as a busy machine lets it hear its sensors in time."""
+    """Arm the winch; retry while its sensors time out on a busy computer."""
     states = observer.listen(topics.WINCH_STATE)
     for attempt in range(_ATTEMPTS):
         try:
@@ -212,12 +212,12 @@ def _arm(observer: Observer) -> None:
             return
 
 
-def _happened(*names: str) -> Callable[[StatusSample], bool]:
+def _has_event(*names: str) -> Callable[[StatusSample], bool]:
     return lambda sample: any(s.name in names for s in sample.statuses)
 
 
 def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
-    """A swinging rover is lowered to one stop and takes its pictures there; returns the bag."""
+    """Lower a swinging rover to one stop, where it takes pictures; returns the bag."""
     generator = random.Random(seed)
     scenario = {
         "name": "free_hang",
@@ -233,32 +233,32 @@ def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
     with _machine(kind, folder, scenario, seed, ("winch_node", "descent_node")) as (run, machine):
         since = len(run.observer.listen(topics.EVENTS))
         run.observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _happened("stop_ended"), since)
+        machine.wait(run.observer, _has_event("stop_ended"), since)
         return run.end()
 
 
 def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
-    """A standing rover jumps on a slack tether; returns the bag."""
+    """Let a standing rover jump on a slack tether; returns the bag."""
     overrides = {**Stand(spring=random.Random(seed).uniform(0.97, 1.03)).overrides(),
                  "sensors.error_model": "full"}  # fmt: skip
     scenario = {"name": "floor_rubble", "overrides": overrides}
     with _machine(kind, folder, scenario, seed, ("winch_node", "jump_node")) as (run, machine):
         since = len(run.observer.listen(topics.EVENTS))
         run.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _happened("jump_standby", "jump_fault"), since)
+        machine.wait(run.observer, _has_event("jump_standby", "jump_fault"), since)
         return run.end()
 
 
-# --- what a bag tells ----------------------------------------------------------------------------
+# --- metrics of a bag ----------------------------------------------------------------------------
 
 
-def descent_figures(bag: Bag) -> Figures:
-    """Figures of a descent to one stop."""
+def descent_metrics(bag: Bag) -> Metrics:
+    """Metrics of a descent to one stop."""
     metrics = measure(bag)
-    told = {entry.name: entry for entry in entries_of(bag.series(topics.EVENTS))}
+    events = {entry.name: entry for entry in entries_of(bag.series(topics.EVENTS))}
     pictures = bag.series(topics.DESCENT_OBSERVATION)
     if pictures is None:
-        raise RuntimeError(f"no pictures: {told['stop_ended'].message}")
+        raise RuntimeError(f"no pictures: {events['stop_ended'].message}")
     swing = hanging_swing(bag, metrics.timeline)
     assert swing is not None
     time, angle = swing
@@ -266,34 +266,35 @@ def descent_figures(bag: Bag) -> Figures:
         "pictures": len(pictures),
         "depth of the pictures [m]": float(np.mean(pictures.columns[f"{DEPTH}.position"])),
         "steady pictures": int(np.sum(pictures.columns[f"{CAMERA_RATE}.velocity"] <= _STEADY)),
-        "time to the end of the stop [s]": told["stop_ended"].time_s - told["stop_accepted"].time_s,
+        "time to the end of the stop [s]": events["stop_ended"].time_s
+        - events["stop_accepted"].time_s,
         "swing at the end [rad]": float(np.nanmax(angle[time > time[-1] - _LAST])),
     }
 
 
-def jump_figures(bag: Bag) -> Figures:
-    """Figures of a jump."""
-    (flown,) = measure(bag).jumps
+def jump_metrics(bag: Bag) -> Metrics:
+    """Metrics of a jump."""
+    (flight,) = measure(bag).jumps
     own = bag.series(topics.JUMP_FLOWN)
     if own is None:
-        raise RuntimeError("the jump's controller tells of no jump")
+        raise RuntimeError("the jump controller reported no jump")
     return {
-        "jump height [m]": flown.jump_height_m,
+        "jump height [m]": flight.jump_height_m,
         "jump height by the IMU [m]": float(own.columns[f"{JUMP_HEIGHT}.position"][-1]),
-        "flight time [s]": flown.flight_time_s,
+        "flight time [s]": flight.flight_time_s,
         "stroke [m]": float(own.columns[f"{JUMP_STROKE}.position"][-1]),
     }
 
 
 def through_the_emulator(batch: Batch) -> Measured:
-    """Figures of a descent and a jump through the link that are out of bounds of the direct run."""
+    """Metrics of a descent and a jump over the link out of tolerance of the direct run."""
     found: dict[type[_Direct | _Linked], dict[str, float]] = {_Direct: {}, _Linked: {}}
     lost = 0
-    for kind, figures in found.items():
-        for fly, read in ((descend, descent_figures), (jump, jump_figures)):
+    for kind, metrics_of_kind in found.items():
+        for fly, read in ((descend, descent_metrics), (jump, jump_metrics)):
             folder = batch.folder / f"{fly.__name__}{kind.__name__}"
             bag = fly(kind, folder, batch.seed)
-            figures.update(read(bag))
+            metrics_of_kind.update(read(bag))
             lost += sum(bag.dropped.values()) + sum(bag.lost_in_transport.values())
     direct, linked = found[_Direct], found[_Linked]
     outside = [

@@ -1,4 +1,4 @@
-"""The table of faults as it is tested with processes: run from a checkout, with what it covers."""
+"""The tests of the table of faults with processes, and their coverage; needs a checkout."""
 
 from __future__ import annotations
 
@@ -17,17 +17,19 @@ _LONGEST = 1800.0  # [s]
 
 
 def fault_table(batch: Batch) -> Measured:
-    """Tests with processes that fail, and kinds of faults that none of them brings about."""
+    """Number of failed tests with processes, and of impairment kinds without a test."""
     if not _TESTS.exists():
         raise NotPossible(f"the tests are not installed, only in a checkout: {_TESTS}")
     report = batch.folder / "faults.xml"
     command = [sys.executable, "-m", "pytest", "-q", str(_TESTS), f"--junitxml={report}"]
     folder = _TESTS.parents[2]
-    done = subprocess.run(
+    completed = subprocess.run(
         command, cwd=folder, env=os.environ, capture_output=True, timeout=_LONGEST, check=False
     )
     if not report.exists():
-        raise NotPossible(f"pytest says: {done.stdout.decode(errors='replace')[-500:]}")
+        raise NotPossible(
+            f"pytest wrote no report: {completed.stdout.decode(errors='replace')[-500:]}"
+        )
     cases = list(ET.parse(report).iter("testcase"))
     failed = [
         str(case.get("name"))

@@ -1,4 +1,4 @@
-"""What keeps the drives safe behind the link: silence, late commands, restarts, commanders, loss.
+"""Safety of the drives on the link: timeouts, late commands, restarts, command sources, loss.
 
 Bridge and emulated machine run in one process, cycle by cycle; a cycle is 5 ms.
 """
@@ -32,22 +32,22 @@ _SCENARIO = "free_hang"
 _CARRIED = 16.2  # by the winch's motor [N]
 _LARGEST_RATE = 0.3  # of the winch [m/s]
 _MOST_RUNS = 10
-_STOPPED = 0.5  # after the last command: what moves after it is unsafe [s]
+_STOPPED = 0.5  # after the last command: later motion is unsafe [s]
 _STOPPING = 0.15  # payout while the brake stops the winch [m]
-_OLDEST = 0.5  # command that a drive may execute [s]
-_GIVE_UP_NS = 3_000_000_000
-_COUNT = 1e-6  # of the winch's rate [m/s]
+_MAX_AGE = 0.5  # of a command that a drive may execute [s]
+_TIMEOUT_NS = 3_000_000_000
+_COUNT = 1e-6  # count of the winch's rate [m/s]
 
 
 def simulation(seed: int = 1) -> Simulation[Any]:
-    """A rover that hangs from a winch."""
+    """Simulation of a rover that hangs from a winch."""
     scenario = load_spatial(_SCENARIO)
     return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
 
 
 @contextmanager
 def open_bench(seed: int = 1) -> Iterator[HilBench]:
-    """A bench on that rover, closed again."""
+    """A bench with that simulation."""
     bench = HilBench(simulation(seed), rover_offset=3.0)
     try:
         yield bench
@@ -56,7 +56,7 @@ def open_bench(seed: int = 1) -> Iterator[HilBench]:
 
 
 def winch(rate: float) -> Commands:
-    """The winch pays out, or holds with its motor."""
+    """Command to pay out, or to hold with the motor at rate 0."""
     joints = {
         WINCH_DRUM: JointValue(20.0, rate, _CARRIED),
         WINCH_BRAKE: JointValue(1.0),
@@ -74,16 +74,16 @@ def payout_rate(bench: HilBench) -> float:
     return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
-def works(bench: HilBench) -> list[str]:
-    """Drives that do something."""
+def active_drives(bench: HilBench) -> list[str]:
+    """Drives with a setpoint."""
     return [name for name, drive in bench.machine.drives.items() if drive.setpoint is not None]
 
 
-# ----------------------------------------------------------------------------------------- silence
+# ---------------------------------------------------------------------------------------- timeouts
 
 
-def _end_of(hop: str, bench: HilBench, commands: Commands) -> Commands:
-    """Let one hop fall silent; returns what is commanded from then on."""
+def _cut_hop(hop: str, bench: HilBench, commands: Commands) -> Commands:
+    """Cut one hop; returns the commands from then on."""
     if hop == "controller to bridge":
         return {}
     if hop == "bridge to drive":
@@ -95,12 +95,12 @@ def _end_of(hop: str, bench: HilBench, commands: Commands) -> Commands:
     return commands
 
 
-_HOPS = ("controller to bridge", "bridge to drive", "drive to bridge", "both ways")
+_HOPS = ("controller to bridge", "bridge to drive", "drive to bridge", "both directions")
 
 
-def silence(batch: Batch) -> Measured:
-    """Longest time [s] from a hop's silence until the drive has its motor off and brakes."""
-    worst, standing, where = 0.0, 0.0, ""
+def command_timeout(batch: Batch) -> Measured:
+    """Longest time [s] from the cut of a hop until the drive's motor is off."""
+    worst, standstill, where = 0.0, 0.0, ""
     runs = min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(runs):
         cases: dict[str, Commands] = {
@@ -114,32 +114,32 @@ def silence(batch: Batch) -> Measured:
         before = round(float(generator.uniform(0.3, 0.6)) / SYNC_PERIOD) * SYNC_PERIOD
         for hop in _HOPS:
             for name, commands in cases.items():
-                off, stood = _silenced(hop, commands, before)
-                standing = max(standing, stood)
+                off, stood = _times_to_stop(hop, commands, before)
+                standstill = max(standstill, stood)
                 if off > worst:
                     worst, where = off, f"{name}, {hop}"
-    details: dict[str, float | str] = {"winch stands, brake closed [s]": standing, "worst": where}
+    details: dict[str, float | str] = {"winch stands, brake closed [s]": standstill, "worst": where}
     return Measured(worst, f"{runs} times {len(_HOPS)} hops, six commands each", details)
 
 
-def _silenced(hop: str, commands: Commands, before: float) -> tuple[float, float]:
-    """Time until the drives are off, and until the winch stands [s]."""
+def _times_to_stop(hop: str, commands: Commands, before: float) -> tuple[float, float]:
+    """Time until the drives are off, and until the winch stands still [s]."""
     with open_bench() as bench:
         bench.arm()
         bench.cycles(before, commands)
-        if not works(bench):
-            raise RuntimeError(f"nothing works that could fall silent: {', '.join(commands)}")
-        # The last command was given, and executed, at the last cycle's begin.
+        if not active_drives(bench):
+            raise RuntimeError(f"no drive is active: {', '.join(commands)}")
+        # The last command was executed at the start of the last cycle.
         begun_ns = bench.simulation.stamp_ns - PERIOD_NS
-        commands = _end_of(hop, bench, commands)
+        commands = _cut_hop(hop, bench, commands)
         off_ns: int | None = None
         while off_ns is None or payout_rate(bench) != 0.0:
             bench.cycles(SYNC_PERIOD, commands, [])
             now_ns = bench.simulation.stamp_ns - begun_ns
             if off_ns is None and not bench.driven:
-                off_ns = now_ns - PERIOD_NS  # when the cycle began that drove nothing any more
-            if now_ns > _GIVE_UP_NS:
-                return _GIVE_UP_NS * 1e-9, _GIVE_UP_NS * 1e-9
+                off_ns = now_ns - PERIOD_NS  # start of the first cycle without a setpoint
+            if now_ns > _TIMEOUT_NS:
+                return _TIMEOUT_NS * 1e-9, _TIMEOUT_NS * 1e-9
         return off_ns * 1e-9, now_ns * 1e-9
 
 
@@ -147,9 +147,9 @@ def _silenced(hop: str, commands: Commands, before: float) -> tuple[float, float
 
 
 def stale(batch: Batch) -> Measured:
-    """Commands that a drive executed late, twice, or after a newer one; and such messages let in.
+    """Commands that a drive executed late, twice, or after a newer one; and such messages admitted.
 
-    Each command of a run has a rate of its own, by which it is known again where it is executed.
+    Each command of a run has a different rate, which identifies it when it is executed.
     """
     executed = wrong = 0
     for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
@@ -162,7 +162,7 @@ def stale(batch: Batch) -> Measured:
 def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
     seed = int(generator.integers(1, 2**31))
     delay, jitter = float(generator.uniform(0.005, 0.6)), float(generator.uniform(0.005, 0.6))
-    direction = "to_devices"  # so that the bridge goes on: what it sends is what comes late
+    direction = "to_devices"  # so that only the commands are late
     disorder = (
         f"[{{kind: reorder, direction: {direction}, magnitude: 0.3, seed: {seed}}}, "
         f"{{kind: duplication, direction: {direction}, magnitude: 0.3, seed: {seed}}}, "
@@ -176,38 +176,38 @@ def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
         bench.arm()
         bench.impair(disorder)
         drive = bench.machine.drives["winch"]
-        given: dict[int, float] = {}
+        sent: dict[int, float] = {}
         found: list[tuple[int, float]] = []
-        take = drive._execute
+        execute = drive._execute
 
-        def watched(counts: dict[str, int]) -> None:
+        def record_execution(counts: dict[str, int]) -> None:
             before = drive.setpoint
-            take(counts)
+            execute(counts)
             if drive.setpoint is not None and drive.setpoint is not before:
                 found.append((counts["target_velocity"], bench.time))
 
-        drive._execute = watched  # type: ignore[method-assign]
+        drive._execute = record_execution  # type: ignore[method-assign]
         for k in range(round(4.0 / SYNC_PERIOD)):
             number = 1000 + k
-            given[number] = bench.time
+            sent[number] = bench.time
             bench.cycles(SYNC_PERIOD, winch(number * _COUNT), [])
             if not bench.bridge.channels["winch"].armed and not bench.bridge.missing_devices(
                 bench.simulation.stamp_ns
             ):
                 bench.bridge.arm(bench.simulation.stamp_ns)
-    late = sum(time - given[number] > _OLDEST + 2e-3 for number, time in found)
+    late = sum(time - sent[number] > _MAX_AGE + 2e-3 for number, time in found)
     numbers = [number for number, _ in found]
     again = sum(after <= before for before, after in itertools.pairwise(numbers))
     return len(found), late + again
 
 
 def _admitted_through_disorder(generator: Generator) -> int:
-    """Messages that a node lets in though they are too old, or older than what it let in."""
+    """Admitted messages that are too old, or older than an earlier admitted one."""
     row = TOPICS[topics.WINCH_COMMAND]
     sent = [k * 20_000_000 + 1_000_000_000 for k in range(500)]
-    ways = generator.uniform(0.0, 1.0, len(sent)) ** 3
+    delays = generator.uniform(0.0, 1.0, len(sent)) ** 3
     arrivals = sorted(
-        (stamp + round(delay * 1e9), stamp) for stamp, delay in zip(sent, ways, strict=True)
+        (stamp + round(delay * 1e9), stamp) for stamp, delay in zip(sent, delays, strict=True)
     )
     admission, wrong, last = Admission(), 0, 0
     for now_ns, stamp in arrivals:
@@ -253,7 +253,7 @@ def _leaves_the_bus(bench: HilBench) -> None:
     bench.cycles(0.4, None, [])
 
 
-def _is_reset(bench: HilBench) -> None:
+def _plant_is_reset(bench: HilBench) -> None:
     bench.simulation.reset_plant()
     bench.machine.restart()
 
@@ -264,12 +264,12 @@ _RESTARTS: Mapping[str, Callable[[HilBench], None]] = {
     "winch drive": _drive_restarts,
     "all devices": _all_restart,
     "bus off": _leaves_the_bus,
-    "plant": _is_reset,
+    "plant": _plant_is_reset,
 }
 
 
 def rearm(batch: Batch) -> Measured:
-    """Cycles after a restart in which a drive works, or the drum turns, before it is armed."""
+    """Cycles after a restart with an active drive or a turning drum before arming."""
     motions, where = 0, ""
     runs = min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(runs):
@@ -286,28 +286,28 @@ def rearm(batch: Batch) -> Measured:
                 if not bench.bridge.missing_devices(bench.simulation.stamp_ns):
                     bench.arm()
                     bench.cycles(0.1, commands)
-                    motions += "winch" not in works(bench)  # armed, it has to work again
+                    motions += "winch" not in active_drives(bench)  # armed, it must be active again
     details: dict[str, float | str] = {"where": where}
     return Measured(float(motions), f"{runs} times {len(_RESTARTS)} restarts", details)
 
 
 def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | None) -> int:
-    """Cycles with motion, from when the brake has stopped what moved at the restart."""
-    moved = 0
+    """Cycles with motion, after the time that the brake needs to stop."""
+    moving_cycles = 0
     for k in range(round(1.5 / SYNC_PERIOD)):
         bench.cycles(SYNC_PERIOD, commands, [])
         if k * SYNC_PERIOD < _STOPPED:
             continue
-        at_work = [name for name in works(bench) if names is None or name in names]
-        moved += bool(at_work) or payout_rate(bench) != 0.0
-    return moved
+        active = [name for name in active_drives(bench) if names is None or name in names]
+        moving_cycles += bool(active) or payout_rate(bench) != 0.0
+    return moving_cycles
 
 
-# -------------------------------------------------------------------------------------- commanders
+# --------------------------------------------------------------------------------- command sources
 
 
 def owner(batch: Batch) -> Measured:
-    """Commands of a second commander that were not refused as such, or of the owner that were."""
+    """Accepted commands of a second command source, and refused ones of the owner."""
     cases, wrong = 0, 0
     row = TOPICS[topics.WINCH_COMMAND]
     for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
@@ -315,62 +315,64 @@ def owner(batch: Batch) -> Measured:
             bench.arm()
             admission, setpoints = Admission(), bench.machine.drives["winch"]
             names = ("/winch_node#1", "/winch_node#2")
-            mine, last_ns = 0, -(10**12)
+            owner_index, last_ns = 0, -(10**12)
             for _ in range(400):
                 bench.cycles(SYNC_PERIOD)
                 now_ns = bench.simulation.stamp_ns
-                # One at a time is at work, the other one tries; now and then the owner rests.
-                who = int(generator.random() < 0.5)
-                if who == mine and generator.random() < 0.02:
+                # One source owns the topic, the other one tries; sometimes the owner pauses.
+                sender = int(generator.random() < 0.5)
+                if sender == owner_index and generator.random() < 0.02:
                     bench.cycles(float(generator.uniform(0.1, 0.8)))
                     now_ns = bench.simulation.stamp_ns
-                rate = (1000 + who) * _COUNT
+                rate = (1000 + sender) * _COUNT
                 message = encode(row.name, JointSample(now_ns, winch(rate)[row.name].joints))
-                message.header.frame_id = names[who]
+                message.header.frame_id = names[sender]
                 free = now_ns - last_ns >= row.stale.timeout * 1e9
                 cases += 1
                 try:
                     sample = admission.admit(row, message, now_ns)
                     bench.bridge.on_command(row.name, sample, now_ns)
                 except Refusal as refusal:
-                    told = refusal.code is RefusalCode.OWNED and names[mine] in refusal.reason
-                    wrong += who == mine or free or not told
+                    names_owner = (
+                        refusal.code is RefusalCode.OWNED and names[owner_index] in refusal.reason
+                    )
+                    wrong += sender == owner_index or free or not names_owner
                     continue
                 admission.accepted(row, message, now_ns)
-                wrong += who != mine and not free
-                mine, last_ns = who, now_ns
+                wrong += sender != owner_index and not free
+                owner_index, last_ns = sender, now_ns
                 bench.settle()
                 setpoint = setpoints.setpoint
                 if setpoint is not None:
-                    wrong += round(setpoint.values["target_velocity"] / _COUNT) != 1000 + who
-    return Measured(float(wrong), f"{cases} commands of two commanders to one drive")
+                    wrong += round(setpoint.values["target_velocity"] / _COUNT) != 1000 + sender
+    return Measured(float(wrong), f"{cases} commands of two command sources to one drive")
 
 
 # -------------------------------------------------------------------------------- loss and delay
 
 
 def lossy(batch: Batch) -> Measured:
-    """Runs with 30 % loss and up to 500 ms delay in which something moved that should not."""
+    """Unsafe runs with 30 % loss and up to 500 ms delay."""
     unsafe, farthest = 0, 0.0
     runs = min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(runs):
         for delay in (0.5, float(generator.uniform(0.0, 0.5))):
-            bad, distance = _flown_with_loss(generator, delay)
+            bad, distance = _run_with_loss(generator, delay)
             unsafe += bad
             farthest = max(farthest, distance)
-    details: dict[str, float | str] = {"farthest after it began [m]": farthest}
+    details: dict[str, float | str] = {"largest payout after the start [m]": farthest}
     return Measured(float(unsafe), f"{2 * runs} runs, half of them with 500 ms", details)
 
 
-def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
-    """Whether it was unsafe, and how far the winch paid out after it had begun [m]."""
+def _run_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
+    """Whether the run was unsafe, and the payout after the start of the impairment [m]."""
     rate = float(generator.uniform(0.05, _LARGEST_RATE))
     seed = int(generator.integers(1, 2**31))
     commands = {**winch(rate), **_of(topics.WHEEL_COMMAND)}
     with open_bench() as bench:
         bench.arm()
         bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
-        begun = bench.simulation.interface.drive_feedback(bench.simulation.state).length
+        start_length = bench.simulation.interface.drive_feedback(bench.simulation.state).length
         bench.impair(
             f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, "
             f"{{kind: delay, magnitude: {max(delay, SYNC_PERIOD)!r}}}]"
@@ -378,10 +380,10 @@ def _flown_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
         unsafe = False
         for k in range(round(4.0 / SYNC_PERIOD)):
             if k * SYNC_PERIOD == 2.0:
-                bench.impair("")  # and when the link is well again, nothing moves by itself
+                bench.impair("")  # nothing moves by itself after the impairment
             bench.cycles(SYNC_PERIOD, commands, [])
             if k * SYNC_PERIOD > _STOPPED:
-                unsafe |= payout_rate(bench) != 0.0 or bool(works(bench))
-        end = bench.simulation.interface.drive_feedback(bench.simulation.state).length
-    distance = end - begun
+                unsafe |= payout_rate(bench) != 0.0 or bool(active_drives(bench))
+        end_length = bench.simulation.interface.drive_feedback(bench.simulation.state).length
+    distance = end_length - start_length
     return unsafe or distance > rate * _STOPPED + _STOPPING, distance

@@ -1,4 +1,4 @@
-"""How long the loop over the link takes: emulator, bridge and a controller as processes."""
+"""Timing of the loop over the link, with emulator, bridge and a controller as processes."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
-_CLOCK_OFFSET = 12.5  # of the rover's clock, set wrong on purpose [s]
-_LOOPS = 2000  # of which the percentiles are made
+_CLOCK_OFFSET = 12.5  # of the rover's clock [s]
+_LOOPS = 2000  # for the percentiles
 _WARM_UP = 500
 _ATTEMPTS = 100
 _STOPS = 12
-_STOPPED = (0.02, 0.3)  # a bridge, for so long [s]
-_RUNNING = (0.1, 0.5)  # and between [s]
-_PRIORITY = 20  # of the loop's processes, where it is permitted
-_READING = 3  # cycles by which a count and the time at which it is heard may be apart
+_STOPPED = (0.02, 0.3)  # duration of a stop of the bridge [s]
+_RUNNING = (0.1, 0.5)  # time between stops [s]
+_PRIORITY = 20  # of the loop's processes, if permitted
+_READING_CYCLES = 3  # uncertainty between a count and its time of reception
 
 
 def _start(harness: NodeHarness, **emulated: object) -> tuple[Process, Observer]:
-    """Start emulator and bridge in real time; the bridge, and an observer when both are ready."""
+    """Start emulator and bridge in real time; returns the bridge and an observer."""
     of_both = {"link": harness.link, "realtime_priority": _PRIORITY}
     harness.processes.start("rover_hil.emulator.emulator_node", {**of_both, **emulated})
     bridge = harness.processes.start("rover_hil.bridge_node", {**of_both, "use_sim_time": True})
@@ -42,11 +42,11 @@ def _start(harness: NodeHarness, **emulated: object) -> tuple[Process, Observer]
 
 
 class _Loop(NamedTuple):
-    """What is told after enough loops in real time."""
+    """Status after enough loops in real time."""
 
     link: Status
     devices: dict[str, Status]
-    has_priority: bool  # whether the kernel permits it
+    has_priority: bool  # whether the kernel permits real-time priority
 
 
 @cache
@@ -60,32 +60,32 @@ def _measured(folder: Path) -> _Loop:
             reports.wait(lambda _: True, len(reports))
         answering = {"use_sim_time": True, "realtime_priority": _PRIORITY}
         harness.processes.start("rover_verify.harness.answerer", answering)
-        told = observer.wait_for_status(
+        status = observer.wait_for_status(
             topics.LINK_STATUS,
             lambda s: int(s.values.get("round_trip_count", "0")) >= _LOOPS + _WARM_UP,
         )
         devices = {s.name.rpartition(" ")[2]: s for s in reports.last.statuses}
         has_priority = os.sched_getparam(bridge.pid).sched_priority == _PRIORITY
-        return _Loop(told, devices, has_priority)
+        return _Loop(status, devices, has_priority)
 
 
 def round_trip(batch: Batch) -> Measured:
-    """99th percentile of the time from a state's sampling to the execution of its command."""
-    told, _, has_priority = _measured(batch.folder)
+    """99th percentile of the time from a state's sampling to the execution of its command [s]."""
+    status, _, has_priority = _measured(batch.folder)
     names = (
         "round_trip_p50", "round_trip_max", "round_trip_count", "command_time_p99",
         "answer_time_p99", "cycles", "late_cycles", "incomplete_cycles", "overdue_round_trips",
         "frames_lost",
     )  # fmt: skip
-    details: dict[str, float | str] = {name: float(told.values[name]) for name in names}
+    details: dict[str, float | str] = {name: float(status.values[name]) for name in names}
     scheduled = f"at real-time priority {_PRIORITY}" if has_priority else "at no priority: refused"
     return Measured(
-        float(told.values["round_trip_p99"]), f"200 Hz on this machine, {scheduled}", details
+        float(status.values["round_trip_p99"]), f"200 Hz on this computer, {scheduled}", details
     )
 
 
 def clock_offset(batch: Batch) -> Measured:
-    """Error of the rover's clock against the mother's, over the uncertainty that is told."""
+    """Error of the estimated clock offset of the rover, divided by its reported uncertainty."""
     devices = _measured(batch.folder).devices
     rover, mother = devices["imu"].values, devices["winch"].values
     found = float(rover["clock_offset"]) - float(mother["clock_offset"])
@@ -96,35 +96,35 @@ def clock_offset(batch: Batch) -> Measured:
 
 
 def uncounted_deadlines(batch: Batch) -> Measured:
-    """SYNCs that were due of a bridge that is stopped now and then, neither sent nor counted."""
+    """SYNCs of a repeatedly stopped bridge that were neither sent nor counted as late."""
     generator = random.Random(batch.seed)
     with open_harness(batch.folder) as harness:
         bridge, observer = _start(harness)
         reports = observer.listen(topics.LINK_STATUS)
 
         def counts() -> tuple[float, int, int]:
-            """When a report came [s], and its cycles and late ones."""
+            """Time of a report [s], and its counts of cycles and late cycles."""
             found = reports.wait(lambda _: True, len(reports))
             at = time.monotonic()
-            (told,) = [s for s in found.statuses if s.name == "hil_bridge: link"]
-            return at, int(told.values["cycles"]), int(told.values["late_cycles"])
+            (status,) = [s for s in found.statuses if s.name == "hil_bridge: link"]
+            return at, int(status.values["cycles"]), int(status.values["late_cycles"])
 
         began, first, first_late = counts()
-        stopped, asleep = 0.0, threading.Event()
+        stopped, pause_event = 0.0, threading.Event()
         for _ in range(_STOPS):
             bridge.send(signal.SIGSTOP)
             pause = generator.uniform(*_STOPPED)
-            asleep.wait(pause)
+            pause_event.wait(pause)
             bridge.send(signal.SIGCONT)
             stopped += pause
-            asleep.wait(generator.uniform(*_RUNNING))
+            pause_event.wait(generator.uniform(*_RUNNING))
         ended, last, last_late = counts()
     due = (ended - began) / SYNC_PERIOD
     missed = due - (last - first)
     uncounted = missed - (last_late - first_late)
     return Measured(
-        max(0.0, round(uncounted) - _READING),
+        max(0.0, round(uncounted) - _READING_CYCLES),
         f"stopped {_STOPS} times for {stopped:.1f} s in all: of {due:.0f} cycles {missed:.0f} were "
-        f"not begun, {last_late - first_late} are counted as not begun, or late; up to {_READING} "
-        "may be the reading's",
+        f"not started, {last_late - first_late} were counted as late; reading uncertainty "
+        f"{_READING_CYCLES} cycles",
     )

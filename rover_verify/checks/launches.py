@@ -1,7 +1,7 @@
-"""What the launch files start, started: every process comes up, and ends well.
+"""Launch files: every process starts, becomes ready, and exits with code 0.
 
-ROS 2's own ``launch`` is no part of PyPI. Here its plan is carried out by the same arguments: the
-executables, their parameter files and parameters, the namespace and its clock.
+ROS 2's ``launch`` is not on PyPI. These checks start the plan of each launch file with the same
+arguments: executables, parameter files and parameters, namespace and clock.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 _ROOT = Path(__file__).parents[2]
-_OWN_CLOCK = {"/clock": "clock"}
-_PAID_OUT = 0.2  # by one of two rovers side by side [m]
-_STAYS = 0.01  # within which the other one's length stays [m]
-# Each file as it is, and the mission with each of the other plants.
-_STARTED: tuple[tuple[str, Mapping[str, str]], ...] = (
+_CLOCK_REMAP = {"/clock": "clock"}
+_PAYOUT = 0.2  # of one of two rovers in parallel [m]
+_TOLERANCE = 0.01  # of the other rover's length [m]
+# Each file with its defaults, and the mission with each other plant.
+_LAUNCHES: tuple[tuple[str, Mapping[str, str]], ...] = (
     ("sim", {}),
     ("jump", {}),
     ("descent", {}),
@@ -40,27 +40,27 @@ _STARTED: tuple[tuple[str, Mapping[str, str]], ...] = (
 
 
 def launches(batch: Batch) -> Measured:
-    """How many launches fail: a process does not come up or ends badly, two rovers mix."""
-    troubles: dict[str, str] = {}
-    for number, (file, values) in enumerate(_STARTED):
+    """Number of failed launches: a process fails to start or exit, or two rovers interact."""
+    failures: dict[str, str] = {}
+    for number, (file, values) in enumerate(_LAUNCHES):
         name = " ".join([f"{file}.launch.py", *(f"{k}:={v}" for k, v in values.items())])
         folder = batch.folder / str(number)
         folder.mkdir()
         try:
             _launch(folder, file, values)
-        except AssertionError as trouble:
-            troubles[name] = str(trouble)[:500]
-        batch.progress(number + 1, len(_STARTED) + 1)
+        except AssertionError as failure:
+            failures[name] = str(failure)[:500]
+        batch.progress(number + 1, len(_LAUNCHES) + 1)
     try:
         _side_by_side(batch.folder)
-    except AssertionError as trouble:
-        troubles["two rovers side by side"] = str(trouble)[:500]
-    batch.progress(len(_STARTED) + 1, len(_STARTED) + 1)
-    return Measured(len(troubles), f"{len(_STARTED)} launches, and two rovers at once", troubles)
+    except AssertionError as failure:
+        failures["two rovers in parallel"] = str(failure)[:500]
+    batch.progress(len(_LAUNCHES) + 1, len(_LAUNCHES) + 1)
+    return Measured(len(failures), f"{len(_LAUNCHES)} launches, two rovers in parallel", failures)
 
 
 def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Controllers and other defaults of a launch file, which is run without ROS 2's `launch`."""
+    """Controllers and defaults of a launch file, evaluated without ROS 2's `launch`."""
     launch, description = ModuleType("launch"), ModuleType("rover_launch.description")
     vars(launch)["LaunchDescription"] = object
     vars(description)["describe"] = lambda *controllers, **defaults: (controllers, defaults)
@@ -72,13 +72,13 @@ def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
 def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan:
     path = _ROOT / "launch" / f"{file}.launch.py"
     if not path.is_file():
-        raise NotPossible(f"launch/{path.name} comes with the source tree only")
+        raise NotPossible(f"launch/{path.name} is only in a checkout")
     controllers, defaults = described(path)
     arguments = arguments_of(controllers, str(_ROOT / "config"), defaults)
-    given = {each.name: each.default for each in arguments} | dict(values)
-    if given["plant"] == launching.HIL:
-        given["link"] = harness.link
-    return plan(controllers, given)
+    arguments_by_name = {each.name: each.default for each in arguments} | dict(values)
+    if arguments_by_name["plant"] == launching.HIL:
+        arguments_by_name["link"] = harness.link
+    return plan(controllers, arguments_by_name)
 
 
 def _start(harness: NodeHarness, planned: Plan) -> list[Process]:
@@ -99,7 +99,7 @@ def _started(harness: NodeHarness, module: str, started: ProcessSpec, namespace:
         *started.arguments,
         *files,
         namespace=namespace,
-        remap=_OWN_CLOCK if namespace else None,
+        remap=_CLOCK_REMAP if namespace else None,
     )
 
 
@@ -114,16 +114,16 @@ def _launch(folder: Path, file: str, values: Mapping[str, str]) -> None:
 
 
 def _end(processes: Sequence[Process]) -> None:
-    """As Ctrl-C does: all at once."""
+    """Interrupt all processes at once, as Ctrl-C does."""
     for process in processes:
         process.send(signal.SIGINT)
     for process in processes:
         code = process.wait()
-        assert code == 0, f"{process.module} ended with {code}:\n{process.output}"
+        assert code == 0, f"{process.module} exited with {code}:\n{process.output}"
 
 
 def _side_by_side(folder: Path) -> None:
-    """Of two rovers one moves."""
+    """Command one of two rovers; the other one must not move."""
     names = ("rover1", "rover2")
     with open_harness(folder) as harness:
         processes: list[Process] = []
@@ -131,7 +131,7 @@ def _side_by_side(folder: Path) -> None:
         for name in names:
             planned = _planned(harness, "descent", {"plant": launching.MOCK, "namespace": name})
             processes += _start(harness, planned)
-            observers.append(harness.observer(name, _OWN_CLOCK))
+            observers.append(harness.observer(name, _CLOCK_REMAP))
         for observer in observers:
             for executable in ("winch_node", "descent_node"):
                 observer.wait_until_ready(executable)
@@ -140,11 +140,15 @@ def _side_by_side(folder: Path) -> None:
         moving, _ = observers
         moving.call(topics.WINCH_REARM)
         moving.wait_for_text(topics.WINCH_MODE, "hold")
-        moving.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, before[0] + _PAID_OUT, 0.1, 0.0)
+        moving.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, before[0] + _PAYOUT, 0.1, 0.0)
         drums[0].wait(
-            lambda sample: abs(sample.joints[WINCH_DRUM].position - before[0] - _PAID_OUT) < _STAYS
+            lambda sample: (
+                abs(sample.joints[WINCH_DRUM].position - before[0] - _PAYOUT) < _TOLERANCE
+            )
         )
         seen = len(drums[1])
-        stayed = drums[1].wait(since=seen).joints[WINCH_DRUM].position
-        assert abs(stayed - before[1]) < _STAYS, f"rover2 went from {before[1]} to {stayed} m"
+        length = drums[1].wait(since=seen).joints[WINCH_DRUM].position
+        assert abs(length - before[1]) < _TOLERANCE, (
+            f"the length of rover2 changed from {before[1]} to {length} m"
+        )
         _end(processes)

@@ -1,4 +1,4 @@
-"""Nodes as separate processes over DDS: bad commands, services, pace, and how they end."""
+"""Nodes as separate processes over DDS: invalid commands, services, real time, and exit."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}
 def simulation(
     batch: Batch, **parameters: object
 ) -> Iterator[tuple[NodeHarness, Process, Observer]]:
-    """A running sim_node with an observer that has heard its clock."""
-    # Compiled here once, so that the node finds it in the cache.
+    """A running sim_node, and an observer that receives its clock."""
+    # Compiled here first, so that the node finds it in the cache.
     PlanarPlant(load_scenario(SCENARIO)).warm_up()
     with open_harness(batch.folder) as harness:
         process = harness.processes.start(SIM, {"scenario": SCENARIO, **parameters})
@@ -56,25 +56,25 @@ def drive_nut(
 
 
 def wait_until_time(observer: Observer, stamp_ns: int) -> None:
-    """Wait until simulated time has come so far."""
+    """Wait for a simulated time."""
     clock = observer.listen(topics.CLOCK)
     clock.wait(lambda sample: sample.stamp_ns >= stamp_ns, max(0, len(clock) - 1))
 
 
 def wait_until_active(observer: Observer, node: str, since: int = 0) -> None:
-    """Wait until a node says that it is active."""
+    """Wait until a node reports that it is active."""
     observer.wait_for_status(
         topics.EVENTS, lambda s: s.name == "active" and s.hardware_id == node, since
     )
 
 
 def has_event(observer: Observer, name: str) -> Callable[[], bool]:
-    """Whether an event has come."""
+    """Returns a function that reports whether an event has occurred."""
     feed = observer.listen(topics.EVENTS)
     return lambda: any(s.name == name for sample in feed.samples for s in sample.statuses)
 
 
-def _spoilt(change: Callable[[Any], None]) -> Callable[[int], Any]:
+def _invalid(change: Callable[[Any], None]) -> Callable[[int], Any]:
     def make(stamp_ns: int) -> Any:
         sample = JointSample(stamp_ns, {JUMP_SCREW: JointValue(0.1, 0.1, 400.0)})
         message = encode(topics.JUMP_MOTOR_COMMAND, sample)
@@ -85,7 +85,7 @@ def _spoilt(change: Callable[[Any], None]) -> Callable[[int], Any]:
 
 
 def _set(part: str, value: float) -> Callable[[int], Any]:
-    return _spoilt(lambda message: getattr(message, part).__setitem__(0, value))
+    return _invalid(lambda message: getattr(message, part).__setitem__(0, value))
 
 
 def _aged(seconds: float) -> Callable[[int], Any]:
@@ -94,38 +94,38 @@ def _aged(seconds: float) -> Callable[[int], Any]:
         total = stamp.sec * _NANO + stamp.nanosec - round(seconds * 1e9)
         stamp.sec, stamp.nanosec = divmod(max(total, 1), _NANO)
 
-    return _spoilt(age)
+    return _invalid(age)
 
 
 def _unstamp(message: Any) -> None:
     message.header.stamp.sec = message.header.stamp.nanosec = 0
 
 
-_BAD = {
+_INVALID = {
     "not_finite": (_set("position", math.nan), _set("velocity", math.inf)),
     "out_of_limits": (_set("position", 5.0), _set("velocity", 0.0), _set("effort", -1.0)),
-    "wrong_name": (_spoilt(lambda message: setattr(message, "name", ["winch_drum"])),),
-    "wrong_length": (_spoilt(lambda message: message.position.append(0.0)),),
-    "unstamped": (_spoilt(_unstamp),),
+    "wrong_name": (_invalid(lambda message: setattr(message, "name", ["winch_drum"])),),
+    "wrong_length": (_invalid(lambda message: message.position.append(0.0)),),
+    "unstamped": (_invalid(_unstamp),),
     "stale": (_aged(0.8),),
     "from_the_future": (_aged(-5.0),),
 }
 
 
 def bad_commands(batch: Batch) -> Measured:
-    """How many bad commands over DDS are not refused with their reason, or have an effect."""
+    """Number of invalid commands over DDS that are not refused with a reason, or have an effect."""
     missed, total, details = 0, 0, {}
     with simulation(batch, real_time_factor=2.0) as (_, process, observer):
         nut = observer.listen(topics.JUMP_MOTOR_STATE)
         observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns > 3 * _NANO)
         publisher = observer.publisher(topics.JUMP_MOTOR_COMMAND)
-        for code, makers in _BAD.items():
+        for code, makers in _INVALID.items():
             for make in makers:
                 total += 1
-                heard = len(observer.listen(topics.DIAGNOSTICS))
+                since = len(observer.listen(topics.DIAGNOSTICS))
                 publisher.publish(make(observer.time_ns()))
                 try:
-                    status = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+                    status = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, since)
                     details[f"{total}: {code}"] = status.message
                 except AssertionError as error:
                     missed += 1
@@ -134,20 +134,21 @@ def bad_commands(batch: Batch) -> Measured:
         if moved > 0.0:
             missed += 1
             details["nut"] = f"moved {moved} m"
-        # And it lives on: a good command is obeyed.
+        # A valid command is executed afterwards.
         drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
         if process.stop() != 0:
             missed += 1
             details["exit"] = "not 0"
-    return Measured(missed, f"of {total} bad commands; then a good one was obeyed", details)
+    return Measured(missed, f"of {total} invalid commands; then a valid one executed", details)
 
 
 def jump_difference(batch: Batch) -> Measured:
-    """Difference in height of a jump commanded over DDS from the same jump in Python."""
+    """Difference in height [m] of a jump commanded over DDS from the same jump in Python."""
     overrides = {"start.geometry": "+K", "start.slack": 2.0}
-    with simulation(batch, overrides=json.dumps(overrides), real_time_factor=2.0) as (_, _, seen):
-        drive_nut(seen, 0.2, 0.4, has_event(seen, "take_off"))
-        values = seen.wait_for_event("touchdown").values
+    changed = json.dumps(overrides)
+    with simulation(batch, overrides=changed, real_time_factor=2.0) as (_, _, observer):
+        drive_nut(observer, 0.2, 0.4, has_event(observer, "take_off"))
+        values = observer.wait_for_event("touchdown").values
     own = jump(PlanarPlant(load_scenario(SCENARIO, overrides)))
     details = {
         "height [m]": float(values["height"]),
@@ -159,57 +160,57 @@ def jump_difference(batch: Batch) -> Measured:
 
 
 def pause_step_reset(batch: Batch) -> Measured:
-    """Of five promises of the services, how many are kept."""
-    promises = {}
+    """Number of five criteria of the services that are met."""
+    criteria = {}
     with simulation(batch, real_time_factor=2.0) as (_, _, observer):
         clock = observer.listen(topics.CLOCK)
         clock.wait(lambda sample: sample.stamp_ns > _NANO // 2)
         answer = observer.call(topics.SIM_PAUSE, True)
-        stood = round(float(answer.message.split()[-2]) * _NANO)
+        paused_ns = round(float(answer.message.split()[-2]) * _NANO)
         count = len(clock)
         stepped = observer.call(topics.SIM_STEP)
-        after = clock.wait(lambda sample: sample.stamp_ns > stood, count).stamp_ns
-        promises["pause answers"] = answer.success
-        promises["paused, only a step moves time, by one tick"] = (
-            stepped.success and after == stood + _NANO // 100
+        after = clock.wait(lambda sample: sample.stamp_ns > paused_ns, count).stamp_ns
+        criteria["pause responds"] = answer.success
+        criteria["paused, only a step advances time, by one tick"] = (
+            stepped.success and after == paused_ns + _NANO // 100
         )
         observer.call(topics.SIM_PAUSE, False)
         drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
         bodies, count = observer.listen(topics.TRUTH_BODY1), len(clock)
         stamp = observer.time_ns()
         phases = observer.listen(topics.TRUTH_PHASE)
-        told = len(phases)
+        since = len(phases)
         observer.call(topics.SIM_RESET_PLANT)
-        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=since)
         later = clock.wait(lambda sample: sample.stamp_ns > stamp, count).stamp_ns
-        promises["reset_plant puts the plant back, time runs on"] = later > stamp
-        count, told = len(clock), len(bodies)
-        promises["reset answers"] = observer.call(topics.SIM_RESET).success
+        criteria["reset_plant resets the plant, time continues"] = later > stamp
+        count, since = len(clock), len(bodies)
+        criteria["reset responds"] = observer.call(topics.SIM_RESET).success
         zero = clock.wait(lambda sample: sample.stamp_ns < _NANO // 10, count).stamp_ns
-        promises["reset starts time anew"] = zero < _NANO // 10
-    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
-    return Measured(sum(promises.values()), "", details)
+        criteria["reset restarts time"] = zero < _NANO // 10
+    details = {name: "met" if met else "not met" for name, met in criteria.items()}
+    return Measured(sum(criteria.values()), "", details)
 
 
 def divergence_stops(batch: Batch) -> Measured:
-    """Of three promises of a diverged simulation, how many are kept."""
+    """Number of three criteria of a diverged simulation that are met."""
     with simulation(batch, overrides=_DIVERGING) as (_, process, observer):
         bodies = observer.listen(topics.TRUTH_BODY1)
         observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
         event = observer.wait_for_event("diverged")
         count = len(bodies)
         samples = bodies.wait_for_count(count + 20)[count:]
-        promises = {
-            "the event says what is kept": "last good state" in event.message,
+        criteria = {
+            "the event names the kept state": "last good state" in event.message,
             "nothing moves": len({sample.position for sample in samples}) == 1,
-            "it lives on and ends well": process.stop() == 0,
+            "the node runs on and exits with code 0": process.stop() == 0,
         }
-    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
-    return Measured(sum(promises.values()), event.message, details)
+    details = {name: "met" if met else "not met" for name, met in criteria.items()}
+    return Measured(sum(criteria.values()), event.message, details)
 
 
 def real_time_factor(batch: Batch) -> Measured:
-    """Largest deviation of the measured real-time factor from the wanted one, relative."""
+    """Largest relative deviation of the measured real-time factor from the requested one."""
     details, worst = {}, 0.0
     with simulation(batch) as (_, _, observer):
         feed = observer.listen(topics.SIM_STATUS)
@@ -226,7 +227,7 @@ def real_time_factor(batch: Batch) -> Measured:
 
 
 def ends_cleanly(batch: Batch) -> Measured:
-    """How many of the nodes do not end with code 0, or leave a process, on SIGINT and SIGTERM."""
+    """Number of exits on SIGINT and SIGTERM with a code other than 0 or a remaining process."""
     modules = (SIM, JUMP, WINCH, RECORD)
     bad, total, details = 0, 0, {}
     PlanarPlant(load_scenario(SCENARIO)).warm_up()
@@ -247,14 +248,14 @@ def ends_cleanly(batch: Batch) -> Measured:
                 if twice:
                     process.send_to_group(number)
                 code = process.wait()
-                if code != 0 or not process.group_is_gone():
+                if code != 0 or not process.has_group_exited():
                     bad += 1
                     details[f"{module}, {name}"] = f"code {code}"
-    return Measured(bad, f"of {total} ends: four nodes, SIGINT, SIGINT twice, SIGTERM", details)
+    return Measured(bad, f"of {total} exits: four nodes, SIGINT, SIGINT twice, SIGTERM", details)
 
 
 def state_rates(batch: Batch) -> Measured:
-    """Largest deviation of a topic's period in simulated time from the contract, relative."""
+    """Largest relative deviation of a topic's period in simulated time from the contract."""
     with simulation(batch, real_time_factor=1.0) as (_, _, observer):
         rows = [
             row
@@ -271,8 +272,8 @@ def state_rates(batch: Batch) -> Measured:
     return Measured(max(details.values()), f"{len(details)} topics", details)
 
 
-def silence_stops_the_nut(batch: Batch) -> Measured:
-    """How long the nut moves on after the commands fell silent [s of simulated time]."""
+def command_timeout_stops_the_nut(batch: Batch) -> Measured:
+    """Time that the nut moves after the last command [s of simulated time]."""
     with simulation(batch, real_time_factor=1.0) as (_, _, observer):
         nut = observer.listen(topics.JUMP_MOTOR_STATE)
 
@@ -280,14 +281,16 @@ def silence_stops_the_nut(batch: Batch) -> Measured:
             return bool(nut.samples and nut.samples[-1].joints[JUMP_SCREW].position > 0.02)
 
         drive_nut(observer, 0.3, 0.05, moved)
-        silent = observer.time_ns()
-        observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns > silent + 2 * _NANO)
+        last_command_ns = observer.time_ns()
+        observer.listen(topics.CLOCK).wait(
+            lambda sample: sample.stamp_ns > last_command_ns + 2 * _NANO
+        )
         moving = [s.stamp_ns for s in nut.samples if s.joints[JUMP_SCREW].velocity != 0.0]
-    return Measured(max(0.0, (max(moving) - silent) * 1e-9), "contract: 0.5 s")
+    return Measured(max(0.0, (max(moving) - last_command_ns) * 1e-9), "contract: 0.5 s")
 
 
 def bad_requests(batch: Batch) -> Measured:
-    """How many of an operator's bad requests the jump controller does not refuse with reason."""
+    """Number of invalid requests that the jump controller does not refuse with a reason."""
     bad, total, details = 0, 0, {}
     with open_harness(batch.folder) as harness:
         process = harness.processes.start(JUMP)
@@ -299,10 +302,10 @@ def bad_requests(batch: Batch) -> Measured:
             sample = JointSample(0, {JUMP_STROKE: JointValue(0.1, 0.1, 0.0)})
             message = encode(topics.JUMP_REQUEST, sample)
             message.position[0] = position
-            heard = len(observer.listen(topics.DIAGNOSTICS))
+            since = len(observer.listen(topics.DIAGNOSTICS))
             observer.publisher(topics.JUMP_REQUEST).publish(message)
-            # The last one is good in itself, but no sensor tells the rover's state.
-            status = observer.wait_for_status(topics.DIAGNOSTICS, _refusal_with(code), heard)
+            # The last request is valid, but no sensor data is available.
+            status = observer.wait_for_status(topics.DIAGNOSTICS, _refusal_with(code), since)
             details[f"position {position:g}"] = status.message
             bad += not status.message
         bad += process.stop() != 0

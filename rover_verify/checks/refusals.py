@@ -1,4 +1,4 @@
-"""Bad input at the boundary, no ROS running: messages by the codecs, scenarios by the loader."""
+"""Invalid input without ROS: messages to the codecs, scenarios to the loader."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _PARTS = ("position", "velocity", "effort")
 
 
 def contract_document(_batch: Batch) -> Measured:
-    """How many lines of docs/contract.md differ from what the table says."""
+    """Number of lines of docs/contract.md that differ from the table."""
     path = Path(document.__file__).parents[1] / "docs" / "contract.md"
     if not path.exists():
         raise NotPossible("docs/contract.md comes with the source tree only")
-    written = path.read_text(encoding="utf-8").splitlines()
-    wanted = document.render().splitlines()
-    different = sum(a != b for a, b in zip(written, wanted, strict=False))
-    return Measured(different + abs(len(written) - len(wanted)), f"{len(wanted)} lines")
+    actual = path.read_text(encoding="utf-8").splitlines()
+    expected = document.render().splitlines()
+    different = sum(a != b for a, b in zip(actual, expected, strict=False))
+    return Measured(different + abs(len(actual) - len(expected)), f"{len(expected)} lines")
 
 
 def _commands() -> list[Topic]:
@@ -52,7 +52,7 @@ def _good(row: Topic, generator: np.random.Generator) -> JointSample:
 
 
 def good_commands(batch: Batch) -> Measured:
-    """How many random good commands do not come through their codec unchanged."""
+    """Number of random valid commands that their codec changes."""
     bad = total = 0
     for generator in batch.generators():
         for _ in range(_MESSAGES_A_RUN // 5):
@@ -64,29 +64,31 @@ def good_commands(batch: Batch) -> Measured:
 
 
 def bad_commands(batch: Batch) -> Measured:
-    """How many random bad commands are not refused with the right code and the reason."""
+    """Number of random invalid commands not refused with the right code and reason."""
     missed, total, details = 0, 0, {}
     for generator in batch.generators():
         for _ in range(_MESSAGES_A_RUN):
             rows = _commands()
             row = rows[int(generator.integers(len(rows)))]
             message = encode(row.name, _good(row, generator))
-            code, words = _spoil(row, message, generator)
+            code, words = _invalidate(row, message, generator)
             total += 1
             try:
                 decode(row.name, message, _NOW_NS)
-                got = "accepted"
+                outcome = "accepted"
             except Refusal as refusal:
                 if refusal.code is code and words in refusal.reason:
                     continue
-                got = f"{refusal.code}: {refusal.reason}"
+                outcome = f"{refusal.code}: {refusal.reason}"
             missed += 1
-            details[f"{row.name}, {code.value} ({words})"] = got
-    return Measured(missed, f"of {total} bad commands", details)
+            details[f"{row.name}, {code.value} ({words})"] = outcome
+    return Measured(missed, f"of {total} invalid commands", details)
 
 
-def _spoil(row: Topic, message: Any, generator: np.random.Generator) -> tuple[RefusalCode, str]:
-    """Make a good message bad; returns the code and a word that the refusal must hold."""
+def _invalidate(
+    row: Topic, message: Any, generator: np.random.Generator
+) -> tuple[RefusalCode, str]:
+    """Invalidate a message; returns the code and a word that the refusal must contain."""
     part = _PARTS[int(generator.integers(3))]
     joint = message.name[0]
     field = row.by_path[f"{joint}.{part}"]
@@ -126,7 +128,7 @@ def _spoil(row: Topic, message: Any, generator: np.random.Generator) -> tuple[Re
 _BAD_VALUES: tuple[object, ...] = (
     math.nan, math.inf, -math.inf, -1.0, "three", True, None, [], {}, 1e30,
 )  # fmt: skip
-# Where one of the bad values is a good one.
+# Fields for which one of the values is valid.
 _ALLOWED: dict[str, tuple[object, ...]] = {
     "tether.breaking_load": (math.inf, 1e30),
     "start.theta0": (-1.0,),
@@ -141,13 +143,13 @@ _PATHS = (
 
 
 def bad_scenarios(_batch: Batch) -> Measured:
-    """How many bad scenario values are not refused with their path and value."""
+    """Number of invalid scenario values not refused with their path and value."""
     missed, total, details = 0, 0, {}
     for path in _PATHS:
         for value in _BAD_VALUES:
             if any(value is good or value == good for good in _ALLOWED.get(path, ())):
                 continue
-            # Stiffness and density have no upper bound; null leaves out one way of a cross-section.
+            # Stiffness and density have no upper bound; null omits one definition.
             if value == 1e30 and path in {
                 "tether.youngs_modulus", "tether.density", "rover.spring_rate",
             }:  # fmt: skip
@@ -162,11 +164,11 @@ def bad_scenarios(_batch: Batch) -> Measured:
             else:
                 details[f"{path} = {value}"] = "accepted"
             missed += 1
-    return Measured(missed, f"of {total} bad values", details)
+    return Measured(missed, f"of {total} invalid values", details)
 
 
 def broken_scenario_files(batch: Batch) -> Measured:
-    """How many randomly damaged scenario files end in anything but a scenario or a refusal."""
+    """Number of randomly damaged scenario files that raise anything but a refusal."""
     bad, refused, details = 0, 0, {}
     texts = {
         name: (Path(load_scenario.__code__.co_filename).parent / "scenarios" / f"{name}.yaml")

@@ -1,4 +1,4 @@
-"""A harness: one ROS domain of its own, with the processes and observers that play in it."""
+"""Test harness: processes and observers in a separate ROS domain."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class NodeHarness:
     """Processes and observers in one domain; closing it stops them all.
 
     Attributes:
-        domain: of ROS.
-        link: to drives, as `hil_bridge` names it, for those of this harness.
+        domain: ROS domain identifier.
+        link: value of `hil_bridge`'s parameter `link`, unique to this harness.
     """
 
     def __init__(self, domain: int, folder: Path, closing: ExitStack) -> None:
@@ -37,6 +37,6 @@ class NodeHarness:
 
 @contextmanager
 def open_harness(folder: Path) -> Iterator[NodeHarness]:
-    """Open a harness in a domain of its own; its processes run in ``folder``."""
+    """Open a harness in a reserved domain; its processes run in ``folder``."""
     with reserved_domain() as domain, ExitStack() as closing:
         yield NodeHarness(domain, folder, closing)

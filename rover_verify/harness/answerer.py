@@ -1,6 +1,6 @@
-"""A node that answers each of the winch's states at once, with a command that bears its stamp.
+"""A node that answers each winch state at once with a command of the same stamp.
 
-The motor holds what hangs there, brake open: a loop as tight as a controller can make it.
+The motor holds the load with the brake open: the fastest loop that a controller can make.
 ``python -m rover_verify.harness.answerer``
 """
 
@@ -14,12 +14,12 @@ from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.samples import JointSample, JointValue
 
-_CARRIED = 16.2  # by the motor [N]
+_CARRIED = 16.2  # load held by the motor [N]
 _LIMIT = 100.0  # [N]
 
 
 class Answerer(ContractNode):
-    """Holds the drum by its motor, and answers every state."""
+    """Holds the drum with its motor, and answers every state."""
 
     NAME = "answerer"
 

@@ -1,4 +1,4 @@
-"""Bags as ``ros2 bag record`` leaves them, of every kind, made by rosbags."""
+"""Bags of every storage and compression of ``ros2 bag record``, written by rosbags."""
 
 import shutil
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ Recorded = tuple[str, int, bytes]
 
 @dataclass(frozen=True)
 class Kind:
-    """A storage and how it is compressed."""
+    """Storage plugin and compression mode."""
 
     storage: StoragePlugin
     mode: CompressionMode = CompressionMode.NONE
 
     @property
     def name(self) -> str:
-        """For test identifiers."""
+        """Name for test identifiers."""
         return f"{self.storage.name}-{self.mode.name}".lower()
 
 
@@ -42,7 +42,7 @@ KINDS = (
 
 
 def messages(count: int, first: int = 0, size: int = 40) -> list[Recorded]:
-    """Strings on two topics, 100 a second."""
+    """Strings on two topics at 100 Hz."""
     found = []
     for index in range(first, first + count):
         words = f"message {index} ".ljust(size + index % 7, "abcdefghij"[index % 10])
@@ -52,7 +52,7 @@ def messages(count: int, first: int = 0, size: int = 40) -> list[Recorded]:
 
 
 def write(path: Path, kind: Kind, recorded: Sequence[Recorded], *, version: int = 9) -> Path:
-    """Write a bag; returns its one file."""
+    """Write a bag; returns its data file."""
     writer = Writer(path, version=8 if version == 8 else 9, storage_plugin=kind.storage)
     writer.set_compression(kind.mode, CompressionFormat.ZSTD)
     with writer:
@@ -66,12 +66,12 @@ def write(path: Path, kind: Kind, recorded: Sequence[Recorded], *, version: int 
 
 
 def storage_file(bag: Path) -> Path:
-    """The one file of a bag that is not its description."""
+    """The data file of a bag."""
     return next(file for file in bag.iterdir() if file.name != METADATA)
 
 
 def split(path: Path, kind: Kind, parts: Sequence[Sequence[Recorded]]) -> Path:
-    """A bag of several files with one description, as a splitting recorder leaves it."""
+    """Write a bag of several files with one description, as a splitting recorder does."""
     path.mkdir()
     files, information = [], {}
     counts: dict[str, int] = {}
@@ -98,7 +98,7 @@ def split(path: Path, kind: Kind, parts: Sequence[Sequence[Recorded]]) -> Path:
     return path
 
 
-def cut(file: Path, share: float) -> None:
-    """Leave only the first part of a file."""
+def cut(file: Path, fraction: float) -> None:
+    """Truncate a file to its first part."""
     data = file.read_bytes()
-    file.write_bytes(data[: int(len(data) * share)])
+    file.write_bytes(data[: int(len(data) * fraction)])

@@ -1,6 +1,6 @@
-"""Simulated time that goes on only when a node has answered the last tick.
+"""Lockstep: simulated time advances only after a node has answered the last tick.
 
-A machine that is too busy for its nodes to keep up in real time is slow then, and not wrong.
+A computer that is too slow for real time does not change the result.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from msg_schemas import topics
 from msg_schemas.codecs import message_class
 from msg_schemas.table import SERVICES
 from rover_verify.harness.observer import Observer
-from rover_verify.harness.processes import PATIENCE
+from rover_verify.harness.processes import DEFAULT_TIMEOUT
 
-_LOOK = 0.0005  # [s]
+_POLL_PERIOD = 0.0005  # [s]
 
 
 class Lockstep:
-    """Steps a simulator by its service, from its pause on until `release`.
+    """Steps a paused simulator by its service until `release`.
 
     Args:
-        observer: that hears and calls.
+        observer: subscribes and calls.
         answer: topic by which the node answers each tick.
-        followers: topics of nodes that answer less often, once they have begun.
-        lag: by which stamps of these may be behind [s].
+        followers: topics of nodes that answer less often, awaited after their first message.
+        lag: largest age of a follower's last stamp [s].
     """
 
-    _ANSWER = 5.0  # a tick's answer is waited for so long [s]
+    _ANSWER_TIMEOUT = 5.0  # of the answer to a tick [s]
 
     def __init__(
         self, observer: Observer, answer: str, followers: Iterable[str] = (), lag: float = 0.0
@@ -36,7 +36,7 @@ class Lockstep:
         self._observer = observer
         self._answers = observer.listen(answer)
         self._followers = {name: observer.listen(name) for name in followers}
-        self._gone: dict[str, int] = {}  # messages that had come when one was given up
+        self._abandoned: dict[str, int] = {}  # number of messages when a follower was abandoned
         self._lag_ns = round(lag * 1e9)
         self._kind = message_class(SERVICES[topics.SIM_STEP].service)
         self._client = observer.node.create_client(self._kind, topics.SIM_STEP)
@@ -44,7 +44,7 @@ class Lockstep:
         observer.call(topics.SIM_PAUSE, True)
 
     def run_until(self, condition: Callable[[], bool], limit: float) -> None:
-        """Step until a condition holds; AssertionError after so much simulated time [s]."""
+        """Step until a condition holds; AssertionError after `limit` of simulated time [s]."""
         end = self._observer.time_ns() + round(limit * 1e9)
         while not condition():
             assert self._observer.time_ns() < end, f"not within {limit:g} s of simulated time"
@@ -52,31 +52,34 @@ class Lockstep:
 
     def step(self) -> None:
         """Make one tick, and wait for its answer."""
-        heard = self._answers.last
-        before = 0 if heard is None else heard.stamp_ns
+        last_answer = self._answers.last
+        before = 0 if last_answer is None else last_answer.stamp_ns
         done = threading.Event()
         future = self._client.call_async(self._kind.Request())
         future.add_done_callback(lambda _: done.set())
-        assert done.wait(PATIENCE), f"{topics.SIM_STEP} gave no answer in {PATIENCE:g} s"
-        give_up = time.monotonic() + self._ANSWER
+        assert done.wait(DEFAULT_TIMEOUT), (
+            f"{topics.SIM_STEP} did not respond within {DEFAULT_TIMEOUT:g} s"
+        )
+        deadline = time.monotonic() + self._ANSWER_TIMEOUT
         pause = threading.Event()
-        while time.monotonic() < give_up:
+        while time.monotonic() < deadline:
             last = self._answers.last
             if last is not None and last.stamp_ns > before and not self._late():
                 return
-            pause.wait(_LOOK)
-        self._gone |= {name: len(self._followers[name]) for name in self._late()}
+            pause.wait(_POLL_PERIOD)
+        self._abandoned |= {name: len(self._followers[name]) for name in self._late()}
 
     def _late(self) -> list[str]:
-        """Followers that are waited for; who was given up is no more, until it is heard again."""
+        """Awaited followers that lag; an abandoned one is awaited again after its next message."""
         now_ns = self._observer.time_ns()
         return [
             name
             for name, feed in self._followers.items()
-            if len(feed) > self._gone.get(name, 0) and now_ns - feed.last.stamp_ns > self._lag_ns
+            if len(feed) > self._abandoned.get(name, 0)
+            and now_ns - feed.last.stamp_ns > self._lag_ns
         ]
 
     def release(self) -> None:
-        """Let time run by itself again."""
+        """Resume the simulator."""
         self._observer.node.destroy_client(self._client)
         self._observer.call(topics.SIM_PAUSE, False)

@@ -1,8 +1,7 @@
-"""A node of ours among the processes: it listens, commands and calls, by the contract.
+"""A node that observes processes: it subscribes, publishes and calls by the contract.
 
-It has an rclpy context of its own, in the ROS domain of the processes it watches,
-and spins in a thread of its own. It never sleeps: it waits until what has arrived
-fulfils a condition, or a bound is passed.
+It has its own rclpy context in the ROS domain of the observed processes, and spins in its own
+thread. It waits for conditions with a timeout, without fixed delays.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from msg_schemas.endpoint_matching import EndpointMatching, listeners
 from msg_schemas.node import READY
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
 from msg_schemas.table import SERVICES
-from rover_verify.harness.processes import PATIENCE, ros_arguments
+from rover_verify.harness.processes import DEFAULT_TIMEOUT, ros_arguments
 
 TRANSITIONS = {
     "configure": Transition.TRANSITION_CONFIGURE,
@@ -40,15 +39,15 @@ TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
 
-# They take nothing of what is published.
-_LISTEN_TO_ALL = frozenset(name for name, row in ACCESS.items() if row.subscribes == ALL)
+# Nodes that only record: they receive no commands.
+_SUBSCRIBES_ALL = frozenset(name for name, row in ACCESS.items() if row.subscribes == ALL)
 
-_DEEP = 5000
+_QUEUE_DEPTH = 5000
 _number = itertools.count()
 
 
 class Feed:
-    """All samples of one topic since the observer began to listen."""
+    """All samples of one topic since the start of its subscription."""
 
     def __init__(self, name: str, changed: threading.Condition) -> None:
         self.name = name
@@ -56,20 +55,20 @@ class Feed:
         self._samples: list[Any] = []
 
     def add(self, sample: Any) -> None:
-        """Append a sample and wake who waits."""
+        """Append a sample and notify waiting threads."""
         with self._changed:
             self._samples.append(sample)
             self._changed.notify_all()
 
     @property
     def samples(self) -> list[Any]:
-        """A copy of what has arrived so far."""
+        """A copy of the samples received so far."""
         with self._changed:
             return list(self._samples)
 
     @property
     def last(self) -> Any:
-        """The newest sample; None = nothing has arrived."""
+        """The newest sample; None = no sample."""
         with self._changed:
             return self._samples[-1] if self._samples else None
 
@@ -81,7 +80,7 @@ class Feed:
         self,
         predicate: Callable[[Any], bool] = lambda _: True,
         since: int = 0,
-        timeout: float = PATIENCE,
+        timeout: float = DEFAULT_TIMEOUT,
     ) -> Any:
         """Wait for a sample that fulfils the predicate, from index ``since`` on; return it."""
         deadline = time.monotonic() + timeout
@@ -96,26 +95,26 @@ class Feed:
                 if left <= 0.0:
                     last = self._samples[-1] if self._samples else "nothing"
                     raise AssertionError(
-                        f"{self.name}: none of {len(self._samples) - since} samples is as wanted "
-                        f"after {timeout:g} s; the last is {last}"
+                        f"{self.name}: none of {len(self._samples) - since} samples matches "
+                        f"within {timeout:g} s; the last is {last}"
                     )
                 self._changed.wait(left)
 
-    def wait_for_count(self, count: int, timeout: float = PATIENCE) -> list[Any]:
-        """Wait until that many samples have arrived in all; return them."""
+    def wait_for_count(self, count: int, timeout: float = DEFAULT_TIMEOUT) -> list[Any]:
+        """Wait until a number of samples has been received in total; return them."""
         deadline = time.monotonic() + timeout
         with self._changed:
             while len(self._samples) < count:
                 left = deadline - time.monotonic()
                 assert left > 0.0, (
-                    f"{self.name}: {len(self._samples)} samples after {timeout:g} s, not {count}"
+                    f"{self.name}: {len(self._samples)} samples within {timeout:g} s, not {count}"
                 )
                 self._changed.wait(left)
             return list(self._samples)
 
 
 class Observer:
-    """Listens, commands and calls in one ROS domain (and namespace)."""
+    """Subscribes, publishes and calls in one ROS domain and namespace."""
 
     def __init__(
         self, domain: int, namespace: str = "", remap: Mapping[str, str] | None = None
@@ -135,7 +134,7 @@ class Observer:
         self._reporting: set[str] = set()  # names of the nodes whose diagnostics were received
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
-        self._reached: dict[str, tuple[int, int]] = {}  # the graph when each publisher was
+        self._matched_graph: dict[str, tuple[int, int]] = {}  # graph at the match of each publisher
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stopping = threading.Event()
@@ -152,7 +151,7 @@ class Observer:
                 return
 
     def close(self) -> None:
-        """Leave the graph; nothing of this observer stays."""
+        """Leave the graph and release all resources."""
         self._stopping.set()
         self._executor.wake()
         self._thread.join(10.0)
@@ -160,50 +159,50 @@ class Observer:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    # --- listening -------------------------------------------------------------------------------
+    # --- subscriptions ---------------------------------------------------------------------------
 
     def listen(self, name: str) -> Feed:
-        """Collect the topic's samples from now on, and what is latched; one feed per topic."""
+        """Collect the samples of a topic from now on, and latched ones; one feed per topic."""
         if name not in self._feeds:
             row = topic_row(name)
             feed = Feed(name, self._changed)
 
-            def hear(message: Any) -> None:
+            def on_message(message: Any) -> None:
                 sample = decode(name, message)
                 if name == topics.DIAGNOSTICS:
                     self._reporting.update(status.hardware_id for status in sample.statuses)
                 feed.add(sample)
 
             self.node.create_subscription(
-                message_class(row.message), name, hear, qos.profile(row.intent, _DEEP)
+                message_class(row.message), name, on_message, qos.profile(row.intent, _QUEUE_DEPTH)
             )
             self._feeds[name] = feed
             self._executor.wake()
         return self._feeds[name]
 
     def wait_for_text(self, name: str, *words: str, since: int = 0) -> str:
-        """Wait until a topic of words says one of them."""
+        """Wait until a text topic has one of these texts."""
         return str(self.listen(name).wait(lambda s: s.text in words, since).text)
 
     def wait_for_status(
-        self, name: str, wanted: Callable[[Status], bool], since: int = 0
+        self, name: str, matches: Callable[[Status], bool], since: int = 0
     ) -> Status:
-        """Wait for one status (of events, diagnostics or sim status) as wanted."""
+        """Wait for a matching status (of events, diagnostics or sim status)."""
         found: list[Status] = []
 
-        def look(sample: StatusSample) -> bool:
-            found[:] = [status for status in sample.statuses if wanted(status)]
+        def find(sample: StatusSample) -> bool:
+            found[:] = [status for status in sample.statuses if matches(status)]
             return bool(found)
 
-        self.listen(name).wait(look, since)
+        self.listen(name).wait(find, since)
         return found[0]
 
     def wait_for_event(self, name: str, since: int = 0) -> Status:
-        """Wait for an event by its name."""
+        """Wait for an event by name."""
         return self.wait_for_status(topics.EVENTS, lambda s: s.name == name, since)
 
     def wait_for_refusal(self, subject: str, code: str, since: int = 0) -> Status:
-        """Wait until diagnostics say that something was refused, and why."""
+        """Wait for the refusal of a subject for a reason in the diagnostics."""
         return self.wait_for_status(
             topics.DIAGNOSTICS,
             lambda s: s.name.endswith(f"refused {subject}") and s.values.get("code") == code,
@@ -211,7 +210,7 @@ class Observer:
         )
 
     def wait_until_ready(self, node_name: str, since: int = 0) -> None:
-        """Wait until a node's health says that it hears what it must and can do its work."""
+        """Wait until a node's health reports it as ready."""
         self.wait_for_status(
             topics.DIAGNOSTICS,
             lambda s: s.name == f"{node_name}: node" and s.message == READY,
@@ -219,52 +218,52 @@ class Observer:
         )
 
     def time_ns(self) -> int:
-        """Simulated time as last heard."""
+        """Simulated time as last received [ns]."""
         last = self.listen(topics.CLOCK).last
         return 0 if last is None else int(last.stamp_ns)
 
     def wait_for_time(self, stamp_ns: int) -> int:
-        """Wait until simulated time has come so far; returns it."""
+        """Wait for a simulated time; returns the time reached [ns]."""
         clock = self.listen(topics.CLOCK)
         return int(clock.wait(lambda s: s.stamp_ns >= stamp_ns, max(0, len(clock) - 1)).stamp_ns)
 
-    # --- commanding ------------------------------------------------------------------------------
+    # --- publishing ------------------------------------------------------------------------------
 
     def publisher(self, name: str) -> Any:
-        """Return a raw publisher that reaches a node that takes it, and all others that listen."""
+        """Return a raw publisher that is matched with its receivers and all other subscribers."""
         if name not in self._publishers:
             row = topic_row(name)
             self._publishers[name] = self.node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent)
             )
         made = self._publishers[name]
-        self.wait_until(lambda: self._reaches_a_taker(name), f"nobody takes {name}")
+        self.wait_until(lambda: self._reaches_receivers(name), f"{name} has no receiver")
         return made
 
-    def _reaches_a_taker(self, name: str) -> bool:
-        """Whether all who listen to a publisher are met, and who takes it is heard refusing.
+    def _reaches_receivers(self, name: str) -> bool:
+        """Whether a publisher is matched with all subscribers whose diagnostics are received.
 
-        A node that was killed stays in the graph for a while, and its successor counts besides.
+        A killed node stays in the graph for a while; its successor counts in addition.
         """
         made = self._publishers[name]
         graph = (made.get_subscription_count(), self.node.count_publishers(topics.DIAGNOSTICS))
-        if self._reached.get(name) == graph:
+        if self._matched_graph.get(name) == graph:
             return True
-        listening = Counter(node for node, _ in listeners(self.node, made))
-        tell = self.node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
-        telling = Counter(each.node_name for each in tell)
-        takers = (listening.keys() & telling.keys()) - _LISTEN_TO_ALL
-        reaches = (
-            bool(takers)
-            and all(listening[each] >= telling[each] for each in takers)
-            and takers <= self._reporting
+        subscriptions = Counter(node for node, _ in listeners(self.node, made))
+        diagnostics = self.node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
+        reporters = Counter(each.node_name for each in diagnostics)
+        receivers = (subscriptions.keys() & reporters.keys()) - _SUBSCRIBES_ALL
+        matches_all = (
+            bool(receivers)
+            and all(subscriptions[each] >= reporters[each] for each in receivers)
+            and receivers <= self._reporting
         )
-        if reaches:
-            self._reached[name] = graph
-        return reaches
+        if matches_all:
+            self._matched_graph[name] = graph
+        return matches_all
 
     def send(self, name: str, sample: Sample) -> None:
-        """Publish a good sample."""
+        """Publish a valid sample."""
         self.publisher(name).publish(encode(name, sample))
 
     def send_joint(
@@ -276,26 +275,26 @@ class Observer:
         effort: float = 0.0,
         stamp_ns: int | None = None,
     ) -> None:
-        """Publish one joint's command, stamped with simulated time unless told otherwise."""
-        self.publisher(name)  # may wait, and the stamp must be that of the sending
+        """Publish one joint's command, stamped with simulated time by default."""
+        self.publisher(name)  # may wait: determine the stamp afterwards
         stamp = self.time_ns() if stamp_ns is None else stamp_ns
         value = JointValue(position, velocity, effort)
         self.send(name, JointSample(stamp, {joint: value}))
 
     def wait_until(
-        self, condition: Callable[[], bool], complaint: str, timeout: float = PATIENCE
+        self, condition: Callable[[], bool], complaint: str, timeout: float = DEFAULT_TIMEOUT
     ) -> None:
-        """Wait for a condition of the graph, which nobody announces: look again every 20 ms."""
+        """Poll a condition of the graph every 20 ms; AssertionError after a timeout."""
         deadline = time.monotonic() + timeout
         pause = threading.Event()
         while not condition():
             assert time.monotonic() < deadline, f"{complaint} after {timeout:g} s"
             pause.wait(0.02)
 
-    # --- calling ---------------------------------------------------------------------------------
+    # --- services --------------------------------------------------------------------------------
 
     def call(self, name: str, data: bool | None = None) -> Any:
-        """Call a service of the contract and return its answer."""
+        """Call a service of the contract and return its response."""
         kind = message_class(SERVICES[name].service)
         request = kind.Request() if data is None else kind.Request(data=data)
         return self._call(kind, name, request)
@@ -305,31 +304,33 @@ class Observer:
             self._clients[name] = self.node.create_client(kind, name)
             discovery = EndpointMatching(self.node)
 
-            def knows_the_client() -> bool:
+            def is_matched() -> bool:
                 return any(map(discovery.is_with, self._servers(name)))
 
-            self.wait_until(knows_the_client, f"nobody serves {name}")
-            # By the thread that spins: it must not wait for what is being destroyed.
+            self.wait_until(is_matched, f"{name} has no server")
+            # In the spinning thread: it must not wait for a destroyed entity.
             self._executor.create_task(discovery.close)
         client = self._clients[name]
-        self.wait_until(client.service_is_ready, f"nobody serves {name}")
+        self.wait_until(client.service_is_ready, f"{name} has no server")
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _: answered.set())
-        assert answered.wait(PATIENCE), f"{name} gave no answer in {PATIENCE:g} s"
+        assert answered.wait(DEFAULT_TIMEOUT), (
+            f"{name} did not respond within {DEFAULT_TIMEOUT:g} s"
+        )
         return future.result()
 
     def _servers(self, name: str) -> list[str]:
-        """Names of the nodes that serve it."""
+        """Names of the nodes that serve a service."""
         service, found = self.node.resolve_service_name(name), []
         for node, namespace in self.node.get_node_names_and_namespaces():
-            with suppress(NodeNameNonExistentError):  # it has just ended
+            with suppress(NodeNameNonExistentError):  # the node has just exited
                 if service in dict(self.node.get_service_names_and_types_by_node(node, namespace)):
                     found.append(node)
         return found
 
     def change_state(self, node_name: str, transition: str) -> bool:
-        """Ask a lifecycle node for a transition; returns whether it succeeded."""
+        """Request a transition of a lifecycle node; returns whether it succeeded."""
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         return bool(self._call(ChangeState, f"{node_name}/change_state", request).success)
 

@@ -1,9 +1,8 @@
 """Executables of the suite as separate processes.
 
-A process is started as ``python -m module``, so that it runs from the bare tree
-and from an installation alike, in a group of its own, so that what it leaves
-behind is found. Its output is read as it comes; waits have bounds and end with
-the output in the message.
+A process is started as ``python -m module``: it runs from a checkout and from an installation. It
+has its own process group, so that remaining child processes are found. Its output is read
+continuously; waits have a timeout, whose error contains the output.
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ from pathlib import Path
 
 import msg_schemas
 
-# Generous: machines are slow and busy. What goes well does not wait that long.
-PATIENCE = 60.0
+# [s]. Generous for slow and busy computers; a successful wait is shorter.
+DEFAULT_TIMEOUT = 60.0
 
-# Where the suite is imported from.
-_IMPORTED_FROM = Path(msg_schemas.__file__).parents[1]
+# Folder from which the suite is imported.
+_SUITE_ROOT = Path(msg_schemas.__file__).parents[1]
 
-# Sent to a process by the kernel when the one that started it dies, however it dies.
+# The kernel sends a signal to a process when its parent dies.
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
-def _end_with_parent() -> None:
+def _terminate_with_parent() -> None:
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def environment(domain: int, extra: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the environment for a process in a ROS domain of its own, on this machine only."""
-    given = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
-    paths = [str(_IMPORTED_FROM), *given]
+    """Return the environment of a process in a ROS domain on this computer only."""
+    command_line = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
+    paths = [str(_SUITE_ROOT), *command_line]
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths)),
@@ -60,7 +59,7 @@ def ros_arguments(
     params_file: Path | None = None,
     remap: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Return ``--ros-args`` and what follows it."""
+    """Return ``--ros-args`` with its arguments."""
     arguments = []
     for name, other in (remap or {}).items():
         arguments += ["-r", f"{name}:={other}"]
@@ -76,12 +75,12 @@ def ros_arguments(
 def _yaml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    # Quoted, as ROS would take text such as "1" or "a: b" for something else.
+    # Quoted: ROS would parse a text such as "1" or "a: b" as another type.
     return f"'{value}'" if isinstance(value, str) else str(value)
 
 
 class Process:
-    """One running executable, its output so far, and how it ended."""
+    """One executable, its output and its exit code."""
 
     def __init__(
         self, module: str, arguments: Sequence[str], env: Mapping[str, str], cwd: Path
@@ -99,7 +98,7 @@ class Process:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=_end_with_parent,  # noqa: PLW1509 - one system call, no lock
+            preexec_fn=_terminate_with_parent,  # noqa: PLW1509 - one system call, no lock
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -115,22 +114,22 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Process id, and that of its group."""
+        """Identifier of the process and its group."""
         return self._popen.pid
 
     @property
     def output(self) -> str:
-        """What it printed so far, errors included."""
+        """Output so far, including stderr."""
         with self._changed:
             return "".join(self._lines)
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended yet."""
+        """Whether it is running."""
         return self._popen.poll() is None
 
-    def wait_for_output(self, pattern: str, timeout: float = PATIENCE) -> re.Match[str]:
-        """Wait until the output holds a pattern; AssertionError if it ends without it."""
+    def wait_for_output(self, pattern: str, timeout: float = DEFAULT_TIMEOUT) -> re.Match[str]:
+        """Wait for a pattern in the output; AssertionError if the process exits without it."""
         deadline = time.monotonic() + timeout
         with self._changed:
             while True:
@@ -139,7 +138,7 @@ class Process:
                     return match
                 ended = not self.is_running and not self._reader.is_alive()
                 if ended or time.monotonic() > deadline:
-                    how = "ended" if ended else f"did not in {timeout:g} s"
+                    how = "exited" if ended else f"did not within {timeout:g} s"
                     raise AssertionError(
                         f"{self.module} should print {pattern!r}, it {how}:\n"
                         + "".join(self._lines)
@@ -154,30 +153,30 @@ class Process:
         """Send a signal to the whole group, as a terminal does with Ctrl-C."""
         os.killpg(self.pid, number)
 
-    def ends_within(self, timeout: float) -> bool:
-        """Whether it ends within so many seconds, or has."""
+    def exits_within(self, timeout: float) -> bool:
+        """Whether it exits within a timeout [s], or has exited."""
         try:
             self._popen.wait(timeout)
         except subprocess.TimeoutExpired:
             return False
         return True
 
-    def wait(self, timeout: float = PATIENCE) -> int:
-        """Wait for the end and return the exit code; AssertionError if it lives on."""
-        if not self.ends_within(timeout):
+    def wait(self, timeout: float = DEFAULT_TIMEOUT) -> int:
+        """Wait for the exit and return its code; AssertionError after the timeout."""
+        if not self.exits_within(timeout):
             raise AssertionError(
-                f"{self.module} should have ended within {timeout:g} s:\n{self.output}"
+                f"{self.module} should have exited within {timeout:g} s:\n{self.output}"
             )
         self._reader.join(5.0)
         return int(self._popen.returncode)
 
-    def stop(self, number: signal.Signals = signal.SIGINT, timeout: float = PATIENCE) -> int:
+    def stop(self, number: signal.Signals = signal.SIGINT, timeout: float = DEFAULT_TIMEOUT) -> int:
         """Send a signal and wait for the exit code."""
         self.send(number)
         return self.wait(timeout)
 
-    def group_is_gone(self) -> bool:
-        """Whether nothing of the process's group runs any more."""
+    def has_group_exited(self) -> bool:
+        """Whether no process of the group is running."""
         try:
             os.killpg(self.pid, 0)
         except ProcessLookupError:
@@ -185,7 +184,7 @@ class Process:
         return False
 
     def kill_group(self) -> None:
-        """End whatever is left, at once."""
+        """Kill the remaining processes of the group."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
         self._popen.wait()
@@ -193,7 +192,7 @@ class Process:
 
 
 class Processes:
-    """Starts executables in one ROS domain and holds them to leaving nothing behind."""
+    """Starts executables in one ROS domain and checks that they exit without remains."""
 
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
@@ -210,20 +209,20 @@ class Processes:
         remap: Mapping[str, str] | None = None,
         extra_environment: Mapping[str, str] | None = None,
     ) -> Process:
-        """Start ``python -m module`` with arguments, then parameters in ROS's own way."""
-        given = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
+        """Start ``python -m module`` with arguments and ROS parameters."""
+        command_line = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
         env = environment(self.domain, extra_environment)
-        process = Process(module, given, env, self._folder)
+        process = Process(module, command_line, env, self._folder)
         self._started.append(process)
         return process
 
     @property
     def output(self) -> str:
-        """What all processes printed so far, each under its module's name."""
+        """Output of all processes so far, by module."""
         return "".join(f"--- {process.module}:\n{process.output}" for process in self._started)
 
     def end(self) -> None:
-        """Stop all that runs; AssertionError if one resists or leaves children."""
+        """Stop all processes; AssertionError if one does not exit or leaves children."""
         for process in self._started:
             if process.is_running:
                 process.send(signal.SIGINT)
@@ -231,16 +230,16 @@ class Processes:
         for process in self._started:
             try:
                 process.wait()
-            except AssertionError as stuck:
-                complaints.append(str(stuck))
-            if not process.group_is_gone():
+            except AssertionError as error:
+                complaints.append(str(error))
+            if not process.has_group_exited():
                 complaints.append(f"{process.module} left processes of its group running")
                 process.kill_group()
         assert not complaints, "\n".join(complaints)
 
 
 def clean_shared_memory() -> None:
-    """Remove what killed participants left in shared memory; what is in use stays."""
+    """Remove unused shared memory of killed DDS participants."""
     beside = Path(sys.executable).with_name("fastdds")
     tool = str(beside) if beside.exists() else shutil.which("fastdds")
     if tool is not None:

@@ -1,8 +1,7 @@
-"""Locks between test runs, and ROS domains that no other test uses at the same time.
+"""Locks between test runs, and reservation of ROS domains.
 
-A domain is reserved by an exclusive lock on a file named after it, in a folder
-that all users of the machine share. The lock belongs to the open file: the kernel
-gives it back when its process ends, however it ends.
+An exclusive lock on a file named after the domain reserves it, in a folder shared by all users of
+the computer. The kernel releases the lock when its process exits.
 """
 
 from __future__ import annotations
@@ -17,25 +16,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# 0..101 are safe on Linux (above, the ports run into the ephemeral ones); the lower half is left
-# to people.
+# 0..101 are safe on Linux (above, ports collide with ephemeral ones); the lower half is for
+# interactive use.
 DOMAINS = range(50, 102)
 
-# Above the ephemeral ports of Linux, one of which another socket may have.
+# Above the ephemeral ports of Linux, which other sockets may use.
 _FIRST_PORT = 61000
 
 _LOCKS = Path(tempfile.gettempdir()) / "ros_test_domains"
-_PATIENCE = 300.0
-_RETRY = 0.5
+_TIMEOUT = 300.0
+_RETRY_PERIOD = 0.5
 
 
 def multicast_link(domain: int) -> str:
-    """The link to drives that belongs to a reserved domain: no other test uses it."""
+    """The link of a reserved domain; no other test uses it."""
     return f"udp_multicast:239.74.163.2:{_FIRST_PORT + domain}"
 
 
 def _open_shared(path: Path) -> int:
-    """Open a lock file that every user may lock."""
+    """Open a lock file with access for every user."""
     try:
         return os.open(path, os.O_RDWR)
     except FileNotFoundError:
@@ -54,7 +53,7 @@ def _make_folder() -> None:
 
 @contextmanager
 def locked(name: str) -> Iterator[None]:
-    """Let one test run at a time into the block."""
+    """Let only one test run at a time enter the block."""
     _make_folder()
     descriptor = _open_shared(_LOCKS / f"{name}.lock")
     try:
@@ -76,17 +75,16 @@ def _try_lock(domain: int) -> int | None:
 
 @contextmanager
 def reserved_domain() -> Iterator[int]:
-    """Reserve a ROS_DOMAIN_ID for as long as the context lasts.
+    """Reserve a ROS_DOMAIN_ID while the context lasts.
 
     Raises:
-        TimeoutError: all domains stayed taken.
+        TimeoutError: all domains are in use.
     """
     _make_folder()
-    # A random order: a domain just left is not the next one taken, so that what its participants
-    # still say finds nobody.
+    # Random order: a released domain is not reused at once, while its participants may still send.
     order = random.sample(DOMAINS, len(DOMAINS))
-    give_up = time.monotonic() + _PATIENCE
-    while time.monotonic() < give_up:
+    deadline = time.monotonic() + _TIMEOUT
+    while time.monotonic() < deadline:
         for domain in order:
             descriptor = _try_lock(domain)
             if descriptor is None:
@@ -96,6 +94,6 @@ def reserved_domain() -> Iterator[int]:
             finally:
                 os.close(descriptor)
             return
-        threading.Event().wait(_RETRY)
-    msg = f"all ROS domains {DOMAINS.start}..{DOMAINS.stop - 1} stayed taken for {_PATIENCE:g} s"
+        threading.Event().wait(_RETRY_PERIOD)
+    msg = f"all ROS domains {DOMAINS.start}..{DOMAINS.stop - 1} were in use for {_TIMEOUT:g} s"
     raise TimeoutError(msg)

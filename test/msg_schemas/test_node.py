@@ -317,7 +317,7 @@ def end_with_both(process: Process):
 
 
 def end_with_sigints_until_it_is_gone(process: Process):
-    while not process.ends_within(0.002):
+    while not process.exits_within(0.002):
         process.send(signal.SIGINT)
 
 
@@ -341,7 +341,7 @@ def test_a_signal_ends_it_cleanly(
     assert "Traceback" not in process.output
     # Their threads would look at what the process's end destroys.
     assert "0 participants are left" in process.output
-    assert process.group_is_gone()
+    assert process.has_group_exited()
     observer.wait_for_event("inactive")
 
 
@@ -381,7 +381,7 @@ def test_a_bug_ends_it_with_code_1(processes: Processes, trouble: str):
     process = processes.start("shell_node", {"trouble": trouble})
     assert process.wait() == 1
     assert "has a bug" in process.output
-    assert process.group_is_gone()
+    assert process.has_group_exited()
 
 
 def test_help_names_every_parameter_with_unit_and_range(processes: Processes):

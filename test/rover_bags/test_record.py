@@ -27,7 +27,7 @@ from rover_bags.files.store import (
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
 from rover_bags.record import CONFIG_RECORD, DISK_FAILED
 from rover_bags.recover import recover
-from rover_verify.harness.processes import PATIENCE, Process, Processes
+from rover_verify.harness.processes import DEFAULT_TIMEOUT, Process, Processes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SECOND = 1_000_000_000
@@ -253,7 +253,7 @@ class StalledDisk:
 
     def write(self, *arguments: object, **more: object) -> None:
         self.reached.set()
-        assert self.open.wait(PATIENCE)
+        assert self.open.wait(DEFAULT_TIMEOUT)
         self._write(*arguments, **more)  # type: ignore[arg-type]
 
 
@@ -265,7 +265,7 @@ def test_a_stalled_disk_blocks_no_callback_and_drops_are_counted_by_topic(tmp_pa
         Source(name, standard_type("std_msgs/msg/String")) for name in ("/busy", "/quiet")
     )
     assert queue.offer(_item(quiet, 0))
-    assert disk.reached.wait(PATIENCE)
+    assert disk.reached.wait(DEFAULT_TIMEOUT)
     kept = sum(queue.offer(_item(busy, number)) for number in range(1, 1001))
     queue.offer(_item(quiet, 2000, size=90_000))
     assert 100 < kept < 400
@@ -280,7 +280,7 @@ def test_a_stalled_disk_blocks_no_callback_and_drops_are_counted_by_topic(tmp_pa
 
 
 def test_the_configuration_is_written_first(tmp_path: Path):
-    queue = WriteQueue(BagWriter(tmp_path / "bag", sync=False), hold=PATIENCE)
+    queue = WriteQueue(BagWriter(tmp_path / "bag", sync=False), hold=DEFAULT_TIMEOUT)
     kind = standard_type("std_msgs/msg/String")
     data, config = Source("/data", kind), Source("/config", kind, first=True)
     for number in range(1, 6):
@@ -300,7 +300,7 @@ def test_a_disk_failure_stops_the_queue_and_is_reported(tmp_path: Path):
 
     writer.write = fail  # type: ignore[method-assign]
     queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 1))
-    queue._thread.join(PATIENCE)
+    queue._thread.join(DEFAULT_TIMEOUT)
     assert "on fire" in str(queue.error)
     assert not queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 2))
     queue.close()

@@ -205,7 +205,7 @@ def be_stopped(bench: Bench) -> None:
     assert bench.process.stop(signal.SIGINT) == 0
     bench.wait_until_braked()
     assert bench.mother.last.length < FAR - 0.1
-    assert bench.process.group_is_gone()
+    assert bench.process.has_group_exited()
     assert "Traceback" not in bench.process.output
 
 

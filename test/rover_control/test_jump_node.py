@@ -287,7 +287,7 @@ def test_a_signal_during_a_jump_ends_the_node_cleanly(harness: NodeHarness, numb
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert process.stop(number) == 0
-    assert process.group_is_gone()
+    assert process.has_group_exited()
     assert "Traceback" not in process.output
 
 

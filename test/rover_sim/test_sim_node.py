@@ -395,7 +395,7 @@ def test_a_run_of_given_duration_ends_by_itself(harness: NodeHarness):
     assert process.wait() == 0
     assert "simulated 3 s" in observer.wait_for_event("finished").message
     assert observer.listen(topics.CLOCK).last.stamp_ns == 3 * NANO
-    assert process.group_is_gone()
+    assert process.has_group_exited()
 
 
 def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(harness: NodeHarness):
@@ -499,7 +499,7 @@ def test_a_signal_ends_it_and_leaves_no_process(
     process, _ = start(harness, real_time_factor=factor)
     end(process)
     assert process.wait() == 0
-    assert process.group_is_gone()
+    assert process.has_group_exited()
     assert "Traceback" not in process.output
 
 
@@ -507,7 +507,7 @@ def test_a_signal_ends_it_while_paused(harness: NodeHarness):
     process, observer = start(harness, start_paused=True)
     status(observer, "paused", "true")
     assert process.stop(signal.SIGTERM) == 0
-    assert process.group_is_gone()
+    assert process.has_group_exited()
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
     assert {"bag", "metrics.json", "report.html", "animation.gif"} <= names
     assert "of_before" not in names
     assert [path.name for path in old.parent.iterdir()] == ["demo"]
-    assert process.group_is_gone()
+    assert process.has_group_exited()
 
 
 @pytest.mark.ros

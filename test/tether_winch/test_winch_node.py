@@ -362,7 +362,7 @@ def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: sig
     last = commands(bench)[-1]
     assert last.joints[WINCH_DRUM][1:] == (0.0, 0.0)
     bench.wait_until_braked()
-    assert bench.process.group_is_gone()
+    assert bench.process.has_group_exited()
     assert "Traceback" not in bench.process.output
 
 
