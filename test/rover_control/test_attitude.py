@@ -1,4 +1,4 @@
-"""Reaction of wheels and flywheel: signs, budgets, what is said before they are spent."""
+"""Reaction of wheels and flywheel: signs, budgets, reports of saturation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def make_axis(budget: float = 0.02) -> AxisControl:
     return AxisControl("axis", design_axis(0.18, 3.29, 0.02, DESIGN), budget)
 
 
-def test_momentum_follows_the_tilt_and_bleeds_off():
+def test_momentum_follows_the_tilt_and_desaturates():
     axis = make_axis()
     axis.step(0.01, H)
     gained = axis.momentum
@@ -34,16 +34,16 @@ def test_momentum_follows_the_tilt_and_bleeds_off():
     assert axis.momentum == pytest.approx(gained / math.e, rel=0.01)
 
 
-def test_what_cannot_be_held_is_said_before_the_budget_is_spent():
+def test_saturation_is_reported_before_the_budget_is_spent():
     axis = make_axis()
-    said_at = None
+    reported_at = None
     for _ in range(2000):
         axis.step(0.01, H)
         assert abs(axis.momentum) <= axis.budget
-        if axis.saturation and said_at is None:
-            said_at = axis.momentum
-    assert said_at is not None
-    assert said_at < axis.budget
+        if axis.saturation and reported_at is None:
+            reported_at = axis.momentum
+    assert reported_at is not None
+    assert reported_at < axis.budget
     assert "cannot hold" in axis.saturation
     assert f"of {axis.budget:g} N m s" in axis.saturation
     for _ in range(2000):
@@ -51,18 +51,18 @@ def test_what_cannot_be_held_is_said_before_the_budget_is_spent():
     assert not axis.saturation
 
 
-def test_a_tilt_that_spends_the_budget_again_and_again_is_told_once():
+def test_a_repeated_saturation_is_reported_once():
     axis = make_axis()
-    told: list[bool] = []
+    reports: list[bool] = []
     for step in range(3000):
-        # A tilt that swings, and that nobody damps, until it ends.
+        # An undamped tilt oscillation, until it ends.
         axis.step(0.2 * math.cos(4.0 * step * H) if step < 2000 else 0.0, H)
-        if not told or bool(axis.saturation) is not told[-1]:
-            told.append(bool(axis.saturation))
-    assert told == [False, True, False]
+        if not reports or bool(axis.saturation) is not reports[-1]:
+            reports.append(bool(axis.saturation))
+    assert reports == [False, True, False]
 
 
-def test_the_holding_time_of_a_steady_torque_is_what_is_left_of_the_budget():
+def test_the_holding_time_is_the_remaining_budget_over_the_torque():
     axis = make_axis(0.3)
     # A static tilt of 5 deg needs 0.28 N m and empties 0.3 N m s in about a second.
     torque = HANGING.stiffness * math.sin(math.radians(5.0))
@@ -75,7 +75,7 @@ def test_the_holding_time_of_a_steady_torque_is_what_is_left_of_the_budget():
 
 
 def flown(tilt_rate: float) -> tuple[float, float]:
-    """Tilts along x and y after 4 s of both reactions on their linear plants, from a rate."""
+    """Tilts along x and y after 4 s of both control loops on linear plants, from a rate."""
     wheels, flywheel = (
         WheelReaction(HANGING, ROTORS, DESIGN),
         FlywheelReaction(HANGING, ROTORS, DESIGN),
@@ -116,7 +116,7 @@ def test_both_reactions_damp_their_tilts():
     assert along_y < math.radians(0.1)
 
 
-def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
+def test_the_left_wheel_never_drives_the_right_one():
     wheels = WheelReaction(HANGING, ROTORS, DESIGN)
     for k in range(4000):
         rate = wheels.step(0.2 * math.sin(0.1 * k), 0.02, H, pumps=k < 2000)
@@ -124,25 +124,25 @@ def test_the_wheel_stays_behind_the_right_one_whatever_is_asked():
     assert wheels.is_quiet
 
 
-def test_a_wheel_that_still_turns_is_taken_over_as_it_is_and_brought_down_by_its_ramp():
+def test_a_turning_wheel_ramps_to_its_bias():
     wheels = WheelReaction(HANGING, ROTORS, DESIGN)
     wheels.start_from(ROTORS.wheel_pump_bias)
     rates = [ROTORS.wheel_pump_bias, *(wheels.step(0.0, 0.0, H, pumps=False) for _ in range(1000))]
     steps = [after - before for before, after in itertools.pairwise(rates)]
     assert max(map(abs, steps)) <= ROTORS.wheel_acceleration * H * (1.0 + 1e-9)
     assert wheels.is_quiet
-    # A wheel that turned with the other one is not driven so.
+    # A wheel that turned forward is not driven forward.
     wheels.start_from(3.0)
     assert wheels.step(0.0, 0.0, H, pumps=False) <= 0.0
 
 
-def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
+def test_the_flywheel_returns_the_nut_and_keeps_within_its_travel():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     centre, travel = ROTORS.screw_travel_centre, ROTORS.screw_travel
     assert flywheel.step(0.0, 0.0, 0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
     other = FlywheelReaction(HANGING, ROTORS, DESIGN)
     assert other.step(0.0, 0.0, 0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
-    # Beyond its travel nothing is asked that leads farther out.
+    # Beyond its travel no setpoint leads farther out.
     assert flywheel.step(0.05, 0.0, 0.0, centre + 1.01 * travel, 0.0, H, quiet=False) < (
         ROTORS.flywheel_friction + 0.05 * flywheel.axis.gains.rate
     )
@@ -150,13 +150,13 @@ def test_the_flywheel_brings_the_nut_back_and_never_over_its_travel():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_nut_that_runs_toward_an_end_is_braked_gently(sign: float):
+def test_a_nut_that_moves_toward_an_end_is_braked_smoothly(sign: float):
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     inertia = HANGING.flywheel_inertia
     angle = rate = 0.0
     hardest = 0.0
     for k in range(round(20.0 / H)):
-        # A pump that wants it to go on, after it has come up to speed.
+        # The pump commands it onward after it has reached its rate.
         pumped = sign * inertia * min(40.0, 40.0 * k * H)
         torque = flywheel.step(
             0.0, pumped, 0.0, ROTORS.screw_travel_centre + angle, rate, H, quiet=False
@@ -168,11 +168,11 @@ def test_a_nut_that_runs_toward_an_end_is_braked_gently(sign: float):
         if k * H > 1.0:
             hardest = max(hardest, abs(change) * inertia)
     assert 0.7 * ROTORS.screw_travel < sign * angle < ROTORS.screw_travel
-    # What it reacts with tilts the rover by no more than a degree.
+    # Its reaction tilts the rover by less than a degree.
     assert hardest / HANGING.stiffness < math.radians(1.0)
 
 
-def test_friction_is_made_up_for_in_the_direction_of_motion():
+def test_friction_is_compensated_in_the_direction_of_motion():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     flywheel.axis.momentum = 0.02  # 20 rad/s
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""Gains of the attitude law on the linearised plant: damping, margins, and what they depend on."""
+"""Gains of the attitude law on the linearised plant: damping, margins, and sensitivity."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ INERTIA, STIFFNESS, FRICTION = 0.18, 3.2, 0.02
 def flown(
     gains: AxisGains, *, gain: float = 1.0, delay: float = 0.0, inertia: float = INERTIA
 ) -> np.ndarray:
-    """Tilt over 20 s after a release at 1, stepped finely on the plant as it is."""
+    """Tilt over 20 s after a release at 1, on the exact linear plant."""
     h, tilt, rate, momentum = 1e-3, 1.0, 0.0, 0.0
     late = [0.0] * max(1, round(delay / h))
     seen, torque = [], 0.0
     for _ in range(20000):
-        wanted = gain * gains.rate * rate - gains.desaturation * momentum
-        late.append(wanted)
-        told = late.pop(0)
-        torque += h * DESIGN.drive_bandwidth * (told - torque)
+        setpoint = gain * gains.rate * rate - gains.desaturation * momentum
+        late.append(setpoint)
+        delayed = late.pop(0)
+        torque += h * DESIGN.drive_bandwidth * (delayed - torque)
         momentum += torque * h
         rate += h * (-STIFFNESS * tilt - torque) / inertia
         tilt += h * rate
@@ -33,7 +33,7 @@ def flown(
     return np.array(seen)
 
 
-def test_the_gain_gives_the_damping_that_was_asked_for():
+def test_the_gain_gives_the_required_damping():
     gains = design_axis(INERTIA, STIFFNESS, FRICTION, replace(DESIGN, tilt_damping_ratio=0.1))
     frequency = math.sqrt(STIFFNESS / INERTIA)
     assert gains.frequency == pytest.approx(frequency)
@@ -45,11 +45,11 @@ def test_the_gain_gives_the_damping_that_was_asked_for():
     ]
     ratio = math.log(peaks[0] / peaks[1])
     damping = ratio / math.hypot(ratio, math.tau)
-    # The drive's lag takes some of it.
+    # The drive's lag reduces it.
     assert damping == pytest.approx(0.1, rel=0.15)
 
 
-def test_the_loop_bears_half_of_its_margin_and_not_more_than_it():
+def test_the_loop_is_stable_up_to_its_gain_margin():
     gains = design_axis(INERTIA, STIFFNESS, FRICTION, DESIGN)
     assert gains.gain_margin > 2.0
     delay = DESIGN.loop_delay
@@ -59,7 +59,7 @@ def test_the_loop_bears_half_of_its_margin_and_not_more_than_it():
     assert not abs(wild[-2000:]).max() < 1.0
 
 
-def test_the_margins_of_the_default_rover_are_comfortable():
+def test_the_default_rover_has_sufficient_margins():
     for inertia in (0.177, 0.189):
         gains = design_axis(inertia, 3.29, FRICTION, DESIGN)
         assert gains.gain_margin > 3.0
@@ -67,13 +67,13 @@ def test_the_margins_of_the_default_rover_are_comfortable():
 
 
 @pytest.mark.parametrize("off", [0.8, 1.2])
-def test_a_mass_that_is_off_by_a_fifth_stays_damped(off: float):
+def test_the_loop_stays_damped_with_a_mass_error_of_a_fifth(off: float):
     gains = design_axis(INERTIA, STIFFNESS, FRICTION, DESIGN)
     tilt = flown(gains, delay=DESIGN.loop_delay, inertia=off * INERTIA)
     assert abs(tilt[8000:]).max() < 0.05
 
 
-def test_more_delay_leaves_less_margin():
+def test_delay_reduces_the_margin():
     margins = [
         design_axis(INERTIA, STIFFNESS, FRICTION, replace(DESIGN, loop_delay=delay)).gain_margin
         for delay in (0.02, 0.04, 0.08)
@@ -81,6 +81,6 @@ def test_more_delay_leaves_less_margin():
     assert margins == sorted(margins, reverse=True)
 
 
-def test_friction_says_where_it_would_hold_the_tilt():
+def test_friction_gives_the_tilt_offset():
     gains = design_axis(INERTIA, STIFFNESS, FRICTION, DESIGN)
     assert gains.friction_tilt == pytest.approx(FRICTION / STIFFNESS)

@@ -1,4 +1,4 @@
-"""descent_node and winch_node as processes, with a mother machine and a rover of the test's own."""
+"""descent_node and winch_node as processes, with a simulated mother machine and rover."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FAR = 20.0  # a depth that is not reached [m]
 
 
 class Bench:
-    """Both nodes and what they act on."""
+    """Both nodes with the simulated machine."""
 
     def __init__(self, harness: NodeHarness) -> None:
         self.harness = harness
@@ -76,19 +76,19 @@ class Bench:
         assert answer.success, answer.message
         self.observer.wait_for_text(topics.WINCH_MODE, "hold")
 
-    def ask(self, joint: str, depth: float, rate: float = 0.0) -> None:
-        """Ask as an operator does: without a stamp."""
+    def request(self, joint: str, depth: float, rate: float = 0.0) -> None:
+        """Send a request without a stamp, as an operator does."""
         self.observer.send_joint(topics.DESCENT_REQUEST, joint, depth, rate, stamp_ns=0)
 
-    def ask_and_wait(self, joint: str, depth: float, rate: float = 0.0) -> None:
+    def request_and_wait(self, joint: str, depth: float, rate: float = 0.0) -> None:
         since = len(self.observer.listen(topics.EVENTS))
-        self.ask(joint, depth, rate)
+        self.request(joint, depth, rate)
         self.observer.wait_for_event("stop_accepted", since)
         self.mother.descends = True
 
     def travel(self) -> None:
-        """Ask for a stop, and wait until the tether is paid out."""
-        self.ask_and_wait(OBSERVATION_STOP, FAR, 0.2)
+        """Request a stop, and wait until the tether is paid out."""
+        self.request_and_wait(OBSERVATION_STOP, FAR, 0.2)
         self.mother.wait(lambda: self.mother.last.rate > 0.19, "the drum does not pay out")
 
     def wait_until_braked(self) -> None:
@@ -117,36 +117,36 @@ def bench(harness: NodeHarness) -> Iterator[Bench]:
         made.mother.end()
 
 
-# A bench takes some seconds to set up, so each test takes it through several things.
+# Setting up a bench takes seconds, so each test covers several cases.
 
 
-def test_a_stop_is_asked_for_by_topic_and_its_pictures_are_told(bench: Bench):
+def test_a_stop_is_requested_by_topic_and_its_pictures_are_published(bench: Bench):
     refuse_what_is_wrong(bench)
     assert bench.observer.listen(topics.DESCENT_PHASE).wait().text == "released"
     assert len(bench.observer.listen(topics.WHEEL_COMMAND)) == 0
-    bench.ask_and_wait(OBSERVATION_STOP, 5.5)
-    bench.ask_and_wait(PLAIN_STOP, 5.3, 0.1)
+    bench.request_and_wait(OBSERVATION_STOP, 5.5)
+    bench.request_and_wait(PLAIN_STOP, 5.3, 0.1)
     look_at_pictures(bench)
     release(bench)
     be_stopped(bench)
 
 
 def refuse_what_is_wrong(bench: Bench) -> None:
-    """Refusals say what, why and what would be right, and nothing moves."""
+    """Refusals state value, limit and remedy, and nothing moves."""
     bench.mother.spoil = lambda name, m: None if name == topics.IMU else m
     bench.observer.wait_for_status(
         topics.DIAGNOSTICS,
         lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.IMU}",
-        bench.diagnostics(),  # at the start it had not been heard either
+        bench.diagnostics(),  # it had not been received at the start either
     )
-    bench.ask(OBSERVATION_STOP, 6.0)
-    assert f"{topics.IMU} not heard" in bench.refused("stale")
+    bench.request(OBSERVATION_STOP, 6.0)
+    assert f"{topics.IMU} timed out" in bench.refused("stale")
     bench.mother.spoil = lambda _, message: message
     bench.wait_until_ready(bench.diagnostics())
-    bench.ask(OBSERVATION_STOP, 6.0)
+    bench.request(OBSERVATION_STOP, 6.0)
     assert topics.WINCH_REARM in bench.refused("not_armed")
     bench.arm()
-    bench.ask(OBSERVATION_STOP, 60.0)
+    bench.request(OBSERVATION_STOP, 60.0)
     assert "1.6 .. 48 m" in bench.refused("out_of_limits")
     good = JointSample(bench.mother.now_ns, {PLAIN_STOP: JointValue(6.0)})
     message = encode(topics.DESCENT_REQUEST, good)
@@ -165,9 +165,9 @@ def refuse_what_is_wrong(bench: Bench) -> None:
         assert "wrong_phase" in answer.message
     assert bench.mother.last.length == START
     assert len(bench.observer.listen(topics.WINCH_REQUEST)) == 0
-    heard = subscriptions_of(bench.observer, NODE)
-    assert {topics.IMU, topics.WINCH_STATE} <= heard
-    assert not heard & forbidden_to_controllers()
+    subscribed = subscriptions_of(bench.observer, NODE)
+    assert {topics.IMU, topics.WINCH_STATE} <= subscribed
+    assert not subscribed & forbidden_to_controllers()
 
 
 def look_at_pictures(bench: Bench) -> None:
@@ -178,7 +178,7 @@ def look_at_pictures(bench: Bench) -> None:
         assert sample.joints[WALL_DISTANCE].position == WALL
         assert math.radians(0.2) > sample.joints[CAMERA_RATE].velocity >= 0.0
         assert abs(sample.joints[HEADING].position) < 0.1
-        # A reading of the camera whose exposure began with the order or later.
+        # A report of the camera whose exposure began at the command or later.
         assert sample.joints[SMEAR].position * 1e3 - sample.stamp_ns * 1e-9 >= 0.1 - 1e-6
     ended = bench.observer.wait_for_event("stop_ended")
     assert ended.values["pictures"] == "2"
@@ -199,7 +199,7 @@ def release(bench: Bench) -> None:
 
 
 def be_stopped(bench: Bench) -> None:
-    """A node that is stopped on the way leaves the drum braked."""
+    """A node that is stopped during a travel leaves the drum braked."""
     bench.travel()
     bench.mother.descends = False
     assert bench.process.stop(signal.SIGINT) == 0
@@ -209,7 +209,7 @@ def be_stopped(bench: Bench) -> None:
     assert "Traceback" not in bench.process.output
 
 
-def test_whatever_happens_on_the_way_it_moves_only_when_it_is_asked(bench: Bench):
+def test_after_an_interruption_it_moves_only_on_request(bench: Bench):
     bench.wait_until_ready()
     bench.arm()
     hold_resume_and_abort(bench)
@@ -222,7 +222,7 @@ def hold_resume_and_abort(bench: Bench) -> None:
     assert bench.observer.call(topics.DESCENT_HOLD).success
     bench.wait_until_braked()
     held = bench.mother.last.length
-    bench.ask(PLAIN_STOP, 6.0)
+    bench.request(PLAIN_STOP, 6.0)
     assert "resumed" in bench.refused("wrong_phase")
     assert bench.observer.call(topics.DESCENT_RESUME).success
     bench.mother.wait(lambda: bench.mother.last.length > held + 0.2, "it does not go on")
@@ -236,13 +236,13 @@ def hold_resume_and_abort(bench: Bench) -> None:
 
 
 def lose_a_sensor(bench: Bench) -> None:
-    """A sensor that falls silent ends in a hold, with the reason."""
+    """A sensor timeout ends in a hold with the reason."""
     bench.travel()
     bench.mother.descends = False
     bench.mother.spoil = lambda name, m: None if name == topics.IMU else m
-    told = bench.observer.wait_for_event("descent_interrupted")
-    assert told.level is Level.WARN
-    assert told.message == f"{topics.IMU} not heard"
+    event = bench.observer.wait_for_event("descent_interrupted")
+    assert event.level is Level.WARN
+    assert event.message == f"{topics.IMU} timed out"
     bench.wait_until_braked()
     assert bench.mother.last.length < FAR - 0.1
     bench.mother.spoil = lambda _, message: message
@@ -255,7 +255,7 @@ def lose_a_sensor(bench: Bench) -> None:
 
 
 def be_killed(bench: Bench) -> None:
-    """The winch stops by itself, and a node that is started again moves nothing."""
+    """The winch stops by itself, and a restarted node moves nothing."""
     bench.mother.descends = False
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
@@ -265,13 +265,13 @@ def be_killed(bench: Bench) -> None:
     bench.wait_until_braked()
     length = bench.mother.last.length
     assert length < FAR - 0.1
-    since, asked = bench.diagnostics(), len(bench.observer.listen(topics.WINCH_REQUEST))
+    since, requests = bench.diagnostics(), len(bench.observer.listen(topics.WINCH_REQUEST))
     phases = bench.phases()
     bench.start()
     bench.wait_until_ready(since)
     bench.observer.wait_for_text(topics.DESCENT_PHASE, "released", since=phases)
     bench.mother.wait_for(2.0)
     assert bench.mother.last.length == length
-    assert len(bench.observer.listen(topics.WINCH_REQUEST)) == asked
-    bench.ask_and_wait(PLAIN_STOP, length + 0.3)
+    assert len(bench.observer.listen(topics.WINCH_REQUEST)) == requests
+    bench.request_and_wait(PLAIN_STOP, length + 0.3)
     bench.mother.wait(lambda: bench.mother.last.length > length + 0.2, "it does not go on")

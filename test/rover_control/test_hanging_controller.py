@@ -1,4 +1,4 @@
-"""What the controller of the hanging rover says of its own estimate."""
+"""Reports of the hanging controller on its swing estimate."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ TICK_NS = 10_000_000
 PULL = 1.62
 
 
-def hear(rover: HangingController, first: int, seconds: float, rate: float) -> list[str]:
-    """Names of what it says while the gyro about x reads a rate [rad/s]."""
+def events_at(rover: HangingController, first: int, seconds: float, rate: float) -> list[str]:
+    """Names of the events while the gyro about x reads a rate [rad/s]."""
     rest = JointValue()
     for k in range(first, first + round(100 * seconds)):
         now = k * TICK_NS
@@ -23,10 +23,10 @@ def hear(rover: HangingController, first: int, seconds: float, rate: float) -> l
     return [change.name for change in rover.take_changes()]
 
 
-def test_an_estimate_that_is_begun_anew_is_told_once_and_again_when_the_swing_is_known():
+def test_a_divergence_is_reported_once_and_its_end_too():
     rover = HangingController(HangingControllerParameters())
-    assert hear(rover, 1, 10.0, 0.0) == []
-    # As of a rover that is turned over, and not of one that hangs.
-    assert hear(rover, 1001, 20.0, 1.0) == ["swing_lost"]
+    assert events_at(rover, 1, 10.0, 0.0) == []
+    # The rate of a rover that is turned over, not of a hanging one.
+    assert events_at(rover, 1001, 20.0, 1.0) == ["swing_lost"]
     assert rover.estimator.divergences > 1
-    assert hear(rover, 3001, 60.0, 0.0) == ["swing_found"]
+    assert events_at(rover, 3001, 60.0, 0.0) == ["swing_found"]

@@ -1,4 +1,4 @@
-"""How long an ellipse is slow, against its own motion; and what lasts of a swing."""
+"""Imaging windows against simulated motion, and the swing filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rover_control.swing_filter import SwingFilter
 
 
 @pytest.mark.parametrize(("major", "minor"), [(0.01, 0.0), (0.01, 0.003), (0.02, -0.004)])
-def test_the_span_is_that_of_the_motion(major: float, minor: float):
+def test_the_window_matches_the_motion(major: float, minor: float):
     w, limit = 0.23, 1.2e-3
     times = np.linspace(0.0, math.pi / w, 200001)
     rates = w * np.hypot(major * np.sin(w * times), minor * np.cos(w * times))
@@ -22,12 +22,12 @@ def test_the_span_is_that_of_the_motion(major: float, minor: float):
     assert imaging_window(major, minor, w, limit) == pytest.approx(slow, abs=1e-3)
 
 
-def test_what_is_slow_always_and_what_never_is():
+def test_a_slow_circle_has_no_end_and_a_fast_one_no_window():
     assert imaging_window(0.004, 0.004, 0.2, 0.001) == math.inf
     assert imaging_window(0.02, 0.01, 0.2, 0.001) == 0.0
 
 
-def test_the_best_ellipse_is_no_circle_where_the_circle_is_too_fast():
+def test_the_best_ellipse_is_no_circle_if_the_circle_is_too_fast():
     w, limit = 0.23, 1.7e-3
     circle = 1.05 * limit / w
     major = 2.5 * circle
@@ -36,12 +36,12 @@ def test_the_best_ellipse_is_no_circle_where_the_circle_is_too_fast():
     assert 0.0 < best < math.inf
     assert best >= imaging_window(major, minor, w, limit)
     assert imaging_window(circle, circle, w, limit) == 0.0
-    # Much more momentum has no slow ellipse; much less makes a slow circle.
+    # A much larger momentum has no slow ellipse; a much smaller one a slow circle.
     assert longest_imaging_window(3.0 * circle, 2.0 * circle, w, limit) == 0.0
     assert longest_imaging_window(2.0 * circle, 0.2 * circle, w, limit) == math.inf
 
 
-def test_what_lasts_of_a_swing_is_not_delayed_and_loses_the_tilt():
+def test_the_filter_removes_the_tilt_without_delaying_the_swing():
     w, tilting, h = 0.4, 4.2, 0.02
     steady = SwingFilter()
     ahead, back = 0.02, 0.012 * cmath.exp(0.7j)
@@ -53,10 +53,18 @@ def test_what_lasts_of_a_swing_is_not_delayed_and_loses_the_tilt():
         z = ahead * cmath.exp(1j * w * t) + back * cmath.exp(-1j * w * t)
         v = 1j * w * (ahead * cmath.exp(1j * w * t) - back * cmath.exp(-1j * w * t))
         true, rate = z * turned, v * turned
-        told = rate + 0.2 * w * 0.02 * math.cos(tilting * t)
+        filtered = rate + 0.2 * w * 0.02 * math.cos(tilting * t)
         zero = (0.0, 0.0)
         swing = SwingEstimate(
-            (true.real, true.imag), (told.real, told.imag), zero, zero, zero, 0.05, w, 0.0, 0.0
+            (true.real, true.imag),
+            (filtered.real, filtered.imag),
+            zero,
+            zero,
+            zero,
+            0.05,
+            w,
+            0.0,
+            0.0,
         )
         lasting = steady.step(swing, heading, h)
         if t > 40.0:

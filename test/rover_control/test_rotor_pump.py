@@ -1,4 +1,4 @@
-"""Rotors against the swing and the rover's spin, on a pendulum by its own equations."""
+"""Rotor pumping of swing and spin, on a simulated pendulum."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pumped(
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("minor", [0.0, 1.4, -1.4])
-def test_the_torque_that_is_asked_for_turns_the_rover(sign: float, minor: float):
+def test_the_requested_torque_turns_the_rover(sign: float, minor: float):
     rover = swinging(4.0, 2.0, minor)
     rover.u, rover.v = rover.u * (0.6 + 0.8j), rover.v * (0.6 + 0.8j)
     before = rover.momentum
@@ -38,11 +38,11 @@ def test_the_torque_that_is_asked_for_turns_the_rover(sign: float, minor: float)
     pumped(rover, 60.0, torque, damps=False)
     spun = HANGING.inertia_about_z * rover.yaw_rate
     assert spun == pytest.approx(60.0 * torque, rel=0.15)
-    # The swing gave it.
+    # It comes from the swing.
     assert rover.momentum + spun == pytest.approx(before, abs=0.03 * abs(spun))
 
 
-def test_more_than_both_rotors_can_is_cut_to_what_is_predicted():
+def test_a_torque_beyond_both_rotors_is_limited_to_the_prediction():
     rover = swinging(4.0, 2.0, 1.5)
     pump = RotorPump(DAMPING, HANGING)
     largest = pump.largest_torque(rover.estimate(), 4.0)
@@ -66,7 +66,7 @@ def test_both_rotors_stay_within_their_bounds_and_the_screw_within_its_travel():
         assert swept / HANGING.flywheel_inertia <= 1.05 * DAMPING.pump_travel
 
 
-def test_what_the_flywheel_sweeps_is_the_sum_of_its_momentum():
+def test_the_integral_matches_the_flywheel_momentum():
     rover = swinging(6.0, 2.0, 1.0)
     pump = RotorPump(DAMPING, HANGING)
     total, misses, sweeps = 0.0, [], []
@@ -79,7 +79,7 @@ def test_what_the_flywheel_sweeps_is_the_sum_of_its_momentum():
     assert max(misses) - min(misses) < 0.05 * (max(sweeps) - min(sweeps))
 
 
-def test_the_wheels_take_a_plane_swing_away_as_predicted():
+def test_the_wheels_damp_a_plane_swing_as_predicted():
     rover = swinging(3.0, 3.0)
     pumped(rover, 40.0, 0.0, damps=True, parameters=WHEELS_ONLY)
     fallen = RotorPump(DAMPING, HANGING).decay(3.0) * 40.0
@@ -98,9 +98,9 @@ def test_without_a_torque_only_the_plane_part_is_pumped():
     assert rover.momentum == pytest.approx(before, rel=0.03)
 
 
-def test_the_pumping_s_own_tilt_is_that_of_its_torque():
+def test_the_induced_tilt_rate_matches_the_torque():
     pump = RotorPump(DAMPING, HANGING)
     frequency, momentum = 0.5, 0.02
     # h = H cos wt, p = -h'/(m g d): p' = H w^2/(m g d) at t = 0.
-    wanted = momentum * frequency**2 / (10.0 * 1.62 * 0.203)
-    assert pump.induced_tilt_rate(momentum, frequency) == pytest.approx(wanted)
+    expected = momentum * frequency**2 / (10.0 * 1.62 * 0.203)
+    assert pump.induced_tilt_rate(momentum, frequency) == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""SuspendedMassEstimator the rover by the tension at the fairlead."""
+"""Suspended mass from the tension at the fairlead."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ H = 0.01
 def weigh(
     suspended_mass: SuspendedMassEstimator, mass: float, length: float, seconds: float
 ) -> None:
-    """A rover that swings by 3 deg, on a tether that bounces."""
+    """Tension of a rover that swings by 3 deg and bounces on its tether."""
     w = HANGING.swing_frequency(length)
     for k in range(round(seconds / H)):
         t = k * H
@@ -29,7 +29,7 @@ def weigh(
 
 @pytest.mark.parametrize("length", [2.0, 50.0])
 @pytest.mark.parametrize("mass", [8.0, 10.0, 12.0])
-def test_the_mass_is_found_to_a_hundredth_while_it_swings_and_bounces(mass: float, length: float):
+def test_the_mass_is_estimated_to_one_percent_under_swing_and_bounce(mass: float, length: float):
     suspended_mass = SuspendedMassEstimator(HANGING)
     assert suspended_mass.ratio == 1.0
     weigh(suspended_mass, mass, length, 14.0)
@@ -38,7 +38,7 @@ def test_the_mass_is_found_to_a_hundredth_while_it_swings_and_bounces(mass: floa
     assert suspended_mass.ratio == pytest.approx(mass / HANGING.rover_mass, rel=0.01)
 
 
-def test_what_was_weighed_before_is_forgotten():
+def test_the_estimate_forgets_an_earlier_mass():
     suspended_mass = SuspendedMassEstimator(HANGING)
     weigh(suspended_mass, 8.0, 20.0, 100.0)
     weigh(suspended_mass, 12.0, 20.0, 100.0)
@@ -48,7 +48,7 @@ def test_what_was_weighed_before_is_forgotten():
 
 
 @pytest.mark.parametrize("mass", [0.0, 5.0, 20.0])
-def test_what_no_hanging_rover_weighs_is_not_believed(mass: float):
+def test_an_implausible_mass_is_rejected(mass: float):
     suspended_mass = SuspendedMassEstimator(HANGING)
     weigh(suspended_mass, mass, 20.0, 60.0)
     assert suspended_mass.ratio == 1.0

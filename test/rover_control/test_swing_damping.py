@@ -1,4 +1,4 @@
-"""The winch against a swing: strokes, and decay on a pendulum by its own equations."""
+"""Swing damping by the winch: strokes, and decay of a simulated pendulum."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DAMPING = DampingParameters()
 @pytest.mark.parametrize(
     ("length", "bound"), [(45.0, "rate"), (7.5, "acceleration"), (0.5, "acceleration")]
 )
-def test_the_stroke_is_bounded_by_what_binds_first(length: float, bound: str):
+def test_the_stroke_keeps_the_tightest_bound(length: float, bound: str):
     trim = WinchTrim(DAMPING)
     frequency = HANGING.swing_frequency(length)
     stroke = trim.stroke(length, frequency)
@@ -25,7 +25,7 @@ def test_the_stroke_is_bounded_by_what_binds_first(length: float, bound: str):
     assert stroke.length <= DAMPING.trim_length_fraction * length
 
 
-def test_a_share_of_the_length_bounds_a_quick_winch():
+def test_a_fraction_of_the_length_bounds_a_fast_winch():
     quick = WinchTrim(
         DampingParameters(trim_rate=0.3, trim_acceleration=5.0, trim_length_fraction=0.01)
     )
@@ -44,7 +44,7 @@ def test_a_plane_swing_decays_as_predicted(length: float):
     assert abs(rover.trimmed) < 1.1 * trim.stroke(length, 0.2).length
 
 
-def test_a_circle_is_left_alone_by_the_winch_and_an_ellipse_becomes_one():
+def test_the_winch_turns_an_ellipse_into_a_circle_and_leaves_circles():
     trim = WinchTrim(DAMPING)
     circle = swinging(10.0, 1.0, 1.0)
     assert abs(trim.rate(circle.estimate(), 10.0, 0.0)) < 1e-3 * DAMPING.trim_rate

@@ -1,4 +1,4 @@
-"""The swing's estimate against a rover that is stepped by its own equations, in space."""
+"""The swing estimator against a simulated rover in space."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ GYRO_NOISE = math.radians(0.05)
 
 
 def watched(
-    model: HangingModel, seconds: float, *, pump: float = 0.0, told: bool = True
+    model: HangingModel, seconds: float, *, pump: float = 0.0, estimate: bool = True
 ) -> SwingEstimator:
-    """An estimator that has watched the model for a while; `pump` moves the rotors' momenta."""
+    """Run an estimator on the model; `pump` gives the rotor momenta."""
     estimator = SwingEstimator(EstimatorParameters(), HANGING)
     frequency = HANGING.swing_frequency(model.length)
     for k in range(round(100 * seconds)):
         rate = pump * math.cos(frequency * 0.01 * k)
         gyro, force = model.step((0.5 * rate, rate))
         estimator.on_drum(model.length, model.payout_rate)
-        change = (-0.01 * rate, 0.005 * rate) if told else (0.0, 0.0)
+        change = (-0.01 * rate, 0.005 * rate) if estimate else (0.0, 0.0)
         estimator.step(gyro, force, change, 0.01)
     return estimator
 
@@ -46,14 +46,14 @@ def make_model(length: float, **rest: object) -> HangingModel:
 
 
 def misses(estimate: SwingEstimate, model: HangingModel) -> tuple[float, float]:
-    """Of the swing's direction, and of the rate at which the rover turns [rad], [rad/s]."""
+    """Errors of swing direction [rad] and of the rover's angular rate [rad/s]."""
     direction = complex(*estimate.direction) - model.in_base(model.u)
     rate = complex(*estimate.direction_rate) + complex(*estimate.tilt_rate)
     return abs(direction), abs(rate - model.in_base(model.phi_rate))
 
 
 @pytest.mark.parametrize("length", [2.0, 15.0, 45.0])
-def test_swing_and_bias_are_found_under_noise(length: float):
+def test_swing_and_bias_are_estimated_under_noise(length: float):
     model = make_model(length, bias=(0.002, -0.0015, 0.001), yaw_rate=0.004)
     estimate = watched(model, 50.0).estimate
     direction, rate = misses(estimate, model)
@@ -64,7 +64,7 @@ def test_swing_and_bias_are_found_under_noise(length: float):
     assert estimate.yaw_rate == pytest.approx(0.004, abs=6e-4)
 
 
-def test_the_ellipse_is_told_with_its_sense_and_plane():
+def test_the_ellipse_has_its_sense_and_plane():
     ellipse = watched(make_model(10.0), 40.0).estimate.ellipse
     assert math.degrees(ellipse.major) == pytest.approx(1.0, abs=0.06)
     assert math.degrees(ellipse.minor) == pytest.approx(0.4, abs=0.06)
@@ -75,7 +75,7 @@ def test_the_ellipse_is_told_with_its_sense_and_plane():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_a_cone_sweeps_and_how_it_precesses_is_not_taken_for_the_gyro_s_bias(sign: float):
+def test_solid_angle_and_precession_of_a_cone_do_not_bias_the_gyro(sign: float):
     frequency = HANGING.swing_frequency(2.0)
     u, v = complex(math.radians(3.0)), 1j * sign * math.radians(2.2) * frequency
     model = HangingModel(HANGING, 2.0, u, v, phi=u, phi_rate=v, bias=(0.0, 0.0, 0.001))
@@ -96,13 +96,13 @@ def test_a_swing_keeps_its_plane_in_space_while_the_rover_yaws():
 
 
 @pytest.mark.parametrize("rate", [0.3, -0.3])
-def test_the_swing_is_followed_while_the_tether_is_paid_out_and_reeled_in(rate: float):
+def test_the_swing_is_tracked_at_a_payout_rate(rate: float):
     model = make_model(18.0, payout_rate=rate)
     estimate = watched(model, 40.0).estimate
     assert misses(estimate, model)[0] < math.radians(0.06)
 
 
-def test_what_the_rotors_do_is_not_taken_for_swing():
+def test_rotor_reactions_are_not_taken_for_swing():
     # 0.3 deg of swing on 5 m, and rotors that tilt the rover by more than that.
     def still() -> HangingModel:
         return make_model(5.0)
@@ -111,12 +111,12 @@ def test_what_the_rotors_do_is_not_taken_for_swing():
     known = misses(watched(model, 40.0, pump=0.02).estimate, model)[0]
     assert known < math.radians(0.04)
     other = still()
-    unknown = misses(watched(other, 40.0, pump=0.02, told=False).estimate, other)[0]
+    unknown = misses(watched(other, 40.0, pump=0.02, estimate=False).estimate, other)[0]
     assert unknown > 1.5 * known
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_swing_that_rotors_push_all_the_time_is_told_without_a_lag(sign: float):
+def test_a_continuously_pumped_swing_is_estimated_without_lag(sign: float):
     # Momenta at right angles to the swing's velocity, as they turn the rover; IMU read at 50 Hz.
     amplitude, frequency = math.radians(1.5), HANGING.swing_frequency(2.0)
     u, v = complex(amplitude), 1j * amplitude * frequency
@@ -132,14 +132,14 @@ def test_a_swing_that_rotors_push_all_the_time_is_told_without_a_lag(sign: float
         estimator.on_drum(2.0, 0.0)
         estimator.step(gyro, force, (-0.02 * rates[1], 0.02 * rates[0]), 0.02)
         if k > 1000:
-            told = complex(*estimator.estimate.direction)
-            missed.append(abs(told) - abs(model.in_base(model.u)))
+            estimate = complex(*estimator.estimate.direction)
+            missed.append(abs(estimate) - abs(model.in_base(model.u)))
     # The swing grows or falls by more than that, within some seconds.
     assert abs(abs(model.u) - amplitude) > math.radians(0.3)
     assert max(abs(each) for each in missed) < math.radians(0.03)
 
 
-def test_a_free_tilt_is_told_from_the_swing():
+def test_a_free_tilt_is_separated_from_the_swing():
     model = make_model(20.0)
     model.phi += 1j * math.radians(1.0)
     estimate = watched(model, 30.0).estimate
@@ -148,14 +148,14 @@ def test_a_free_tilt_is_told_from_the_swing():
     assert misses(estimate, model)[0] < math.radians(0.05)
 
 
-# A push at once that the accelerometer's sample misses, and pushes of 10 to 500 ms that it feels.
+# An instant impact between accelerometer samples, and forces of 10 to 500 ms.
 @pytest.mark.parametrize(("samples", "arm"), [(1, 0.0), (1, 30.2), (3, 30.2), (50, 30.2)])
-def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing(samples: int, arm: float):
+def test_a_disturbance_is_detected_and_estimated_within_a_quarter_period(samples: int, arm: float):
     model = make_model(30.0)
     estimator = watched(model, 50.0)
     calm = estimator.estimate.swing_error
     push = cmath.rect(math.radians(1.5) * HANGING.swing_frequency(30.0) / samples, 2.0)
-    blow = arm * push / 0.01
+    impact = arm * push / 0.01
     errors: list[float] = []
     swings: list[float] = []
     for k in range(700):
@@ -164,7 +164,7 @@ def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing(samples: int, 
             model.phi_rate += push
         gyro, force = model.step((0.0, 0.0))
         if k < samples:
-            force = (force[0] + blow.real, force[1] + blow.imag, force[2])
+            force = (force[0] + impact.real, force[1] + impact.imag, force[2])
         estimator.step(gyro, force, (0.0, 0.0), 0.01)
         errors.append(estimator.estimate.swing_error)
         swings.append(estimator.estimate.ellipse.major)
@@ -172,17 +172,16 @@ def test_a_push_is_noticed_and_learnt_within_a_quarter_of_a_swing(samples: int, 
     assert (estimator.disturbances, estimator.divergences) == (1, 0)
     assert max(swings) < math.radians(3.0)
     assert misses(estimator.estimate, model)[0] < math.radians(0.15)
-    # Without a push none is seen.
+    # No false detection.
     assert calm < 2.5e-4
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, -0.09])
-def test_the_swing_of_a_rover_just_lifted_is_found_while_it_tilts_and_its_tether_vibrates(
+def test_the_swing_of_a_lifted_rover_is_estimated_under_tilt_and_vibration(
     yaw_rate: float,
 ):
     model = make_model(6.6, yaw_rate=yaw_rate)
-    # Tilts by 4 deg at 16 deg/s, as one does that was pulled off the floor, and is heavier than
-    # the estimator takes it for.
+    # Tilts by 4 deg at 16 deg/s, as after a lift off the floor; heavier than the nominal mass.
     model.phi += math.radians(4.0) * cmath.exp(0.5j)
     model.phi_rate += math.radians(16.0) * cmath.exp(2.0j)
     model.hanging = replace(HANGING, rover_mass=11.0)
@@ -194,7 +193,7 @@ def test_the_swing_of_a_rover_just_lifted_is_found_while_it_tilts_and_its_tether
 
 
 @pytest.mark.parametrize("rate", [7.2, 10.7])  # of a long tether's second and third mode [rad/s]
-def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_long(rate: float):
+def test_tether_vibration_gives_no_false_detection_and_masks_no_disturbance(rate: float):
     model = make_model(45.0)
     model.vibration_rate = rate
     estimator = SwingEstimator(EstimatorParameters(), HANGING)
@@ -216,7 +215,7 @@ def test_a_tether_that_goes_on_vibrating_pushes_nothing_and_hides_no_push_for_lo
     assert max(after[2000:]) < math.radians(0.4)
 
 
-def test_a_free_tilt_of_an_inertia_that_is_off_is_not_taken_for_swing():
+def test_a_free_tilt_with_an_inertia_error_is_not_taken_for_swing():
     model = make_model(6.6)
     model.phi += math.radians(4.0)
     model.phi_rate += math.radians(16.0) * 1j
@@ -241,13 +240,13 @@ def test_a_slack_tether_shows_no_tilt():
 
 @pytest.mark.parametrize("pull", [0.0, 0.2, 1.0, 5.0])
 @pytest.mark.parametrize("h", [0.01, 0.1, 0.2])
-def test_what_no_hanging_rover_does_does_not_make_the_estimate_run_away(pull: float, h: float):
+def test_motion_of_a_supported_rover_does_not_diverge(pull: float, h: float):
     rng = np.random.default_rng(1)
     estimator = SwingEstimator(EstimatorParameters(), HANGING)
     estimator.on_drum(51.0, 0.0)
     for k in range(1500):
-        jolt = 0.3 if k % 500 in range(200, 205) else 0.0
-        x, y, z = rng.normal(jolt, GYRO_NOISE, 3)
+        disturbance = 0.3 if k % 500 in range(200, 205) else 0.0
+        x, y, z = rng.normal(disturbance, GYRO_NOISE, 3)
         estimator.step((x, y, z), (0.01, 0.0, pull * HANGING.rover_gravity), (0.0, 0.0), h)
         estimate = estimator.estimate
         assert max(abs(angle) for angle in (*estimate.direction, *estimate.tilt)) < 1.0

@@ -1,4 +1,4 @@
-"""The hanging rover as its sensors and drives tell it: what a descent's controller hears."""
+"""Sensors and drives of a simulated hanging rover, for the descent controller."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _CAMERA_EVERY = 10  # ticks
 
 
 class HangingMachine:
-    """Wheels and flywheel follow what they are told, and turn the rover the other way.
+    """Wheels and flywheel follow their commands and react on the rover.
 
     Args:
         length: of the tether [m].
-        swing: displacement along x from which it is let go [rad].
+        swing: initial displacement along x, at rest [rad].
 
     Attributes:
         wheel_rate: of the left wheel [rad/s].
         flywheel_torque: [N m].
-        screw: angle of the flywheel's screw [rad].
+        screw: screw angle [rad].
     """
 
     def __init__(self, length: float, swing: float = 0.0) -> None:
@@ -42,7 +42,7 @@ class HangingMachine:
         self._ticks = 0
 
     def step(self, length: float, payout_rate: float) -> None:
-        """Advance by a tick with so much tether [m], paid out at a rate [m/s]."""
+        """Advance by a tick at a payout [m] and payout rate [m/s]."""
         self._model.length, self._model.payout_rate = length, payout_rate
         friction = RotorParameters().flywheel_friction * math.tanh(self._rate)
         turning = self.flywheel_torque - friction
@@ -54,7 +54,7 @@ class HangingMachine:
         self._ticks += 1
 
     def samples(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
-        """What its sensors say now, by topic; the smear tells the time [px = 1000 s]."""
+        """Sensor samples by topic; the smear encodes the time [px = 1000 s]."""
         yield topics.IMU, ImuSample(stamp_ns, self._gyro, self._force)
         left, right = JointValue(0.0, self._wheel), JointValue()
         yield topics.WHEEL_STATE, JointSample(stamp_ns, {WHEEL_LEFT: left, WHEEL_RIGHT: right})

@@ -1,4 +1,4 @@
-"""A rover on a tether by its linear equations in space, apart from the controllers' own model."""
+"""Linear model of a rover on a tether in space, independent of the controllers' model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from msg_schemas.samples import Vector
 from rover_control.hanging_rover import HangingParameters
 
-STEPS, H = 4, 2.5e-3  # of 10 ms, [s]
+STEPS, H = 4, 2.5e-3  # substeps per 10 ms, substep [s]
 
 
 @dataclass
@@ -36,7 +36,7 @@ class HangingModel:
     generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
     def step(self, momentum_rate: tuple[float, float]) -> tuple[Vector, Vector]:
-        """10 ms under rates of the rotors' momenta about base_link x and y; gyro and force."""
+        """Advance by 10 ms under rotor torques about base_link x and y; returns gyro and force."""
         p = self.hanging
         turned, felt, swept = 0.0j, 0.0j, 0.0
         for _ in range(STEPS):
@@ -44,7 +44,7 @@ class HangingModel:
             shaken = self.vibration * math.sin(self.vibration_rate * self.time)
             tilt = (self.phi - self.u + shaken) / heading
             self.time += H
-            # The tether rights the rover; a torque about +y displaces toward -x.
+            # The tether restores the tilt; a torque about +y displaces toward -x.
             right = -p.rover_mass * p.rover_gravity * p.lever * tilt
             along_x = (right.real + momentum_rate[1]) / p.inertia_about_y
             along_y = (right.imag - momentum_rate[0]) / p.inertia_about_x
@@ -63,7 +63,7 @@ class HangingModel:
             swept += (self.phi.conjugate() * self.phi_rate).imag / STEPS
             felt += (p.rover_gravity * tilt + p.com_above_imu * turning / heading) / STEPS
         noise = self.generator.standard_normal(5).tolist()
-        # About its own axis the rover turns by less than its heading does: the solid angle.
+        # The body rate is the heading rate less the rate of the swept solid angle.
         rates = (turned.imag, -turned.real, self.yaw_rate - 0.5 * swept)
         x, y, z = (
             rate + bias + self.noise * each
@@ -76,5 +76,5 @@ class HangingModel:
         return (x, y, z), (fx, fy, p.rover_gravity)
 
     def in_base(self, vector: complex) -> complex:
-        """A vector of the map's plane along base_link x and y."""
+        """Vector of the map plane in base_link x and y."""
         return vector * cmath.exp(-1j * self.yaw)

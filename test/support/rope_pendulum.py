@@ -1,4 +1,4 @@
-"""A rover as one point on a rope that also twists; small angles, in space."""
+"""Rover as a point mass on a rope with torsion; small angles, in space."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ H = 0.02
 
 @dataclass
 class Pendulum:
-    """What swings and spins; the tilt follows the rotors at once.
+    """Swing and spin; the tilt follows the rotors at once.
 
     Attributes:
         length: of the rope [m].
         u, v: its direction against the plumb line, and its rate, in space [rad], [rad/s].
         yaw, yaw_rate: of the rover [rad], [rad/s].
-        trimmed: length that was paid out [m].
-        has_torsion: whether the rope's twist turns the rover back.
+        trimmed: length paid out so far [m].
+        has_torsion: whether the twist of the rope acts on the rover.
     """
 
     length: float
@@ -35,7 +35,7 @@ class Pendulum:
     momentum_in_space: complex = 0j
 
     def estimate(self) -> SwingEstimate:
-        """What a perfect estimator would say."""
+        """Exact estimate."""
         turned = cmath.exp(-1j * self.yaw)
         u, v = self.u * turned, self.v * turned
         frequency = HANGING.swing_frequency(self.length)
@@ -57,7 +57,7 @@ class Pendulum:
             self.u += 0.25 * H * self.v
         self.length += H * rate
         self.trimmed += H * rate
-        # What the swing gains in momentum about the plumb line, the rover loses.
+        # The momentum about the plumb line is conserved between swing and rover.
         torque = -lever * (self.u.conjugate() * push).imag
         if self.has_torsion:
             torque -= HANGING.torsional_stiffness(self.length) * self.yaw
@@ -71,7 +71,7 @@ class Pendulum:
 
     @property
     def momentum(self) -> float:
-        """Of the swing about the plumb line [N m s]."""
+        """Momentum of the swing about the plumb line [N m s]."""
         return HANGING.pendulum_inertia(self.length) * (self.u.conjugate() * self.v).imag
 
 

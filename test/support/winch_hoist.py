@@ -1,9 +1,9 @@
-"""A plant of reduced order for the winch: drum, elastic tether with mass, swinging point mass.
+"""Reduced-order plant of the winch: drum, elastic tether with mass, swinging point mass.
 
-The drum is the simulator's own. The tether is one spring along the line from the fairlead to the
+The drum is the simulator's. The tether is one spring along the line from the fairlead to the
 rover, E A (l - L)/L with strain-rate damping, without compression; its weight hangs on the fairlead
 and a third of its mass moves with the rover. The rover swings in a plane, rests on a floor, rubs
-along a wall for given times, and may be caught under a lip when it is pulled up.
+along a wall for given times, and may be caught under a lip when reeled in.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _SUBSTEP = 1e-3
 
 @dataclass(frozen=True)
 class HoistParameters:
-    """One hoist."""
+    """Parameters of the hoist."""
 
     mass: float = 10.0  # rover [kg]
     axial_stiffness: float = 2.0e4  # EA [N]
     line_density: float = 0.005  # [kg/m]
-    damping_time: float = 0.015  # of the tether's strain rate [s]
+    damping_time: float = 0.015  # strain-rate damping [s]
     gravity: float = 1.62  # [m/s^2]
     floor_depth: float = math.inf  # below the fairlead [m]
     floor_stiffness: float = 2.0e4  # [N/m^1.5]
     swing: float = 0.0  # start angle [rad]
-    swing_damping: float = 0.002  # part of the sideways speed lost in a second [1/s]
+    swing_damping: float = 0.002  # decay rate of the lateral speed [1/s]
     start_length: float = 2.0  # [m]
     drum: drums.DrumParameters = field(default_factory=drums.DrumParameters)
     scrapes: tuple[tuple[float, float, float], ...] = ()  # begin [s], end [s], force [N]
-    lip: tuple[float, float] | None = None  # from this time [s] on, at this depth [m]
+    lip: tuple[float, float] | None = None  # start [s], depth [m]
 
 
 class _Body(NamedTuple):
@@ -90,7 +90,7 @@ def _march(
         weight = constants.density * constants.gravity * min(length, abs(z))
         tension = tip + weight
         peak = max(peak, tension)
-        state, outputs, _books = drums.advance(drum, state, command, tension, h)
+        state, outputs, _energies = drums.advance(drum, state, command, tension, h)
         current = outputs.current
         fx = -tip * x / away - constants.swing_damping * mass * vx
         fz = -tip * z / away - mass * constants.gravity
@@ -137,12 +137,12 @@ class Hoist:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Of the rover: sideways, upwards [m]."""
+        """Position of the rover: lateral, up [m]."""
         return np.array([self._body.x, self._body.z])
 
     @property
     def depth(self) -> float:
-        """Of the rover below the fairlead [m]."""
+        """Depth of the rover below the fairlead [m]."""
         return -self._body.z
 
     @property
@@ -152,15 +152,15 @@ class Hoist:
 
     @property
     def slack(self) -> float:
-        """Length by which the tether is longer than its way [m]."""
+        """Slack: tether length less the distance to the rover [m]."""
         return max(0.0, self._state.length - math.hypot(self._body.x, self._body.z))
 
     def place_lip(self, depth: float) -> None:
-        """Put a lip above the rover, under which it is caught when pulled up [m]."""
+        """Place a lip this far [m] above the rover, which catches it when reeled in."""
         self.parameters = replace(self.parameters, lip=(self.time, depth))
 
     def step(self, command: DriveCommand | None, dt: float) -> Readings:
-        """Advance under a command; None = the drive has none."""
+        """Advance under a command; None = the drive has no command."""
         rub = sum(f for begin, end, f in self.parameters.scrapes if begin <= self.time < end)
         lip = self.parameters.lip
         depth = lip[1] if lip is not None and self.time >= lip[0] else -1e9

@@ -1,8 +1,8 @@
-"""A mother machine of the test's own: clock, drum, drive and sensors, around a reduced hoist.
+"""Simulated mother machine on the contract: clock, drum, drive and sensors around a reduced hoist.
 
-It speaks by the contract and keeps simulated time: each tick it tells time and sensors, and waits
-for the winch's command of that tick, so that a busy machine makes it slow and not wrong. Its drive
-has the contract's watchdog: it brakes when commands stay away.
+Each tick it publishes time and sensors, and waits for the winch's command of that tick, so that a
+busy computer slows simulated time but does not change the result. Its drive has the contract's
+watchdog: it brakes when commands time out.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
 from rover_verify.harness import Observer
 from tether_winch.servo import DriveCommand
 
-PATIENCE = 10.0  # the answer of a node that answers is waited for so long [s]
-ANSWER = 0.05  # the same of one that did not answer the last tick [s]
-LOST = 0.002  # the same of one that is known to be dead [s]
+PATIENCE = 10.0  # timeout for the answer of a responsive node [s]
+ANSWER = 0.05  # timeout for a node that missed the last tick [s]
+LOST = 0.002  # timeout for a dead node [s]
 _LOOK = 0.002  # [s]
 
 
 class Mother:
-    """Runs in a thread of its own from ``begin`` on, or is stepped.
+    """Runs in its own thread after ``begin``.
 
     Attributes:
         spoil: changes each message before it is sent, or drops it by returning None.
@@ -67,17 +67,17 @@ class Mother:
         return self.now_ns * 1e-9
 
     def begin(self) -> None:
-        """Let time run."""
+        """Start simulated time."""
         self._thread.start()
 
     def end(self) -> None:
-        """Stop time."""
+        """Stop simulated time."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def jump(self, duration: float) -> None:
-        """Let the clock jump at the next tick [s], below 0 back."""
+        """Make the clock jump at the next tick [s]; negative = back."""
         self._jump_ns = round(duration * 1e9)
 
     def wait(self, condition: Callable[[], bool], complaint: str) -> None:
@@ -91,24 +91,24 @@ class Mother:
 
     @property
     def last(self) -> Readings:
-        """What the sensors said last."""
+        """Last readings."""
         return self.history[-1][1]
 
     def _run(self) -> None:
         while not self._ended.is_set():
-            command = self._driven()
+            command = self._active_command()
             readings = self.hoist.step(command, TICK)
             self.now_ns += TICK_NS
             if self._jump_ns:
                 self.now_ns += self._jump_ns
                 self._jump_ns = 0
             self.history.append((self.time, readings, command))
-            heard = len(self._commands)
-            self._tell(readings)
-            self._await_answer(heard)
+            received = len(self._commands)
+            self._publish(readings)
+            self._await_answer(received)
 
-    def _driven(self) -> DriveCommand | None:
-        """What the drive does: the last command, while it is not too old."""
+    def _active_command(self) -> DriveCommand | None:
+        """Command that the drive follows: the last one, while it is fresh."""
         sample = self._commands.last
         if sample is None:
             return None
@@ -121,7 +121,7 @@ class Mother:
         released = brake.position > 0.5
         return DriveCommand(drum.position, drum.velocity, drum.effort, released, limit.effort)
 
-    def _tell(self, readings: Readings) -> None:
+    def _publish(self, readings: Readings) -> None:
         stamp = self.now_ns
         drum = {
             WINCH_DRUM: JointValue(readings.length, readings.rate, 0.0),
@@ -142,24 +142,24 @@ class Mother:
             if message is not None:
                 self._publishers[name].publish(message)
 
-    def _await_answer(self, heard: int) -> None:
-        """Wait for the command of this tick, where so many have been heard before it."""
+    def _await_answer(self, received: int) -> None:
+        """Wait for the command of this tick, after `received` earlier commands."""
 
-        def has_come() -> bool:
+        def has_arrived() -> bool:
             last = self._commands.last
-            return len(self._commands) > heard and last.stamp_ns >= self.now_ns
+            return len(self._commands) > received and last.stamp_ns >= self.now_ns
 
-        patience = PATIENCE if self._is_answered else ANSWER
-        self._is_answered = self._await(has_come, lambda: LOST if self.is_alone else patience)
+        timeout = PATIENCE if self._is_answered else ANSWER
+        self._is_answered = self._await(has_arrived, lambda: LOST if self.is_alone else timeout)
 
-    def _await(self, has_come: Callable[[], bool], patience: Callable[[], float]) -> bool:
-        """Wait until an answer has come, or patience has ended [s]."""
+    def _await(self, has_arrived: Callable[[], bool], timeout: Callable[[], float]) -> bool:
+        """Wait until an answer has arrived, or a timeout [s]; returns whether it has."""
         pause = threading.Event()
         begun = time.monotonic()
         while not self._ended.is_set():
-            if has_come():
+            if has_arrived():
                 return True
-            if time.monotonic() - begun > patience():
+            if time.monotonic() - begun > timeout():
                 return False
             pause.wait(_LOOK)
         return False
