@@ -154,7 +154,7 @@ class OperatingPoint(NamedTuple):
 
 
 def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
-    """Collect what the compiled functions need, as plain floats."""
+    """Convert the parameters to plain floats for compiled functions."""
     share = wheel.grouser_height / wheel.width
     flank = 0.64 * share * math.atan(1.0 / share) if share > 0.0 else 0.0
     return WheelOnSoil(

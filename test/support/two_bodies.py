@@ -39,7 +39,7 @@ class JumpRun:
 
     Attributes:
         visited: states of the latch in the order in which they were first seen.
-        books: sums of the drive's books [J].
+        balance: sums of the drive's energy balances [J].
         slider_heat: what the slider's forces turned into heat [J].
         drift: what all energy balances leave unexplained [J].
         fastest: Body 2's greatest speed upwards [m/s].

@@ -86,7 +86,7 @@ def test_a_point_at_rest_sinks_until_it_carries_the_weight(parameters: ContactPa
     assert contact.normal_force(law, depth, depth, 1e-3)[0] == pytest.approx(16.2, rel=1e-12)
 
 
-def test_the_force_is_hunt_and_crossley_s_in_the_limit_of_short_steps():
+def test_short_steps_give_hunt_and_crossleys_force():
     law = ROCK.law()
     depth, rate, h = 2e-3, 0.4, 1e-9
     force, _ = contact.normal_force(law, depth, depth + rate * h, h)
@@ -307,7 +307,7 @@ def test_no_closed_cycle_of_motion_and_load_gains_energy(data: st.DataObject):
 
 
 @pytest.mark.parametrize(("parameters", "gravity"), [(ROCK, 1.62), (ROCK, 9.81), (REGOLITH, 9.81)])
-def test_a_parked_body_stays_where_it_is(parameters: ContactParameters, gravity: float):
+def test_a_parked_body_does_not_creep(parameters: ContactParameters, gravity: float):
     slope = math.radians(15.0)
     body = PointOnPlane(parameters, slope=slope, gravity=gravity)
     start = body.x.copy()
@@ -374,7 +374,7 @@ def test_a_sliding_body_stops_after_its_braking_distance_and_parks():
     assert start - body.energy() == pytest.approx(body.dissipated, abs=1e-9)
 
 
-def test_a_push_below_the_limit_comes_back_and_one_above_it_does_not():
+def test_a_body_returns_after_a_push_below_the_limit_and_not_above_it():
     for push, returns in ((5.0, True), (12.0, False)):
         body = PointOnPlane(ROCK, gravity=1.62)
         for force in (push, 0.0):

@@ -328,7 +328,7 @@ def test_the_default_rovers_full_cycle_at_steps_of_a_millisecond() -> None:
     run = JumpRun(rig, DRIVE, SLIDER, initial_state(DRIVE))
     run.until_tripped(run_to(0.21, 0.02, trip=0.2))
     # The nut's work: spring and nut compressed, Body 2 lowered from where it stood on its spring,
-    # and the slider's friction of 1 N on the way.
+    # and the slider's friction of 1 N.
     x, n, sag = run.compression, run.state.trip_force, 4.0 * 1.62 / 824.0
     stored = 0.5 * 824.0 * (x**2 - sag**2) + n**2 / (2.0 * SLIDER.nut_stiffness)
     lowered = 4.0 * 1.62 * (x - sag)
@@ -412,7 +412,7 @@ def test_energy_balances_and_never_increases_over_random_runs(
             assert math.isfinite(run.state.rate)
             assert math.isfinite(run.v2)
             turnover += work
-    # The slider's own heat is what its forces leave; stiff pads in coarse steps err a little.
+    # The slider's heat closes the balance; stiff pads have a small error in coarse steps.
     assert run.slider_heat >= -2e-3 * turnover
 
 

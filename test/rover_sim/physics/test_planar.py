@@ -364,7 +364,7 @@ def test_whip_of_a_stiff_fine_tether_conserves_energy() -> None:
     assert abs(history.energy_drift) < 1e-6
 
 
-def test_snatch_halves_the_step_and_goes_on() -> None:
+def test_a_snatch_halves_the_step_and_the_run_continues() -> None:
     plant = plant_of(
         "paper_table2_case1",
         start__geometry="+K",

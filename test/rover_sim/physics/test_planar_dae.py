@@ -82,7 +82,7 @@ class TestEquations:
         force = dae.forces(q, rest)
         assert slope / (2.0 * small) == pytest.approx(-force @ move, rel=1e-6)
 
-    def test_damping_takes_energy_but_none_from_a_rigid_motion(
+    def test_damping_dissipates_energy_but_not_in_a_rigid_motion(
         self, disturbed: tuple[PlanarDae, Array, Array]
     ):
         dae, q, rate = disturbed
@@ -137,7 +137,7 @@ class TestMotion:
         ratio = np.max(np.abs(ends[0] - ends[1])) / np.max(np.abs(ends[1] - ends[2]))
         assert 12.0 < ratio < 40.0
 
-    def test_energy_without_damping_is_kept_to_the_order_of_the_method(self):
+    def test_energy_without_damping_is_conserved_to_the_order_of_the_method(self):
         scenario = load_planar("paper_table1_low", UNDAMPED_SLIDER)
         dae, start = dae_of(scenario), take_off(scenario)
         drifts = []
@@ -147,7 +147,7 @@ class TestMotion:
         assert drifts[2] < 2e-5
         assert drifts[0] > 10.0 * drifts[1] > 100.0 * drifts[2]
 
-    def test_energy_with_damping_only_falls(self):
+    def test_energy_with_damping_never_increases(self):
         scenario = load_planar("paper_table1_high", EVERYTHING_DAMPED)
         energy = dae_of(scenario).integrate(take_off(scenario), 0.2, 2.5e-4).energy
         assert np.all(np.diff(energy) < 0.0)

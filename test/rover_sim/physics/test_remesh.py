@@ -32,7 +32,7 @@ def state(nodes: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     seed=st.integers(0, 2**32 - 1), nominal=st.floats(0.1, 3.0), share=st.floats(1.05, 1.9),
     payout_rate=st.floats(-1.0, 1.0),
 )  # fmt: skip
-def test_merging_what_was_split_gives_back_the_state(
+def test_merging_after_splitting_reproduces_the_state(
     seed: int, nominal: float, share: float, payout_rate: float
 ):
     rng = np.random.default_rng(seed)

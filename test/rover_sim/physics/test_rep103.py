@@ -6,14 +6,14 @@ import pytest
 from rover_sim.physics import rep103
 
 
-def test_up_in_the_plane_is_z() -> None:
+def test_the_planar_y_axis_is_z() -> None:
     assert rep103.vector([1.0, 2.0]).tolist() == [1.0, 0.0, 2.0]
     assert rep103.vector(np.ones((4, 2, 2))).shape == (4, 2, 3)
     assert rep103.planar_vector([[1.0, 5.0, 2.0]]).tolist() == [[1.0, 2.0]]
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.4, -1.2, 3.0])
-def test_orientation_turns_the_slider_axis_as_the_planar_model_does(theta: float) -> None:
+def test_orientation_rotates_the_slider_axis_like_the_planar_model(theta: float) -> None:
     x, y, z, w = rep103.quaternion(theta)
     vector, up = np.array([x, y, z]), np.array([0.0, 0.0, 1.0])
     turned = up + 2.0 * w * np.cross(vector, up) + 2.0 * np.cross(vector, np.cross(vector, up))

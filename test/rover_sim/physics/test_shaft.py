@@ -32,7 +32,7 @@ def step(
     return motion
 
 
-def test_coulomb_friction_stops_a_shaft_after_the_closed_forms_time_and_angle() -> None:
+def test_coulomb_friction_stops_a_shaft_after_the_time_and_angle_of_the_closed_form() -> None:
     inertia, rate, dry, h = 2e-3, 3.0, 0.5, 1e-3
     angle, time = 0.0, 0.0
     while rate != 0.0:

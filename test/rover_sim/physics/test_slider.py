@@ -32,7 +32,7 @@ def test_stops_push_back_and_never_pull() -> None:
     below = SLIDER.free_length - SLIDER.lower_stop - 0.002
     assert slider_force(SLIDER, AWAY, above, 2.0).force < -100.0 * 20.0
     assert slider_force(SLIDER, AWAY, below, -2.0).force > 100.0 * 20.0
-    # Leaving faster than 1/a, only the spring is left.
+    # Leaving faster than 1/a, only the spring acts.
     leaving = slider_force(SLIDER, AWAY, above, -2.0)
     assert leaving.force == pytest.approx(-824.0 * 0.002 + 0.4 + 1.0, abs=1e-4)
 

@@ -55,7 +55,7 @@ class TestBeam:
             self.section, 1.0, elements, (0.0, 0.0), ROOT, root_slope=(1.0, 0.0), **load
         )
 
-    def test_a_rigid_rotation_takes_no_force(self):
+    def test_a_rigid_rotation_needs_no_force(self):
         for degrees in (0, 37, 90, 201):
             angle = math.radians(degrees)
             tip = (3.0 + math.cos(angle), -1.0 + math.sin(angle))
@@ -66,7 +66,7 @@ class TestBeam:
                 (0.0, 0.0), abs=1e-9
             )
 
-    def test_a_stretched_or_bent_beam_does_take_force(self):
+    def test_a_stretched_or_bent_beam_needs_force(self):
         stretched = straight_nodes((0.0, 0.0), (1.001, 0.0), 7, 1.0)
         strain = (1.001**2 - 1.0) / 2.0
         forces = nodal_forces(stretched, self.section, 1.0, (0.0, 0.0))
@@ -107,7 +107,7 @@ class TestBeam:
         angle = exact.sol(arc_length)[0]
         assert np.arctan2(nodes[:, 1, 1], nodes[:, 1, 0]) == pytest.approx(angle, abs=2e-4)
 
-    def test_a_coarse_mesh_is_worse(self):
+    def test_the_error_falls_with_refinement(self):
         errors = [
             abs(-self.bend(elements=n, tip_force=(0.0, -3.0))[-1, 0, 1] - 0.603254)
             for n in (8, 16, 32)

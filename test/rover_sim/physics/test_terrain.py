@@ -205,7 +205,7 @@ def test_the_known_pits_have_their_dimensions(
     assert 2 * wall[:, 0].max() <= across[1] + 0.1
     below = profile[profile[:, 1] < ground - overhangs_from]
     assert np.all(np.diff(below[:, 0]) >= -1e-9)
-    assert below[-1, 0] - wall[:, 0].min() > 5.0  # the floor goes on under the neck
+    assert below[-1, 0] - wall[:, 0].min() > 5.0  # the floor extends under the neck
 
 
 @pytest.mark.parametrize("name", HOLES)

@@ -62,7 +62,7 @@ def test_it_comes_to_rest_on_the_floor_with_its_weight(rock: bool):
 
 
 def slope(degrees: float, elements: int = 8, **options: Any) -> tuple[GroundedTether, np.ndarray]:
-    """A tether that lies straight down a slope, pressed in as deep as its weight asks."""
+    """A straight tether down a slope at its static depth."""
     alpha = math.radians(degrees)
     terrain = build_terrain(TerrainParameters.incline(degrees))
     d = np.array([math.cos(alpha), 0.0, -math.sin(alpha)])
@@ -135,7 +135,7 @@ def test_without_damping_and_friction_it_bounces_for_ever():
     start = tether.energy
     tether.run(4.0, 1e-3)
     assert tether.log[grounded_march.DEEPEST] > 1e-3
-    # On rubble too: what curved ground and changing stiffness do is made good.
+    # Also on rubble: curved ground and changing stiffness are corrected.
     assert abs(tether.log[grounded_march.GROUND_HEAT]) < 1e-5 * start
     assert tether.energy + tether.dissipated == pytest.approx(start, rel=1e-8)
 
@@ -181,11 +181,11 @@ def test_tangent_is_the_residuals_derivative(degrees: float, moving: float):
     np.testing.assert_allclose(tangent, numeric, atol=2e-5 * np.abs(tangent).max())
 
 
-def test_the_force_is_spread_by_the_shape_functions():
+def test_the_force_is_distributed_by_the_shape_functions():
     tether, _ = slope(0.0, elements=1)
     _, residual = forces(tether, np.zeros((6, 2)), 1e-3)
     # A level load of w per metre: (w l/2, w l^2/12, w l/2, -w l^2/12), with the sign of a force
-    # that stands on the left.
+    # on the left-hand side.
     w, length = 5e-3 * LUNAR, 4.0
     expected = [-w * length / 2, -w * length**2 / 12, -w * length / 2, w * length**2 / 12]
     assert residual[[2, 5, 8, 11]] == pytest.approx(expected, rel=1e-9)
@@ -227,7 +227,7 @@ def test_over_the_rim_friction_carries_part_of_the_weight():
     tether.run(3.0, 1e-3, tolerance=1e-9)
     below, before = tether.work.tension[n - 2], tether.work.tension[8]
     assert below == pytest.approx((2.0 + 5e-3 * 4.0) * LUNAR, rel=0.05)
-    # Capstan: by at most exp(mu pi/2), mu from 0.5 to 0.6, and what lies behind holds as well.
+    # Capstan: by at most exp(mu pi/2), mu from 0.5 to 0.6; the tether behind the rim adds friction.
     assert 1.0 < below / before < math.exp(0.6 * quarter) * 1.1
     assert tether.log[grounded_march.DEEPEST] < 0.01
 

@@ -47,7 +47,7 @@ def test_a_lengthening_pendulum_swings_by_its_equation(rate: float):
     assert abs(march.tip[1]) < 1e-12
 
 
-def test_energy_changes_by_what_flows_through_the_fairlead():
+def test_energy_changes_by_the_flux_through_the_fairlead():
     gaps = []
     for h in (2e-3, 1e-3):
         march = hanging(9.0, 0.5, np.radians(5.0))

@@ -153,7 +153,7 @@ def test_the_force_is_continuous_from_parking_to_driving(vary: str):
 
 @pytest.mark.parametrize("load", [1.0, 2.5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_pulled_wheel_settles_at_the_slip_that_pulls_as_much(load: float, sign: float):
+def test_a_loaded_wheel_settles_at_the_slip_of_equal_pull(load: float, sign: float):
     body = RollingMass()
     rim = sign * 0.1
     body.v[0] = 0.8 * rim
@@ -168,7 +168,7 @@ def test_a_pulled_wheel_settles_at_the_slip_that_pulls_as_much(load: float, sign
     assert found.force[2] == pytest.approx(8.1, rel=1e-6)
 
 
-def test_a_wheel_that_rolls_without_slip_is_braked_by_the_soil_it_presses():
+def test_a_wheel_that_rolls_without_slip_is_braked_by_soil_compaction():
     body = RollingMass()
     body.v[0] = 0.2
     drag = -rolling_point(SYSTEM, 8.1, 0.0).pull
@@ -250,7 +250,7 @@ def test_a_wheel_in_the_air_feels_nothing():
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 40.0])
-def test_a_braked_wheel_on_a_slope_stays_where_it_is(heading: float):
+def test_a_braked_wheel_on_a_slope_does_not_creep(heading: float):
     slope = math.radians(15.0)
     body = RollingMass(slope=slope)
     angle = math.radians(heading)

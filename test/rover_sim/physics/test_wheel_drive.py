@@ -267,7 +267,7 @@ def test_energy_balances_and_ratchets_hold_over_random_runs(
     more=st.floats(0.0, 10.0),
     slope=st.floats(0.0, 5.0),
 )
-def test_without_input_the_energy_only_falls(left: float, more: float, slope: float) -> None:
+def test_without_input_the_energy_never_increases(left: float, more: float, slope: float) -> None:
     state = WheelState(left=left, right=max(left, 0.0) + more)
     loads = WheelLoads(-slope * left, slope, -slope * state.right, slope, 0.0)
     energy = math.inf

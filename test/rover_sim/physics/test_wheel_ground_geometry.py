@@ -44,7 +44,7 @@ def rim_depths(terrain: Terrain, centre: np.ndarray, axle: Vector) -> np.ndarray
 
 
 def in_rock(terrain: Terrain, centre: Vector, axle: Vector) -> WheelContactGeometry:
-    """In the rock that a disc lies deepest in."""
+    """Contact in the rock that a disc is deepest in."""
     depth, rock, _, _ = deepest_rocks(terrain, centre, axle, RADIUS)
     found: WheelContactGeometry = wheel_on_rock(terrain, centre, axle, RADIUS, rock)
     assert found.depth == pytest.approx(depth, abs=1e-12)
@@ -104,7 +104,7 @@ def rubble() -> Terrain:
 def touching(
     terrain: Terrain, axle: Vector, side: np.ndarray
 ) -> tuple[np.ndarray, WheelContactGeometry]:
-    """A wheel 5 mm deep in the largest boulder, which lies to the given side of it."""
+    """A wheel 5 mm deep in the largest boulder, which is on the given side."""
     x, y, _, diameter, _ = boulder_list(terrain)[0]
     distance = 0.5 * diameter + RADIUS - 0.005
     centre = np.array([x, y, 0.0]) - distance * side

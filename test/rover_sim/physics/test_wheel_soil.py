@@ -142,7 +142,7 @@ def test_without_shear_the_pressure_alone_carries_the_load():
     for load in (1.0, 8.1):
         exact = rolling_point(system, load, 0.3)
         assert exact.sinkage == pytest.approx(flat_plate(system, load, 0.3).sinkage, rel=0.02)
-        # all that is left is the work of compaction, b k z^2 / 2 a metre
+        # the pull is the work of compaction, b k z^2 / 2 per metre
         assert exact.pull == pytest.approx(-0.05 * system.modulus * exact.sinkage**2 / 2, rel=1e-3)
 
 
