@@ -218,7 +218,7 @@ def energy_balance_sums(memory: Array) -> tuple[float, float]:
 
 
 def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
-    """Fresh arrays that hold the state, with room for `capacity` elements, and the integrator memory."""
+    """Copy the state to arrays with room for `capacity` elements; motion and integrator memory."""
     width = row_width(capacity, 3)
     count = len(state.nodes)
     q, v = np.zeros((6, width)), np.zeros((6, width))
