@@ -104,7 +104,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         words, ros = split_ros_arguments(words)
     if module is not None and hasattr(module, "normalize_arguments"):
         words = module.normalize_arguments(words)
-    options = parser.parse_args(words, argparse.Namespace(ros_arguments=ros))
+    options, unknown = parser.parse_known_args(words, argparse.Namespace(ros_arguments=ros))
+    if unknown:
+        options.usage_error(f"unrecognized arguments: {' '.join(unknown)}")
     assert module is not None, "the parser requires a subcommand"
     code: int = module.run(options)
     return code

@@ -83,7 +83,10 @@ def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]):
         (["fly"], "invalid choice: 'fly'"),
         (["bag"], "mother_rover bag: "),
         (["bag", "report"], "mother_rover bag report: "),
-        (["bag", "report", "run", "--ros-args"], "unrecognized arguments: --ros-args"),
+        (
+            ["bag", "report", "run", "--ros-args"],
+            "mother_rover bag report: unrecognized arguments: --ros-args",
+        ),
         (["sweep", "plan.yaml", "--worker", "2"], "unrecognized arguments: --worker"),
         (["run", "no_node"], "invalid choice: 'no_node'"),
     ],
