@@ -91,7 +91,7 @@ class BridgeNode(ContractNode):
 
     _link: Link | None = None
 
-    # --- life ------------------------------------------------------------------------------------
+    # --- lifecycle -------------------------------------------------------------------------------
 
     def setup(self) -> None:
         """Open link, topics and services."""
@@ -121,7 +121,7 @@ class BridgeNode(ContractNode):
         """Start SYNC, with all drives disarmed."""
         self._stopping = threading.Event()
         self._unchecked: queue.SimpleQueue[Device | None] = queue.SimpleQueue()
-        self._requested: set[str] = set()  # devices whose identity check was requested
+        self._identity_requested: set[str] = set()  # names of devices
         self._stamp_ns = 0
         self._counter = 0
         self._heartbeat_ns = 0
@@ -268,8 +268,8 @@ class BridgeNode(ContractNode):
     def _on_heartbeat(self, device: Device, state: int) -> None:
         station = self._bridge.stations[device.name]
         # Not by its answers: an operational device answers SYNC before its first heartbeat.
-        if state == 0 or device.name not in self._requested:
-            self._requested.add(device.name)
+        if state == 0 or device.name not in self._identity_requested:
+            self._identity_requested.add(device.name)
             station.mismatch = None
             self._unchecked.put(device)
         self._bridge.on_heartbeat(device, state, self._now_ns())

@@ -54,7 +54,7 @@ RELEASE_BRAKE = 1  # winch
 TRIP_LATCH = 1  # jump motor
 NUMBER_SHIFT, NUMBERS = 1, 128  # of commands, in the bits above
 
-# Bits of the inputs, 60FDh of the winch and 6000h of the IMU.
+# Bits of the inputs, 2013h of the winch and 6000h of the IMU.
 BRAKE_RELEASED = 1
 WHEEL_LEFT_INPUT, WHEEL_RIGHT_INPUT, BODY_INPUT = 1, 2, 4
 

@@ -46,7 +46,7 @@ class EmulatedDrive(EmulatedDevice):
     """One drive.
 
     Args:
-        device, line, clock: see `EmulatedDevice`.
+        device, channel, clock: see `EmulatedDevice`.
         plant_ns: the plant's time [ns], for its watchdogs.
 
     Attributes:

@@ -133,7 +133,7 @@ class EmulatorNode(ContractNode):
     _link: Link | None = None
     _scenario: Mapping[str, Any] | None = None
 
-    # --- life ------------------------------------------------------------------------------------
+    # --- lifecycle -------------------------------------------------------------------------------
 
     def setup(self) -> None:
         """Load the scenario, compile and build the plant, open the link."""
@@ -280,9 +280,7 @@ class EmulatorNode(ContractNode):
         """Advance or synchronise the plant before the devices answer a SYNC."""
         if self.parameters_of(EmulatorParameters).lockstep:
             self._sync_at = time.monotonic()
-            self._scheduler = TickScheduler(
-                SYNC_PERIOD
-            )  # starts at the last SYNC, if SYNC times out
+            self._scheduler = TickScheduler(SYNC_PERIOD)  # takes over if SYNC times out
             self._tick()
         else:
             self._scheduler.synchronise(time.monotonic())

@@ -25,7 +25,7 @@ class TickScheduler:
         period: of SYNC and of ticks [s].
 
     Attributes:
-        given_up: skipped wall time [s].
+        dropped: wall time that was not caught up [s].
         measured: real-time factor over the last two seconds of wall time; None: unknown.
     """
 

@@ -249,8 +249,8 @@ class RehearsalNode(ContractNode):
 
     def has_subscriber(self, topic: str) -> bool:
         """Whether a topic has a subscriber besides the recorder."""
-        message = {name for name, _ in listeners(self, self._publisher_of(topic))}
-        return bool(message - {_RECORDER, self.NAME})
+        subscribers = {name for name, _ in listeners(self, self._publisher_of(topic))}
+        return bool(subscribers - {_RECORDER, self.NAME})
 
     def _publisher_of(self, topic: str) -> Any:
         if topic not in self._command_publishers:
