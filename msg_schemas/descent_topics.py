@@ -35,6 +35,7 @@ from msg_schemas.machine import (
     WHEEL_MOMENTUM,
     YAW_ERROR,
 )
+from msg_schemas.phases import DescentPhase
 from msg_schemas.specifications import (
     UNUSED,
     Entry,
@@ -147,9 +148,7 @@ DESCENT_TOPICS = (
         Intent.LATCHED,
         _NODE,
         None,
-        words=(
-            "released", "standby", "damping", "travelling", "settling", "exposing", "holding",
-        ),
+        words=tuple(DescentPhase),
     ),
     Topic(
         topics.DESCENT_STATE,

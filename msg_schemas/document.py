@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from msg_schemas import qos
-from msg_schemas.refusal import REQUEST_ACCEPTED, RefusalCode
+from msg_schemas.described import Described
+from msg_schemas.events import EVENT_GROUPS, EventName, NodeEvent
+from msg_schemas.faults import DriveFault, JumpFault, Reason, WinchFault
+from msg_schemas.phases import HealthState
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import (
     CONTRACT_VERSION,
     FRAMES,
@@ -22,30 +27,22 @@ from msg_schemas.table import (
 
 DEFAULT_PATH = Path("docs/contract.md")
 
-_CODE_MEANINGS = {
-    RefusalCode.NOT_FINITE: "a number is NaN or infinite",
-    RefusalCode.OUT_OF_LIMITS: "a number lies outside its limits",
-    RefusalCode.WRONG_NAME: "joint or field names are not those of the topic",
-    RefusalCode.WRONG_LENGTH: "an array is too short or too long",
-    RefusalCode.WRONG_TYPE: "a sample of another topic's type",
-    RefusalCode.WRONG_FRAME: "given in another frame than the topic's",
-    RefusalCode.BAD_TEXT: "a word that the topic does not know, or no JSON",
-    RefusalCode.UNSTAMPED: "the stamp is zero where one is needed",
-    RefusalCode.STALE: "older than the topic allows",
-    RefusalCode.FROM_THE_FUTURE: "stamped further ahead than the topic allows",
-    RefusalCode.OUT_OF_ORDER: "stamped before the last accepted command",
-    RefusalCode.WRONG_PHASE: "cannot be done in the present phase",
-    RefusalCode.OWNED: "another commander has the topic",
-    RefusalCode.NOT_ACTIVE: "the node is not active",
-    RefusalCode.NOT_ARMED: "the drive must be armed first",
-    RefusalCode.NOT_SUPPORTED: "this plant or drive cannot do it",
-}
-
 _OWNED = (
     "one owner: `header.frame_id` says who commands; the first one that is accepted owns the topic "
     "until it falls silent, others are refused as `owned`"
 )
 
+_DIAGNOSTICS = (
+    "Each node reports its health on `diagnostics` as the status `NODE: node` with the value "
+    "`state` below, and each refusal as `NODE: refused SUBJECT` with the values `subject`, `code`, "
+    "`refused` (number since the start), `not_shown` and, where the request names it, `commander`. "
+    "`msg_schemas.health.read_health` and `msg_schemas.refusal.read_refusal` decode them."
+)
+_EVENTS = (
+    "A message on `events` holds one status: its name is that of the event, its level the severity "
+    "of that name, its values those listed. The message is for people; software decides by the "
+    "name and the values. The value `reason` is one of the reasons below."
+)
 _HEAD = """\
 # The contract
 
@@ -71,7 +68,9 @@ its own hears what became of it. Of a request in a frame its stamp stands there,
 def render() -> str:
     """Return the whole document as Markdown."""
     lines = [
-        _HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics", accepted=REQUEST_ACCEPTED)
+        _HEAD.format(
+            version=CONTRACT_VERSION, diagnostics="diagnostics", accepted=NodeEvent.REQUEST_ACCEPTED
+        )
     ]
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
@@ -84,12 +83,32 @@ def render() -> str:
     lines += [f"| `{s.name}` | `{s.service}` | {s.server} | {s.about} |" for s in SERVICES.values()]
     lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]
     lines += [f"| {intent.value} | {qos.describe(intent)} |" for intent in Intent]
-    lines += ["", "## Reasons of refusal", "", "| code | meaning |", "|---|---|"]
-    lines += [f"| `{code.value}` | {_CODE_MEANINGS[code]} |" for code in RefusalCode]
+    lines += ["", "## Diagnostics", "", _DIAGNOSTICS, ""]
+    lines += ["### Health", "", *_words("state", tuple(HealthState)), ""]
+    lines += ["### Refusals", "", *_words("code", tuple(RefusalCode)), ""]
+    lines += ["## Events", "", _EVENTS, ""]
+    for publisher, names in EVENT_GROUPS.items():
+        lines += [f"### Events of {publisher}", "", *_event_table(tuple(names)), ""]
+    lines += ["### Reasons", "", *_words("reason", tuple(Reason)), ""]
+    lines += ["### Faults of the winch", "", *_words("fault", tuple(WinchFault)), ""]
+    lines += ["### Faults of the jump", "", *_words("fault", tuple(JumpFault)), ""]
+    lines += ["### Faults of the drive controller", "", *_words("fault", tuple(DriveFault))]
     lines += ["", "## Topics one by one", ""]
     for topic in TOPICS.values():
         lines += _section(topic)
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _words(heading: str, words: Sequence[Described]) -> list[str]:
+    return [f"| {heading} | meaning |", "|---|---|", *(f"| `{w}` | {w.about} |" for w in words)]
+
+
+def _event_table(names: Sequence[EventName]) -> list[str]:
+    lines = ["| event | severity | meaning | values |", "|---|---|---|---|"]
+    for name in names:
+        values = ", ".join(f"`{value}`" for value in name.values)
+        lines.append(f"| `{name}` | {name.level.name} | {name.about} | {values} |")
+    return lines
 
 
 def _anchor(name: str) -> str:
@@ -119,8 +138,10 @@ def _section(topic: Topic) -> list[str]:
         optional = ", ".join(f"`{name}`" for name in topic.optional_joints)
         lines += [f"- a machine may lack the joints {optional}"]
     if topic.words:
-        lines += [f"- words: {', '.join(f'`{word}`' for word in topic.words)}"]
+        lines += [f"- one of {len(topic.words)} words, listed below"]
     lines += [f"- {rule}" for rule in _stale(topic.stale)]
+    if topic.words:
+        lines += ["", *_words("word", topic.words)]
     if topic.fields:
         lines += ["", "| field | unit | limits | if left out | meaning |", "|---|---|---|---|---|"]
         lines += [_field(row) for row in topic.fields]

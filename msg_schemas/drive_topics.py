@@ -24,6 +24,7 @@ from msg_schemas.machine import (
     WORLD_FRAME,
     YAW,
 )
+from msg_schemas.phases import DrivePhase
 from msg_schemas.specifications import (
     UNUSED,
     Entry,
@@ -180,9 +181,7 @@ DRIVE_TOPICS = (
         Intent.LATCHED,
         _NODE,
         None,
-        words=(
-            "released", "standing", "turning", "driving", "steered", "stuck", "failed",
-        ),
+        words=tuple(DrivePhase),
         spatial_only=True,
     ),
     Topic(

@@ -26,6 +26,7 @@ from msg_schemas.machine import (
     UPRIGHT,
     WORLD_FRAME,
 )
+from msg_schemas.phases import JumpPhase
 from msg_schemas.specifications import (
     UNUSED,
     Entry,
@@ -172,10 +173,7 @@ JUMP_TOPICS = (
         Intent.LATCHED,
         _NODE,
         None,
-        words=(
-            "standby", "predicting", "giving_slack", "compressing", "settling", "releasing",
-            "flight", "landed", "hooking", "letting_down", "fault",
-        ),
+        words=tuple(JumpPhase),
     ),
     Topic(
         topics.JUMP_PREDICTION,

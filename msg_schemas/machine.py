@@ -128,7 +128,12 @@ FAILED_TRIALS = "failed_trials"
 PICTURES_TAKEN = "pictures_taken"
 JUMPS_FLOWN = "jumps_flown"
 
-ALARM_NAMES = ("touchdown", "slack", "snag", "over_tension")
+# Alarms of the winch.
+TOUCHDOWN = "touchdown"
+SLACK = "slack"
+SNAG = "snag"
+OVER_TENSION = "over_tension"
+ALARM_NAMES = (TOUCHDOWN, SLACK, SNAG, OVER_TENSION)
 
 ENERGY_NAMES = (
     "kinetic", "rotors", "gravity", "axial", "bending", "twist", "spring", "contact",

@@ -10,6 +10,7 @@ from msg_schemas.machine import (
     MISSION_LEG,
     PICTURES_TAKEN,
 )
+from msg_schemas.phases import MissionPhase
 from msg_schemas.specifications import Intent, Service, Topic, scalar_fields
 
 _NODE = "mission_node"
@@ -32,11 +33,7 @@ MISSION_TOPICS = (
         Intent.LATCHED,
         _NODE,
         None,
-        words=(
-            "standby", "looking", "turning", "approaching", "landing", "driving", "choosing",
-            "jumping",
-            "returning", "lifting", "ascending", "stowing", "holding", "aborted",
-        ),
+        words=tuple(MissionPhase),
         spatial_only=True,
     ),
     Topic(

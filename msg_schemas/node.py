@@ -18,7 +18,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -36,10 +36,13 @@ from msg_schemas import qos, topics
 from msg_schemas.access import Act, check_access
 from msg_schemas.admission import Admission, asker_of
 from msg_schemas.codecs import message_class, topic_row
+from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.health import Health
 from msg_schemas.parameters import P, ParameterError, parameter
 from msg_schemas.periodic_calls import PeriodicCalls
+from msg_schemas.phases import HealthState
 from msg_schemas.publisher import ContractPublisher
-from msg_schemas.refusal import REQUEST_ACCEPTED, Refusal, RefusalCode
+from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.ros_parameters import (
     changed_groups,
@@ -53,9 +56,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 PACKAGE = "mother_rover"
-
-READY = "ready"
-"""What a node's health says when it is active and hears all that it must hear."""
 
 _DIAGNOSTICS_PERIOD = 1.0
 _READINESS_PERIOD = 0.1
@@ -137,7 +137,7 @@ class ContractNode(LifecycleNode):
         self._failure: Exception | None = None
         self._accepted: Counter[str] = Counter()
         self._refusals = RefusalLog(self.NAME)
-        self._told_condition = ""
+        self._told_condition: Health | None = None
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Any]] = {}
         self._is_caught_up = False
         self._admission = Admission()
@@ -318,21 +318,11 @@ class ContractNode(LifecycleNode):
         clock = self.get_clock()
         return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
-    def event(
-        self,
-        name: str,
-        message: str,
-        level: Level = Level.OK,
-        values: Mapping[str, object] | None = None,
-        stamp_ns: int | None = None,
-    ) -> None:
-        """Publish a transition with its reason; numbers are written with full precision.
-
-        ``stamp_ns`` is when it happened, by default now.
-        """
-        texts = {key: _text(value) for key, value in (values or {}).items()}
-        status = Status(name, message, level, self.NAME, texts)
-        stamp = self.now_ns() if stamp_ns is None else stamp_ns
+    def event(self, report: EventReport, *, diagnoses: bool = False) -> None:
+        """Publish an event and log it; ``diagnoses``: on diagnostics too, where it is not OK."""
+        name, message, level = report.name.value, report.message, report.level
+        status = Status(name, message, level, self.NAME, report.texts())
+        stamp = self.now_ns() if report.stamp_ns is None else report.stamp_ns
         self._events.send(StatusSample(stamp, (status,)))
         # Spelt out, as rclpy allows each line of code one severity only.
         if level is Level.OK:
@@ -341,6 +331,8 @@ class ContractNode(LifecycleNode):
             self.get_logger().warning(f"{name}: {message}")
         else:
             self.get_logger().error(f"{name}: {message}")
+        if diagnoses and level is not Level.OK:
+            self.report(replace(status, name=f"{self.NAME}: {name}"))
 
     def refuse(self, refusal: Refusal) -> None:
         """Put a refusal on diagnostics, with its reason; a flood is counted, not repeated."""
@@ -390,7 +382,8 @@ class ContractNode(LifecycleNode):
         self._accepted[row.name] += 1
         if asker and not row.one_owner:
             values = {"topic": row.name, "commander": asker}
-            self.event(REQUEST_ACCEPTED, f"{row.name} of {asker}", values=values)
+            text = f"{row.name} of {asker}"
+            self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
 
     def _refuse_of(self, asker: str, refusal: Refusal) -> None:
         refusal.commander = asker
@@ -412,12 +405,12 @@ class ContractNode(LifecycleNode):
 
     _last_configuration: str | None = None
 
-    def _condition(self) -> str:
-        """Whether the node can do its work, and if not, what it waits for."""
+    def _condition(self) -> Health:
+        """Whether the node can do its work, and if not, which inputs it waits for."""
         if not self.active:
-            return "inactive"
-        missing = self.waiting_for() if self.knows_time() else (topics.CLOCK,)
-        return f"waiting for {', '.join(missing)}" if missing else READY
+            return Health(self.NAME, HealthState.INACTIVE)
+        missing = tuple(self.waiting_for()) if self.knows_time() else (topics.CLOCK,)
+        return Health(self.NAME, HealthState.WAITING if missing else HealthState.READY, missing)
 
     def _publish_health(self) -> None:
         self._told_condition = condition = self._condition()
@@ -430,8 +423,7 @@ class ContractNode(LifecycleNode):
         }
         for topic, owner in self._admission.owners(self.now_ns()).items():
             values[f"owner of {topic}"] = owner
-        level = Level.WARN if self.active and condition != READY else Level.OK
-        own = Status(f"{self.NAME}: node", condition, level, self.NAME, values)
+        own = condition.status(values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
     def _publish_new_condition(self) -> None:
@@ -511,11 +503,11 @@ class ContractNode(LifecycleNode):
         self.active, self._is_caught_up = True, False
         refused = take_realtime_priority(self.parameters_of(ShellParameters).realtime_priority)
         if refused:
-            self.event("no_realtime_priority", refused, Level.WARN)
+            self.event(EventReport(NodeEvent.REALTIME_DENIED, refused))
         self.start()
         self._catch_up()
         self.every(_READINESS_PERIOD, self._publish_new_condition, by_wall_clock=True)
-        self.event("active", f"{self.NAME} is active")
+        self.event(EventReport(NodeEvent.ACTIVE, f"{self.NAME} is active"))
 
     def _deactivate(self) -> None:
         for timer in self._timers_while_active:
@@ -525,7 +517,7 @@ class ContractNode(LifecycleNode):
         if self.active:
             self.stop()
             self.active = False
-            self.event("inactive", f"{self.NAME} is inactive")
+            self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
 
     def _clean_up(self) -> None:
         self._deactivate()
@@ -595,7 +587,3 @@ class ContractNode(LifecycleNode):
 def parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
     """Return all parameter classes of a node, those of the shell included."""
     return [ShellParameters, *node_class.PARAMETERS]
-
-
-def _text(value: object) -> str:
-    return repr(value) if isinstance(value, float) else str(value)

@@ -22,6 +22,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
+from msg_schemas.phases import TensionState, WinchMode
 from msg_schemas.specifications import (
     UNUSED,
     Entry,
@@ -167,9 +168,7 @@ _WINCH = (
         Intent.LATCHED,
         "winch_node",
         None,
-        words=(
-            "disarmed", "hold", "length", "rate", "tension", "slack", "relax", "stop", "fault",
-        ),
+        words=tuple(WinchMode),
     ),
     Topic(
         topics.WINCH_ALARMS,
@@ -198,7 +197,7 @@ _WINCH = (
         Intent.LATCHED,
         "winch_node",
         None,
-        words=("unknown", "normal", "slack", "over_tension"),
+        words=tuple(TensionState),
     ),
 )  # fmt: skip
 

@@ -36,6 +36,7 @@ from msg_schemas.machine import (
     WINCH_MOTOR,
     WORLD_FRAME,
 )
+from msg_schemas.phases import PlantPhase
 from msg_schemas.specifications import (
     Audience,
     Entry,
@@ -166,9 +167,7 @@ _TRUTH = (
         Intent.LATCHED,
         _SIM,
         None,
-        words=(
-            "held", "flight", "landed", "free", "hanging", "grounded", "diverged", "tether_broken",
-        ),
+        words=tuple(PlantPhase),
         audience=Audience.NOT_CONTROLLERS,
     ),
 )  # fmt: skip

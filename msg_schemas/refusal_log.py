@@ -10,8 +10,8 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 
-from msg_schemas.refusal import Refusal
-from msg_schemas.samples import Level, Status
+from msg_schemas.refusal import Refusal, RefusalReport
+from msg_schemas.samples import Status
 
 SHOWN_PER_PERIOD = 10
 """How many refusals of one subject are told in one period as they happen."""
@@ -69,12 +69,13 @@ class RefusalLog:
             return tuple(told)
 
     def _status(self, refusal: Refusal, message: str, subject: _Subject) -> Status:
-        values = {
-            "code": refusal.code.value,
-            "refused": str(subject.refused),
-            "not_shown": str(max(0, subject.held_back - 1)),
-        }
-        if refusal.commander:
-            values["commander"] = refusal.commander
-        name = f"{self._node}: refused {refusal.subject}"
-        return Status(name, message, Level.WARN, self._node, values)
+        report = RefusalReport(
+            self._node,
+            refusal.subject,
+            refusal.code,
+            message,
+            refusal.commander,
+            subject.refused,
+            max(0, subject.held_back - 1),
+        )
+        return report.status()

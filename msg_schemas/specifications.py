@@ -8,6 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from math import inf
 
+from msg_schemas.described import Described
 from msg_schemas.samples import JointSample, JointValue, Sample
 
 
@@ -108,7 +109,7 @@ class Topic:
     joints: tuple[str, ...] = ()
     optional_joints: tuple[str, ...] = ()
     one_joint: bool = False
-    words: tuple[str, ...] = ()
+    words: tuple[Described, ...] = ()
     is_json: bool = False
     stale: StalePolicy = field(default_factory=StalePolicy)
     audience: Audience = Audience.ALL

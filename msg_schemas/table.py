@@ -226,7 +226,7 @@ __all__ = [
     "Unstamped",
 ]
 
-CONTRACT_VERSION = "2.10.0"
+CONTRACT_VERSION = "3.0.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {

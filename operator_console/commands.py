@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, WinchEvent
 from msg_schemas.fields import FieldError, Rule, not_known, read_value
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -239,24 +240,50 @@ _WINCH = _publisher_of(topics.WINCH_MODE)
 _JUMP = _publisher_of(topics.JUMP_PHASE)
 _DRIVE = _publisher_of(topics.DRIVE_PHASE)
 
-_DESCENT_ABORTED = ("descent_interrupted", "descent_holding", "descent_released")
-_STOP = CompletionCriterion("stop_ended", matching={"depth": "depth"}, aborted_by=_DESCENT_ABORTED)
-_TURN = CompletionCriterion("pointing_reached", aborted_by=("pointing_ended", *_DESCENT_ABORTED))
-_WINCH_ABORTED = ("winch_stop", "winch_fault", "winch_disarmed")
-_OTHER_MOTIONS = ("winch_length", "winch_rate", "winch_tension", "winch_slack", "winch_relax")
+_DESCENT_ABORTED = (DescentEvent.INTERRUPTED, DescentEvent.HOLDING, DescentEvent.RELEASED)
+_STOP = CompletionCriterion(
+    DescentEvent.STOP_COMPLETED,
+    failed_by=(DescentEvent.STOP_FAILED, DescentEvent.STOP_ABORTED),
+    matching={"depth": "depth"},
+    aborted_by=_DESCENT_ABORTED,
+)
+_TURN = CompletionCriterion(
+    DescentEvent.POINTING_REACHED,
+    aborted_by=(DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED, *_DESCENT_ABORTED),
+)
+_WINCH_ABORTED = (WinchEvent.MOTION_ABORTED, WinchEvent.STOP, WinchEvent.FAULT)
+_OTHER_MOTIONS = (
+    WinchEvent.LENGTH,
+    WinchEvent.RATE,
+    WinchEvent.TENSION,
+    WinchEvent.SLACK,
+    WinchEvent.RELAX,
+)
 _LENGTH = CompletionCriterion(
-    "winch_hold",
+    WinchEvent.HOLD,
     tolerances={"length": ("length", 0.05)},
     aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
 )
-_SLACK = CompletionCriterion("winch_hold", aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS)
+_SLACK = CompletionCriterion(WinchEvent.HOLD, aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS)
 _WHILE_RENEWED = CompletionCriterion(
-    "", aborted_by=("winch_hold", *_WINCH_ABORTED, *_OTHER_MOTIONS)
+    None, aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS)
 )
-_JUMPED = CompletionCriterion("jump_standby", aborted_by=("jump_letting_down", "jump_fault"))
+_JUMPED = CompletionCriterion(
+    JumpEvent.STANDBY,
+    aborted_by=(
+        JumpEvent.NOT_STARTED,
+        JumpEvent.REJECTED,
+        JumpEvent.ABORTED,
+        JumpEvent.CANCELLED,
+        JumpEvent.FAILED,
+        JumpEvent.FAULT,
+        JumpEvent.RESET,
+    ),
+)
 
 _DRIVEN = CompletionCriterion(
-    "drive_done", aborted_by=("drive_stopped", "drive_failed", "drive_stuck", "drive_begun")
+    DriveEvent.COMPLETED,
+    aborted_by=(DriveEvent.STOPPED, DriveEvent.FAILED, DriveEvent.STUCK, DriveEvent.STARTED),
 )
 
 _RENEWAL = 5.0  # [Hz]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from msg_schemas.samples import Level, Status
+from msg_schemas.events import EventName
+from msg_schemas.samples import Status
 
 
 @dataclass(frozen=True)
@@ -26,24 +27,26 @@ class CompletionCriterion:
     """Events of the node that accepted a request, which show its end.
 
     Attributes:
-        event: event that ends the request; a failure if its level is not OK.
-        matching: values of that event that must equal an argument, by the value's name; another
+        event: event that completes the request; None = it lasts until it is aborted.
+        failed_by: events that end the request without success.
+        matching: values of these events that must equal an argument, by the value's name; another
             request's event does not match.
-        tolerances: values of that event that must be near an argument for success: the argument's
-            name and the tolerance in its unit.
+        tolerances: values of the completing event that must be near an argument for success: the
+            argument's name and the tolerance in its unit.
         aborted_by: events after which the goal is not reached any more.
     """
 
-    event: str
+    event: EventName | None
+    failed_by: tuple[EventName, ...] = ()
     matching: Mapping[str, str] = field(default_factory=dict)
     tolerances: Mapping[str, tuple[str, float]] = field(default_factory=dict)
-    aborted_by: tuple[str, ...] = ()
+    aborted_by: tuple[EventName, ...] = ()
 
     def evaluate(self, event: Status, arguments: Mapping[str, float]) -> Completion | None:
         """What an event means for a request with these arguments; None = it continues."""
         if event.name in self.aborted_by:
             return Completion(False, f"{event.name}: {event.message}")
-        if event.name != self.event:
+        if event.name not in (self.event, *self.failed_by):
             return None
         if any(_number(event, value) != arguments[name] for value, name in self.matching.items()):
             return None
@@ -51,7 +54,7 @@ class CompletionCriterion:
             abs(_number(event, value) - arguments[name]) <= tolerance
             for value, (name, tolerance) in self.tolerances.items()
         )
-        return Completion(reached and event.level is Level.OK, event.message)
+        return Completion(reached and event.name == self.event, event.message)
 
 
 def _number(event: Status, value: str) -> float:

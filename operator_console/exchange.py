@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from msg_schemas import topics
-from msg_schemas.refusal import REQUEST_ACCEPTED, RefusalCode
+from msg_schemas.events import NodeEvent
+from msg_schemas.refusal import RefusalCode, read_refusal
 from msg_schemas.samples import PoseSample, Status, StatusSample
 from operator_console.commands import Order
 from operator_console.completion import Completion
@@ -100,7 +101,7 @@ class Exchange:
                 self._on_refusal(status)
 
     def _on_event(self, status: Status) -> None:
-        if status.name == REQUEST_ACCEPTED:
+        if status.name == NodeEvent.REQUEST_ACCEPTED:
             if status.values.get("commander") == self.command_source and self.outcome is None:
                 self.outcome = Outcome(OrderStatus.ACCEPTED, self.request.topic, "accepted")
             return
@@ -112,15 +113,16 @@ class Exchange:
             self.completion = criterion.evaluate(status, self.order.contract_values)
 
     def _on_refusal(self, status: Status) -> None:
-        node, topic = self.request.node, self.request.topic
-        if status.name == f"{node}: refused {topic}":
-            if status.values.get("commander") != self.command_source:
-                return
-            code = status.values.get("code", "")
-            if self.outcome is None:
-                self.outcome = Outcome(OrderStatus.REFUSED, topic, status.message, code)
-            elif self.completion is None:  # a renewal is refused
-                self.completion = Completion(False, f"refused: {status.message} [{code}]")
+        refusal, topic = read_refusal(status), self.request.topic
+        if refusal is None or refusal.subject != topic:
+            return
+        if refusal.commander != self.command_source:
+            return
+        code = refusal.code.value
+        if self.outcome is None:
+            self.outcome = Outcome(OrderStatus.REFUSED, topic, refusal.reason, code)
+        elif self.completion is None:  # a renewal is refused
+            self.completion = Completion(False, f"refused: {refusal.reason} [{code}]")
 
 
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)

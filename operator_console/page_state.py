@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from msg_schemas import topics
-from msg_schemas.machine import PAYOUT, WINCH_DRUM
+from msg_schemas.machine import OVER_TENSION, PAYOUT, SNAG, TOUCHDOWN, WINCH_DRUM
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -45,8 +46,8 @@ _STALE_AGE: Final = 1.0  # geometry older than this is stale [s]
 _LOST_AGE: Final = 5.0  # geometry older than this is replaced by the payout [s]
 _JOURNAL_LENGTH: Final = 300  # journal entries
 _SHOWN_AGE: Final = 3.0  # a smaller age is not shown [s]
-_SEVERE_ALARMS: Final = frozenset({"snag", "over_tension"})
-_INFORMATIVE_ALARMS: Final = frozenset({"touchdown"})
+_SEVERE_ALARMS: Final = frozenset({SNAG, OVER_TENSION})
+_INFORMATIVE_ALARMS: Final = frozenset({TOUCHDOWN})
 _LEVELS: Final = {"OK": "ok", "WARN": "warn", "ERROR": "error", "STALE": "stale"}
 _RANKS: Final = ("ok", "stale", "warn", "error")
 
@@ -187,7 +188,7 @@ def entries(topic: str, statuses: Iterable[Status], time: float) -> list[Entry]:
     found = []
     for status in statuses:
         name = status.name.partition(": ")[2] or status.name
-        if topic == topics.EVENTS or name.startswith("refused "):
+        if topic == topics.EVENTS or read_refusal(status) is not None:
             level = _LEVELS[status.level.name]
             text = status.message
             if "code" in status.values:

@@ -16,6 +16,9 @@ from typing import Any, NamedTuple
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.codecs import topic_row
+from msg_schemas.health import read_health
+from msg_schemas.phases import DescentPhase, JumpPhase, PlantPhase, TensionState, WinchMode
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -36,6 +39,17 @@ _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
 _REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
 _REPORTS = 50  # refusals and events
+
+
+_BAD_WORDS = frozenset(
+    {
+        WinchMode.FAULT,
+        TensionState.OVER_TENSION,
+        PlantPhase.DIVERGED,
+        PlantPhase.TETHER_BROKEN,
+    }
+)
+"""Words that the console shows as warnings; `fault` is also that of the jump."""
 
 
 @dataclass(frozen=True)
@@ -313,9 +327,9 @@ class Telemetry:
         elif topic == topics.DIAGNOSTICS:
             node = status.hardware_id or status.name.partition(":")[0]
             what = status.name.partition(": ")[2]
-            if what.startswith("refused "):
+            if read_refusal(status) is not None:
                 self._refusals.append((status, stamp_ns, now))
-            elif what == "node":
+            elif read_health(status) is not None:
                 self._last_received[node] = now
                 self._health[node] = {what: status}  # its other reports follow at once
             else:
@@ -357,7 +371,7 @@ class Telemetry:
     def is_idle(self) -> bool | None:
         """Whether no descent is active; None = unknown."""
         phase = self.text(topics.DESCENT_PHASE)
-        return phase in {"released", "standby"} if phase else None
+        return phase in {DescentPhase.RELEASED, DescentPhase.STANDBY} if phase else None
 
     @property
     def depth(self) -> float | None:
@@ -369,7 +383,10 @@ class Telemetry:
 
         The drum must rest for 0.5 s by its stamps, since simulated time may be slow.
         """
-        if self.text(topics.JUMP_PHASE) in {"compressing", "letting_down"} or not self._drum:
+        if (
+            self.text(topics.JUMP_PHASE) in {JumpPhase.COMPRESSING, JumpPhase.LETTING_DOWN}
+            or not self._drum
+        ):
             return False
         last_ns = self._drum[-1].stamp_ns
         for sample in reversed(self._drum):
@@ -421,7 +438,7 @@ class Telemetry:
             return Reading(key, label, "phases", "", None, None, True, False, "–")
         word, at = received
         stale = not any(self.is_alive(node, now) for node in _PUBLISHERS[topic])
-        warns = word in {"fault", "over_tension", "diverged", "tether_broken"}
+        warns = word in _BAD_WORDS
         return Reading(key, label, "phases", "", word, now - at, stale, warns, word)
 
     def _node(self, name: str, now: float) -> NodeHealth:

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
 from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
 from rover_bags.files.scan import BagScan
 from rover_bags.read import ReceivedMessage, received_messages
 from rover_sim import COMMANDS
 
-_RESET_PLANT: Final = "reset_plant"
 _GAP: Final = 5
 """Number of ticks without any message from which commands may be missing."""
 
@@ -116,7 +116,9 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
         if isinstance(sample, ClockSample):
             recorded_run.segment(number).ticks.append((message.publish_ns, stamp))
         elif isinstance(sample, StatusSample):
-            if name == topics.EVENTS and any(s.name == _RESET_PLANT for s in sample.statuses):
+            if name == topics.EVENTS and any(
+                s.name == SimulationEvent.PLANT_RESET for s in sample.statuses
+            ):
                 clock = latest.get(topics.CLOCK, (0, 0))[0]
                 recorded_run.segment(clock).plant_resets.add(stamp)
         elif name in PLANT_TOPICS:

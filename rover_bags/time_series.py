@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     TETHER_COLUMNS,
     DrawingSample,
@@ -307,7 +308,7 @@ class TimeSeriesBuilder:
             return False
         if self.spec.intent is Intent.EVENT or count < _FEW_SHAPES:
             return True
-        return any(s.level is not Level.OK or "code" in s.values for s in sample.statuses)
+        return any(s.level is not Level.OK or read_refusal(s) is not None for s in sample.statuses)
 
     def _placed(self, block: MessageBlock) -> Floats:
         """Values arranged in this series' columns."""

@@ -15,13 +15,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, EventReport
+from msg_schemas.faults import Reason
 from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
-from msg_schemas.transition import Transition
+from msg_schemas.samples import ImuSample, JointSample, WrenchSample
 from rover_control.attitude import FlywheelReaction, WheelReaction
-from rover_control.descent_profile import SUBJECT, DescentPhase, Stop
+from rover_control.descent_profile import SUBJECT, Stop
 from rover_control.hanging_controller import (
     ActuatorCommands,
     Exposure,
@@ -30,14 +32,12 @@ from rover_control.hanging_controller import (
     WinchRequest,
 )
 from rover_control.pointing import SUBJECT as POINTING
-from rover_control.winch_link import FREE, HOLD, WinchLink, WinchLinkParameters
+from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
 
 _NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
-RELEASED = "released"
-"""Phase in which the descent drives nothing."""
 
 _NANO = 1e9
-_NO_JUMP = frozenset({"", "standby", "fault"})
+_NO_JUMP = frozenset({"", JumpPhase.STANDBY, JumpPhase.FAULT})
 _CLEAR_FRACTION = 0.2  # fraction of the travel about its middle in which the nut is clear
 
 
@@ -141,7 +141,7 @@ class Descent:
         self._pictures = 0
         self._pending: deque[Observation] = deque()
         self._completed: list[Observation] = []
-        self._changes: list[Transition] = []
+        self._changes: list[EventReport] = []
         self._jump = ""
         self._mode = ""
         self._commanded_wheel_rate = 0.0  # of the left wheel [rad/s]
@@ -174,7 +174,7 @@ class Descent:
     @property
     def phase(self) -> str:
         """Phase; value of the contract."""
-        return self.controller.profile.phase.value if self.is_engaged else RELEASED
+        return self.controller.profile.phase.value if self.is_engaged else DescentPhase.RELEASED
 
     @property
     def stops_left(self) -> int:
@@ -193,7 +193,7 @@ class Descent:
         missing = self.controller.waiting_for(now_ns)
         return missing if self._mode else (*missing, topics.WINCH_MODE)
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call, and clear them."""
         taken, self._changes = self._changes, []
         return taken + self.controller.take_changes()
@@ -290,7 +290,7 @@ class Descent:
             self.is_engaged = True
             self._clearing_since = None
             self.controller.resume_estimation()
-            self._changes.append(Transition("descent_engaged", reason))
+            self._changes.append(EventReport(DescentEvent.ENGAGED, reason))
 
     def _check_rotors(self, now_ns: int) -> None:
         if self._jump not in _NO_JUMP:
@@ -357,7 +357,7 @@ class Descent:
                 f"the descent is in {self.phase}; {topics.DESCENT_ABORT} drops the remaining stops",
             )
         if self.is_engaged:
-            self._disengage("release requested")
+            self._disengage("release requested", Reason.REQUESTED)
         return "winch, wheels and flywheel released"
 
     def retune(self, settings: DescentSettings) -> None:
@@ -396,7 +396,7 @@ class Descent:
         self._winch_is_released = True
         self.link.clear()
 
-    def _disengage(self, reason: str) -> None:
+    def _disengage(self, text: str, reason: Reason) -> None:
         controller = self.controller
         controller.pointing.stop()
         self._changes += controller.take_changes()
@@ -410,7 +410,7 @@ class Descent:
             controller.pause_estimation()
             self.is_engaged = False
             self.interruption = ""
-        self._changes.append(Transition(f"descent_{RELEASED}", reason))
+        self._changes.append(EventReport(DescentEvent.RELEASED, text, reason=reason))
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -442,11 +442,11 @@ class Descent:
         if not self.is_engaged:
             return DescentCommands()
         uses = self.settings.hanging_controller.uses_rotors
-        stops = not self._winch_is_released and self._mode == "length"
+        stops = not self._winch_is_released and self._mode == WinchMode.LENGTH
         request = WinchRequest(self.length, 0.0) if stops and math.isfinite(self.length) else None
         off = 0.0 if uses else None
         self.controller.abort(self._stepped_ns)
-        self._disengage("the node stops")
+        self._disengage("the node stops", Reason.SHUTDOWN)
         self._release_winch()
         return DescentCommands(off, off, request)
 
@@ -460,10 +460,12 @@ class Descent:
             return
         reason = f"{', '.join(missing)} timed out"
         if self.is_busy:
-            self._interrupt(reason, now_ns)
+            self._interrupt(reason, now_ns, Reason.SENSOR_TIMEOUT)
         elif self.controller.pointing.is_active:
             self.controller.pointing.stop()
-            self._changes.append(Transition("pointing_ended", reason, Level.WARN))
+            self._changes.append(
+                EventReport(DescentEvent.POINTING_LOST, reason, reason=Reason.SENSOR_TIMEOUT)
+            )
 
     def _clear_nut(self, now: float) -> float | None:
         """Nut position that frees its motor as a reaction wheel; None = it is clear."""
@@ -473,16 +475,18 @@ class Descent:
             return None
         if self._clearing_since is None:
             self._clearing_since = now
-            self._changes.append(Transition("nut_clearing", "driving the nut clear of the latch"))
+            text = "driving the nut clear of the latch"
+            self._changes.append(EventReport(DescentEvent.NUT_CLEARING_STARTED, text))
         if away < _CLEAR_FRACTION * rotors.screw_travel:
             self._clearing_since = None
-            self._changes.append(Transition("nut_clear", "the jump motor now is a reaction wheel"))
+            text = "the jump motor now is a reaction wheel"
+            self._changes.append(EventReport(DescentEvent.NUT_CLEARING_COMPLETED, text))
             return None
         timeout = self.settings.descent.nut_timeout
         if self.is_busy and now - self._clearing_since > timeout:
             self._clearing_since = now
-            reason = f"the nut is not clear of the latch after {timeout:g} s"
-            self._interrupt(reason, round(now * _NANO))
+            text = f"the nut is not clear of the latch after {timeout:g} s"
+            self._interrupt(text, round(now * _NANO), Reason.TIME_LIMIT)
         return rotors.screw_travel_centre * self._lead_per_radian
 
     def _rotors(
@@ -510,9 +514,10 @@ class Descent:
                 f"the gyro sample is {delay:.2g} s old, the limit is {p.max_gyro_delay:g} s; the "
                 "rotors do not follow it"
             )
-            self._changes.append(Transition("rotors_late", text, Level.WARN))
+            self._changes.append(EventReport(DescentEvent.ROTORS_SUSPENDED, text))
         elif late and not self._is_late:
-            self._changes.append(Transition("rotors_follow", "the gyro samples are in time again"))
+            text = "the gyro samples are in time again"
+            self._changes.append(EventReport(DescentEvent.ROTORS_RESUMED, text))
             self._wheel_is_ramping = True
         if self._is_late:
             return self._commanded_wheel_rate, 0.0
@@ -532,7 +537,7 @@ class Descent:
         profile = self.controller.profile
         if not self.is_busy:
             # After a release another node may move the winch as soon as it holds.
-            released = not self.is_engaged and self._mode == HOLD
+            released = not self.is_engaged and self._mode == WinchMode.HOLD
             if released or self.link.is_at_rest(now) or self._mode not in FREE:
                 self._release_winch()
                 return None, None
@@ -541,19 +546,19 @@ class Descent:
             return None, None
         fault = self.link.fault(self.length, now)
         if fault:
-            self._interrupt(fault, round(now * _NANO))
+            self._interrupt(fault, round(now * _NANO), Reason.TAKEN_OVER)
             return None, None
         moves = profile.phase is DescentPhase.TRAVELLING
         trims = commands.trim is not None
         request = self.link.step(commands.winch, self.length, now, moves=moves, trims=trims)
         return request, commands.trim
 
-    def _interrupt(self, reason: str, now_ns: int) -> None:
+    def _interrupt(self, reason: str, now_ns: int, cause: Reason) -> None:
         self._changes += self.controller.take_changes()
-        self.controller.hold(now_ns)
+        self.controller.hold(now_ns, cause)
         self._release_winch()
         self.interruption = reason
-        self._changes.append(Transition("descent_interrupted", reason, Level.WARN))
+        self._changes.append(EventReport(DescentEvent.INTERRUPTED, reason, reason=cause))
 
     def _spin_down(self, h: float) -> tuple[float | None, float | None]:
         """After a release ramp the left wheel to rest; the flywheel coasts."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, EventReport
 from msg_schemas.machine import (
     FLYWHEEL,
     HEADING_TURN,
@@ -180,7 +181,8 @@ class DescentNode(ContractNode):
             self._descent.request(stop, self.now_ns())
             what = "an observation" if stop.observes else "a stop"
             values = {"depth": amount, "stops": self._descent.stops_left}
-            self.event("stop_accepted", f"{what} at {amount:g} m", values=values)
+            text = f"{what} at {amount:g} m"
+            self.event(EventReport(DescentEvent.STOP_ACCEPTED, text, values))
         self._publish_changes()
 
     def _on_hold(self) -> tuple[bool, str]:
@@ -245,10 +247,7 @@ class DescentNode(ContractNode):
     def _publish_changes(self) -> None:
         descent = self._descent
         for change in descent.take_changes():
-            self.event(change.name, change.reason, change.level, change.values)
-            if change.level is not Level.OK:
-                name = f"{self.NAME}: {change.name}"
-                self.report(Status(name, change.reason, change.level, self.NAME))
+            self.event(change, diagnoses=True)
         if descent.phase != self._published_phase:
             self._published_phase = descent.phase
             self._phase_publisher.send(TextSample(descent.phase))

@@ -17,13 +17,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from enum import StrEnum
 from typing import NamedTuple
 
+from msg_schemas.events import DescentEvent, EventName, EventReport
+from msg_schemas.faults import Reason
 from msg_schemas.machine import MAX_LENGTH
+from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level
-from msg_schemas.transition import Transition
 from rover_control.descent_parameters import ProfileParameters
 from rover_control.hanging_rover import HangingParameters
 from rover_control.imaging_window import imaging_window, longest_imaging_window
@@ -38,17 +38,14 @@ _TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer be
 _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
 _PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
 _ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
-
-
-class DescentPhase(StrEnum):
-    """Phase of the descent; values of the contract."""
-
-    STANDBY = "standby"
-    DAMPING = "damping"
-    TRAVELLING = "travelling"
-    SETTLING = "settling"
-    EXPOSING = "exposing"
-    HOLDING = "holding"
+_PHASE_EVENTS = {
+    DescentPhase.STANDBY: DescentEvent.STANDBY,
+    DescentPhase.DAMPING: DescentEvent.DAMPING,
+    DescentPhase.TRAVELLING: DescentEvent.TRAVELLING,
+    DescentPhase.SETTLING: DescentEvent.SETTLING,
+    DescentPhase.EXPOSING: DescentEvent.EXPOSING,
+    DescentPhase.HOLDING: DescentEvent.HOLDING,
+}
 
 
 class Stop(NamedTuple):
@@ -109,13 +106,13 @@ class DescentProfile:
         self._transfers = self._unwinds = False
         self._transfer_time = 0.0  # [s]
         self._holds_swing = False
-        self._changes: list[Transition] = []
+        self._changes: list[EventReport] = []
 
     def on_swing_lost(self) -> None:
         """Let the swing estimate settle again before the next action."""
         self._estimating_since = math.nan
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call, and clear them."""
         taken, self._changes = self._changes, []
         return taken
@@ -155,11 +152,11 @@ class DescentProfile:
         rate = stop.rate if stop.rate > 0.0 else self.parameters.travel_rate
         self.stops.append(stop._replace(rate=rate))
 
-    def hold(self, length: float, now: float) -> str:
+    def hold(self, length: float, now: float, cause: Reason = Reason.REQUESTED) -> str:
         """Hold the present length [m]."""
         if self.phase is not DescentPhase.HOLDING:
             self.length_setpoint = length
-            self._enter(DescentPhase.HOLDING, f"asked to hold, at {length:.4g} m", now)
+            self._enter(DescentPhase.HOLDING, f"asked to hold, at {length:.4g} m", now, cause)
         return f"holding {self.length_setpoint:.4g} m"
 
     def resume(self, now: float) -> str:
@@ -179,7 +176,7 @@ class DescentProfile:
         elif self._stop is not None:
             self.stops.appendleft(self._stop)
             self._stop = None
-        self._enter(DescentPhase.STANDBY, "resumed", now)
+        self._enter(DescentPhase.STANDBY, "resumed", now, Reason.REQUESTED)
         return f"{len(self.stops)} stops left"
 
     def abort(self, length: float, now: float) -> str:
@@ -189,10 +186,10 @@ class DescentProfile:
         dropped = len(self.stops) + (self._stop is not None)
         self.stops.clear()
         if self._stop is not None:
-            self._end_stop("aborted", Level.WARN, length)
+            self._end_stop(DescentEvent.STOP_ABORTED, "aborted", length, Reason.REQUESTED)
         self.length_setpoint = length
         if self.phase is not DescentPhase.STANDBY:
-            self._enter(DescentPhase.STANDBY, "aborted", now, Level.WARN)
+            self._enter(DescentPhase.STANDBY, "aborted", now, Reason.REQUESTED)
         return f"{dropped} stops dropped"
 
     # --- control step ----------------------------------------------------------------------------
@@ -282,7 +279,7 @@ class DescentProfile:
         self._pictures = self._attempts = 0
         reason = self._wall_conflict(swing, length, self._stop.depth)
         if reason:
-            self._end_stop(reason, Level.WARN, length)
+            self._end_stop(DescentEvent.STOP_FAILED, reason, length, Reason.OUT_OF_LIMITS)
             return
         self._arrived_at = math.nan
         if math.isnan(self.length_setpoint):
@@ -341,8 +338,9 @@ class DescentProfile:
                 return
         if not stop.observes:
             if not self._exceeds_limits(swing, length):
-                self._end_stop("reached", Level.OK, length)
-                self._enter(DescentPhase.STANDBY, f"reached {length:.4g} m", now)
+                self._end_stop(DescentEvent.STOP_COMPLETED, "reached", length, Reason.COMPLETED)
+                text = f"reached {length:.4g} m"
+                self._enter(DescentPhase.STANDBY, text, now, Reason.COMPLETED)
                 return
             steady = False
         timeout = max(p.settling_timeout, _SETTLING_PERIODS * math.tau / swing.frequency)
@@ -374,7 +372,7 @@ class DescentProfile:
             # The end of the stop may move the rover; wait until the last exposure is over.
             if now - self._last_exposure >= p.exposure_interval:
                 self._end_observation()
-                self._enter(DescentPhase.STANDBY, "pictures taken", now)
+                self._enter(DescentPhase.STANDBY, "pictures taken", now, Reason.COMPLETED)
             return False
         if not self._is_steady:
             if (
@@ -523,8 +521,8 @@ class DescentProfile:
         )
 
     def _give_up(self, reason: str, length: float, now: float) -> None:
-        self._end_stop(reason, Level.WARN, length)
-        self._enter(DescentPhase.STANDBY, "stop given up", now, Level.WARN)
+        self._end_stop(DescentEvent.STOP_FAILED, reason, length, Reason.TIME_LIMIT)
+        self._enter(DescentPhase.STANDBY, "stop given up", now, Reason.TIME_LIMIT)
 
     @property
     def _has_pictures(self) -> bool:
@@ -534,21 +532,25 @@ class DescentProfile:
 
     def _end_observation(self) -> None:
         assert self._stop is not None
-        self._end_stop(f"{self._pictures} pictures", Level.OK, self._stop.depth)
+        text = f"{self._pictures} pictures"
+        depth = self._stop.depth
+        self._end_stop(DescentEvent.STOP_COMPLETED, text, depth, Reason.COMPLETED)
 
-    def _end_stop(self, reason: str, level: Level, length: float) -> None:
+    def _end_stop(self, name: EventName, text: str, length: float, reason: Reason) -> None:
         stop, self._stop = self._stop, None
         assert stop is not None
         values = {"depth": stop.depth, "length": length, "pictures": self._pictures}
-        self._changes.append(Transition("stop_ended", reason, level, values))
+        self._changes.append(EventReport(name, text, values, reason))
 
-    def _enter(self, phase: DescentPhase, reason: str, now: float, level: Level = Level.OK) -> None:
+    def _enter(
+        self, phase: DescentPhase, text: str, now: float, reason: Reason | None = None
+    ) -> None:
         self.phase = phase
         self._phase_since = now
         if phase is not DescentPhase.DAMPING:
             self._transfers = self._unwinds = False
             self._transfer_time = 0.0
-        self._changes.append(Transition(f"descent_{phase}", reason, level))
+        self._changes.append(EventReport(_PHASE_EVENTS[phase], text, reason=reason))
 
 
 def _deg(angle: float) -> str:

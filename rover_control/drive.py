@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport
+from msg_schemas.faults import DriveFault, Reason
 from msg_schemas.machine import (
     FLOOR_SWITCH,
     PAYOUT,
@@ -23,17 +25,12 @@ from msg_schemas.machine import (
     WHEEL_RIGHT,
 )
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, PathSample, PoseSample, TwistSample
 from msg_schemas.table import TOPICS
-from msg_schemas.transition import Transition
 from rover_control.drive_attitude import ROLLOVER_TILT
-from rover_control.drive_follower import (
-    DriveFollower,
-    DrivePhase,
-    FollowerInput,
-    FollowerParameters,
-)
+from rover_control.drive_follower import DriveFollower, FollowerInput, FollowerParameters
 from rover_control.drive_odometry import DriveOdometry, OdometryParameters, TetherMeasurement
 from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters
 from rover_control.drive_tether import TetherControl, TetherParameters, TetherRequest
@@ -44,7 +41,15 @@ _NANO = 1e9
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
 _JUMPING = frozenset(
-    {"compressing", "settling", "releasing", "flight", "landed", "hooking", "letting_down"}
+    {
+        JumpPhase.COMPRESSING,
+        JumpPhase.SETTLING,
+        JumpPhase.RELEASING,
+        JumpPhase.FLIGHT,
+        JumpPhase.LANDED,
+        JumpPhase.HOOKING,
+        JumpPhase.LETTING_DOWN,
+    }
 )
 _STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
 
@@ -153,7 +158,7 @@ class Drive:
             stale = (*stale, topics.WINCH_MODE)
         return stale
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call and clear them."""
         return self.follower.take_changes()
 
@@ -304,7 +309,7 @@ class Drive:
                 self._steered_at = now_ns / _NANO
                 self.follower.steer(0.0, self._steered_at)
             elif self.is_busy:
-                self.follower.stop("zero twist received", now_ns / _NANO)
+                self.follower.stop("zero twist received", Reason.COMPLETED, now_ns / _NANO)
             return
         if self.phase is not DrivePhase.STEERED:
             self._check_ready(topics.CMD_VEL, now_ns)
@@ -314,7 +319,7 @@ class Drive:
     def stop(self, now_ns: int) -> str:
         """Stop and discard all goals; always accepted."""
         if self.is_busy:
-            self.follower.stop("asked for", now_ns / _NANO)
+            self.follower.stop("asked for", Reason.REQUESTED, now_ns / _NANO)
         else:
             self.follower.phase = DrivePhase.RELEASED
         return "drive_node has released wheels and winch"
@@ -360,7 +365,7 @@ class Drive:
         """Which other controller uses the actuators; empty = none."""
         if self._jump in _JUMPING:
             return f"the rover is jumping ({self._jump})"
-        if self._descent not in ("", "released"):
+        if self._descent not in ("", DescentPhase.RELEASED):
             return (
                 f"the descent controller holds wheels and winch (phase {self._descent}); call "
                 f"{topics.DESCENT_RELEASE} first"
@@ -399,15 +404,16 @@ class Drive:
         ):
             reason = "the contact switch reports no floor"
         if reason:
-            self.follower.fail(reason, now)
+            self.follower.fail(reason, DriveFault.INPUT_LOST, now)
         elif self.phase is DrivePhase.STEERED and now - self._steered_at > _STEERING_TIMEOUT:
-            self.follower.stop(f"no {topics.CMD_VEL} for {_STEERING_TIMEOUT:g} s", now)
+            text = f"no {topics.CMD_VEL} for {_STEERING_TIMEOUT:g} s"
+            self.follower.stop(text, Reason.RENEWAL_TIMEOUT, now)
 
     def halt(self) -> DriveCommands:
         """Last commands before the control steps end."""
         if not self.is_busy:
             return DriveCommands()
-        self.follower.stop("the node is shutting down", self._stepped or 0.0)
+        self.follower.stop("the node is shutting down", Reason.SHUTDOWN, self._stepped or 0.0)
         self.follower.rate = 0.0
         return DriveCommands(0.0, self.tether.step(math.inf, 0.0, is_driving=False))
 

@@ -12,35 +12,18 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
+from msg_schemas.events import DriveEvent, EventReport
+from msg_schemas.faults import DriveFault, Reason
 from msg_schemas.parameters import parameter
-from msg_schemas.samples import Level
-from msg_schemas.transition import Transition
+from msg_schemas.phases import DrivePhase
 from rover_control.drive_odometry import DriveOdometry
 from rover_control.drive_planner import DrivePlanner, Goal, Segment
 from rover_control.drive_watch import DriveWatch
 
 _CREEP = 0.15  # fraction of the full speed at which a motion ends
 _AT_REST = 0.02  # wheel rate below which a wheel is at rest [rad/s]
-
-
-class DrivePhase(StrEnum):
-    """Phase of the drive controller, as published."""
-
-    RELEASED = "released"
-    STANDING = "standing"
-    TURNING = "turning"
-    DRIVING = "driving"
-    STEERED = "steered"
-    STUCK = "stuck"
-    FAILED = "failed"
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no motion is active."""
-        return self in (DrivePhase.RELEASED, DrivePhase.STUCK, DrivePhase.FAILED)
 
 
 @dataclass(frozen=True)
@@ -107,7 +90,7 @@ class DriveFollower:
         self.phase = DrivePhase.RELEASED
         self.goals: deque[Goal] = deque()
         self.rate = 0.0  # commanded rate of the left wheel [rad/s]
-        self._changes: list[Transition] = []
+        self._changes: list[EventReport] = []
         self._segment: Segment | None = None
         self._steered = 0.0
         self._segments = 0
@@ -126,7 +109,7 @@ class DriveFollower:
         """Whether the rover has come to rest without command."""
         return self._rested >= self.parameters.settle_time
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call and clear them."""
         transitions, self._changes = self._changes, []
         return transitions
@@ -138,7 +121,8 @@ class DriveFollower:
         self.goals = deque(goals)
         self._new_goal()
         self._begin(DrivePhase.STANDING, now)
-        self._emit("drive_begun", f"{len(goals)} goals" if len(goals) > 1 else "1 goal")
+        text = f"{len(goals)} goals" if len(goals) > 1 else "1 goal"
+        self._emit(DriveEvent.STARTED, text, goals=len(goals))
 
     def steer(self, rate: float, now: float) -> None:
         """Set the rate of the driven wheel [rad/s]."""
@@ -147,21 +131,21 @@ class DriveFollower:
             self._begin(DrivePhase.STEERED, now)
         self._steered = rate
 
-    def stop(self, reason: str, now: float) -> None:
+    def stop(self, text: str, reason: Reason, now: float) -> None:
         """Stop and discard all goals."""
-        self._end(DrivePhase.RELEASED, "drive_stopped", reason, now)
+        self._end(DrivePhase.RELEASED, DriveEvent.STOPPED, text, reason, now)
 
-    def fail(self, reason: str, now: float) -> None:
+    def fail(self, text: str, fault: DriveFault, now: float) -> None:
         """Stop and discard all goals because of a failure."""
-        self._end(DrivePhase.FAILED, "drive_failed", reason, now, Level.WARN)
+        self._end(DrivePhase.FAILED, DriveEvent.FAILED, text, Reason.FAULT, now, fault=fault.value)
 
     def _end(
         self,
         phase: DrivePhase,
-        name: str,
-        reason: str,
+        name: DriveEvent,
+        text: str,
+        reason: Reason,
         now: float,
-        level: Level = Level.OK,
         **values: object,
     ) -> None:
         remaining = len(self.goals)
@@ -169,7 +153,7 @@ class DriveFollower:
         self._begin(phase, now)
         pose = self.odometry.pose
         place = {"x": pose.x, "y": pose.y, "heading": pose.heading}
-        self._emit(name, reason, level, goals_left=remaining, **place, **values)
+        self._emit(name, text, reason, goals_left=remaining, **place, **values)
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -205,7 +189,8 @@ class DriveFollower:
         self._end_segment()
         goal = self.goal
         if goal is None:
-            self._end(DrivePhase.RELEASED, "drive_done", "all goals reached", now)
+            text = "all goals reached"
+            self._end(DrivePhase.RELEASED, DriveEvent.COMPLETED, text, Reason.COMPLETED, now)
             return
         pose = self.odometry.pose
         if len(self.goals) > 1:  # on a path only the last heading counts
@@ -217,14 +202,15 @@ class DriveFollower:
                 return
             self.goals.popleft()
             self._emit(
-                "goal_reached",
+                DriveEvent.GOAL_REACHED,
                 f"{pose.distance(goal.x, goal.y):.3f} m from ({goal.x:.3f}, {goal.y:.3f}) m",
                 x=pose.x, y=pose.y, heading=pose.heading, goals_left=len(self.goals),
             )  # fmt: skip
             self._new_goal()
             return
         if self._segments >= p.max_segments:
-            self.fail(f"goal not reached within {self._segments} segments, the limit", now)
+            text = f"goal not reached within {self._segments} segments, the limit"
+            self.fail(text, DriveFault.UNREACHABLE, now)
             return
         segment = self.planner.next_segment(pose, goal)
         self._segments += 1
@@ -304,7 +290,9 @@ class DriveFollower:
         limit = self.parameters.motion_timeout_factor * usual + 10.0
         if now - self._since <= limit:
             return False
-        self.fail(f"{self.phase} takes longer than its limit of {limit:.3g} s", now)
+        self.fail(
+            f"{self.phase} takes longer than its limit of {limit:.3g} s", DriveFault.TIME_LIMIT, now
+        )
         return True
 
     def _follow_steering(self, inputs: FollowerInput, now: float, h: float) -> float:
@@ -330,8 +318,11 @@ class DriveFollower:
             reason = reason or watch.tether(travel, expected, odometry.tether_range)
         if reason:
             turning = int(self.rate < 0.0)
-            self._end(DrivePhase.STUCK, "drive_stuck", reason, now, Level.WARN, turning=turning)
+            stuck = Reason.OUT_OF_LIMITS
+            self._end(DrivePhase.STUCK, DriveEvent.STUCK, reason, stuck, now, turning=turning)
         return bool(reason)
 
-    def _emit(self, name: str, reason: str, level: Level = Level.OK, **values: object) -> None:
-        self._changes.append(Transition(name, reason, level, values))
+    def _emit(
+        self, name: DriveEvent, text: str, reason: Reason | None = None, **values: object
+    ) -> None:
+        self._changes.append(EventReport(name, text, values, reason))

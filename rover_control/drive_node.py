@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import DriveEvent, EventReport
 from msg_schemas.machine import WHEEL_DRIVE
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
@@ -159,7 +160,7 @@ class DriveNode(ContractNode):
         pose = self._drive.odometry.pose
         values = {"x": pose.x, "y": pose.y, "heading": pose.heading}
         text = f"at ({pose.x:.3f}, {pose.y:.3f}) m, heading {pose.heading:.3f} rad"
-        self.event("pose_taken", text, values=values)
+        self.event(EventReport(DriveEvent.POSE_SET, text, values))
 
     def _on_goal(self, sample: PoseSample) -> None:
         self._drive.request(sample, self.now_ns())
@@ -209,8 +210,8 @@ class DriveNode(ContractNode):
 
     def _publish_changes(self) -> None:
         for change in self._drive.take_changes():
-            self.event(change.name, change.reason, change.level, change.values)
-            self._end_reason = change.reason if change.level is not Level.OK else ""
+            self.event(change)
+            self._end_reason = change.message if change.level is not Level.OK else ""
         phase = self._drive.phase.value
         if phase != self._published_phase:
             self._published_phase = phase

@@ -14,9 +14,9 @@ from typing import NamedTuple
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import WinchMode
 
-_HOLD, _TENSION = "hold", "tension"  # modes of the winch
-_FREE = frozenset({_HOLD, "length", "slack", _TENSION})
+_FREE = frozenset({WinchMode.HOLD, WinchMode.LENGTH, WinchMode.SLACK, WinchMode.TENSION})
 _STANDING = 1.0e-3  # drum speed below which the drum is at rest [m/s]
 _TAUT = 0.4  # fraction of the margin above which the tether is taut, on average
 _MEAN = 1.0  # averaging time of the tension [s]
@@ -93,14 +93,17 @@ class TetherControl:
     @property
     def is_taut(self) -> bool:
         """Whether the winch controls the tension and the tether is taut."""
-        return self.mode == _TENSION and self._mean_pull > _TAUT * self.parameters.tension_margin
+        return (
+            self.mode == WinchMode.TENSION
+            and self._mean_pull > _TAUT * self.parameters.tension_margin
+        )
 
     @property
     def is_ready(self) -> bool:
         """Whether the tether is under control, so that the rover may move."""
         if not self.parameters.uses_winch:
             return True
-        return self._is_leading and self.mode == _TENSION and self._is_tensioned
+        return self._is_leading and self.mode == WinchMode.TENSION and self._is_tensioned
 
     def on_mode(self, mode: str) -> None:
         """Process the winch mode."""
@@ -137,7 +140,7 @@ class TetherControl:
             self._mean_pull += min(h / _MEAN, 1.0) * (force - self._mean_pull)
         self._over_tension_time = self._over_tension_time + h if force > p.tension_limit else 0.0
         self._slack_time = self._slack_time + h if self._mean_pull < 0.1 * p.tension_margin else 0.0
-        self._held_tension = is_driving and (self._held_tension or self.mode == _TENSION)
+        self._held_tension = is_driving and (self._held_tension or self.mode == WinchMode.TENSION)
         waited = now - self._since > p.take_up_timeout
         self._is_tensioned = is_driving and (self._is_tensioned or self.is_taut or waited)
         if now - self._sent_at < p.request_period:
@@ -146,10 +149,15 @@ class TetherControl:
             self._sent_at = now
             return self._hold()
         is_still = abs(self.rate) < _STANDING
-        if not is_driving and self.mode == _TENSION and is_still and math.isfinite(self.length):
+        if (
+            not is_driving
+            and self.mode == WinchMode.TENSION
+            and is_still
+            and math.isfinite(self.length)
+        ):
             self._sent_at = now
             return TetherRequest(WINCH_TO_LENGTH, self.length, 0.0, 0.0)
-        if not is_driving and self.mode == _TENSION:
+        if not is_driving and self.mode == WinchMode.TENSION:
             # The drum still moves: keep the tension mode until it is at rest.
             self._sent_at = now
             return self._hold()
@@ -165,7 +173,7 @@ class TetherControl:
         p = self.parameters
         if not p.uses_winch or not self._is_leading:
             return ""
-        if self._held_tension and self.mode != _TENSION:
+        if self._held_tension and self.mode != WinchMode.TENSION:
             return f"the winch left mode tension for {self.mode}; see its events"
         if not self._held_tension and now - self._since > p.request_timeout:
             return (

@@ -11,8 +11,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, EventReport
+from msg_schemas.faults import Reason
+from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level, WrenchSample
+from msg_schemas.samples import ImuSample, JointSample, WrenchSample
 from msg_schemas.table import (
     FLYWHEEL,
     SMEAR,
@@ -22,7 +25,6 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
-from msg_schemas.transition import Transition
 from rover_control.attitude import FlywheelReaction, RotorParameters, WheelReaction
 from rover_control.attitude_gains import AttitudeDesign
 from rover_control.descent_parameters import ProfileParameters
@@ -48,8 +50,7 @@ _LONGEST_STEP = 0.2  # of the estimator; it restarts after a longer gap [s]
 _OPEN = 0.5  # brake position above which the brake is open
 _RENEWAL_PERIOD = 1.0  # shortest time between two winch requests [s]
 _PUMP_RAMP = 5.0  # ramp time of the pumping [s]
-_LENGTH = "length"  # winch modes that accept a trim
-_ARMED = frozenset({"hold", _LENGTH, "rate"})
+_ARMED = frozenset({WinchMode.HOLD, WinchMode.LENGTH, WinchMode.RATE})  # accept a trim
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class HangingController:
         self._trims = False
         self._pump_gain = 0.0  # 0..1
         self._reported_saturation: dict[str, str] = {}
-        self._changes: list[Transition] = []
+        self._changes: list[EventReport] = []
 
     @property
     def heading(self) -> float:
@@ -156,7 +157,7 @@ class HangingController:
             return math.inf
         return 1.0 / self.trim.decay(length, self.parameters.hanging.swing_frequency(length))
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call, and clear them."""
         taken = self._changes + self.profile.take_changes()
         self._changes = []
@@ -232,12 +233,11 @@ class HangingController:
                     "the swing estimate has diverged: the sensors do not fit a rover on a taut "
                     "tether; the estimator restarts"
                 )
-                self._changes.append(Transition("swing_lost", text, Level.WARN))
+                self._changes.append(EventReport(DescentEvent.SWING_LOST, text))
         elif self._is_lost and self.estimator.is_settled:
             self._is_lost = False
-            self._changes.append(
-                Transition("swing_found", "the swing estimate has settled", Level.OK)
-            )
+            text = "the swing estimate has settled"
+            self._changes.append(EventReport(DescentEvent.SWING_RECOVERED, text))
 
     def pause_estimation(self) -> None:
         """Pause swing and mass estimates: the rover may stand. The heading is still integrated."""
@@ -338,7 +338,7 @@ class HangingController:
             f"turn by {math.degrees(turn):.0f} deg predicted within {prediction.turning:.0f} s, "
             f"hold for {prediction.holding:.0f} s, limited by {prediction.limit}"
         )
-        self._changes.append(Transition("pointing_begun", text, Level.OK))
+        self._changes.append(EventReport(DescentEvent.POINTING_STARTED, text))
         return prediction
 
     def _spin_by_bias(self, swing: SwingEstimate) -> float:
@@ -356,9 +356,9 @@ class HangingController:
         inertia = self.suspended_mass.ratio * hanging.inertia_about_z
         return hanging.wheel_inertia * change * aside / inertia
 
-    def hold(self, now_ns: int) -> str:
+    def hold(self, now_ns: int, cause: Reason = Reason.REQUESTED) -> str:
         """Hold the present length."""
-        return self.profile.hold(self._length, now_ns / _NANO)
+        return self.profile.hold(self._length, now_ns / _NANO, cause)
 
     def resume(self, now_ns: int) -> str:
         """Continue after a hold.
@@ -445,9 +445,13 @@ class HangingController:
         for axis in (self.wheels.axis, self.flywheel.axis):
             if axis.saturation != self._reported_saturation.get(axis.name, ""):
                 self._reported_saturation[axis.name] = axis.saturation
-                level = Level.WARN if axis.saturation else Level.OK
+                name = (
+                    DescentEvent.BUDGET_EXHAUSTED
+                    if axis.saturation
+                    else DescentEvent.BUDGET_RECOVERED
+                )
                 text = axis.saturation or f"{axis.name} holds the attitude again"
-                self._changes.append(Transition("attitude_budget", text, level))
+                self._changes.append(EventReport(name, text, {"rotor": axis.name}))
         return rate, torque
 
     def _cone(self, swing: SwingEstimate, h: float) -> RotorMomenta:
@@ -455,7 +459,9 @@ class HangingController:
         if self.pointing.is_active and not self.profile.is_idle:
             self.pointing.stop()
             text = "heading released: a stop was requested"
-            self._changes.append(Transition("pointing_ended", text, Level.OK))
+            self._changes.append(
+                EventReport(DescentEvent.POINTING_RELEASED, text, reason=Reason.SUPERSEDED)
+            )
         # The coning's tilt masks the rotation of the swing, over a hundred times as slow.
         self.estimator.freezes_yaw_bias = self.pointing.is_coning
         momenta = self.pointing.step(
@@ -472,10 +478,12 @@ class HangingController:
                 f"{reached.holding:.0f} s, limited by {reached.limit}"
             )
             values = reached._asdict()
-            self._changes.append(Transition("pointing_reached", text, Level.OK, values))
+            self._changes.append(EventReport(DescentEvent.POINTING_REACHED, text, values))
         lost = self.pointing.take_lost()
         if lost:
-            self._changes.append(Transition("pointing_ended", lost, Level.WARN))
+            self._changes.append(
+                EventReport(DescentEvent.POINTING_LOST, lost, reason=Reason.OUT_OF_LIMITS)
+            )
         return momenta
 
     def _winch(
@@ -493,9 +501,9 @@ class HangingController:
             and now - self._requested_at >= _RENEWAL_PERIOD
         ):
             away = abs(self._length - length) > self.parameters.profile.depth_tolerance
-            sends = (trims and self._mode != _LENGTH) or (away and not trims)
+            sends = (trims and self._mode != WinchMode.LENGTH) or (away and not trims)
         trim = None
-        if trims and self._mode == _LENGTH and not sends:
+        if trims and self._mode == WinchMode.LENGTH and not sends:
             trim = self.trim.rate(swing, length, self._length - length)
         if not sends:
             return None, trim

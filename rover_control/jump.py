@@ -14,12 +14,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, JumpEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, PAYOUT
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, Level, OdometrySample, WrenchSample
+from msg_schemas.samples import ImuSample, JointSample, OdometrySample, WrenchSample
 from rover_control.jump_flight import FlightRecorder, MeasuredJump
-from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_parameters import JumpParameters
 from rover_control.jump_prediction import (
     Prediction,
     PredictionParameters,
@@ -29,8 +32,6 @@ from rover_control.jump_prediction import (
 from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
-
-_HOLD = "hold"  # winch mode that holds a length
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class Jump:
         self._recorder.begin()
         self._landed = None
         if self._pending is not None:
-            self._cancel("the clock jumped back", {})
+            self._cancel(JumpEvent.RESET, Reason.CLOCK_JUMP, "the clock jumped back")
         self._process_transitions(now_ns)
 
     def reset_spring(self) -> None:
@@ -222,7 +223,7 @@ class Jump:
             Refusal: the latch has tripped already.
         """
         if self._pending is not None:
-            self._cancel(f"aborted in {self.phase}", {})
+            self._cancel(JumpEvent.ABORTED, Reason.REQUESTED, f"aborted in {self.phase}")
             return "aborted before the spring was compressed"
         message = self.sequence.abort(self.sensors, now_ns)
         self._process_transitions(now_ns)
@@ -278,17 +279,19 @@ class Jump:
             "wall_time": prediction.wall_time,
         }
         if prediction.rejection:
-            self._cancel(f"jump rejected: {prediction.rejection}", values)
+            text = f"jump rejected: {prediction.rejection}"
+            self._cancel(JumpEvent.REJECTED, Reason.OUT_OF_LIMITS, text, values)
             return
         if pending.predict_only:
             text = f"predicted: probability of landing upright {prediction.upright:.2f}"
-            self._cancel(text, values, Level.OK)
+            self._cancel(JumpEvent.PREDICTED, Reason.COMPLETED, text, values)
             return
         pending.prediction, pending.since_ns = prediction, now_ns
         if prediction.extra_slack > 0.0:
             self._slack_request = prediction.slack
             text = f"{prediction.extra_slack:.3g} m more slack needed"
-            self._transitions.append(Transition(JumpPhase.GIVING_SLACK, text, values=values))
+            event = EventReport(JumpEvent.GIVING_SLACK, text, values)
+            self._transitions.append(Transition(JumpPhase.GIVING_SLACK, event))
         else:
             self._begin(pending, prediction, now_ns)
 
@@ -315,8 +318,11 @@ class Jump:
         self._transitions.append(
             Transition(
                 JumpPhase.PREDICTING,
-                f"requested clearance {clearance:g} m",
-                values={"clearance": clearance, "tilt": stance.tilt},
+                EventReport(
+                    JumpEvent.PREDICTING,
+                    f"requested clearance {clearance:g} m",
+                    {"clearance": clearance, "tilt": stance.tilt},
+                ),
             )
         )
 
@@ -326,31 +332,38 @@ class Jump:
         is_late = seconds(now_ns, pending.since_ns) > limit
         if pending.prediction is None:
             if is_late:
-                self._cancel(f"no prediction within {limit:g} s", {})
+                text = f"no prediction within {limit:g} s"
+                self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
             return
-        pending.is_moving = pending.is_moving or self._winch_mode != _HOLD
-        if pending.is_moving and self._winch_mode == _HOLD:
+        pending.is_moving = pending.is_moving or self._winch_mode != WinchMode.HOLD
+        if pending.is_moving and self._winch_mode == WinchMode.HOLD:
             self._begin(pending, pending.prediction, now_ns)
         elif is_late:
             text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"
-            self._cancel(text, {})
+            self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
 
     def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:
         self._pending = None
         try:
             self.sequence.request(prediction.stroke, pending.speed, self.sensors, now_ns)
         except Refusal as refusal:
-            self._transitions.append(
-                Transition(JumpPhase.STANDBY, f"jump not started: {refusal.reason}", Level.WARN)
-            )
+            text = f"jump not started: {refusal.reason}"
+            self._cancel(JumpEvent.NOT_STARTED, Reason.OUT_OF_LIMITS, text)
             return
         self._prediction, self._requested_height = prediction, pending.prediction_request.height
         self._tilt = pending.prediction_request.stance.tilt
         self._process_transitions(now_ns)
 
-    def _cancel(self, reason: str, values: Mapping[str, object], level: Level = Level.WARN) -> None:
+    def _cancel(
+        self,
+        name: JumpEvent,
+        reason: Reason,
+        text: str,
+        values: Mapping[str, object] | None = None,
+    ) -> None:
         self._pending = self._slack_request = None
-        self._transitions.append(Transition(JumpPhase.STANDBY, reason, level, values))
+        event = EventReport(name, text, values or {}, reason)
+        self._transitions.append(Transition(JumpPhase.STANDBY, event))
 
     # --- transitions of the sequence -------------------------------------------------------------
 
@@ -366,7 +379,7 @@ class Jump:
                     self._tilt = self.sensors.tilt
             elif change.phase is JumpPhase.LANDED:
                 closed, flight = self.sensors.closed_ns, self.sensors.open_time
-                took_off = change.level is Level.OK and closed is not None
+                took_off = change.event.name is JumpEvent.LANDED and closed is not None
                 self._landed = (closed, flight) if took_off and closed is not None else None
             elif self._landed is not None:
                 if change.phase in (JumpPhase.HOOKING, JumpPhase.STANDBY):

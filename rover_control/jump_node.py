@@ -13,6 +13,7 @@ from msg_schemas import topics
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
     ImuSample,
     JointSample,
@@ -26,7 +27,7 @@ from msg_schemas.samples import (
 from msg_schemas.scheduling import give_priority_up
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_parameters import JumpParameters
 from rover_control.jump_prediction import (
     Prediction,
     PredictionParameters,
@@ -201,10 +202,7 @@ class JumpNode(ContractNode):
     def _publish_changes(self) -> None:
         for change in self._jump.take_transitions():
             self._phase_publisher.send(TextSample(change.phase.value))
-            name = f"jump_{change.phase.value}"
-            self.event(name, change.reason, change.level, change.values)
-            if change.level is not Level.OK:
-                self.report(Status(f"{self.NAME}: {name}", change.reason, change.level, self.NAME))
+            self.event(change.event, diagnoses=True)
         for record in self._jump.take_records():
             self._flown_publisher.send(flown_sample(record))
 

@@ -4,26 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 from msg_schemas.parameters import parameter
 from msg_schemas.table import MAX_FREE_TRAVEL, MAX_NUT_FORCE, MAX_NUT_SPEED, MAX_STROKE
-
-
-class JumpPhase(StrEnum):
-    """Phase of the jump controller, as published."""
-
-    STANDBY = "standby"
-    PREDICTING = "predicting"
-    GIVING_SLACK = "giving_slack"
-    COMPRESSING = "compressing"
-    SETTLING = "settling"
-    RELEASING = "releasing"
-    FLIGHT = "flight"
-    LANDED = "landed"
-    HOOKING = "hooking"
-    LETTING_DOWN = "letting_down"
-    FAULT = "fault"
 
 
 @dataclass(frozen=True)

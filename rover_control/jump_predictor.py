@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rover_sim
+from msg_schemas.events import PlantEvent
 from rover_control.jump_prediction import (
     Interval,
     Prediction,
@@ -276,7 +277,7 @@ class JumpPredictor:
             raise RuntimeError(f"a simulated jump ended in {run.final.phase.value}")
         first, last = run.states[0], run.final
         top = max(
-            (event.values["z"] for event in run.events if event.name == "apex"),
+            (event.values["z"] for event in run.events if event.name is PlantEvent.APEX),
             default=float(first.G1[2]),
         )
         displacement = last.G1 - first.G1

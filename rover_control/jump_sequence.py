@@ -23,13 +23,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, JumpEvent
+from msg_schemas.faults import JumpFault, Reason
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level
-from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_parameters import JumpParameters
 from rover_control.jump_sensors import Reading, Sensors, is_fresh, seconds, staleness
 
 _MIN_SPRING_FORCE = 1.0  # least spring force that the nut can detect [N]
@@ -46,14 +47,23 @@ class NutCommand(NamedTuple):
     trips: bool = False  # whether the latch releases at the setpoint
 
 
-@dataclass(frozen=True)
-class Transition:
-    """A change of phase with reason and values."""
+_PHASE_EVENTS = {
+    JumpPhase.COMPRESSING: JumpEvent.COMPRESSING,
+    JumpPhase.SETTLING: JumpEvent.SETTLING,
+    JumpPhase.RELEASING: JumpEvent.RELEASING,
+    JumpPhase.FLIGHT: JumpEvent.FLIGHT,
+    JumpPhase.LANDED: JumpEvent.LANDED,
+    JumpPhase.HOOKING: JumpEvent.HOOKING,
+    JumpPhase.STANDBY: JumpEvent.STANDBY,
+    JumpPhase.FAULT: JumpEvent.FAULT,
+}
+
+
+class Transition(NamedTuple):
+    """A change of phase and the event that reports it."""
 
     phase: JumpPhase
-    reason: str
-    level: Level = Level.OK
-    values: Mapping[str, object] = field(default_factory=dict)
+    event: EventReport
 
 
 class JumpSequence:
@@ -170,13 +180,16 @@ class JumpSequence:
                 raise Refusal(topics.JUMP_ABORT, RefusalCode.STALE, stale)
             if self._is_let_down(sensors, now_ns):
                 return "the spring is already let down"
-        self._enter(JumpPhase.LETTING_DOWN, f"aborted in {self.phase}", now_ns, Level.WARN)
+        self._let_go(JumpEvent.ABORTED, Reason.REQUESTED, f"aborted in {self.phase}", now_ns)
         return "letting the spring down"
 
     def clock_jumped(self, now_ns: int) -> None:
         """Restart after a clock jump: all times are invalid."""
         if self.phase is not JumpPhase.STANDBY:
-            self._enter(JumpPhase.STANDBY, "the clock jumped back", now_ns, Level.WARN)
+            text = "the clock jumped back"
+            self._enter(
+                JumpPhase.STANDBY, text, now_ns, name=JumpEvent.RESET, reason=Reason.CLOCK_JUMP
+            )
         self._entered_ns = now_ns
 
     # --- control step ----------------------------------------------------------------------------
@@ -212,12 +225,12 @@ class JumpSequence:
         compression, _ = _known(sensors)
         felt = 0.0 if sensors.nut_force is None else sensors.nut_force.value
         if compression.value >= p.hook_check_stroke and felt < p.hook_check_force:
-            self._enter(
-                JumpPhase.LETTING_DOWN,
+            self._let_go(
+                JumpEvent.CANCELLED,
+                Reason.OUT_OF_LIMITS,
                 f"nut force is {felt:.3g} N at {compression.value:.4g} m, minimum "
                 f"{p.hook_check_force:g} N: the latch has not hooked Body 2",
                 now_ns,
-                Level.WARN,
                 {"compression": compression.value, "force": felt},
             )
             return
@@ -232,12 +245,12 @@ class JumpSequence:
             return
         limit = self._travel / self._speed + p.nut_time_margin
         if self._elapsed(now_ns) > limit:
-            self._enter(
-                JumpPhase.LETTING_DOWN,
+            self._let_go(
+                JumpEvent.FAILED,
+                Reason.TIME_LIMIT,
                 f"not compressed within {limit:.3g} s: the nut reached "
                 f"{compression.value:.4g} m of {self._stroke:g} m",
                 now_ns,
-                Level.ERROR,
                 {"compression": compression.value},
             )
 
@@ -254,13 +267,13 @@ class JumpSequence:
         else:
             self._quiet_since_ns = None
         if self._elapsed(now_ns) > p.hold_timeout:
-            self._enter(
-                JumpPhase.LETTING_DOWN,
+            self._let_go(
+                JumpEvent.CANCELLED,
+                Reason.TIME_LIMIT,
                 f"not quiet within {p.hold_timeout:g} s with the spring held: angular rate "
                 f"{sensors.rate:.3g} rad/s, limit {p.quiet_rate:g} rad/s, or the "
                 "accelerometer is not quiet",
                 now_ns,
-                Level.WARN,
                 {"rate": sensors.rate},
             )
 
@@ -281,7 +294,7 @@ class JumpSequence:
                 "give slack"
             )
         if reason:
-            self._enter(JumpPhase.LETTING_DOWN, reason, now_ns, Level.WARN, values)
+            self._let_go(JumpEvent.CANCELLED, Reason.OUT_OF_LIMITS, reason, now_ns, values)
         else:
             self._enter(
                 JumpPhase.RELEASING,
@@ -298,28 +311,28 @@ class JumpSequence:
             stale = self._stale_sensor(sensors, now_ns) or (
                 "the nut still measures the spring's force"
             )
-            self._enter(
-                JumpPhase.LETTING_DOWN,
+            self._let_go(
+                JumpEvent.FAILED,
+                Reason.TIME_LIMIT,
                 f"the latch did not trip within {limit:g} s: {stale}",
                 now_ns,
-                Level.ERROR,
             )
 
     def _is_stale_or_lifted(self, sensors: Sensors, now_ns: int) -> bool:
         """Let the spring down if a sensor is stale or the rover was lifted with the spring held."""
         stale = self._stale_sensor(sensors, now_ns)
         if stale:
-            self._enter(JumpPhase.LETTING_DOWN, stale, now_ns, Level.ERROR)
+            self._let_go(JumpEvent.FAILED, Reason.SENSOR_TIMEOUT, stale, now_ns)
             return True
         compression, _ = _known(sensors)
         if sensors.is_open and sensors.opened_ns is not None:
             lifted = seconds(compression.stamp_ns, sensors.opened_ns)
             if lifted > self.parameters.contact_loss_time:
-                self._enter(
-                    JumpPhase.LETTING_DOWN,
+                self._let_go(
+                    JumpEvent.CANCELLED,
+                    Reason.OUT_OF_LIMITS,
                     f"contact lost at {compression.value:.4g} m with the spring still held",
                     now_ns,
-                    Level.WARN,
                 )
                 return True
         return False
@@ -356,9 +369,9 @@ class JumpSequence:
             return
         travel = max(self.peak_compression, self.parameters.max_stroke)
         limit = travel / self.parameters.let_down_speed + self.parameters.nut_time_margin
-        self._check_timeout(
-            sensors, now_ns, limit, "spring not let down", "the nut does not return"
-        )
+        text = "spring not let down"
+        fault = JumpFault.SPRING_NOT_LET_DOWN
+        self._check_timeout(sensors, now_ns, limit, fault, text, "the nut does not return")
 
     def _hook(self, sensors: Sensors, now_ns: int) -> None:
         p = self.parameters
@@ -369,15 +382,24 @@ class JumpSequence:
             return
         limit = (max(self.peak_compression, p.max_stroke) - p.nut_park_position) / p.nut_speed
         limit += p.nut_time_margin
-        self._check_timeout(sensors, now_ns, limit, "latch not hooked", "the nut does not move up")
+        fault = JumpFault.LATCH_NOT_HOOKED
+        self._check_timeout(
+            sensors, now_ns, limit, fault, "latch not hooked", "the nut does not move up"
+        )
 
     def _check_timeout(
-        self, sensors: Sensors, now_ns: int, limit: float, failure: str, otherwise: str
+        self,
+        sensors: Sensors,
+        now_ns: int,
+        limit: float,
+        fault: JumpFault,
+        failure: str,
+        otherwise: str,
     ) -> None:
         if self._elapsed(now_ns) > limit:
             reason = self._stale_sensor(sensors, now_ns) or otherwise
             text = f"{failure} within {limit:.3g} s: {reason}"
-            self._enter(JumpPhase.FAULT, text, now_ns, Level.ERROR)
+            self._fail(fault, text, now_ns)
 
     def _fly(self, sensors: Sensors, now_ns: int) -> None:
         # The switch may report the take-off later than the nut does: require that it has opened.
@@ -385,20 +407,19 @@ class JumpSequence:
         closed = sensors.contact is not None and not sensors.is_open
         if closed and has_opened:
             flown = sensors.open_time
-            self._land(
-                f"ground contact after about {flown:.3g} s of flight", flown, Level.OK, now_ns
-            )
+            text = f"ground contact after about {flown:.3g} s of flight"
+            self._land(JumpEvent.LANDED, text, flown, now_ns)
         elif closed and self._elapsed(now_ns) > self.parameters.take_off_timeout:
             limit = self.parameters.take_off_timeout
             text = f"no take-off within {limit:g} s"
-            self._land(text, 0.0, Level.WARN, now_ns)
+            self._land(JumpEvent.NO_TAKE_OFF, text, 0.0, now_ns)
         elif self._elapsed(now_ns) > self.parameters.flight_timeout:
             limit = self.parameters.flight_timeout
-            self._enter(JumpPhase.FAULT, f"no landing within {limit:g} s", now_ns, Level.ERROR)
+            self._fail(JumpFault.NO_LANDING, f"no landing within {limit:g} s", now_ns)
 
-    def _land(self, text: str, flown: float, level: Level, now_ns: int) -> None:
+    def _land(self, name: JumpEvent, text: str, flown: float, now_ns: int) -> None:
         self._quiet_since_ns = None
-        self._enter(JumpPhase.LANDED, text, now_ns, level, {"flight_time": flown})
+        self._enter(JumpPhase.LANDED, text, now_ns, {"flight_time": flown}, name=name)
 
     def _settle(self, sensors: Sensors, now_ns: int) -> None:
         if self._is_quiet(sensors, now_ns):
@@ -411,7 +432,8 @@ class JumpSequence:
             self._quiet_since_ns = None
         limit = self.parameters.settle_timeout
         otherwise = "the contact or the accelerometer is not quiet"
-        self._check_timeout(sensors, now_ns, limit, "not at rest after landing", otherwise)
+        fault = JumpFault.NOT_AT_REST
+        self._check_timeout(sensors, now_ns, limit, fault, "not at rest after landing", otherwise)
 
     def _finish(self, sensors: Sensors, now_ns: int) -> None:
         """End the jump: hook the latch again if the nut is below it, else return to standby."""
@@ -419,7 +441,7 @@ class JumpSequence:
         values = {"tilt": sensors.tilt}
         if sensors.tilt > p.toppled_tilt:
             text = f"toppled: tilt at rest {sensors.tilt:.3g} rad, limit {p.toppled_tilt:g} rad"
-            self._enter(JumpPhase.FAULT, text, now_ns, Level.ERROR, values)
+            self._fail(JumpFault.TOPPLED, text, now_ns, values)
             return
         compression, _ = _known(sensors)
         if compression.value > p.nut_zero_tolerance:
@@ -451,14 +473,38 @@ class JumpSequence:
     def _enter(
         self,
         phase: JumpPhase,
-        reason: str,
+        text: str,
         now_ns: int,
-        level: Level = Level.OK,
         values: Mapping[str, object] | None = None,
+        *,
+        name: JumpEvent | None = None,
+        reason: Reason | None = None,
     ) -> None:
         self.phase = phase
         self._entered_ns = now_ns
-        self._transitions.append(Transition(phase, reason, level, values or {}))
+        event = EventReport(name or _PHASE_EVENTS[phase], text, values or {}, reason)
+        self._transitions.append(Transition(phase, event))
+
+    def _let_go(
+        self,
+        name: JumpEvent,
+        reason: Reason,
+        text: str,
+        now_ns: int,
+        values: Mapping[str, object] | None = None,
+    ) -> None:
+        """Let the spring down, and report why."""
+        self._enter(JumpPhase.LETTING_DOWN, text, now_ns, values, name=name, reason=reason)
+
+    def _fail(
+        self,
+        fault: JumpFault,
+        text: str,
+        now_ns: int,
+        values: Mapping[str, object] | None = None,
+    ) -> None:
+        told = {"fault": fault.value, **(values or {})}
+        self._enter(JumpPhase.FAULT, text, now_ns, told, reason=Reason.FAULT)
 
 
 def _refused(code: RefusalCode, reason: str) -> Refusal:

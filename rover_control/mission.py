@@ -26,9 +26,11 @@ from enum import Enum, auto
 from typing import Any, NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, MissionEvent
+from msg_schemas.faults import Reason
+from msg_schemas.phases import DescentPhase, JumpPhase, MissionPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level, Sample
-from msg_schemas.transition import Transition
+from msg_schemas.samples import Sample
 from rover_control.mission_floor import DriveTask, JumpTask
 from rover_control.mission_interlocks import Condition, remedy, violated_interlock
 from rover_control.mission_legs import (
@@ -38,7 +40,6 @@ from rover_control.mission_legs import (
     LegResult,
     LegTask,
     LiftTask,
-    MissionPhase,
     ProposedRequest,
     Request,
     StopTask,
@@ -125,7 +126,7 @@ class Mission:
         self._retry_at = -math.inf  # start of the next trial [s]
         self._sent_at: dict[str, float] = {}  # time of the last request, by topic or service [s]
         self._published_phase: MissionPhase | None = None
-        self._changes: list[Transition] = []
+        self._changes: list[EventReport] = []
 
     # --- state -----------------------------------------------------------------------------------
 
@@ -149,7 +150,7 @@ class Mission:
         """Failed trials of the present leg."""
         return self._failed_trials
 
-    def take_changes(self) -> list[Transition]:
+    def take_changes(self) -> list[EventReport]:
         """Return the transitions since the last call and clear them."""
         taken, self._changes = self._changes, []
         return taken
@@ -183,7 +184,7 @@ class Mission:
             elif self.observed.place is None:
                 self.observed.place = Place(0.0, 0.0, math.radians(self.plan.heading))
             text = f"{len(self.route.legs)} legs" + (", beginning on the floor" if on_floor else "")
-        self._emit("mission_begun", text)
+        self._emit(MissionEvent.STARTED, text)
         self._failed_trials = 0
         self._begin(now, text)
         return text
@@ -199,7 +200,7 @@ class Mission:
                 self._is_at_rest = False
                 return f"already {self._idle_phase}"
             raise _refused(topics.MISSION_HOLD, "no mission is active")
-        self._stop(MissionPhase.HOLDING, "asked for")
+        self._stop(MissionEvent.HOLDING, Reason.REQUESTED, "asked for")
         return "coming to rest"
 
     def resume(self, now_ns: int) -> str:
@@ -237,7 +238,9 @@ class Mission:
             text = f"the rover must be within {radius:g} m of the plumb line"
             raise _refused(topics.MISSION_SKIP, f"{text} to be lifted; otherwise it swings")
         was_active, now = self.is_active, now_ns / _NANO
-        self._record_leg(leg, LegResult.ABANDONED, "skipped by the operator")
+        self._record_leg(
+            leg, LegResult.ABANDONED, "skipped by the operator", MissionEvent.LEG_SKIPPED
+        )
         self._advance(leg)
         following = self.leg
         assert following is not None  # the last legs cannot be skipped
@@ -249,7 +252,7 @@ class Mission:
         """Bring everything to rest and discard the plan; `go` leads home. Always accepted."""
         if self._idle_phase is MissionPhase.STANDBY and not self.is_active:
             return "no mission is active"
-        self._stop(MissionPhase.ABORTED, "asked for", Level.WARN)
+        self._stop(MissionEvent.ABORTED, Reason.REQUESTED, "asked for")
         return f"coming to rest; call {topics.MISSION_GO} to return"
 
     def _check_winch(self, subject: str, now: float) -> None:
@@ -312,17 +315,17 @@ class Mission:
             assert self._task is not None
             self._task.on_sent(proposal.request, now)
             return (proposal.request,)
-        if proposal.moves_winch and self.observed.winch == "length":
+        if proposal.moves_winch and self.observed.winch == WinchMode.LENGTH:
             return self._call(topics.WINCH_HOLD, now)
         if condition is Condition.STOPPED:
-            self._stop(MissionPhase.HOLDING, condition.value, Level.WARN)
+            self._stop(MissionEvent.INTERRUPTED, Reason.FAULT, condition.value)
             return ()
         service = remedy(condition, self.observed)
         if not service:
             return ()
         if service == topics.WINCH_REARM and self._rearms >= self.settings.mission.max_rearms:
             text = f"{condition.value} after {self._rearms} re-arms in this leg"
-            self._stop(MissionPhase.HOLDING, text, Level.WARN)
+            self._stop(MissionEvent.INTERRUPTED, Reason.FAULT, text)
             return ()
         called = self._call(service, now)
         self._rearms += service == topics.WINCH_REARM and bool(called)
@@ -333,19 +336,19 @@ class Mission:
         if self._is_at_rest:
             return ()
         observed = self.observed
-        if observed.spring_compressed and observed.jump != "letting_down":
+        if observed.spring_compressed and observed.jump != JumpPhase.LETTING_DOWN:
             return self._call(topics.JUMP_ABORT, now)
         if observed.is_driving:
             return self._call(topics.DRIVE_STOP, now)
         aborts = self._idle_phase is MissionPhase.ABORTED
         # A descent that is still on the way to its first stop is in standby.
-        if observed.descent_busy or (aborts and observed.descent == "holding"):
+        if observed.descent_busy or (aborts and observed.descent == DescentPhase.HOLDING):
             return self._call(topics.DESCENT_ABORT if aborts else topics.DESCENT_HOLD, now)
         if not observed.descent_engaged and observed.winch_moving:
             return self._call(topics.WINCH_HOLD, now)
         if not observed.spring_compressed and not observed.in_flight:
             self._is_at_rest = True
-            self._emit("mission_rests", f"at rest, {self._idle_phase}")
+            self._emit(MissionEvent.AT_REST, f"at rest, {self._idle_phase}")
         return ()
 
     def _call(self, service: str, now: float) -> tuple[Request, ...]:
@@ -381,21 +384,21 @@ class Mission:
         self.waiting_on = ""
         self.reason = reason
         values = {"leg": leg.name, "number": self.route.number, "of": len(self.route.legs)}
-        self._emit("mission_leg", f"{leg.name}: {reason}", values=values)
+        self._emit(MissionEvent.LEG_STARTED, f"{leg.name}: {reason}", values=values)
 
     def _on_leg_end(self, end: LegEnd, now: float) -> None:
         """Handle the end of a trial: next leg, another trial, or hold."""
         leg = self.leg
         assert leg is not None
         if end.result is LegResult.OVERRIDDEN:
-            self._stop(MissionPhase.HOLDING, end.reason, Level.WARN)
+            self._stop(MissionEvent.INTERRUPTED, Reason.TAKEN_OVER, end.reason)
             return
         if end.result is LegResult.FAILED:
             self._failed_trials += 1
             tries = self.settings.mission.max_trials
             text = f"{leg.name}: {end.reason}"
             self._emit(
-                "mission_trial_failed", text, Level.WARN, {"failed_trials": self._failed_trials}
+                MissionEvent.TRIAL_FAILED, text, values={"failed_trials": self._failed_trials}
             )
             if self._failed_trials < tries:
                 self._begin(now, f"trial {self._failed_trials + 1} of {tries} after: {end.reason}")
@@ -411,7 +414,7 @@ class Mission:
             continues = leg.kind is LegKind.RETURN and self._may_lift()
             if _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD and not continues:
                 self._record_leg(leg, end.result, end.reason)
-                self._stop(MissionPhase.HOLDING, text, Level.ERROR)
+                self._stop(MissionEvent.BLOCKED, Reason.FAULT, text)
                 return
         self._record_leg(leg, end.result, end.reason)
         self._advance(leg)
@@ -429,7 +432,7 @@ class Mission:
             "jumps": self.blackboard.jumps,
             "missed": len(missed),
         }
-        self._emit("mission_done", text, values=values)
+        self._emit(MissionEvent.COMPLETED, text, values=values)
 
     def _recover(self, leg: Leg, end: LegEnd, now: float) -> bool:
         """Start a recovery by the winch; False if none is possible."""
@@ -444,7 +447,7 @@ class Mission:
             self.route.insert_recovery()
             self._failed_trials = 0
             values = {"leg": leg.name, "number": self.route.recoveries, "of": max_count}
-            self._emit("mission_rescue", f"{leg.name}: {reason}", Level.WARN, values)
+            self._emit(MissionEvent.RESCUE_STARTED, f"{leg.name}: {reason}", values=values)
         else:
             return False
         self._begin(now, reason)
@@ -457,21 +460,24 @@ class Mission:
         if leg.kind is LegKind.LAND and self.record[-1].result is not LegResult.DONE:
             self.route.leave_floor()
 
-    def _record_leg(self, leg: Leg, result: LegResult, reason: str) -> None:
+    def _record_leg(
+        self, leg: Leg, result: LegResult, reason: str, name: MissionEvent | None = None
+    ) -> None:
         self.record.append(LegRecord(leg.name, result, reason))
-        level = Level.OK if result is LegResult.DONE else Level.WARN
-        name = "mission_leg_done" if result is LegResult.DONE else "mission_leg_missed"
-        self._emit(name, f"{leg.name}: {reason}", level, {"leg": leg.name})
+        completed = result is LegResult.DONE
+        default = MissionEvent.LEG_COMPLETED if completed else MissionEvent.LEG_FAILED
+        self._emit(name or default, f"{leg.name}: {reason}", values={"leg": leg.name})
 
-    def _stop(self, phase: MissionPhase, reason: str, level: Level = Level.OK) -> None:
+    def _stop(self, name: MissionEvent, cause: Reason, reason: str) -> None:
         self._task = None
-        self._idle_phase = phase
+        aborts = name is MissionEvent.ABORTED
+        self._idle_phase = MissionPhase.ABORTED if aborts else MissionPhase.HOLDING
         self._is_at_rest = False
         self._sent_at.clear()
         self._publish_waiting("")
         self.reason = reason
         where = f" in {self.leg.name}" if self.leg is not None else ""
-        self._emit(f"mission_{phase}", f"{reason}{where}", level)
+        self._emit(name, f"{reason}{where}", cause)
 
     # --- checkpoint ------------------------------------------------------------------------------
 
@@ -496,7 +502,7 @@ class Mission:
         age = (now_ns - int(saved["stamp_ns"])) / _NANO
         if saved["plan"] != self.plan.digest or age < 0.0:
             origin = "another plan" if age >= 0.0 else "another run: it lies ahead of the clock"
-            self._emit("mission_forgotten", f"the checkpoint is of {origin}", Level.WARN)
+            self._emit(MissionEvent.CHECKPOINT_DISCARDED, f"the checkpoint is of {origin}")
             return
         phase = MissionPhase(saved["phase"])
         if phase is MissionPhase.STANDBY:
@@ -513,7 +519,9 @@ class Mission:
             self.observed.place = Place(*saved["place"])
         now = now_ns / _NANO
         if not saved["is_active"]:
-            self._stop(phase, "restarted")
+            aborted = phase is MissionPhase.ABORTED
+            name = MissionEvent.ABORTED if aborted else MissionEvent.HOLDING
+            self._stop(name, Reason.RESTARTED, "restarted")
         elif age <= self.settings.mission.resume_window:
             self._begin(now, f"restarted after {age:.1f} s")
         else:
@@ -521,7 +529,7 @@ class Mission:
                 f"restarted after {age:.0f} s, more than {self.settings.mission.resume_window:g} "
                 f"s; call {topics.MISSION_RESUME} to resume"
             )
-            self._stop(MissionPhase.HOLDING, text, Level.WARN)
+            self._stop(MissionEvent.INTERRUPTED, Reason.RESTARTED, text)
 
     # --- events ----------------------------------------------------------------------------------
 
@@ -536,11 +544,13 @@ class Mission:
                 "wheels_risk": choice.wheels_risk,
                 "jump_risk": choice.jump_risk,
             }
-            self._emit("mission_chosen", f"{choice.mode}: {choice.reason}", values=values)
+            self._emit(
+                MissionEvent.LOCOMOTION_CHOSEN, f"{choice.mode}: {choice.reason}", values=values
+            )
 
     def _publish_waiting(self, reason: str) -> None:
         if reason and reason != self.waiting_on:
-            self._emit("mission_waits", reason)
+            self._emit(MissionEvent.WAITING, reason)
         self.waiting_on = reason
 
     def _publish_phase(self) -> None:
@@ -549,16 +559,17 @@ class Mission:
             return
         self._published_phase = phase
         leg = "" if self.leg is None or not self.is_active else f"{self.leg.name}: "
-        self._emit("mission_phase", f"{phase}: {leg}{self.reason}", values={"phase": phase.value})
+        text = f"{phase}: {leg}{self.reason}"
+        self._emit(MissionEvent.PHASE_CHANGED, text, values={"phase": phase.value})
 
     def _emit(
         self,
-        name: str,
-        reason: str,
-        level: Level = Level.OK,
+        name: MissionEvent,
+        text: str,
+        reason: Reason | None = None,
         values: Mapping[str, object] | None = None,
     ) -> None:
-        self._changes.append(Transition(name, reason, level, values or {}))
+        self._changes.append(EventReport(name, text, values or {}, reason))
 
 
 def _to_json(value: float) -> float | None:

@@ -17,8 +17,11 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from msg_schemas import topics
+from msg_schemas.events import DriveEvent, JumpEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, WINCH_SLACK
-from msg_schemas.samples import NO_ORIENTATION, JointSample, Level, PoseSample, Status
+from msg_schemas.phases import JumpPhase, MissionPhase, WinchMode
+from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseSample, Status
 from rover_control.locomotion import (
     Choice,
     JumpAssessment,
@@ -35,10 +38,10 @@ from rover_control.mission_legs import (
     LegEnd,
     LegResult,
     LegTask,
-    MissionPhase,
     ProposedRequest,
     Request,
     event_value,
+    has_reason,
     joint_request,
     refusal_of,
 )
@@ -50,7 +53,13 @@ _SETTLE_TIME = 3.0  # after a jump [s]
 _SLACK_TIME = 15.0  # time for giving slack [s]
 _WINCH_REST_TIME = 1.0  # rest time of the winch before slack is requested [s]
 _SLACK_FRACTION = 0.8  # fraction of the requested slack that suffices
-_BY_HAND = "asked for"  # message of drive_node
+_PREDICTION_ENDS = (
+    JumpEvent.PREDICTED,
+    JumpEvent.REJECTED,
+    JumpEvent.NOT_STARTED,
+    JumpEvent.STANDBY,
+    JumpEvent.RESET,
+)
 _PROGRESS = 0.1  # progress towards the goal that counts as a new place [m]
 _DETOUR_LENGTH, _DETOUR_ANGLE = (
     0.6,
@@ -169,17 +178,17 @@ class DriveTask(LegTask):
         return None
 
     def _on_drive_event(self, event: Status, observed: ObservedState, now: float) -> LegEnd | None:
-        if event.name == "drive_done" and self._detour_goal is not None:
+        if event.name == DriveEvent.COMPLETED and self._detour_goal is not None:
             self._detour_goal = None
             self._enter(_State.DRIVE, now)
             return None
-        if event.name == "drive_done":
+        if event.name == DriveEvent.COMPLETED:
             return LegEnd(LegResult.DONE, event.message)
-        if event.name == "drive_stopped" and event.message == _BY_HAND:
+        if event.name == DriveEvent.STOPPED and has_reason(event, Reason.REQUESTED):
             return LegEnd(LegResult.OVERRIDDEN, "another command source stops the drive")
-        if event.name == "drive_failed":
+        if event.name == DriveEvent.FAILED:
             return LegEnd(LegResult.FAILED, event.message)
-        if event.name == "drive_stuck":
+        if event.name == DriveEvent.STUCK:
             self._count_stuck(observed)
             self._cannot_turn = event_value(event, "turning") > 0.0
             no_jump_left = self._jumps >= self.plan.jumps.max_jumps
@@ -230,13 +239,15 @@ class DriveTask(LegTask):
         if refused:
             return self._choose(JumpAssessment(0.0, refused), observed, now)
         for event in events:
-            if event.name == "jump_standby" and self.requested_at is not None:
+            if event.name in _PREDICTION_ENDS and self.requested_at is not None:
                 upright, stroke = event_value(event, "upright"), event_value(event, "stroke")
-                if event.level is not Level.OK or math.isnan(upright):
+                if event.name != JumpEvent.PREDICTED or math.isnan(upright):
                     return self._choose(JumpAssessment(0.0, event.message), observed, now)
                 self._stroke = stroke
                 return self._choose(JumpAssessment(upright, ""), observed, now)
-        if self.requested_at is None or (observed.jump == "standby" and self._is_overdue(now)):
+        if self.requested_at is None or (
+            observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
+        ):
             request = Request(
                 topics.JUMP_REQUEST, joint_request(JUMP_PREDICTION, self.plan.jumps.clearance)
             )
@@ -315,7 +326,7 @@ class DriveTask(LegTask):
             waits = now - self.requested_at < _SLACK_TIME
             given = observed.length - self._slack_start > _SLACK_FRACTION * slack
             # After a restart the slack may have been given already: the winch counts it from taut.
-            if given or (not waits and observed.winch == "slack"):
+            if given or (not waits and observed.winch == WinchMode.SLACK):
                 self._slack_start = math.nan
                 self._enter(_State.JUMP, now)
                 return None
@@ -332,19 +343,21 @@ class DriveTask(LegTask):
         if refused:
             return LegEnd(LegResult.FAILED, refused)
         for event in events:
-            if event.name == "jump_landed" and event.level is not Level.OK:
+            if event.name == JumpEvent.NO_TAKE_OFF:
                 return LegEnd(LegResult.FAILED, event.message)
-        if observed.jump == "fault" and self.requested_at is not None and self._left_ground:
+        if observed.jump == JumpPhase.FAULT and self.requested_at is not None and self._left_ground:
             return LegEnd(LegResult.FAILED, "the jump ended in a fault")
         self._left_ground |= observed.in_flight
-        if observed.jump == "letting_down" and self.requested_at is not None:
+        if observed.jump == JumpPhase.LETTING_DOWN and self.requested_at is not None:
             return LegEnd(LegResult.FAILED, "the jump was aborted")
-        if self._left_ground and observed.jump == "standby":
+        if self._left_ground and observed.jump == JumpPhase.STANDBY:
             self._jumps += 1
             self.blackboard.jumps += 1
             self._enter(_State.SETTLE, now)
             return None
-        if self.requested_at is None or (observed.jump == "standby" and self._is_overdue(now)):
+        if self.requested_at is None or (
+            observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
+        ):
             return ProposedRequest(Action.JUMP, Request(topics.JUMP_REQUEST, self._jump_request()))
         return None
 

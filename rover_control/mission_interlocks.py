@@ -11,6 +11,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from msg_schemas import topics
+from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
 from rover_control.observed_state import ObservedState
 
 TAUT = 2.0
@@ -75,11 +76,11 @@ INTERLOCKS: Mapping[Action, tuple[Condition, ...]] = MappingProxyType(
 _HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
     Condition.WINCH_STALE: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
     Condition.DRIVE_STALE: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
-    Condition.STOPPED: lambda observed, _: observed.winch == "stop",
-    Condition.FAULT: lambda observed, _: observed.winch == "fault",
-    Condition.UNARMED: lambda observed, _: observed.winch in ("", "disarmed"),
+    Condition.STOPPED: lambda observed, _: observed.winch == WinchMode.STOP,
+    Condition.FAULT: lambda observed, _: observed.winch == WinchMode.FAULT,
+    Condition.UNARMED: lambda observed, _: observed.winch in ("", WinchMode.DISARMED),
     Condition.FLYING: lambda observed, _: observed.in_flight,
-    Condition.JUMP_FAULT: lambda observed, _: observed.jump == "fault",
+    Condition.JUMP_FAULT: lambda observed, _: observed.jump == JumpPhase.FAULT,
     Condition.COMPRESSED: lambda observed, _: observed.spring_compressed,
     Condition.DRIVING: lambda observed, _: observed.is_driving,
     Condition.DESCENT: lambda observed, _: observed.descent_engaged,
@@ -108,10 +109,10 @@ def remedy(condition: Condition, observed: ObservedState) -> str:
         return topics.JUMP_ABORT
     if condition is Condition.COMPRESSED:
         # Another command source may be compressing the spring; letting it down takes time.
-        return "" if observed.jump == "letting_down" else topics.JUMP_ABORT
+        return "" if observed.jump == JumpPhase.LETTING_DOWN else topics.JUMP_ABORT
     if condition is Condition.DRIVING:
         return topics.DRIVE_STOP
     if condition is Condition.DESCENT:
-        idle = observed.descent == "standby"
+        idle = observed.descent == DescentPhase.STANDBY
         return topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
     return ""

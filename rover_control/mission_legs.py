@@ -23,10 +23,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum, StrEnum, auto
+from enum import Enum, auto
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     HEADING_TURN,
     OBSERVATION_STOP,
@@ -34,6 +36,8 @@ from msg_schemas.machine import (
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import DescentPhase, MissionPhase
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -52,27 +56,13 @@ _LENGTH_TOLERANCE = 0.03  # [m]
 _LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
 _CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
 _DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
+_STOP_ENDS = (
+    DescentEvent.STOP_COMPLETED,
+    DescentEvent.STOP_ABORTED,
+    DescentEvent.STOP_FAILED,
+)
 _DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 240.0}
 """Time for damping at the depth [s]."""
-
-
-class MissionPhase(StrEnum):
-    """Phase of the mission, as published."""
-
-    STANDBY = "standby"
-    LOOKING = "looking"
-    TURNING = "turning"
-    APPROACHING = "approaching"
-    LANDING = "landing"
-    DRIVING = "driving"
-    CHOOSING = "choosing"
-    JUMPING = "jumping"
-    RETURNING = "returning"
-    LIFTING = "lifting"
-    ASCENDING = "ascending"
-    STOWING = "stowing"
-    HOLDING = "holding"
-    ABORTED = "aborted"
 
 
 @dataclass(frozen=True)
@@ -181,7 +171,7 @@ class LegTask(ABC):
     def _override_of(self, events: Sequence[Status]) -> str:
         """Who has taken over the winch during this task; empty = nobody."""
         for event in events:
-            held = event.name == "winch_hold" and event.message == "asked to hold"
+            held = event.name == WinchEvent.HOLD and has_reason(event, Reason.REQUESTED)
             if held and self.requested_at is not None:
                 return "another command source holds the winch"
         return ""
@@ -194,9 +184,15 @@ class LegTask(ABC):
 def refusal_of(events: Sequence[Status], topic: str) -> str:
     """Reason of a refusal on a topic; empty = none."""
     for status in events:
-        if status.name.endswith(f": refused {topic}"):
-            return status.message
+        refusal = read_refusal(status)
+        if refusal is not None and refusal.subject == topic:
+            return refusal.reason
     return ""
+
+
+def has_reason(event: Status, reason: Reason) -> bool:
+    """Whether an event has that reason."""
+    return event.values.get("reason") == reason
 
 
 def joint_request(name: str, position: float, velocity: float = 0.0) -> JointSample:
@@ -241,13 +237,13 @@ class StopTask(LegTask):
             self.blackboard.initial_heading = observed.heading
         if self.requested_at is not None:
             for event in events:
-                if event.name == "stop_ended" and event_value(event, "depth") == self.leg.depth:
+                if event.name in _STOP_ENDS and event_value(event, "depth") == self.leg.depth:
                     return self._ended(event, looks)
-                self._was_interrupted |= event.name == "descent_interrupted"
+                self._was_interrupted |= event.name == DescentEvent.INTERRUPTED
             refused = refusal_of(events, topics.DESCENT_REQUEST)
-            if refused and observed.descent in ("released", "standby"):
+            if refused and observed.descent in (DescentPhase.RELEASED, DescentPhase.STANDBY):
                 return LegEnd(LegResult.FAILED, refused)
-            if refused and observed.descent == "holding":
+            if refused and observed.descent == DescentPhase.HOLDING:
                 # It was holding before the request: clear that first.
                 self.requested_at, self._is_cleared = None, False
         damping_time = _DAMPING_TIME.get(self.leg.kind, math.inf)
@@ -256,17 +252,17 @@ class StopTask(LegTask):
             self._at_depth_since = min(self._at_depth_since, now) if at_depth else math.inf
             if now - self._at_depth_since > damping_time:
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
-        if observed.descent == "holding" and self.requested_at is not None:
+        if observed.descent == DescentPhase.HOLDING and self.requested_at is not None:
             if not self._was_interrupted:
                 return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
             return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_RESUME))
         if not self._is_cleared and self.requested_at is None:
             if observed.descent_busy and now - self.started < _LATCH_DELAY:
                 return None
-            if observed.descent_busy or observed.descent == "holding":
+            if observed.descent_busy or observed.descent == DescentPhase.HOLDING:
                 return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_ABORT))
             self._is_cleared = True
-        idle = observed.descent in ("", "released", "standby")
+        idle = observed.descent in ("", DescentPhase.RELEASED, DescentPhase.STANDBY)
         is_lost = (
             idle and self._is_overdue(now) and now - self._idle_since(observed) > RESPONSE_TIMEOUT
         )
@@ -281,7 +277,7 @@ class StopTask(LegTask):
     def _idle_since(self, observed: ObservedState) -> float:
         # A descent that has just engaged first estimates the swing in standby.
         since = observed.since.get(topics.DESCENT_PHASE, -math.inf)
-        return since + (30.0 if observed.descent == "standby" else 0.0)
+        return since + (30.0 if observed.descent == DescentPhase.STANDBY else 0.0)
 
     def _ended(self, event: Status, looks: bool) -> LegEnd:
         pictures = event_value(event, "pictures")
@@ -290,7 +286,7 @@ class StopTask(LegTask):
             return LegEnd(LegResult.DONE, event.message)
         if looks:
             return LegEnd(LegResult.ABANDONED, event.message)
-        reached = event.message == "reached"
+        reached = event.name == DescentEvent.STOP_COMPLETED
         return LegEnd(LegResult.DONE if reached else LegResult.FAILED, event.message)
 
 
@@ -312,9 +308,9 @@ class TurnTask(LegTask):
             request = Request(topics.DESCENT_REQUEST, joint_request(HEADING_TURN, self.leg.angle))
             return ProposedRequest(Action.DESCEND, request)
         for event in events:
-            if event.name == "pointing_reached":
+            if event.name == DescentEvent.POINTING_REACHED:
                 return LegEnd(LegResult.DONE, event.message)
-            if event.name == "pointing_ended":
+            if event.name in (DescentEvent.POINTING_RELEASED, DescentEvent.POINTING_LOST):
                 return LegEnd(LegResult.ABANDONED, event.message)
         refused = refusal_of(events, topics.DESCENT_REQUEST)
         return LegEnd(LegResult.ABANDONED, refused) if refused else None
@@ -387,7 +383,7 @@ class LiftTask(LegTask):
         for event in events:
             # The winch stops at a snag by itself; hauling over rubble frees it, or the time limit
             # ends it.
-            if event.name == "alarm_snag" and not hauls:
+            if event.name == WinchEvent.SNAG and not hauls:
                 return LegEnd(LegResult.FAILED, f"the tether is snagged: {event.message}")
         if at_depth:
             return None
@@ -407,7 +403,7 @@ class WinchAscentTask(LegTask):
         override = self._override_of(events)
         if override:
             return LegEnd(LegResult.OVERRIDDEN, override)
-        snag = next((event for event in events if event.name == "alarm_snag"), None)
+        snag = next((event for event in events if event.name == WinchEvent.SNAG), None)
         if snag is not None and now - self.started > _CONFIRM_TIME:
             return LegEnd(LegResult.FAILED, f"the tether is snagged: {snag.message}")
         if abs(observed.length - self.leg.depth) < _LENGTH_TOLERANCE and not observed.winch_moving:
@@ -431,7 +427,7 @@ class StowTask(LegTask):
             return LegEnd(LegResult.DONE, f"stowed at {observed.length:.2f} m")
         if not observed.descent_engaged:
             return None
-        idle = observed.descent == "standby"
+        idle = observed.descent == DescentPhase.STANDBY
         service = topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
         return ProposedRequest(Action.STOW, Request(service))
 

@@ -13,10 +13,13 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.configuration import to_mapping
+from msg_schemas.events import EventReport, MissionEvent
 from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import MissionPhase
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     JointSample,
     Level,
@@ -27,7 +30,7 @@ from msg_schemas.samples import (
     TextSample,
 )
 from rover_control.mission import Mission
-from rover_control.mission_legs import MissionPhase, Request
+from rover_control.mission_legs import Request
 from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import load_plan
 from rover_control.mission_report import state_sample
@@ -126,7 +129,7 @@ class MissionNode(ContractNode):
             return
         if self._mission.is_active or self._mission.phase is not MissionPhase.STANDBY:
             text = f"the clock jumped in phase {self._mission.phase}; the mission has ended"
-            self.event("mission_forgotten", text, Level.WARN)
+            self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
         previous = self._published_phase
         self._begin()
         self._is_restored = True
@@ -147,7 +150,7 @@ class MissionNode(ContractNode):
         waits = f", waiting: {mission.waiting_on}" if mission.waiting_on else ""
         leg = f": {mission.leg.name}" if mission.leg is not None and mission.is_active else ""
         reason = "" if mission.is_active else f": {mission.reason}" * bool(mission.reason)
-        held = mission.phase.value in ("holding", "aborted")
+        held = mission.phase in (MissionPhase.HOLDING, MissionPhase.ABORTED)
         text = f"{mission.phase}{leg}{reason}{waits}"
         level = Level.WARN if held else Level.OK
         return (Status(f"{self.NAME}: mission", text, level, self.NAME),)
@@ -172,7 +175,8 @@ class MissionNode(ContractNode):
         ours = tuple(
             each
             for each in sample.statuses
-            if each.values.get("commander") in self._requesters.values()
+            if (refusal := read_refusal(each)) is not None
+            and refusal.commander in self._requesters.values()
         )
         if ours:
             filtered = StatusSample(sample.stamp_ns, ours)
@@ -205,7 +209,7 @@ class MissionNode(ContractNode):
         for request in self._mission.step(now_ns):
             self._send_request(request, now_ns)
         for change in self._mission.take_changes():
-            self.event(change.name, change.reason, change.level, change.values)
+            self.event(change)
         phase = self._mission.phase.value
         if phase != self._published_phase:
             self._published_phase = phase
@@ -284,7 +288,7 @@ class MissionNode(ContractNode):
             self._mission.restore(saved, now_ns)
         except (OSError, ValueError, KeyError, TypeError) as error:
             text = f"cannot read {self._file}, the mission starts anew: {error!r}"
-            self.event("mission_forgotten", text, Level.WARN)
+            self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
 
 
 def main() -> int:

@@ -14,7 +14,9 @@ from msg_schemas.machine import (
     ROLL,
     TENSION,
     TETHER_OUT,
+    TOUCHDOWN,
 )
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.samples import (
     JointSample,
     OdometrySample,
@@ -26,18 +28,18 @@ from msg_schemas.samples import (
 from rover_control.drive_attitude import ROLLOVER_TILT
 
 _NANO = 1e9
-_TOUCHDOWN = "touchdown"
 _PHASE_TOPICS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
-_DRIVES = frozenset({"standing", "turning", "driving", "steered"})
-_NO_JUMP = frozenset({"", "standby", "fault"})
-_IN_FLIGHT = frozenset({"releasing", "flight", "landed", "hooking"})
-_IDLE_DESCENT = frozenset({"", "released", "standby", "holding"})
-_WINCH_MOVES = frozenset({"length", "rate", "tension", "relax"})
+_DRIVES = frozenset(
+    {DrivePhase.STANDING, DrivePhase.TURNING, DrivePhase.DRIVING, DrivePhase.STEERED}
+)
+_NO_JUMP = frozenset({"", JumpPhase.STANDBY, JumpPhase.FAULT})
+_IN_FLIGHT = frozenset({JumpPhase.RELEASING, JumpPhase.FLIGHT, JumpPhase.LANDED, JumpPhase.HOOKING})
+_IDLE_DESCENT = frozenset({"", DescentPhase.RELEASED, DescentPhase.STANDBY, DescentPhase.HOLDING})
+_WINCH_MOVES = frozenset({WinchMode.LENGTH, WinchMode.RATE, WinchMode.TENSION, WinchMode.RELAX})
 NUT_ZERO = 2.0e-3
 """Compression [m] up to which the spring counts as released."""
-_NO_TOUCHDOWN_MODES = frozenset(
-    {"", "disarmed", "fault"}
-)  # modes in which the winch does not detect touchdown
+# Modes in which the winch does not detect touchdown.
+_NO_TOUCHDOWN_MODES = frozenset({"", WinchMode.DISARMED, WinchMode.FAULT})
 _HANG_TIME = (
     15.0  # time before a hanging rover counts: a restarted winch must first detect touchdown [s]
 )
@@ -121,7 +123,7 @@ class ObservedState:
     def _on_joints(self, topic: str, sample: JointSample, now: float) -> None:
         joints = sample.joints
         if topic == topics.WINCH_ALARMS:
-            on_floor = joints[_TOUCHDOWN].position >= 0.5
+            on_floor = joints[TOUCHDOWN].position >= 0.5
             if on_floor is not self.on_floor:
                 self.on_floor, self.on_floor_since = on_floor, now
         elif topic == topics.WINCH_ESTIMATE:
@@ -220,7 +222,7 @@ class ObservedState:
     @property
     def descent_engaged(self) -> bool:
         """Whether the descent controller holds winch, wheels and flywheel."""
-        return self.descent not in ("", "released")
+        return self.descent not in ("", DescentPhase.RELEASED)
 
     @property
     def descent_busy(self) -> bool:

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 from msg_schemas import topics
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import WinchMode
 from msg_schemas.table import TOPICS
 from rover_control.hanging_controller import WinchRequest
 
-HOLD = "hold"
-"""Mode of a winch at rest."""
-_LENGTH = "length"
-FREE = frozenset({HOLD, _LENGTH})
+FREE = frozenset({WinchMode.HOLD, WinchMode.LENGTH})
 """Modes in which no other node moves the winch."""
 # A trimmed winch comes to rest only after the trim has timed out.
 _TRIM_TIMEOUT = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
@@ -72,7 +70,10 @@ class WinchLink:
 
     def is_at_rest(self, now: float) -> bool:
         """Whether the winch has held for longer than `winch_rest_timeout`."""
-        return self.mode == HOLD and now - self._mode_since > self.parameters.winch_rest_timeout
+        return (
+            self.mode == WinchMode.HOLD
+            and now - self._mode_since > self.parameters.winch_rest_timeout
+        )
 
     def step(
         self,
@@ -103,7 +104,7 @@ class WinchLink:
         self._request = request or self._request
         if self._request is None:
             return None
-        if self.mode == _LENGTH and self._requested_at is not None:
+        if self.mode == WinchMode.LENGTH and self._requested_at is not None:
             self._is_accepted = True
         if self._trim_was_stopped:
             return None
@@ -111,7 +112,7 @@ class WinchLink:
             self._requested_at = now
         elif now - self._sent_at < self.parameters.renewal_period:
             return None
-        elif self.mode == _LENGTH:
+        elif self.mode == WinchMode.LENGTH:
             # Near the goal no renewal is needed; a late one would open the brake again.
             if not moves and abs(length - self._request.length) < self.length_tolerance:
                 return None
@@ -122,7 +123,7 @@ class WinchLink:
 
     @property
     def _trim_was_stopped(self) -> bool:
-        return self.mode == HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
+        return self.mode == WinchMode.HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
 
     def fault(self, length: float, now: float) -> str:
         """Reason for which the winch does not follow its request; empty = it does."""

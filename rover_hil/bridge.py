@@ -14,9 +14,9 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from msg_schemas import topics
+from msg_schemas.events import BridgeEvent, EventReport
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, Level, Sample
-from msg_schemas.transition import Transition
+from msg_schemas.samples import JointSample, Sample
 from rover_hil.devices import (
     ANSWER_TIMEOUT,
     DEVICES,
@@ -74,7 +74,7 @@ class Bridge:
         self._published: set[str] = set()
         # Stamp of each published state -> sample times of the drives by their own clocks.
         self._sample_times: OrderedDict[int, dict[str, int]] = OrderedDict()
-        self._transitions: list[Transition] = []
+        self._transitions: list[EventReport] = []
 
     # --- inputs ----------------------------------------------------------------------------------
 
@@ -105,9 +105,8 @@ class Bridge:
         station = self.stations[device.name]
         if state == 0:
             if station.received_ns is not None:
-                self._add_transition(
-                    f"{device.name}_restarted", "the device has restarted", Level.WARN
-                )
+                text = "the device has restarted"
+                self._add_event(BridgeEvent.RESTARTED, device.name, text)
             station.restarted()
             if device.is_drive:
                 self._disarm(device.name, "the device has restarted")
@@ -121,18 +120,14 @@ class Bridge:
     def on_emergency(self, device: Device, code: int) -> None:
         """Process an emergency message; code 0 reports that the fault is gone."""
         if code == 0:
-            self._add_transition(
-                f"{device.name}_fault_reset", "the device reports that its fault is gone"
-            )
+            text = "the device reports that its fault is gone"
+            self._add_event(BridgeEvent.FAULT_RESET, device.name, text)
         elif code == REFUSED:
-            self._add_transition(
-                f"{device.name}_refuses", "the drive cannot execute the command and stops",
-                Level.WARN,
-            )  # fmt: skip
+            text = "the drive cannot execute the command and stops"
+            self._add_event(BridgeEvent.SETPOINT_REJECTED, device.name, text)
         else:
-            self._add_transition(
-                f"{device.name}_emergency", f"error {code:04X}h", Level.ERROR, error_code=code
-            )
+            text = f"error {code:04X}h"
+            self._add_event(BridgeEvent.EMERGENCY, device.name, text, error_code=code)
             if device.is_drive:
                 self._disarm(device.name, f"the drive reports error {code:04X}h")
 
@@ -188,30 +183,20 @@ class Bridge:
             if station.connected and not station.is_alive(now_ns):
                 station.connected = False
                 name = station.device.name
-                self._add_transition(
-                    f"{name}_silent",
-                    f"no message from the device for {HEARTBEAT_TIMEOUT:g} s",
-                    Level.ERROR,
-                )
+                text = f"no message from the device for {HEARTBEAT_TIMEOUT:g} s"
+                self._add_event(BridgeEvent.SILENT, name, text)
                 if station.device.is_drive:
                     self._disarm(name, "the device timed out")
         for name, channel in self.channels.items():
             station = self.stations[name]
             age = channel.expire_setpoint(station.values.get("velocity", 0.0), now_ns)
             if age is not None:
-                self._add_transition(
-                    f"{name}_commands_ceased",
-                    f"no command for {age:.3g} s: the drive is switched off",
-                    Level.WARN,
-                    timeout=age,
-                )
+                text = f"no command for {age:.3g} s: the drive is switched off"
+                self._add_event(BridgeEvent.COMMANDS_CEASED, name, text, timeout=age)
             sampled_ns = station.sampled_ns
             if channel.setpoint is not None and not station.received_within(ANSWER_TIMEOUT, now_ns):
-                self._add_transition(
-                    f"{name}_unheard",
-                    f"no answer from the drive for {ANSWER_TIMEOUT:g} s: it is switched off",
-                    Level.WARN,
-                )
+                text = f"no answer from the drive for {ANSWER_TIMEOUT:g} s: it is switched off"
+                self._add_event(BridgeEvent.FEEDBACK_LOST, name, text)
                 channel.setpoint = None
                 if sampled_ns is not None:
                     channel.send(sampled_ns, now_ns)
@@ -239,13 +224,15 @@ class Bridge:
         for channel in self.channels.values():
             channel.armed = True
             channel.resets_fault = channel.state == FAULT
-        self._add_transition("drives_armed", "all drives accept commands")
+        self._transitions.append(
+            EventReport(BridgeEvent.DRIVES_ARMED, "all drives accept commands")
+        )
         return "armed"
 
     def disarm(self, reason: str, now_ns: int) -> str:
         """Switch all drives off, with zero torque and closed brake; returns a message."""
         for name, channel in self.channels.items():
-            self._disarm(name, reason)
+            self._disarm(name, reason, BridgeEvent.DISARMED)
             station = self.stations[name]
             if station.sampled_ns is not None:
                 channel.send(station.sampled_ns, now_ns)
@@ -260,16 +247,15 @@ class Bridge:
         """
         self.stations[device.name].mismatch = mismatch
         if mismatch:
-            self._add_transition(f"{device.name}_is_another", mismatch, Level.ERROR)
+            self._add_event(BridgeEvent.MISMATCH, device.name, mismatch)
         else:
-            self._add_transition(
-                f"{device.name}_checked", "the device matches its object dictionary"
-            )
+            text = "the device matches its object dictionary"
+            self._add_event(BridgeEvent.IDENTIFIED, device.name, text)
 
-    def _disarm(self, name: str, reason: str) -> None:
+    def _disarm(self, name: str, reason: str, event: BridgeEvent = BridgeEvent.TRIPPED) -> None:
         channel = self.channels[name]
         if channel.armed:
-            self._add_transition(f"{name}_disarmed", reason, Level.WARN)
+            self._add_event(event, name, reason)
         channel.disarm()
 
     def _on_drive_answer(self, channel: DriveChannel, station: Station, now_ns: int) -> None:
@@ -319,7 +305,7 @@ class Bridge:
         }
         return [(topic, sample_of(topic, stamp_ns, values)) for topic in ready]
 
-    def take_transitions(self) -> tuple[Transition, ...]:
+    def take_transitions(self) -> tuple[EventReport, ...]:
         """Transitions since the last call."""
         taken = tuple(self._transitions)
         self._transitions.clear()
@@ -334,7 +320,5 @@ class Bridge:
             or (station.device.is_drive and self.channels[name].state == UNKNOWN)
         )
 
-    def _add_transition(
-        self, name: str, reason: str, level: Level = Level.OK, **values: object
-    ) -> None:
-        self._transitions.append(Transition(name, reason, level, values))
+    def _add_event(self, name: BridgeEvent, device: str, text: str, **values: object) -> None:
+        self._transitions.append(EventReport(name, text, {"device": device, **values}))

@@ -24,7 +24,7 @@ from msg_schemas import topics
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import ParameterError, parameter
-from msg_schemas.samples import JointSample, Level, Status, StatusSample
+from msg_schemas.samples import JointSample, Status, StatusSample
 from msg_schemas.table import TOPICS
 from rover_hil.bridge import Bridge
 from rover_hil.commissioning import mismatch
@@ -284,10 +284,7 @@ class BridgeNode(ContractNode):
         with self._lock:
             changes = self._bridge.take_transitions()
         for change in changes:
-            self.event(change.name, change.reason, change.level, change.values)
-            if change.level is not Level.OK:
-                name = f"{self.NAME}: {change.name}"
-                self.report(Status(name, change.reason, change.level, self.NAME))
+            self.event(change, diagnoses=True)
 
     # --- commissioning ---------------------------------------------------------------------------
 

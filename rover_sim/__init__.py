@@ -45,6 +45,7 @@ scenario's noise, bias and delay:
 1.6 m/s2
 """
 
+from msg_schemas.phases import PlantPhase
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.actuators import COMMANDS
 from rover_sim.ahead_of_time import compile_ahead
@@ -59,7 +60,6 @@ from rover_sim.plant import (
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
-    Phase,
     Plant,
     State,
     StepResult,
@@ -101,10 +101,10 @@ __all__ = [
     "JumpMetrics",
     "JumpMotorCommand",
     "Outcome",
-    "Phase",
     "PlanarPlant",
     "PlanarState",
     "Plant",
+    "PlantPhase",
     "Run",
     "RunError",
     "Scenario",

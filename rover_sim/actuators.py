@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import (
@@ -30,7 +32,6 @@ from rover_sim.plant import (
     Command,
     FlywheelCommand,
     JumpMotorCommand,
-    Phase,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
@@ -65,7 +66,7 @@ class Nut:
     free_travel: float = 0.0  # above the latch [m]
     holds: bool = False  # whether the drive holds the nut against the spring
     needs_ground: bool = False  # whether it works only while the ground holds the rover
-    trip_event: str = "take_off"  # plant event when the latch trips
+    trip_event: PlantEvent = PlantEvent.TAKE_OFF  # plant event when the latch trips
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Equipment:
 class DriveFeedback(NamedTuple):
     """State of the drives at the start of a tick."""
 
-    phase: Phase
+    phase: PlantPhase
     compression: float = 0.0  # position of the nut as compression of the spring [m]
     nut_free: bool = True  # clear of the latch
     spring_held: bool = False  # the latch holds the compressed spring
@@ -93,7 +94,6 @@ class DriveFeedback(NamedTuple):
 class CommandTimeout(NamedTuple):
     """A drive stopped by its watchdog."""
 
-    name: str  # of the event
     message: str
     values: Mapping[str, object]
 
@@ -155,7 +155,7 @@ class Actuators:
         }
 
     @property
-    def trip_event(self) -> str | None:
+    def trip_event(self) -> PlantEvent | None:
         """Name of the plant event when the latch trips."""
         nut = self._equipment.nut
         return None if nut is None else nut.trip_event
@@ -202,12 +202,12 @@ class Actuators:
             raise self._missing(topic, "rover", "jump motor")
         if self._tripped_ns is not None and sample.stamp_ns <= self._tripped_ns + _IN_TRANSIT_NS:
             return
-        if nut.needs_ground and states.phase not in (Phase.HELD, Phase.LANDED):
+        if nut.needs_ground and states.phase not in (PlantPhase.HELD, PlantPhase.LANDED):
             raise Refusal(
                 topic,
                 RefusalCode.WRONG_PHASE,
                 f"the phase is {states.phase.value}; the nut can be driven only while the rover"
-                f" is on the ground ({Phase.HELD.value} or {Phase.LANDED.value})",
+                f" is on the ground ({PlantPhase.HELD.value} or {PlantPhase.LANDED.value})",
             )
         setpoint, rate, effort = sample.joints[JUMP_SCREW]
         if setpoint < -nut.free_travel:
@@ -395,13 +395,13 @@ def _commands_motion(command: WheelRateCommand | WheelTorqueCommand) -> bool:
 
 def _timeout(drive: str, age: float, what: str, **values: object) -> CommandTimeout:
     message = f"no command for {age:.3g} s while the drive was active: {what}"
-    return CommandTimeout(f"{drive}_silent", message, {"age": age, **values})
+    return CommandTimeout(message, {"drive": drive, "age": age, **values})
 
 
-def stopped(phase: Phase) -> str:
+def stopped(phase: PlantPhase) -> str:
     """Return a message with the reason why the simulation has stopped, and the remedy."""
     reason = {
-        Phase.DIVERGED: "the integration diverged",
-        Phase.TETHER_BROKEN: "the tether is broken",
+        PlantPhase.DIVERGED: "the integration diverged",
+        PlantPhase.TETHER_BROKEN: "the tether is broken",
     }[phase]
     return f"{reason}; restart with {topics.SIM_RESET} or {topics.SIM_RESET_PLANT}"

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-
-from msg_schemas.samples import Level
+from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim.actuators import CommandTimeout, stopped
-from rover_sim.plant import Event, Phase, State, StepResult
+from rover_sim.plant import Event, State, StepResult
 from rover_sim.scenario import AnyScenario
 
 _LATCH_WORDS = {
-    "latch_free": "the nut is clear of the latch",
-    "latch_hooking": "the nut moves past the latch",
-    "latch_engaged": "nut and latch are engaged",
-    "latch_compressing": "the nut compresses the spring",
-    "latch_released": "the latch has tripped",
+    PlantEvent.LATCH_FREE: "the nut is clear of the latch",
+    PlantEvent.LATCH_HOOKING: "the nut moves past the latch",
+    PlantEvent.LATCH_ENGAGED: "nut and latch are engaged",
+    PlantEvent.LATCH_COMPRESSING: "the nut compresses the spring",
+    PlantEvent.LATCH_RELEASED: "the latch has tripped",
 }
-
-
-@dataclass(frozen=True)
-class EventReport:
-    """A report of an event of the plant or the simulation, at its simulated time."""
-
-    name: str
-    message: str
-    stamp_ns: int
-    level: Level = Level.OK
-    values: Mapping[str, object] = field(default_factory=dict)
 
 
 def timeout_report(timeout: CommandTimeout, stamp_ns: int) -> EventReport:
     """Report a drive that its watchdog has stopped."""
-    return EventReport(timeout.name, timeout.message, stamp_ns, Level.WARN, timeout.values)
+    name = SimulationEvent.COMMAND_TIMEOUT
+    return EventReport(name, timeout.message, timeout.values, stamp_ns=stamp_ns)
 
 
 def plant_event_report(
@@ -48,9 +36,7 @@ def plant_event_report(
         scenario: of the plant.
     """
     values: dict[str, object] = dict(event.values)
-    level = Level.OK
-    if event.name == "diverged":
-        level = Level.ERROR
+    if event.name is PlantEvent.DIVERGED:
         integration = scenario.integration
         values |= {
             "plant_time": after.time,
@@ -60,35 +46,34 @@ def plant_event_report(
             "max_halvings": integration.max_halvings,
         }
         message = (
-            f"{stopped(Phase.DIVERGED)}; the last converged state is at {after.time:.6g} s; try a "
-            "smaller integration.h, a larger integration.max_halvings or more damping of the tether"
+            f"{stopped(PlantPhase.DIVERGED)}; the last converged state is at {after.time:.6g} s; "
+            "try a smaller integration.h, a larger integration.max_halvings or more tether damping"
         )
-    elif event.name == "tether_broken":
-        level = Level.ERROR
-        message = f"{stopped(Phase.TETHER_BROKEN)}; tension {values['tension']:.4g} N"
+    elif event.name is PlantEvent.TETHER_BROKEN:
+        message = f"{stopped(PlantPhase.TETHER_BROKEN)}; tension {values['tension']:.4g} N"
     else:
         message = _message_of(event)
-    return EventReport(event.name, message, stamp_ns, level, values)
+    return EventReport(event.name, message, values, stamp_ns=stamp_ns)
 
 
 def _message_of(event: Event) -> str:
     values = event.values
-    if event.name == "take_off":
+    if event.name is PlantEvent.TAKE_OFF:
         return f"the rover takes off at {values['speed']:.4g} m/s"
-    if event.name == "apex":
+    if event.name is PlantEvent.APEX:
         return f"apex {values['height']:.4g} m above the start"
-    if event.name == "touchdown" and "attitude_variation" in values:
+    if event.name is PlantEvent.TOUCHDOWN and "attitude_variation" in values:
         return (
             f"touchdown after {values['flight_time']:.4g} s: height {values['height']:.4g} m, "
             f"attitude variation {values['attitude_variation']:+.4g} rad, "
             f"travel {values['travel']:+.4g} m"
         )
-    if event.name == "touchdown":
+    if event.name is PlantEvent.TOUCHDOWN:
         return (
             f"touchdown at {values['speed']:.4g} m/s with a load of {values['load']:.4g} N, "
             f"{values['height']:.4g} m above the last take-off"
         )
-    if event.name == "drum_stop":
+    if event.name is PlantEvent.DRUM_STOP:
         where = "fully reeled in" if values["side"] < 0.0 else "fully paid out"
         return f"the drum is at its stop, {where}; tension {values['tension']:.4g} N"
-    return _LATCH_WORDS.get(event.name, event.name)
+    return _LATCH_WORDS[event.name]

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import (
     ClockSample,
     DrawingSample,
@@ -45,7 +47,7 @@ from rover_sim.drawing import (
 )
 from rover_sim.mock_plant import MockPlant, MockState
 from rover_sim.physics.ancf import Array
-from rover_sim.plant import Phase, StepResult
+from rover_sim.plant import StepResult
 from rover_sim.truth_samples import energy_sample, tether_sample
 
 _OUT_OF_RANGE = 1000.0  # wall distance without a wall [m]
@@ -97,7 +99,7 @@ class MockInterface:
             jump.stroke,
             jump.free_travel,
             holds=True,
-            trip_event="latch_released",
+            trip_event=PlantEvent.LATCH_RELEASED,
         )
         held = scenario.tether.length if scenario.winch is None else None
         return Equipment(scenario.name, nut=nut, flywheel=True, wheels=True, fixed_length=held)
@@ -194,12 +196,12 @@ class MockInterface:
     # --- sensors ---------------------------------------------------------------------------------
 
     def _imu(self, state: MockState, stamp_ns: int) -> Sample:
-        weight = 0.0 if state.phase is Phase.FLIGHT else self._scenario.gravity
+        weight = 0.0 if state.phase is PlantPhase.FLIGHT else self._scenario.gravity
         force = (state.acceleration, 0.0, weight)
         return ImuSample(stamp_ns, (0.0, 0.0, state.yaw_rate), force)
 
     def _contact(self, state: MockState, stamp_ns: int) -> Sample:
-        on_ground = JointValue(float(state.phase is Phase.GROUNDED))
+        on_ground = JointValue(float(state.phase is PlantPhase.GROUNDED))
         joints = dict.fromkeys((FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT), on_ground)
         return JointSample(stamp_ns, {**joints, BODY_SWITCH: JointValue()})
 

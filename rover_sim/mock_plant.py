@@ -22,7 +22,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from msg_schemas.events import PlantEvent
 from msg_schemas.machine import MAX_PAYOUT_RATE
+from msg_schemas.phases import PlantPhase
 from rover_sim.hardware import Rover, Winch, jump_height
 from rover_sim.plant import (
     Command,
@@ -32,7 +34,6 @@ from rover_sim.plant import (
     Forces,
     JumpMotorCommand,
     Outcome,
-    Phase,
     StepResult,
     WheelRateCommand,
     WheelTorqueCommand,
@@ -51,7 +52,7 @@ class MockState:
     """State of the mock plant."""
 
     time: float  # [s]
-    phase: Phase
+    phase: PlantPhase
     length: float  # paid out [m]
     x: float  # of the tether's attachment, in map [m]
     y: float
@@ -113,7 +114,7 @@ class MockPlant:
         x, y = start.position if start.kind == "grounded" else (0.0, 0.0)
         state = MockState(
             time=0.0,
-            phase=Phase.HANGING,
+            phase=PlantPhase.HANGING,
             length=self.scenario.tether.length,
             x=x,
             y=y,
@@ -124,7 +125,7 @@ class MockPlant:
 
     def drop(self, state: MockState) -> float:
         """Return the depth of the attachment below the fairlead [m]."""
-        if state.phase is Phase.HANGING:
+        if state.phase is PlantPhase.HANGING:
             return state.length
         return self.floor_drop - state.height
 
@@ -137,7 +138,7 @@ class MockPlant:
 
     def _load_share(self, state: MockState) -> float:
         """Return the share of the rover's weight that the tether carries."""
-        if state.phase is Phase.HANGING:
+        if state.phase is PlantPhase.HANGING:
             return 1.0
         return min(max(1.0 - (state.length - self._chord(state)) / _UNLOADING_SLACK, 0.0), 1.0)
 
@@ -176,7 +177,7 @@ class MockPlant:
         after = self._move_drum(state, command, dt, events)
         after = self._turn_wheels(after, command, dt)
         after = self._move_nut(after, command, dt, events)
-        if after.phase is Phase.FLIGHT:
+        if after.phase is PlantPhase.FLIGHT:
             after = self._fly(after, dt, events)
         else:
             after = self._drive(after, dt, events)
@@ -198,7 +199,7 @@ class MockPlant:
             if length != state.length:
                 side = math.copysign(1.0, rate)
                 values = {"side": side, "tension": self.tension(state)[0]}
-                events.append(Event("drum_stop", state.time + dt, values))
+                events.append(Event(PlantEvent.DRUM_STOP, state.time + dt, values))
         return replace(state, length=length, payout_rate=rate, brake_released=True)
 
     def _drum_rate(
@@ -209,7 +210,7 @@ class MockPlant:
         friction, limit = winch.friction.breakaway / winch.radius, requested.max_tension
         if self._weight == 0.0 or limit - friction >= fairlead - rover + self._weight:
             return requested.rate
-        if state.phase is not Phase.GROUNDED:
+        if state.phase is not PlantPhase.GROUNDED:
             return max(requested.rate, 0.0)
         if requested.rate > 0.0:
             return requested.rate if fairlead + limit > friction else 0.0
@@ -258,14 +259,14 @@ class MockPlant:
         gravity = self.scenario.gravity
         height = jump_height(self.rover, gravity, requested.compression) if gravity > 0.0 else 0.0
         climb = math.sqrt(2.0 * gravity * height)
-        jumps = state.phase is Phase.GROUNDED and climb > 0.0
-        events.append(Event("latch_released", when, {"speed": climb if jumps else 0.0}))
+        jumps = state.phase is PlantPhase.GROUNDED and climb > 0.0
+        events.append(Event(PlantEvent.LATCH_RELEASED, when, {"speed": climb if jumps else 0.0}))
         released = replace(state, nut=0.0, nut_rate=0.0)
         if not jumps:
             return released
-        events.append(Event("take_off", when, {"speed": climb}))
+        events.append(Event(PlantEvent.TAKE_OFF, when, {"speed": climb}))
         return replace(
-            released, phase=Phase.FLIGHT, climb_rate=climb, height=0.0, apex_height=height,
+            released, phase=PlantPhase.FLIGHT, climb_rate=climb, height=0.0, apex_height=height,
             speed=0.0, acceleration=0.0, yaw_rate=0.0,
         )  # fmt: skip
 
@@ -275,19 +276,21 @@ class MockPlant:
         height = state.height + 0.5 * (state.climb_rate + climb) * dt
         if state.climb_rate > 0.0 >= climb:
             when = state.time + state.climb_rate / gravity
-            events.append(Event("apex", when, {"height": state.apex_height}))
+            events.append(Event(PlantEvent.APEX, when, {"height": state.apex_height}))
         if height > 0.0:
             return replace(state, climb_rate=climb, height=height)
         values = {"height": state.apex_height, "speed": -climb, "load": 0.0}
-        events.append(Event("touchdown", state.time + dt, values))
-        landed = replace(state, phase=Phase.GROUNDED, climb_rate=0.0, height=0.0, apex_height=0.0)
+        events.append(Event(PlantEvent.TOUCHDOWN, state.time + dt, values))
+        landed = replace(
+            state, phase=PlantPhase.GROUNDED, climb_rate=0.0, height=0.0, apex_height=0.0
+        )
         return self._constrained(landed)
 
     def _drive(self, state: MockState, dt: float, events: list[Event]) -> MockState:
         """Roll the rover on the ground, within reach of the tether."""
         wheels = self.rover.wheels
         speed = yaw_rate = 0.0
-        if state.phase is Phase.GROUNDED:
+        if state.phase is PlantPhase.GROUNDED:
             left, right = state.wheel_rates
             speed = 0.5 * wheels.tip_radius * (left + right)
             yaw_rate = wheels.tip_radius * (right - left) / wheels.track_width
@@ -306,27 +309,29 @@ class MockPlant:
         share = -math.expm1(-dt / _ACCELERATION_TIME)
         after = replace(constrained, acceleration=state.acceleration + share * change)
         when, rate = state.time + dt, abs(state.payout_rate)
-        if state.phase is Phase.HANGING and after.phase is Phase.GROUNDED:
+        if state.phase is PlantPhase.HANGING and after.phase is PlantPhase.GROUNDED:
             load = self.rover.mass * self.scenario.gravity
             values = {"height": 0.0, "speed": rate, "load": load}
-            events.append(Event("touchdown", when, values))
-        elif state.phase is Phase.GROUNDED and after.phase is Phase.HANGING:
-            events.append(Event("take_off", when, {"speed": rate}))
+            events.append(Event(PlantEvent.TOUCHDOWN, when, values))
+        elif state.phase is PlantPhase.GROUNDED and after.phase is PlantPhase.HANGING:
+            events.append(Event(PlantEvent.TAKE_OFF, when, {"speed": rate}))
         return after
 
     def _constrained(self, state: MockState) -> MockState:
         """Return the state within reach of the tether: on the ground, or below the fairlead."""
         if state.length < self.floor_drop:
-            return replace(state, phase=Phase.HANGING, x=0.0, y=0.0, speed=0.0, yaw_rate=0.0)
+            return replace(state, phase=PlantPhase.HANGING, x=0.0, y=0.0, speed=0.0, yaw_rate=0.0)
         reach = math.sqrt(state.length**2 - self.floor_drop**2)
         aside = math.hypot(state.x, state.y)
         if aside <= reach:
-            return replace(state, phase=Phase.GROUNDED)
+            return replace(state, phase=PlantPhase.GROUNDED)
         share = reach / aside
-        return replace(state, phase=Phase.GROUNDED, x=share * state.x, y=share * state.y, speed=0.0)
+        return replace(
+            state, phase=PlantPhase.GROUNDED, x=share * state.x, y=share * state.y, speed=0.0
+        )
 
     def _vertical_rate(self, state: MockState) -> float:
-        return -state.payout_rate if state.phase is Phase.HANGING else state.climb_rate
+        return -state.payout_rate if state.phase is PlantPhase.HANGING else state.climb_rate
 
     def velocity(self, state: MockState) -> tuple[float, float, float]:
         """Return the velocity of Body 1 in its own axes [m/s]."""

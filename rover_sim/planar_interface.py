@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import (
     ClockSample,
     DrawingSample,
@@ -43,7 +44,7 @@ from rover_sim.drawing import (
 from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plant import Energies, Phase, StepResult
+from rover_sim.plant import Energies, StepResult
 from rover_sim.truth_samples import energy_sample, tether_sample
 
 # Topics of every plant, and those that need a rover.
@@ -168,7 +169,7 @@ class PlanarInterface:
         )
 
     def _contact(self, snapshot: _Snapshot) -> Sample:
-        on_ground = snapshot.after.phase in (Phase.HELD, Phase.LANDED)
+        on_ground = snapshot.after.phase in (PlantPhase.HELD, PlantPhase.LANDED)
         return JointSample(snapshot.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if on_ground else 0.0)})
 
     def _load_cell(self, snapshot: _Snapshot) -> Sample:
@@ -185,7 +186,7 @@ class PlanarInterface:
         if rover is None:
             raise AssertionError("a plant without a rover has no jump motor")
         before, after = snapshot.before, snapshot.after
-        released = after.compression == 0.0 and after.phase is Phase.FLIGHT
+        released = after.compression == 0.0 and after.phase is PlantPhase.FLIGHT
         rate = 0.0
         if snapshot.dt > 0.0 and not released:
             rate = (after.compression - before.compression) / snapshot.dt

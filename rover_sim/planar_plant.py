@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim.per_thread import PerThread
 from rover_sim.physics import planar, planar_rover
 from rover_sim.physics.ancf import Array
@@ -21,16 +23,16 @@ from rover_sim.physics.tether import (
     to_nodes,
     to_rows,
 )
-from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, Phase, StepResult
+from rover_sim.plant import Command, Energies, Event, JumpMotorCommand, Outcome, StepResult
 from rover_sim.scenario import AnyScenario, Scenario, ScenarioError
 
 _PHASES = {
-    Phase.HELD: planar.HELD,
-    Phase.FLIGHT: planar.FLIGHT,
-    Phase.LANDED: planar.LANDED,
-    Phase.FREE: planar.FREE,
-    Phase.DIVERGED: planar.DIVERGED,
-    Phase.TETHER_BROKEN: planar.TETHER_BROKEN,
+    PlantPhase.HELD: planar.HELD,
+    PlantPhase.FLIGHT: planar.FLIGHT,
+    PlantPhase.LANDED: planar.LANDED,
+    PlantPhase.FREE: planar.FREE,
+    PlantPhase.DIVERGED: planar.DIVERGED,
+    PlantPhase.TETHER_BROKEN: planar.TETHER_BROKEN,
 }
 _PHASE_OF = {code: phase for phase, code in _PHASES.items()}
 _OUTCOME_OF = {
@@ -70,7 +72,7 @@ class PlanarState:
     """
 
     time: float  # [s]
-    phase: Phase
+    phase: PlantPhase
     nodes: Array  # (n + 1, 2, 2): [i, 0] position [m], [i, 1] slope r' [-] of node i
     node_rates: Array  # the same per second
     G1: Array  # centre of Body 1 [m], (2,)
@@ -178,7 +180,7 @@ class PlanarPlant:
             s = self.scenario.rover.spring_free_length
         state = PlanarState(
             time=0.0,
-            phase=Phase.FREE if self.scenario.rover is None else Phase.HELD,
+            phase=PlantPhase.FREE if self.scenario.rover is None else PlantPhase.HELD,
             nodes=shape,
             node_rates=np.zeros_like(shape),
             G1=G1,
@@ -197,7 +199,7 @@ class PlanarPlant:
         Raises:
             ValueError: there is no rover, or it is not on the ground.
         """
-        if state.phase not in (Phase.HELD, Phase.LANDED):
+        if state.phase not in (PlantPhase.HELD, PlantPhase.LANDED):
             raise ValueError(
                 f"take-off needs a rover on the ground, phase held or landed; it is"
                 f" {state.phase.value}"
@@ -205,7 +207,7 @@ class PlanarPlant:
         motion = _motion_of(state)
         planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
         motion.memory[planar.COMPRESSION] = 0.0
-        return _state_of(motion, self._elements, Phase.FLIGHT)
+        return _state_of(motion, self._elements, PlantPhase.FLIGHT)
 
     def step(
         self, state: PlanarState, command: Command, dt: float
@@ -226,7 +228,9 @@ class PlanarPlant:
         drive = _drive_of(command, self._model.rover.spring_rate)
         motion = _motion_of(state)
         if state.phase.final:
-            outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
+            outcome = (
+                Outcome.DIVERGED if state.phase is PlantPhase.DIVERGED else Outcome.TETHER_BROKEN
+            )
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
         solver = self._solvers.own()
@@ -421,7 +425,7 @@ def _motion_of(state: PlanarState) -> _Motion:
     return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, memory)
 
 
-def _state_of(motion: _Motion, elements: int, phase: Phase) -> PlanarState:
+def _state_of(motion: _Motion, elements: int, phase: PlantPhase) -> PlanarState:
     q, v, body, memory = motion
     return PlanarState(
         time=float(memory[planar.TIME]),
@@ -466,10 +470,10 @@ def _energies_of(parts: ArrayLike, energy_balance: EnergyBalance) -> Energies:
 def _event_of(row: Array) -> Event:
     kind, time, rise, travel, variation, since, speed, tension = (float(value) for value in row)
     name, values = {
-        planar.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
-        planar.EVENT_APEX: ("apex", {"height": rise, "flight_time": since}),
+        planar.EVENT_TAKE_OFF: (PlantEvent.TAKE_OFF, {"speed": speed}),
+        planar.EVENT_APEX: (PlantEvent.APEX, {"height": rise, "flight_time": since}),
         planar.EVENT_TOUCHDOWN: (
-            "touchdown",
+            PlantEvent.TOUCHDOWN,
             {
                 "height": rise,
                 "attitude_variation": variation,
@@ -478,7 +482,7 @@ def _event_of(row: Array) -> Event:
                 "speed": speed,
             },
         ),
-        planar.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
-        planar.EVENT_DIVERGED: ("diverged", {}),
+        planar.EVENT_BROKEN: (PlantEvent.TETHER_BROKEN, {"tension": tension}),
+        planar.EVENT_DIVERGED: (PlantEvent.DIVERGED, {}),
     }[int(kind)]
     return Event(name, time, values)

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim.scenario import AnyScenario
 
 
@@ -22,29 +24,6 @@ class Outcome(enum.Enum):
     HALVED = "halved"  # converged, with some time steps halved
     DIVERGED = "diverged"  # stopped at the last converged state
     TETHER_BROKEN = "tether_broken"  # stopped when the tether broke
-
-
-class Phase(enum.Enum):
-    """Phase of the rover's motion, or the reason why the simulation has stopped.
-
-    In the planar model the ground fixes the rover (HELD, LANDED) until it takes off. The spatial
-    model has contact: the rover is GROUNDED while a wheel or a body touches the ground, HANGING
-    while nothing touches and the tether carries it, otherwise in FLIGHT.
-    """
-
-    HELD = "held"  # on the ground, fixed
-    FLIGHT = "flight"
-    LANDED = "landed"  # fixed again where it landed
-    FREE = "free"  # no rover, or one without ground
-    HANGING = "hanging"
-    GROUNDED = "grounded"
-    DIVERGED = "diverged"
-    TETHER_BROKEN = "tether_broken"
-
-    @property
-    def final(self) -> bool:
-        """Whether further steps leave the state as it is."""
-        return self in (Phase.DIVERGED, Phase.TETHER_BROKEN)
 
 
 @dataclass(frozen=True)
@@ -147,13 +126,9 @@ class Energies:
 
 @dataclass(frozen=True)
 class Event:
-    """An event at an instant inside a step.
+    """An event at an instant inside a step."""
 
-    Names: take_off, apex, touchdown, tether_broken, diverged; of the spatial plant also drum_stop
-    and latch_free, latch_hooking, latch_engaged, latch_compressing, latch_released.
-    """
-
-    name: str
+    name: PlantEvent
     time: float  # [s]
     values: Mapping[str, float] = field(default_factory=dict)
 
@@ -206,7 +181,7 @@ class State(Protocol):
         """[s]."""
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> PlantPhase:
         """Phase of the rover's motion."""
 
 
@@ -231,8 +206,8 @@ class Plant(Protocol[S]):
         """Advance by one control tick.
 
         `state` is not changed; the computation releases the interpreter's lock. A step that
-        diverges returns the last converged state with `Phase.DIVERGED`, and further steps return
-        it unchanged; a broken tether likewise with `Phase.TETHER_BROKEN`.
+        diverges returns the last converged state with `PlantPhase.DIVERGED`, and further steps
+        return it unchanged; a broken tether likewise with `PlantPhase.TETHER_BROKEN`.
 
         Args:
             state: at the start of the tick.

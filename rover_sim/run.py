@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Generic, TypeAlias
 
+from msg_schemas.events import PlantEvent
 from rover_sim.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plant import Command, Event, Outcome, Plant, S, StepResult
 from rover_sim.scenario import Scenario
@@ -186,7 +187,7 @@ def jump(
     landed, result = plant.advance(
         plant.take_off(standing), _NO_COMMAND, limit, stop_at_touchdown=True
     )
-    touchdown = next((event for event in result.events if event.name == "touchdown"), None)
+    touchdown = next((event for event in result.events if event.name is PlantEvent.TOUCHDOWN), None)
     if touchdown is None:
         raise RunError(f"no landing: {result.outcome.value} at t = {landed.time:.6g} s")
     values = touchdown.values

@@ -9,10 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic
 
+from msg_schemas.events import EventReport
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample
 from rover_sim.actuators import Actuators
-from rover_sim.event_reports import EventReport, plant_event_report, timeout_report
-from rover_sim.plant import Outcome, Phase, S, StepResult
+from rover_sim.event_reports import plant_event_report, timeout_report
+from rover_sim.plant import Outcome, S, StepResult
 from rover_sim.plant_interface import PlantInterface
 
 NANO = 1_000_000_000
@@ -153,7 +155,7 @@ class Simulation(Generic[S]):
         interface.restart(self.state, 0)
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> PlantPhase:
         """The plant's phase."""
         return self.state.phase
 

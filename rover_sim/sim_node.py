@@ -11,13 +11,13 @@ from functools import partial
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, SimulationEvent
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import Level, Status, StatusSample
 from rover_sim.actuators import COMMANDS, stopped
-from rover_sim.event_reports import EventReport
-from rover_sim.plant import Phase
 from rover_sim.scenario import AnyScenario, ScenarioError, load_overridden
 from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
@@ -183,8 +183,9 @@ class SimNode(ContractNode):
         """End the process at the end of the duration."""
         simulation = self._simulation
         phase, seconds = simulation.phase, simulation.stamp_ns / NANO
-        self.event("finished", f"simulated {seconds:g} s, the phase is {phase.value}")
-        self.exit_code = ExitCode.DIVERGED if phase is Phase.DIVERGED else ExitCode.OK
+        text = f"simulated {seconds:g} s, the phase is {phase.value}"
+        self.event(EventReport(SimulationEvent.FINISHED, text))
+        self.exit_code = ExitCode.DIVERGED if phase is PlantPhase.DIVERGED else ExitCode.OK
 
     def on_crash(self, error: Exception) -> None:
         """End the process after an error of the plant's thread."""

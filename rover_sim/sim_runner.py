@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, SimulationEvent
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from rover_sim.event_reports import EventReport
 from rover_sim.sim_loop import NANO, Pacer, Simulation, Tick
 
 T = TypeVar("T")
@@ -203,8 +203,10 @@ class SimRunner:
         self.paused = pause
         self.pacer.restart()
         name = "paused" if pause else "resumed"
+        event = SimulationEvent.PAUSED if pause else SimulationEvent.RESUMED
         at = f"at {self.stamp_ns / NANO:g} s"
-        self._listener.on_event(EventReport(name, f"simulated time {name} {at}", self.stamp_ns))
+        text = f"simulated time {name} {at}"
+        self._listener.on_event(EventReport(event, text, stamp_ns=self.stamp_ns))
         return f"{name} {at}"
 
     def _step(self) -> str:
@@ -225,9 +227,10 @@ class SimRunner:
             self.simulation.reset_plant()
         self._finished = False
         self.pacer.set_factor(self._factor)
-        name, what = ("reset", "plant and clock") if clock else ("reset_plant", "the plant")
+        name = SimulationEvent.RESET if clock else SimulationEvent.PLANT_RESET
+        what = "plant and clock" if clock else "the plant"
         message = f"reset {what} to the start, at {before:g} s"
-        self._listener.on_event(EventReport(name, message, self.stamp_ns))
+        self._listener.on_event(EventReport(name, message, stamp_ns=self.stamp_ns))
         self._listener.on_restart()
         return message
 

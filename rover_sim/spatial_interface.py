@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
 from msg_schemas.samples import (
     ClockSample,
     DrawingSample,
@@ -137,7 +138,7 @@ class SpatialInterface:
                 jump.stroke,
                 jump.free_travel,
                 holds=True,
-                trip_event="latch_released",
+                trip_event=PlantEvent.LATCH_RELEASED,
             )
         return Equipment(
             scenario.name,

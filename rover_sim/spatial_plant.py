@@ -10,6 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim.per_thread import PerThread
 from rover_sim.physics import drum as drums
 from rover_sim.physics import integrator_memory, jump_drive, spatial, spatial_rover, wheel_drive
@@ -21,7 +23,7 @@ from rover_sim.physics.spatial import DriveCommands, DriveStates
 from rover_sim.physics.spatial_step import Model, make_solver
 from rover_sim.physics.tether import element_tensions, to_rows
 from rover_sim.physics.twist import twist_angle
-from rover_sim.plant import Command, Energies, Event, Forces, Outcome, Phase, StepResult
+from rover_sim.plant import Command, Energies, Event, Forces, Outcome, StepResult
 from rover_sim.scenario import AnyScenario, ScenarioError, SpatialScenario
 from rover_sim.spatial_model import check_tick, damped, make_model, make_orders
 from rover_sim.spatial_start import Pose, hanging, on_ground, straight
@@ -207,7 +209,7 @@ class SpatialPlant:
         memory[integrator_memory.FAIRLEAD_TENSION] = pose.tension
         memory[integrator_memory.AIRBORNE] = 1.0
         state = SpatialState(
-            phase=Phase.HANGING,
+            phase=PlantPhase.HANGING,
             nodes=pose.nodes,
             node_rates=pose.node_rates,
             fairlead_slope=pose.fairlead_slope,
@@ -233,15 +235,17 @@ class SpatialPlant:
             wheel_drive.WheelState()._replace(body_rate=spin_y),
         )
 
-    def _phase_off_ground(self, tension: float) -> Phase:
+    def _phase_off_ground(self, tension: float) -> PlantPhase:
         """Return the phase of a rover without ground contact: hanging or in flight."""
         rover = self.scenario.rover
         if rover is None:
-            return Phase.FREE
+            return PlantPhase.FREE
         carries = tension > _CARRIES * rover.mass * self.scenario.gravity and tension > 0.0
-        return Phase.HANGING if carries else Phase.FLIGHT
+        return PlantPhase.HANGING if carries else PlantPhase.FLIGHT
 
-    def _with_initial_memory(self, state: SpatialState, twist: float, phase: Phase) -> SpatialState:
+    def _with_initial_memory(
+        self, state: SpatialState, twist: float, phase: PlantPhase
+    ) -> SpatialState:
         """Return the state with zero clock and energy balance, and a twist of the tether [rad]."""
         memory = np.zeros(integrator_memory.MEMORY_SIZE)
         for entry in (
@@ -320,7 +324,9 @@ class SpatialPlant:
         radius = self.drum_radius(state)
         orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
         if state.phase.final:
-            outcome = Outcome.DIVERGED if state.phase is Phase.DIVERGED else Outcome.TETHER_BROKEN
+            outcome = (
+                Outcome.DIVERGED if state.phase is PlantPhase.DIVERGED else Outcome.TETHER_BROKEN
+            )
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
         return self._advance(self._model, state, orders, tick)
 
@@ -348,13 +354,13 @@ class SpatialPlant:
         )
         return after, result
 
-    def _phase(self, outcome: Outcome, memory: Array, report: Array) -> Phase:
+    def _phase(self, outcome: Outcome, memory: Array, report: Array) -> PlantPhase:
         if outcome is Outcome.DIVERGED:
-            return Phase.DIVERGED
+            return PlantPhase.DIVERGED
         if outcome is Outcome.TETHER_BROKEN:
-            return Phase.TETHER_BROKEN
+            return PlantPhase.TETHER_BROKEN
         if memory[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
-            return Phase.GROUNDED
+            return PlantPhase.GROUNDED
         return self._phase_off_ground(float(report[integrator_memory.TIP_TENSION]))
 
     # ------------------------------------------------------------------------ derived quantities
@@ -568,16 +574,19 @@ def _event_of(row: Array) -> Event:
     kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
     place = {"x": x, "y": y, "z": z}
     if int(kind) == integrator_memory.EVENT_LATCH:
-        return Event(f"latch_{Latch(int(value)).name.lower()}", time, {**place, "speed": speed})
+        return Event(PlantEvent[f"LATCH_{Latch(int(value)).name}"], time, {**place, "speed": speed})
     name, values = {
-        integrator_memory.EVENT_TAKE_OFF: ("take_off", {"speed": speed}),
-        integrator_memory.EVENT_APEX: ("apex", {"height": value}),
+        integrator_memory.EVENT_TAKE_OFF: (PlantEvent.TAKE_OFF, {"speed": speed}),
+        integrator_memory.EVENT_APEX: (PlantEvent.APEX, {"height": value}),
         integrator_memory.EVENT_TOUCHDOWN: (
-            "touchdown",
+            PlantEvent.TOUCHDOWN,
             {"height": rise, "speed": speed, "load": value},
         ),
-        integrator_memory.EVENT_BROKEN: ("tether_broken", {"tension": tension}),
-        integrator_memory.EVENT_DIVERGED: ("diverged", {}),
-        integrator_memory.EVENT_DRUM_STOP: ("drum_stop", {"side": value, "tension": tension}),
+        integrator_memory.EVENT_BROKEN: (PlantEvent.TETHER_BROKEN, {"tension": tension}),
+        integrator_memory.EVENT_DIVERGED: (PlantEvent.DIVERGED, {}),
+        integrator_memory.EVENT_DRUM_STOP: (
+            PlantEvent.DRUM_STOP,
+            {"side": value, "tension": tension},
+        ),
     }[int(kind)]
     return Event(name, time, {**place, **values})

@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
+from msg_schemas.phases import PlantPhase
 from rover_sim.physics import integrator_memory, spatial_rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.spatial import DriveStates
 from rover_sim.physics.spatial_step import MotionArrays
 from rover_sim.physics.tether import row_width, to_nodes
-from rover_sim.plant import Phase
 
 _ENERGY_BALANCE = {
     "input_jump_motor": integrator_memory.INPUT_JUMP,
@@ -43,7 +43,7 @@ class SpatialState:
     fairlead. The elements from nodes[0] on form the chain.
     """
 
-    phase: Phase
+    phase: PlantPhase
     nodes: Array  # (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of the chain's node i
     node_rates: Array  # the same per second
     fairlead_slope: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
@@ -233,7 +233,7 @@ def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
 
 
 def state_of(
-    motion: MotionArrays, drives: DriveStates, memory: Array, phase: Phase
+    motion: MotionArrays, drives: DriveStates, memory: Array, phase: PlantPhase
 ) -> SpatialState:
     """Return the state of the arrays; it takes ownership and makes them read-only."""
     elements = int(memory[integrator_memory.ELEMENTS])

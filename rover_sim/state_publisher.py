@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport
 from msg_schemas.parameters import ParameterError, parameter
-from msg_schemas.samples import Level, Status, TextSample
+from msg_schemas.phases import PlantPhase
+from msg_schemas.samples import TextSample
 from msg_schemas.table import TOPICS
 from rover_sim.ahead_of_time import compile_ahead
-from rover_sim.event_reports import EventReport
 from rover_sim.interface_factory import build_interface
-from rover_sim.plant import Phase
 from rover_sim.plant_factory import build_plant
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import AnyScenario, SpatialScenario
@@ -127,7 +127,7 @@ class StatePublisher:
         self._publishers = {name: node.publisher(name) for name in rates}
         self._phase_publisher = node.publisher(topics.TRUTH_PHASE)
         self._place_publisher = node.publisher(topics.PLACE)
-        self._published_phase: Phase | None = None
+        self._published_phase: PlantPhase | None = None
         scenario = simulation.plant.scenario
         self._description = ""
         if isinstance(scenario, SpatialScenario) and scenario.rover is not None:
@@ -158,23 +158,14 @@ class StatePublisher:
 
     def on_event(self, report: EventReport) -> None:
         """Publish an event, and on the diagnostics too if its level is not OK."""
-        self._node.event(
-            report.name,
-            report.message,
-            report.level,
-            report.values,
-            report.stamp_ns,
-        )
-        if report.level is not Level.OK:
-            name = f"{self._node.NAME}: {report.name}"
-            self._node.report(Status(name, report.message, report.level, self._node.NAME))
+        self._node.event(report, diagnoses=True)
 
     def _publish_due(self, due: Iterable[str]) -> None:
         subscribed = [name for name in due if self._publishers[name].is_heard]
         for name, sample in self._simulation.interface.samples(subscribed):
             self._publishers[name].send(sample)
 
-    def _publish_phase(self, phase: Phase) -> None:
+    def _publish_phase(self, phase: PlantPhase) -> None:
         if phase is not self._published_phase:
             self._published_phase = phase
             self._phase_publisher.send(TextSample(phase.value))

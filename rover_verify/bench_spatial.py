@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from msg_schemas.events import PlantEvent
 from rover_sim import Command, JumpMotorCommand, SpatialPlant, SpatialState, load_spatial
 from rover_verify import core_peak
 from rover_verify.bench_row import Progress, Row, bench_row
@@ -110,7 +111,9 @@ def measure_worst(repetitions: int, progress: Progress) -> Row:
             began = time.thread_time_ns()
             state, result = plant.step(state, _IDLE if released else _STROKE, _TICK)
             spent[k] = min(spent[k], (time.thread_time_ns() - began) * 1e-9)
-            released = released or any(event.name == "latch_released" for event in result.events)
+            released = released or any(
+                event.name == PlantEvent.LATCH_RELEASED for event in result.events
+            )
             iterations[k], times[k] = result.newton_iterations, state.time
     if not released:
         raise RuntimeError("the rover did not jump")

@@ -12,9 +12,9 @@ from uuid import uuid4
 
 import can
 
+from msg_schemas.events import EventName, EventReport
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
-from msg_schemas.transition import Transition
 from rover_hil.bridge import Bridge
 from rover_hil.devices import BRIDGE_NODE, DEVICES, HEARTBEAT_PERIOD, SYNC_PERIOD
 from rover_hil.emulator.machine import EmulatedMachine
@@ -63,7 +63,7 @@ class HilBench:
             command_delay,
         )
         self.published: dict[str, Sample] = {}
-        self.changes: list[tuple[float, Transition]] = []
+        self.changes: list[tuple[float, EventReport]] = []
         self.driven: frozenset[str] = frozenset()
         self.bridge_is_on = True
         self._cycles = 0
@@ -186,9 +186,12 @@ class HilBench:
         """Replace the impairments."""
         self.machine.impair(read_impairments(text))
 
-    def has_event(self, name: str) -> bool:
+    def has_event(self, name: EventName, device: str) -> bool:
         """Whether a transition of this name has occurred."""
-        return any(change.name == name for _, change in self.changes)
+        return any(
+            change.name is name and change.values.get("device") == device
+            for _, change in self.changes
+        )
 
     # --- bridge ----------------------------------------------------------------------------------
 

@@ -20,7 +20,10 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas import topics
-from msg_schemas.node import READY
+from msg_schemas.events import JumpEvent, NodeEvent, PlantEvent
+from msg_schemas.health import Health, read_health
+from msg_schemas.phases import HealthState, JumpPhase
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
@@ -66,6 +69,7 @@ SIM, JUMP, WINCH, RECORD = (
     "tether_winch.winch_node",
     "rover_bags.record",
 )
+_LET_DOWN = (JumpEvent.ABORTED, JumpEvent.CANCELLED, JumpEvent.FAILED)
 _STEPS = ("starting", "compressing", "flying", "landing", "stopping", "reporting")
 # A node that a busy machine starves for a quarter of a second counts as lost, and the spring is let
 # down: the operator asks again.
@@ -115,22 +119,25 @@ class Show:
     def _jumped(self, trial: int) -> bool:
         """Whether a jump that was asked for was flown; if not, the spring was let down."""
         seen = self._seen
-        stood = seen("jump_standby")
+        stood = seen(JumpEvent.STANDBY)
         self._ask(trial)
 
         def is_over() -> bool:
-            return seen("jump_standby") > stood
+            return seen(JumpEvent.STANDBY) > stood
 
         def is_let_down() -> bool:
-            return seen("jump_letting_down") == trial
+            return sum(map(seen, _LET_DOWN)) == trial
 
         self._follow(
-            "compressing", lambda: seen("take_off") or is_let_down(), self._nut, _JUMP_TIMEOUT
+            "compressing",
+            lambda: seen(PlantEvent.TAKE_OFF) or is_let_down(),
+            self._nut,
+            _JUMP_TIMEOUT,
         )
         if is_let_down():
             self._follow("letting down", is_over, self._nut, _JUMP_TIMEOUT)
             return False
-        self._follow("flying", lambda: seen("touchdown"), self._height, _JUMP_TIMEOUT)
+        self._follow("flying", lambda: seen(PlantEvent.TOUCHDOWN), self._height, _JUMP_TIMEOUT)
         self._follow("landing", is_over, self._height, _JUMP_TIMEOUT)
         return True
 
@@ -139,12 +146,12 @@ class Show:
         request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
         give_up = time.monotonic() + _ASK_TIMEOUT
         answered = threading.Event()
-        while self._seen("jump_compressing") < trial:
+        while self._seen(JumpEvent.COMPRESSING) < trial:
             refusals = self._refusals()
             if time.monotonic() > give_up:
                 raise ShowError(f"no jump: {refusals[-1] if refusals else 'no answer'}")
             self._observer.send(topics.JUMP_REQUEST, request)
-            while self._seen("jump_compressing") < trial and self._refusals() == refusals:
+            while self._seen(JumpEvent.COMPRESSING) < trial and self._refusals() == refusals:
                 if time.monotonic() > give_up:
                     break
                 answered.wait(_LOOK)
@@ -177,7 +184,7 @@ class Show:
                 if not process.is_running:
                     raise ShowError(f"{name} has ended while {act}:\n{process.output}")
             phase = self._last(topics.JUMP_PHASE)
-            if phase is not None and phase.text == "fault":
+            if phase is not None and phase.text == JumpPhase.FAULT:
                 raise ShowError(f"while {act}: the jump controller reports a fault")
             if time.monotonic() > give_up:
                 said = "\n".join(f"--- {n}:\n{p.output}" for n, p in self.nodes.items())
@@ -199,16 +206,16 @@ class Show:
             status.hardware_id
             for sample in self._observer.listen(topics.EVENTS).samples
             for status in sample.statuses
-            if status.name == "active"
+            if status.name == NodeEvent.ACTIVE
         }
         wanted = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
         waiting = [name for name in wanted if name not in active]
         if not waiting:
-            conditions = self._conditions()
+            healths = self._healths()
             waiting = [
-                f"{name} ({conditions.get(name, 'silent')})"
+                f"{name} ({healths[name].message if name in healths else 'silent'})"
                 for name in wanted
-                if conditions.get(name) != READY
+                if healths.get(name) != Health(name, HealthState.READY)
             ]
         if not waiting:
             missing = missing_streams(self.bag)
@@ -216,7 +223,7 @@ class Show:
         contact = self._last(topics.CONTACT)
         stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
         phase = self._last(topics.JUMP_PHASE)
-        if not waiting and not (stands and phase is not None and phase.text == "standby"):
+        if not waiting and not (stands and phase is not None and phase.text == JumpPhase.STANDBY):
             waiting.append("the rover to stand")
         return f"waiting for {', '.join(waiting)}" if waiting else ""
 
@@ -228,13 +235,13 @@ class Show:
             for status in sample.statuses
         )
 
-    def _conditions(self) -> dict[str, str]:
-        """What each node's health last said of itself."""
+    def _healths(self) -> dict[str, Health]:
+        """The last health of each node."""
         return {
-            status.hardware_id: status.message
+            health.node: health
             for sample in self._observer.listen(topics.DIAGNOSTICS).samples
             for status in sample.statuses
-            if status.name == f"{status.hardware_id}: node"
+            if (health := read_health(status)) is not None
         }
 
     def _refusals(self) -> list[str]:
@@ -243,7 +250,8 @@ class Show:
             f"{status.name}: {status.message}"
             for sample in self._observer.listen(topics.DIAGNOSTICS).samples
             for status in sample.statuses
-            if status.name.endswith(f"refused {topics.JUMP_REQUEST}")
+            if (refusal := read_refusal(status)) is not None
+            and refusal.subject == topics.JUMP_REQUEST
         ]
 
     def _nut(self) -> str:

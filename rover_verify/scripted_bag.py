@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent, SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import (
     JUMP_SCREW,
@@ -29,7 +31,6 @@ from msg_schemas.table import (
     WINCH_LIMIT,
 )
 from rover_sim import (
-    Phase,
     Simulation,
     SpatialState,
     build_interface,
@@ -88,7 +89,7 @@ class Recording:
         self.simulation = Simulation(build_interface(plant, seed), TICK)
         self.events: list[tuple[str, float]] = []
         self._tape = Tape(path)
-        self._phase: Phase | None = None
+        self._phase: PlantPhase | None = None
         content = {
             "node": "/sim_node",
             "scenario": self.scenario.to_mapping(),
@@ -131,9 +132,9 @@ class Recording:
             if _count(tick.stamp_ns, name) > _count(before_ns, name)
         )
         for item in tick.event_reports:
+            assert item.stamp_ns is not None
             self.events.append((item.name, item.stamp_ns / _NANO))
-            values = {key: str(value) for key, value in item.values.items()}
-            status = Status(item.name, item.message, item.level, "sim_node", values)
+            status = Status(item.name, item.message, item.level, "sim_node", item.texts())
             self.tell(topics.EVENTS, StatusSample(item.stamp_ns, (status,)))
 
     def when(self, name: str, after: float) -> float:
@@ -185,7 +186,7 @@ class Script:
         rate = self._between(0.15, 0.3)
         self._pay_out("descending", rate, lambda: self._length >= silent, ends=False)
         self._wait("hanging", self._between(2.0, 4.0))
-        at = self.run.when("winch_silent", self.deeds[-1].begin - TICK)
+        at = self.run.when(SimulationEvent.COMMAND_TIMEOUT, self.deeds[-1].begin - TICK)
         self.deeds.append(Deed("fault", at, at))
         self._pay_out("descending", self._between(0.2, 0.3), self._stands, slow=True)
         slack = self._length + self._between(2.0, 2.5)
@@ -223,7 +224,7 @@ class Script:
             self.run.step(self._winch(0.0, brake=0.0))
         self._rate = 0.0
         figures = {"from": begun, "to": self._length}
-        landed = [at for name, at in self.run.events if name == "touchdown" and at > first]
+        landed = [at for name, at in self.run.events if name == PlantEvent.TOUCHDOWN and at > first]
         if landed and what == "descending":
             # The drum runs on for a moment when the floor carries the rover.
             self.deeds.append(Deed(what, first, landed[0], figures))
@@ -236,7 +237,7 @@ class Script:
         begun, first, lifted = self._length, self.run.time, self.run.time
         while self._length > length or self._rate != 0.0:
             self.run.step(self._winch(-0.2 if self._length > length else 0.0))
-            if self.run.state.phase is Phase.GROUNDED:
+            if self.run.state.phase is PlantPhase.GROUNDED:
                 lifted = self.run.time
         self.run.step(self._winch(0.0, brake=0.0))
         self.deeds.append(Deed("slack", first, lifted, {"from": begun}))
@@ -268,12 +269,14 @@ class Script:
             return any(told == name for told, _ in self.run.events[heard:])
 
         def orders() -> Orders:
-            return {} if seen("latch_released") else self._at(20.0, nut)
+            return {} if seen(PlantEvent.LATCH_RELEASED) else self._at(20.0, nut)
 
-        self._go("jumping", orders, lambda: seen("touchdown"), 30.0, told=False)
-        released = self.run.when("latch_compressing", first)
+        self._go("jumping", orders, lambda: seen(PlantEvent.TOUCHDOWN), 30.0, told=False)
+        released = self.run.when(PlantEvent.LATCH_COMPRESSING, first)
         take_off, landing = (self.run.when(name, first) for name in ("take_off", "touchdown"))
-        self.deeds.append(Deed("compressing", released, self.run.when("latch_released", first)))
+        self.deeds.append(
+            Deed("compressing", released, self.run.when(PlantEvent.LATCH_RELEASED, first))
+        )
         self.deeds.append(Deed("flight", take_off, landing))
 
     # --- what the legs are made of ---------------------------------------------------------------

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from msg_schemas.events import PlantEvent
 from rover_sim import (
     Command,
     Energies,
@@ -142,8 +143,8 @@ def fly(mission: Mission) -> None:
     mission.wait("turn", 3.0, Command(wheel=WheelRateCommand(-_WHEEL_RATE)))
     mission.wait("stop", 2.0, Command(wheel=WheelRateCommand(0.0)))
     press = Command(jump=JumpMotorCommand(_COMPRESSION, _NUT_RATE))
-    mission.go("compress", lambda _: press, _happened("latch_released"), 20.0)
-    mission.go("take off and land", lambda _: Command(), _happened("touchdown"), 5.0)
+    mission.go("compress", lambda _: press, _happened(PlantEvent.LATCH_RELEASED), 20.0)
+    mission.go("take off and land", lambda _: Command(), _happened(PlantEvent.TOUCHDOWN), 5.0)
     mission.wait("settle", 4.0)
     mission.go("reel in", lambda _: pay(-_SLOW), lambda state, _: state.length < 3.0, 200.0)
     mission.wait("hang", 5.0)

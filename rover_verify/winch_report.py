@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from msg_schemas.phases import WinchMode
 from rover_bags.files.store import BagError
 from rover_verify.checks import Batch, winch_bag
 from rover_verify.checks import winch as checks
@@ -111,7 +112,7 @@ def descent_figures(flight: Flight) -> dict[str, Figure]:
     """The whole descent, its beginning, its stop at the bottom, and its end."""
     begun, bottom, rate = flight.asked[0]
     top = flight.asked[-1][1]
-    turned = next(at for at, mode in flight.modes if mode == "hold" and at > begun)
+    turned = next(at for at, mode in flight.modes if mode == WinchMode.HOLD and at > begun)
     end = float(flight["time"][-1])
     title = f"{flight['length'][0]:.3g} m to {bottom:g} m and back to {top:g} m at {rate:g} m/s"
     return {

@@ -20,8 +20,9 @@ from session import ASKER, NEVER_ENDS, OLD, TRIALS, UNTIL_ITS_END, Session
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import message_class
+from msg_schemas.events import NodeEvent
 from msg_schemas.message_parts import to_time
-from msg_schemas.refusal import REQUEST_ACCEPTED
+from msg_schemas.refusal import read_refusal
 from operator_console.command_line import Exit
 
 if TYPE_CHECKING:
@@ -96,9 +97,12 @@ class Orders(Session):
             said = [status for sample in events.samples[heard:] for status in sample.statuses]
             held = [status for sample in refusals.samples[told:] for status in sample.statuses]
             return any(
-                status.name == REQUEST_ACCEPTED and status.values["topic"] == name
+                status.name == NodeEvent.REQUEST_ACCEPTED and status.values["topic"] == name
                 for status in said
-            ) or any(status.name.endswith(f": refused {name}") for status in held)
+            ) or any(
+                (refusal := read_refusal(status)) is not None and refusal.subject == name
+                for status in held
+            )
 
         self.observer.wait_until(is_answered, f"no answer to {name}")
 

@@ -9,6 +9,8 @@ import architecture
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, PlantEvent
+from msg_schemas.phases import JumpPhase
 from msg_schemas.table import JUMP_STROKE, PLAIN_STOP, WINCH_DRUM, WINCH_TO_LENGTH
 from rover_launch.plan import arguments_of, plan
 
@@ -49,11 +51,11 @@ def start(harness: NodeHarness, *controllers: str, **given: str) -> Observer:
 
 def test_a_jump_of_the_mock_plant_goes_through_its_phases(harness: NodeHarness):
     observer = start(harness, "jump_node", overrides='{"tether.length": 51.0}')
-    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY)
     since = len(observer.listen(topics.JUMP_PHASE))
     observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, 0.1, 0.1, stamp_ns=0)
-    observer.wait_for_event("apex")
-    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    observer.wait_for_event(PlantEvent.APEX)
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     phases = [sample.text for sample in observer.listen(topics.JUMP_PHASE).samples[since:]]
     assert phases == ["compressing", "settling", "releasing", "flight", "landed", "standby"]
 
@@ -65,4 +67,4 @@ def test_winch_and_descent_control_the_mock_plant_s_rover(harness: NodeHarness):
     observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)
     drum.wait(lambda sample: sample.joints[WINCH_DRUM].position > 10.02)
     observer.send_joint(topics.DESCENT_REQUEST, PLAIN_STOP, 10.5, 0.0, stamp_ns=0)
-    observer.wait_for_event("stop_accepted")
+    observer.wait_for_event(DescentEvent.STOP_ACCEPTED)

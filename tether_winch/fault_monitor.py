@@ -4,33 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
+from msg_schemas.faults import WinchFault
 from msg_schemas.parameters import parameter
 from tether_winch.load_monitor import LoadState
-
-
-class Fault(StrEnum):
-    """Reason of a latched fault; the brake stays closed until the winch is armed again."""
-
-    COMMAND_TIMEOUT = "command_timeout"
-    DRUM_LOST = "drum_lost"
-    TENSION_LOST = "tension_lost"
-    OVERSPEED = "overspeed"
-    OVER_TENSION = "over_tension"
-    TETHER_END = "tether_end"
-    NOT_FOLLOWING = "not_following"
-    BRAKE_STUCK = "brake_stuck"
-    OVERHEATED = "overheated"
-    BAD_READING = "bad_reading"
-    CLOCK_JUMP = "clock_jump"
-    NODE_LATE = "node_late"
-
-    @property
-    def stops_before_braking(self) -> bool:
-        """Whether the drum decelerates before the brake closes; it is sound in this fault."""
-        return self is Fault.COMMAND_TIMEOUT
 
 
 @dataclass(frozen=True)
@@ -89,9 +67,9 @@ class FaultMonitor:
 
     def __init__(self, parameters: FaultParameters) -> None:
         self.parameters = parameters
-        self._since: dict[Fault, float] = {}
+        self._since: dict[WinchFault, float] = {}
 
-    def check(self, inputs: FaultInputs, now: float) -> tuple[Fault, str] | None:
+    def check(self, inputs: FaultInputs, now: float) -> tuple[WinchFault, str] | None:
         """Return the first fault with its reason; None = no fault.
 
         Args:
@@ -100,32 +78,38 @@ class FaultMonitor:
         """
         p = self.parameters
         if inputs.drum_fault:
-            return Fault.DRUM_LOST, inputs.drum_fault
+            return WinchFault.DRUM_LOST, inputs.drum_fault
         if inputs.load is LoadState.OVER_TENSION:
-            return Fault.OVER_TENSION, f"the tension is too high: {inputs.tension:.4g} N"
+            return WinchFault.OVER_TENSION, f"the tension is too high: {inputs.tension:.4g} N"
         limit = inputs.largest_rate + p.overspeed_margin
-        if self._lasts(Fault.OVERSPEED, abs(inputs.rate) > limit, p.overspeed_time, now):
+        if self._lasts(WinchFault.OVERSPEED, abs(inputs.rate) > limit, p.overspeed_time, now):
             reason = (
                 f"the drum runs at {inputs.rate:.3g} m/s, it may run at {limit:.3g} m/s at most"
             )
-            return Fault.OVERSPEED, reason
+            return WinchFault.OVERSPEED, reason
         low, high = inputs.ends
         if (inputs.length >= high and inputs.rate > 1e-3) or (
             inputs.length <= low and inputs.rate < -1e-3
         ):
-            return Fault.TETHER_END, (
+            return WinchFault.TETHER_END, (
                 f"{inputs.length:.4g} m are out, the ends are {low:g} and {high:g} m"
             )
         lost = inputs.is_moving and inputs.tension_required and math.isnan(inputs.tension)
-        if self._lasts(Fault.TENSION_LOST, lost, p.tension_timeout, now):
-            return Fault.TENSION_LOST, f"moving without a valid tension: {inputs.tension_fault}"
-        if self._lasts(Fault.NOT_FOLLOWING, inputs.is_lagging, p.stall_timeout, now):
+        if self._lasts(WinchFault.TENSION_LOST, lost, p.tension_timeout, now):
+            return (
+                WinchFault.TENSION_LOST,
+                f"moving without a valid tension: {inputs.tension_fault}",
+            )
+        if self._lasts(WinchFault.NOT_FOLLOWING, inputs.is_lagging, p.stall_timeout, now):
             reason = f"the drum lags behind its reference for {p.stall_timeout:g} s"
-            return Fault.NOT_FOLLOWING, reason
+            return WinchFault.NOT_FOLLOWING, reason
         if inputs.brake_opening_time > p.brake_release_timeout:
-            return Fault.BRAKE_STUCK, f"the brake did not open within {p.brake_release_timeout:g} s"
+            return (
+                WinchFault.BRAKE_STUCK,
+                f"the brake did not open within {p.brake_release_timeout:g} s",
+            )
         if inputs.is_moving and inputs.feed_forward > inputs.allowed:
-            return Fault.OVERHEATED, (
+            return WinchFault.OVERHEATED, (
                 f"the motor is hot and may use {inputs.allowed:.4g} N, carrying the load takes "
                 f"{inputs.feed_forward:.4g} N"
             )
@@ -135,7 +119,7 @@ class FaultMonitor:
         """Reset all timers."""
         self._since.clear()
 
-    def _lasts(self, fault: Fault, holds: bool, time: float, now: float) -> bool:
+    def _lasts(self, fault: WinchFault, holds: bool, time: float, now: float) -> bool:
         if not holds:
             self._since.pop(fault, None)
             return False

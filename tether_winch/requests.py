@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
 from msg_schemas import topics
@@ -17,28 +16,21 @@ from msg_schemas.machine import (
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointValue
 from tether_winch.servo import Goal, GoalKind, ServoParameters
 
-
-class Mode(StrEnum):
-    """Mode of the winch; values of the contract."""
-
-    DISARMED = "disarmed"
-    HOLD = "hold"
-    LENGTH = "length"
-    RATE = "rate"
-    TENSION = "tension"
-    SLACK = "slack"
-    RELAX = "relax"
-    STOP = "stop"
-    FAULT = "fault"
-
-    @property
-    def is_armed(self) -> bool:
-        """Whether requests are accepted."""
-        return self not in (Mode.DISARMED, Mode.STOP, Mode.FAULT)
+JUMPING = frozenset(
+    {
+        JumpPhase.COMPRESSING,
+        JumpPhase.SETTLING,
+        JumpPhase.RELEASING,
+        JumpPhase.FLIGHT,
+        JumpPhase.LANDED,
+    }
+)
+"""Phases of the jump in which nothing is reeled in."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +67,7 @@ class RequestContext(NamedTuple):
 class AcceptedRequest(NamedTuple):
     """Result of an accepted request."""
 
-    mode: Mode
+    mode: WinchMode
     goal: Goal
     reason: str
     is_renewed: bool = False  # it must be renewed during the motion
@@ -130,7 +122,7 @@ class RequestInterpreter:
         p = self.parameters
         tension = now.own_weight + 0.5 * p.take_up_tension
         goal = Goal(GoalKind.TENSION, rate=p.relax_rate, tension=tension, reels_in=False)
-        return AcceptedRequest(Mode.RELAX, goal, f"relaxing from {now.tension:.4g} N")
+        return AcceptedRequest(WinchMode.RELAX, goal, f"relaxing from {now.tension:.4g} N")
 
     def take_up(self, rate: float, now: RequestContext, reason: str) -> AcceptedRequest:
         """Take up slack at a rate [m/s]; 0 selects `take_up_rate`."""
@@ -141,7 +133,7 @@ class RequestInterpreter:
             tension=now.own_weight + p.take_up_tension,
             pays_out=False,
         )
-        return AcceptedRequest(Mode.SLACK, goal, f"{reason}: taking up the slack")
+        return AcceptedRequest(WinchMode.SLACK, goal, f"{reason}: taking up the slack")
 
     @property
     def soft_ends(self) -> tuple[float, float]:
@@ -160,7 +152,7 @@ class RequestInterpreter:
         self._check_rate(rate)
         _check_direction(length - now.length, now)
         goal = Goal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
-        return AcceptedRequest(Mode.LENGTH, goal, f"to {length:g} m")
+        return AcceptedRequest(WinchMode.LENGTH, goal, f"to {length:g} m")
 
     def _while_renewed(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         return self._to_length(value, now)._replace(is_renewed=True)
@@ -170,7 +162,7 @@ class RequestInterpreter:
         self._check_rate(rate)
         _check_direction(rate, now)
         goal = Goal(GoalKind.RATE, rate=rate, limit=self._limit(tension))
-        return AcceptedRequest(Mode.RATE, goal, f"at {rate:g} m/s")
+        return AcceptedRequest(WinchMode.RATE, goal, f"at {rate:g} m/s")
 
     def _at_tension(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         longest, rate, tension = value
@@ -197,7 +189,7 @@ class RequestInterpreter:
             rate=rate,
             tension=tension,
         )
-        return AcceptedRequest(Mode.TENSION, goal, f"holding {tension:g} N")
+        return AcceptedRequest(WinchMode.TENSION, goal, f"holding {tension:g} N")
 
     def _slack(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
         amount, rate, _ = value
@@ -225,7 +217,7 @@ class RequestInterpreter:
             reels_in=False,
         )
         return AcceptedRequest(
-            Mode.SLACK, goal, f"giving {amount:g} m of slack beyond {now.taut_length:.4g} m"
+            WinchMode.SLACK, goal, f"giving {amount:g} m of slack beyond {now.taut_length:.4g} m"
         )
 
     def _check_rate(self, rate: float) -> None:

@@ -23,6 +23,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport
+from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     MAX_LENGTH,
     MAX_PAYOUT_RATE,
@@ -36,9 +38,9 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, Level, WrenchSample
-from msg_schemas.transition import Transition
+from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from tether_winch.drum_model import DrumModel, DrumParameters
 from tether_winch.estimates import (
     EstimateParameters,
@@ -46,11 +48,11 @@ from tether_winch.estimates import (
     TensionEstimate,
     TensionSource,
 )
-from tether_winch.fault_monitor import Fault, FaultInputs, FaultMonitor, FaultParameters
-from tether_winch.load_monitor import LoadMonitor, LoadParameters, LoadState
+from tether_winch.fault_monitor import FaultInputs, FaultMonitor, FaultParameters
+from tether_winch.load_monitor import LoadMonitor, LoadParameters
 from tether_winch.requests import (
+    JUMPING,
     AcceptedRequest,
-    Mode,
     RequestContext,
     RequestInterpreter,
     RequestParameters,
@@ -67,11 +69,11 @@ from tether_winch.servo import (
     quick_stop,
 )
 from tether_winch.thermal import MotorThermalModel
+from tether_winch.winch_events import alarm_event, mode_event
 
 _NANO = 1e9
 _OPEN = 0.5  # brake position above which the brake is open
 _MOVING = 0.02  # rate above which the drum moves [m/s]
-_JUMPING = frozenset({"compressing", "settling", "releasing", "flight", "landed"})
 _LATE_STEP = 0.05  # step interval above which a step is late [s]
 _MIN_STEPS = 3  # servo steps after which a motion has begun
 _MAX_STOP_TIME = 1.5  # longest quick stop; then the brake closes [s]
@@ -79,8 +81,8 @@ _RENEWAL_TOLERANCE = 0.1  # relative change of tension or rate that counts as a 
 _MIN_MOTION_TIME = 0.05  # shortest motion [s]
 _MIN_RENEWED_MOTION_TIME = 0.3  # shortest motion of a renewed request; a trim may follow [s]
 _TRIM_TIMEOUT = 0.5  # time without renewal after which a trim ends [s]
-_RENEWED_MODES = (Mode.RATE, Mode.TENSION)
-_STOPS_AT_TOUCHDOWN = (Mode.LENGTH, Mode.RATE)
+_RENEWED_MODES = (WinchMode.RATE, WinchMode.TENSION)
+_STOPS_AT_TOUCHDOWN = (WinchMode.LENGTH, WinchMode.RATE)
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,8 @@ class Winch:
 
     def __init__(self, parameters: WinchParameters) -> None:
         self.parameters = parameters
-        self.mode = Mode.DISARMED
-        self.fault: Fault | None = None
+        self.mode = WinchMode.DISARMED
+        self.fault: WinchFault | None = None
         self.fault_reason = ""
         self.drum = DrumModel(parameters.drum)
         self.servo = WinchServo(parameters.servo, self.drum)
@@ -118,7 +120,7 @@ class Winch:
         self._jump_since = 0.0
         self._taut_length: float | None = None  # payout at which the tether was last taut [m]
         self._tension_reached_since: float | None = None
-        self._transitions: list[Transition] = []
+        self._transitions: list[EventReport] = []
         self._begin_sensing()
 
     def _begin_sensing(self) -> None:
@@ -136,7 +138,7 @@ class Winch:
         self._step_delay = 0.0  # delay of the last step [s]
         self._alarms: dict[str, bool] = {}
 
-    def take_transitions(self) -> list[Transition]:
+    def take_transitions(self) -> list[EventReport]:
         """Return the transitions since the last call, and clear them."""
         taken, self._transitions = self._transitions, []
         return taken
@@ -198,19 +200,19 @@ class Winch:
         was = self._jump
         self._jump, self._jump_since = phase, now_ns / _NANO
         self._set_goal(self._goal)
-        if self.mode is Mode.SLACK and was == "landed" and phase == "standby":
+        if self.mode is WinchMode.SLACK and was == JumpPhase.LANDED and phase == JumpPhase.STANDBY:
             self._tension_reached_since = None
             taking = self._interpreter.take_up(
                 0.0, self._request_context(now_ns), "the rover has landed"
             )
-            self._accept(taking, now_ns / _NANO)
+            self._accept(taking, now_ns / _NANO, Reason.LANDED)
 
     # --- state -----------------------------------------------------------------------------------
 
     @property
     def is_jumping(self) -> bool:
         """Whether a jump in progress is reported."""
-        return self._jump in _JUMPING
+        return self._jump in JUMPING
 
     @property
     def alarms(self) -> Mapping[str, bool]:
@@ -278,7 +280,9 @@ class Winch:
             Refusal: not armed.
         """
         self._check_armed(topics.WINCH_HOLD)
-        self._enter(Mode.HOLD, "asked to hold", replace(REST), now_ns / _NANO)
+        self._enter(
+            WinchMode.HOLD, "asked to hold", replace(REST), now_ns / _NANO, Reason.REQUESTED
+        )
         return "coming to rest"
 
     def relax(self, now_ns: int) -> str:
@@ -291,10 +295,10 @@ class Winch:
         self._accept(self._interpreter.relax(self._request_context(now_ns)), now_ns / _NANO)
         return "relaxing"
 
-    def stop(self, reason: str, now_ns: int) -> None:
+    def stop(self, reason: str, now_ns: int, cause: Reason = Reason.REQUESTED) -> None:
         """Close the brake at once and switch the motor off; never refused."""
-        if self.mode is not Mode.FAULT:
-            self._enter(Mode.STOP, reason, REST, now_ns / _NANO, Level.WARN)
+        if self.mode is not WinchMode.FAULT:
+            self._enter(WinchMode.STOP, reason, REST, now_ns / _NANO, cause)
 
     def rearm(self, now_ns: int) -> str:
         """Arm after the start, a stop or a fault.
@@ -312,7 +316,7 @@ class Winch:
         if found is not None:
             raise Refusal(topics.WINCH_REARM, RefusalCode.NOT_ARMED, found[1])
         self.fault, self.fault_reason = None, ""
-        self._enter(Mode.HOLD, f"armed, previously in {self.mode}", REST, now)
+        self._enter(WinchMode.HOLD, f"armed, previously in {self.mode}", REST, now, Reason.ARMED)
         return "armed"
 
     def trim(self, rate: float, now_ns: int) -> None:
@@ -321,11 +325,12 @@ class Winch:
         Raises:
             Refusal: in another mode.
         """
-        if self.mode not in (Mode.LENGTH, Mode.RATE):
+        if self.mode not in (WinchMode.LENGTH, WinchMode.RATE):
             raise Refusal(
                 topics.WINCH_TRIM,
                 RefusalCode.WRONG_PHASE,
-                f"the winch is in {self.mode}, a trim requires {Mode.LENGTH} or {Mode.RATE}",
+                f"the winch is in {self.mode}, a trim requires {WinchMode.LENGTH} or "
+                f"{WinchMode.RATE}",
             )
         self._trimmed_at = now_ns / _NANO
         self.servo.trim(rate)
@@ -337,16 +342,18 @@ class Winch:
         self.load.mean = mean
         self._trimmed_at = None
         self._jump_since = self._in_mode_since = now_ns / _NANO
-        self.latch(Fault.CLOCK_JUMP, "the clock has jumped", now_ns)
+        self.latch(WinchFault.CLOCK_JUMP, "the clock has jumped", now_ns)
 
-    def latch(self, fault: Fault, reason: str, now_ns: int) -> None:
+    def latch(self, fault: WinchFault, reason: str, now_ns: int) -> None:
         """Latch a fault: close the brake until the winch is armed again."""
         if not self.mode.is_armed:
             return
         values = {"fault": fault.value, "length": self.payout.length, "rate": self.payout.rate}
         goal = quick_stop(self._goal)
         self.fault, self.fault_reason = fault, reason
-        self._enter(Mode.FAULT, f"{fault}: {reason}", goal, now_ns / _NANO, Level.ERROR, values)
+        self._enter(
+            WinchMode.FAULT, f"{fault}: {reason}", goal, now_ns / _NANO, Reason.FAULT, values
+        )
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -363,7 +370,7 @@ class Winch:
         late = self.parameters.faults.max_step_delay
         if h > late and not self.servo.is_at_rest:
             reason = f"a control step came after {h:.3g} s, the limit is {late:g} s"
-            self.latch(Fault.NODE_LATE, reason, now_ns)
+            self.latch(WinchFault.NODE_LATE, reason, now_ns)
         found = self._fault_monitor.check(self._fault_inputs(now_ns), now)
         if found is not None:
             self._on_fault(*found, now_ns)
@@ -381,14 +388,15 @@ class Winch:
         if tension - own > 0.5 * self.parameters.requests.take_up_tension:
             self._taut_length = length
         self.heat.step(self._motor_torque, h)
+        values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}
         for name, is_on in self.load.alarms.items():
             if is_on is not self._alarms.get(name, False):
-                self._publish_alarm(name, is_on, tension)
+                self._transitions.append(alarm_event(name, is_on=is_on, values=values))
         self._alarms = dict(self.load.alarms)
 
-    def _on_fault(self, fault: Fault, reason: str, now_ns: int) -> None:
+    def _on_fault(self, fault: WinchFault, reason: str, now_ns: int) -> None:
         """Latch a fault; during a quick stop it replaces the fault and closes the brake."""
-        if self.mode is not Mode.FAULT:
+        if self.mode is not WinchMode.FAULT:
             self.latch(fault, reason, now_ns)
         elif self.fault is not None and self.fault.stops_before_braking:
             self.fault, self.fault_reason = fault, reason
@@ -405,32 +413,36 @@ class Winch:
             reason = (
                 f"the {self.mode} request was not renewed within {p.faults.command_timeout:g} s"
             )
-            self.latch(Fault.COMMAND_TIMEOUT, reason, now_ns)
+            self.latch(WinchFault.COMMAND_TIMEOUT, reason, now_ns)
         elif self._renewal_timed_out(now):
             goal = quick_stop(self._goal)
             reason = (
                 f"the request for {self._goal.length:g} m was not renewed; stopping at "
                 f"{self.payout.length:.4g} m"
             )
-            self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
+            self._enter(WinchMode.HOLD, reason, goal, now, Reason.RENEWAL_TIMEOUT)
         elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
             goal = quick_stop(self._goal)
-            self._enter(Mode.HOLD, f"touchdown at {self.payout.length:.4g} m", goal, now)
+            reason = f"touchdown at {self.payout.length:.4g} m"
+            self._enter(WinchMode.HOLD, reason, goal, now, Reason.TOUCHDOWN)
         elif self.load.is_snagged and not self.servo.is_at_rest and self._reels_in():
-            if self.mode.is_armed and self.mode is not Mode.HOLD:
+            if self.mode.is_armed and self.mode is not WinchMode.HOLD:
                 goal = quick_stop(self._goal)
                 reason = f"snag at {self.payout.length:.4g} m"
-                self._enter(Mode.HOLD, reason, goal, now, Level.WARN)
-        elif self.mode is Mode.LENGTH and self._is_complete(now):
-            self._enter(Mode.HOLD, f"at {self.payout.length:.4g} m", REST, now)
-        elif self.mode is Mode.RELAX or (self.mode is Mode.SLACK and not self._goal.pays_out):
+                self._enter(WinchMode.HOLD, reason, goal, now, Reason.SNAG)
+        elif self.mode is WinchMode.LENGTH and self._is_complete(now):
+            text = f"at {self.payout.length:.4g} m"
+            self._enter(WinchMode.HOLD, text, REST, now, Reason.COMPLETED)
+        elif self.mode is WinchMode.RELAX or (
+            self.mode is WinchMode.SLACK and not self._goal.pays_out
+        ):
             self._end_by_tension(now_ns)
 
     def _end_by_tension(self, now_ns: int) -> None:
         """End a relaxation or a slack take-up when the tension reaches its setpoint."""
         tension, _ = self.tension_now(now_ns)
         setpoint = self._goal.tension
-        slackening = self.mode is Mode.RELAX
+        slackening = self.mode is WinchMode.RELAX
         beyond = tension <= setpoint if slackening else tension >= 0.9 * setpoint
         now = now_ns / _NANO
         if not beyond:
@@ -440,7 +452,7 @@ class Winch:
         elif now - self._tension_reached_since > 0.2:
             self._tension_reached_since = None
             done = "relaxed" if slackening else "slack taken up"
-            self._enter(Mode.HOLD, f"{done}: {tension:.3g} N", REST, now)
+            self._enter(WinchMode.HOLD, f"{done}: {tension:.3g} N", REST, now, Reason.COMPLETED)
 
     def _is_complete(self, now: float) -> bool:
         # Time alone does not suffice: a stalled node would end a motion that has not begun.
@@ -453,7 +465,7 @@ class Winch:
         """Whether a length request that needs renewal was not renewed in time."""
         return (
             self._requires_renewal
-            and self.mode is Mode.LENGTH
+            and self.mode is WinchMode.LENGTH
             and now - self._renewed_at > self.parameters.faults.command_timeout
             and self.servo.motion.rate != 0.0
         )
@@ -480,7 +492,7 @@ class Winch:
             self._brake_is_open,
         )
         slows = (
-            self.mode is Mode.FAULT
+            self.mode is WinchMode.FAULT
             and self.fault is not None
             and self.fault.stops_before_braking
             and now_ns / _NANO - self._in_mode_since < _MAX_STOP_TIME
@@ -517,8 +529,10 @@ class Winch:
             self._jump if self.is_jumping else "",
         )
 
-    def _accept(self, accepted: AcceptedRequest, now: float) -> None:
-        self._enter(accepted.mode, accepted.reason, accepted.goal, now)
+    def _accept(
+        self, accepted: AcceptedRequest, now: float, cause: Reason = Reason.REQUESTED
+    ) -> None:
+        self._enter(accepted.mode, accepted.reason, accepted.goal, now, cause)
 
     def _fault_inputs(self, now_ns: int) -> FaultInputs:
         now, servo = now_ns / _NANO, self.parameters.servo
@@ -559,17 +573,17 @@ class Winch:
 
     def _enter(
         self,
-        mode: Mode,
+        mode: WinchMode,
         reason: str,
         goal: Goal,
         now: float,
-        level: Level = Level.OK,
+        cause: Reason,
         values: Mapping[str, object] | None = None,
     ) -> None:
         # Renewals may differ a little: a tension follows the paid-out weight, and the rate of an
         # ascent falls with the length.
         before = self._goal
-        rate = before.rate if mode is Mode.LENGTH else goal.rate
+        rate = before.rate if mode is WinchMode.LENGTH else goal.rate
         same = replace(goal, tension=before.tension, rate=rate) == before
         little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
         little &= abs(goal.rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
@@ -577,22 +591,11 @@ class Winch:
         self._set_goal(goal)
         if renewed:
             return
-        if mode not in (Mode.LENGTH, Mode.RATE):
+        if mode not in (WinchMode.LENGTH, WinchMode.RATE):
             self._trimmed_at = None
             self.servo.trim(None)
         self.mode = mode
         self._in_mode_since = now
         self._servo_steps = 0
         event_values = {"length": self.payout.length, **(values or {})}
-        self._transitions.append(Transition(f"winch_{mode}", reason, level, event_values))
-
-    def _publish_alarm(self, name: str, is_on: bool, tension: float) -> None:
-        values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}
-        if is_on:
-            level = Level.ERROR if name == LoadState.OVER_TENSION else Level.WARN
-            level = Level.OK if name in (LoadState.TOUCHDOWN, LoadState.SLACK) else level
-            reason = f"tension {tension:.4g} N at {self.payout.length:.4g} m"
-            self._transitions.append(Transition(f"alarm_{name}", reason, level, values))
-        else:
-            reason = f"tension {tension:.4g} N"
-            self._transitions.append(Transition(f"alarm_{name}_ended", reason, values=values))
+        self._transitions.append(mode_event(mode, reason, cause, event_values))

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 
 from msg_schemas import topics
+from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     ALARM_NAMES,
     WINCH_BRAKE,
@@ -17,6 +18,7 @@ from msg_schemas.machine import (
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import TensionState, WinchMode
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
     JointSample,
@@ -28,9 +30,9 @@ from msg_schemas.samples import (
 )
 from tether_winch.drum_model import DrumParameters
 from tether_winch.estimates import EstimateParameters, TensionSource
-from tether_winch.fault_monitor import Fault, FaultParameters
+from tether_winch.fault_monitor import FaultParameters
 from tether_winch.load_monitor import LoadParameters, LoadState
-from tether_winch.requests import Mode, RequestParameters
+from tether_winch.requests import RequestParameters
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
 
@@ -39,9 +41,9 @@ _LOAD_CELL_TIMEOUT = 0.5  # wall clock [s]
 _SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
 # Load states on the topic of the tension watch; all others are "normal".
 _STATE_WORDS = {
-    LoadState.UNKNOWN: "unknown",
-    LoadState.SLACK: "slack",
-    LoadState.OVER_TENSION: "over_tension",
+    LoadState.UNKNOWN: TensionState.UNKNOWN,
+    LoadState.SLACK: TensionState.SLACK,
+    LoadState.OVER_TENSION: TensionState.OVER_TENSION,
 }
 
 
@@ -102,7 +104,7 @@ class WinchNode(ContractNode):
 
     def stop(self) -> None:
         """Close the brake and switch the motor off."""
-        self._winch.stop("the node stops", self.now_ns())
+        self._winch.stop("the node stops", self.now_ns(), Reason.SHUTDOWN)
         self._step()
 
     def parameters_changed(self) -> None:
@@ -121,7 +123,7 @@ class WinchNode(ContractNode):
         super().refuse(refusal)
         if self.active and refusal.subject in _SENSORS:
             reason = f"{refusal.subject}: {refusal.reason}"
-            self._winch.latch(Fault.BAD_READING, reason, self.now_ns())
+            self._winch.latch(WinchFault.BAD_READING, reason, self.now_ns())
             self._step()
 
     def waiting_for(self) -> tuple[str, ...]:
@@ -134,7 +136,7 @@ class WinchNode(ContractNode):
             return ()
         winch = self._winch
         level, text = Level.OK, winch.mode.value
-        if winch.mode is Mode.FAULT:
+        if winch.mode is WinchMode.FAULT:
             level, text = Level.ERROR, f"{winch.fault}: {winch.fault_reason}"
         value, source = winch.tension_now(self.now_ns())
         known = source is not TensionSource.NONE
@@ -197,7 +199,7 @@ class WinchNode(ContractNode):
     def _begin(self) -> None:
         self._winch = Winch(self._winch_parameters())
         self._load_cell_received = time.monotonic()
-        self._published_mode: Mode | None = None
+        self._published_mode: WinchMode | None = None
         self._published_state = ""
         self._published_alarms: dict[str, bool] | None = None
         self._publish_changes()
@@ -230,7 +232,7 @@ class WinchNode(ContractNode):
         if winch.mode is not self._published_mode:
             self._published_mode = winch.mode
             self._mode_publisher.send(TextSample(winch.mode.value))
-        state = _STATE_WORDS.get(winch.load.state, "normal")
+        state = _STATE_WORDS.get(winch.load.state, TensionState.NORMAL)
         if state != self._published_state:
             self._published_state = state
             self._watch_publisher.send(TextSample(state))
@@ -242,10 +244,7 @@ class WinchNode(ContractNode):
             values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
             self._alarm_publisher.send(JointSample(self.now_ns(), values))
         for change in winch.take_transitions():
-            self.event(change.name, change.reason, change.level, change.values)
-            if change.level is not Level.OK:
-                name = f"{self.NAME}: {change.name}"
-                self.report(Status(name, change.reason, change.level, self.NAME))
+            self.event(change, diagnoses=True)
 
     def _publish_estimates(self) -> None:
         sample = self._winch.estimate(self.now_ns())

@@ -21,6 +21,7 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent
 from msg_schemas.machine import OBSERVATION_STOP
 from rover_launch.plan import HANGING
 from rover_verify.harness import NodeHarness, Observer, open_harness
@@ -49,7 +50,8 @@ def descend(observer: Observer, depth: float) -> None:
     assert observer.call(topics.WINCH_REARM).success
     observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, depth, 0.0, stamp_ns=0)
     observer.listen(topics.EVENTS).wait(
-        lambda sample: any(each.name == "stop_ended" for each in sample.statuses), timeout=LONGEST
+        lambda sample: any(each.name == DescentEvent.STOP_COMPLETED for each in sample.statuses),
+        timeout=LONGEST,
     )
 
 

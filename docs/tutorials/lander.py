@@ -4,11 +4,12 @@ import sys
 from dataclasses import dataclass
 
 from msg_schemas import topics
+from msg_schemas.events import EventName, EventReport
 from msg_schemas.machine import FLOOR_SWITCH, WINCH_DRUM, WINCH_WHILE_RENEWED
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import JointSample, JointValue, Level
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,12 @@ class Lander:
         return float(min(p.fast, (p.slow**2 + 2.0 * p.deceleration * distance) ** 0.5))
 
 
+class LanderEvent(EventName):
+    """Events of this node."""
+
+    LANDED = "landed", Level.OK, "the rover stands on the floor"
+
+
 class LanderNode(ContractNode):
     """Requests the payout from the winch until the rover is on the ground."""
 
@@ -59,7 +66,7 @@ class LanderNode(ContractNode):
 
     def _on_contact(self, sample: JointSample) -> None:
         if sample.joints[FLOOR_SWITCH].position and not self._on_ground:
-            self.event("landed", f"on the floor at {self._length:.2f} m")
+            self.event(EventReport(LanderEvent.LANDED, f"on the floor at {self._length:.2f} m"))
             self._on_ground = True
 
     def _publish_request(self) -> None:

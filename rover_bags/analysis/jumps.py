@@ -16,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.table import FLOOR_SWITCH
 from rover_bags.analysis.entries import Entry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
-from rover_bags.analysis.timeline import ActivityInterval, Timeline, TimelineEventKind
+from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.read import Bag, Floats, Stamps, TimeSeries
 from rover_bags.time_series import LARGEST
 
-FLIGHT = "flight"
-_STANDING: Final = ("held", "landed")
+FLIGHT = PlantPhase.FLIGHT
+_STANDING: Final = (PlantPhase.HELD, PlantPhase.LANDED)
 _AT_REST: Final = 1e-3
 """Speed [m/s] and rate [rad/s] below which a body is at rest."""
 _MIN_RISE: Final = 5e-3
@@ -146,7 +148,7 @@ def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
     starts = {m.log_ns for m in timeline.events if m.kind is TimelineEventKind.TAKE_OFF}
     last = max((interval.log_end for interval in timeline.intervals), default=0)
     for interval in timeline.intervals:
-        if interval.activity == FLIGHT and interval.log_begin in starts:
+        if interval.activity is Activity.FLIGHT and interval.log_begin in starts:
             yield interval, interval.log_end < last
 
 
@@ -157,8 +159,10 @@ def _spatial_jump(
     first, last = int(part[0]), int(part[-1])
     events = _events_near(events, body, first, last)
     near = _REPORTED_NEAR
-    took_off = _reported(events, "take_off", body.time[first] - near, body.time[first] + near)
-    landed = _reported(events, "touchdown", body.time[last] - near, body.time[last] + near)
+    took_off = _reported(
+        events, PlantEvent.TAKE_OFF, body.time[first] - near, body.time[first] + near
+    )
+    landed = _reported(events, PlantEvent.TOUCHDOWN, body.time[last] - near, body.time[last] + near)
     take_off = took_off.time_s if took_off is not None else float(body.time[first])
     end = landed.time_s if landed is not None else float(body.time[last])
     # The jump starts at the last sample before the rover leaves the ground.
@@ -169,7 +173,9 @@ def _spatial_jump(
     displacement = body.position[last] - body.position[first]
     window = Window.of(body, first, last)
     series = bag.time_series[topics.TRUTH_BODY1]
-    peaks = [entry for entry in events if entry.name == "apex" and take_off < entry.time_s < end]
+    peaks = [
+        entry for entry in events if entry.name == PlantEvent.APEX and take_off < entry.time_s < end
+    ]
     values: dict[str, str] = {}
     for entry in (took_off, *peaks, landed):
         values.update(entry.values if entry is not None else {})
@@ -300,7 +306,7 @@ def _jump(
     start = max(first - 1, 0)
     events = _events_near(events, body, start, last)
     z0 = float(body.position[start, 2])
-    reported_start = _reported(events, "take_off", body.time[start], body.time[first])
+    reported_start = _reported(events, PlantEvent.TAKE_OFF, body.time[start], body.time[first])
     take_off = (
         reported_start.time_s
         if reported_start is not None
@@ -309,7 +315,10 @@ def _jump(
     touchdown, landing, theta = _landing(body, last, z0, ended=ended)
     reported_end = (
         _reported(
-            events, "touchdown", body.time[last], body.time[min(last + 1, len(body.time) - 1)]
+            events,
+            PlantEvent.TOUCHDOWN,
+            body.time[last],
+            body.time[min(last + 1, len(body.time) - 1)],
         )
         if ended
         else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
+from msg_schemas.phases import JumpPhase, PlantPhase, WinchMode
 from msg_schemas.samples import Level
 from rover_bags.analysis.geometry import gravity_of, setting
 from rover_bags.analysis.signals import Flags, Signals, closed, opened, runs, signals_of
@@ -47,6 +48,7 @@ class TimelineEventKind(StrEnum):
     LATCH_TRIP = "latch_trip"
     TAKE_OFF = "take_off"
     LANDING = "landing"
+    WARNING = "warning"
     FAULT = "fault"
 
 
@@ -140,9 +142,13 @@ _BRAKE_DELAY: Final = 0.1
 _SAME_FAULT: Final = 0.6
 """Reports within this time are of the same fault [s]."""
 
-_ACTIVITY_OF_PHASE: Final = {"held": Activity.STANDING, "landed": Activity.STANDING,
-                 "grounded": Activity.STANDING, "flight": Activity.FLIGHT,
-                 "hanging": Activity.HANGING}  # fmt: skip
+_ACTIVITY_OF_PHASE: Final[Mapping[str, Activity]] = {
+    PlantPhase.HELD: Activity.STANDING,
+    PlantPhase.LANDED: Activity.STANDING,
+    PlantPhase.GROUNDED: Activity.STANDING,
+    PlantPhase.FLIGHT: Activity.FLIGHT,
+    PlantPhase.HANGING: Activity.HANGING,
+}
 
 
 def timeline_of(bag: Bag) -> Timeline:
@@ -217,7 +223,7 @@ def _tether_unloaded(bag: Bag, signals: Signals, begin: int, end: int) -> Flags 
     if signals.pull is not None and weight is not None:
         return signals.pull[part] < _UNLOADED_SHARE * weight
     if signals.phase is not None:
-        return np.asarray(signals.phase[part] == "flight")
+        return np.asarray(signals.phase[part] == PlantPhase.FLIGHT)
     return None
 
 
@@ -431,7 +437,8 @@ def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
     reported.sort(key=lambda event: event.log_ns)
     found: list[TimelineEvent] = []
     for event in reported:
-        if found and abs(event.time_s - found[-1].time_s) < _SAME_FAULT:
+        same = found and found[-1].kind is event.kind
+        if same and abs(event.time_s - found[-1].time_s) < _SAME_FAULT:
             reasons = [*found[-1].reason.split("; "), event.reason]
             text = "; ".join(dict.fromkeys(reasons))
             found[-1] = replace(found[-1], reason=text)
@@ -440,18 +447,29 @@ def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
     return found
 
 
+_SEVERITIES = {
+    Level.WARN: TimelineEventKind.WARNING,
+    Level.ERROR: TimelineEventKind.FAULT,
+}
+_FAULT_WORDS = (
+    (topics.WINCH_MODE, WinchMode.FAULT),
+    (topics.JUMP_PHASE, JumpPhase.FAULT),
+)
+
+
 def _reported(bag: Bag) -> Iterator[TimelineEvent]:
     events = bag.series(topics.EVENTS)
     if events is not None:
         for time, log_ns, statuses in zip(events.time, events.log_ns, events.statuses, strict=True):
             for status in statuses:
-                if Level(status.level) is not Level.OK:
+                kind = _SEVERITIES.get(Level(status.level))
+                if kind is not None:
                     text = f"{status.name}: {status.message}"
-                    yield TimelineEvent(TimelineEventKind.FAULT, float(time), int(log_ns), text)
-    for name in (topics.WINCH_MODE, topics.JUMP_PHASE):
+                    yield TimelineEvent(kind, float(time), int(log_ns), text)
+    for name, fault in _FAULT_WORDS:
         series = bag.series(name)
         if series is not None:
             for time, log_ns, word in zip(series.time, series.log_ns, series.texts, strict=True):
-                if word == "fault":
+                if word == fault:
                     text = f"{name} is fault"
                     yield TimelineEvent(TimelineEventKind.FAULT, float(time), int(log_ns), text)

@@ -188,6 +188,7 @@ _MARKS: Final = {
     TimelineEventKind.LIFT_OFF: ("^", TEAL, "lift-off"),
     TimelineEventKind.TAKE_OFF: ("^", ORANGE, "take-off"),
     TimelineEventKind.LANDING: ("v", ORANGE, "landing"),
+    TimelineEventKind.WARNING: ("P", BROWN, "warning"),
     TimelineEventKind.FAULT: ("X", RED, "fault"),
 }
 

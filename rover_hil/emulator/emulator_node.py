@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
 from msg_schemas.node import ContractNode, ExitCode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import ParameterError, parameter
@@ -292,7 +293,7 @@ class EmulatorNode(ContractNode):
         if self.parameters_of(EmulatorParameters).lockstep:
             self._publish_tick()
         for change in machine.take_transitions():
-            self.event(change.name, change.reason, change.level, change.values)
+            self.event(change)
         for subject in machine.take_kills():
             if subject == "emulator_kill":
                 self.wait_until_taken()
@@ -317,7 +318,8 @@ class EmulatorNode(ContractNode):
                 raise ProcessLookupError("no bridge has published its process")
             kill_process(*reported, BRIDGE_MARKS)
         except OSError as error:
-            self.event("bridge_kill_failed", f"the bridge cannot be killed: {error}", Level.WARN)
+            text = f"the bridge cannot be killed: {error}"
+            self.event(EventReport(EmulatorEvent.KILL_FAILED, text))
 
     def _on_config(self, sample: TextSample) -> None:
         reported = json.loads(sample.text)
@@ -355,7 +357,8 @@ class EmulatorNode(ContractNode):
         self._publisher.on_restart()
         subject = "plant and clock" if clock else "plant"
         message = f"{subject} reset at {before:g} s, devices restarted"
-        self.event("reset" if clock else "reset_plant", message)
+        name = SimulationEvent.RESET if clock else SimulationEvent.PLANT_RESET
+        self.event(EventReport(name, message))
         answer.set_result(message)
 
     # --- status ----------------------------------------------------------------------------------

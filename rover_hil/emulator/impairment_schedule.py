@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from msg_schemas.samples import Level
-from msg_schemas.transition import Transition
+from msg_schemas.events import EmulatorEvent, EventReport
 from rover_hil.emulator.channel import Channel, ChannelImpairment, Direction
 from rover_hil.emulator.device import EmulatedDevice
 from rover_hil.impairment import Impairment, Scope
@@ -42,7 +41,7 @@ class ImpairmentSchedule:
         self._devices = devices
         self._requested: tuple[Impairment, ...] = ()
         self._scheduled: list[_Scheduled] = []
-        self._transitions: list[Transition] = []
+        self._transitions: list[EventReport] = []
         self._kills: list[str] = []
 
     def set(self, requested: Sequence[Impairment], now_ns: int) -> None:
@@ -89,7 +88,7 @@ class ImpairmentSchedule:
         """Impairments that have started and are not over."""
         return tuple(each.impairment for each in self._scheduled if each.started)
 
-    def take_transitions(self) -> tuple[Transition, ...]:
+    def take_transitions(self) -> tuple[EventReport, ...]:
         """Starts and ends since the last call."""
         taken = tuple(self._transitions)
         self._transitions.clear()
@@ -105,7 +104,7 @@ class ImpairmentSchedule:
         impairment, scheduled.started = scheduled.impairment, True
         scope = impairment.definition.scope
         self._transitions.append(
-            Transition("impairment_began", str(impairment), Level.WARN, _values(impairment))
+            EventReport(EmulatorEvent.IMPAIRMENT_STARTED, str(impairment), _values(impairment))
         )
         if scope is Scope.PROCESS:
             self._kills.append(impairment.kind)
@@ -130,7 +129,8 @@ class ImpairmentSchedule:
         values = _values(impairment)
         if scheduled.effects:
             values |= {"frames": frames, "frames_affected": affected}
-        self._transitions.append(Transition("impairment_ended", str(impairment), Level.OK, values))
+        event = EventReport(EmulatorEvent.IMPAIRMENT_ENDED, str(impairment), values)
+        self._transitions.append(event)
 
 
 _CUT_OFF = ("brown_out", "bus_off")

@@ -16,10 +16,10 @@ from typing import Any
 
 import can
 
+from msg_schemas.events import EmulatorEvent, EventReport, PlantEvent
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
-from msg_schemas.samples import JointSample, Level, Sample
-from msg_schemas.transition import Transition
+from msg_schemas.samples import JointSample, Sample
 from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import DriveState
@@ -31,8 +31,6 @@ from rover_hil.link import SYNC_ID, Link
 from rover_hil.objects import Device
 from rover_hil.wiring import COMMANDED, PUBLISHED, command_of, values_of
 from rover_sim import Simulation, SpatialScenario
-
-_LATCH_RELEASED = "latch_released"
 
 
 def emulated_devices(real: Collection[str]) -> tuple[Device, ...]:
@@ -92,7 +90,7 @@ class EmulatedMachine:
         self.lock = threading.RLock()
         self.on_sync: Callable[[], None] = lambda: None
         self._delay_ns = round(command_delay * 1e9)
-        self._transitions: list[Transition] = []
+        self._transitions: list[EventReport] = []
         self._setpoint_history: dict[str, deque[tuple[int, Setpoint | None]]] = {
             device.name: deque([(0, None)]) for device in DRIVES
         }
@@ -143,7 +141,9 @@ class EmulatedMachine:
         # No topic of the contract carries it.
         values[WHEEL.name]["torque"] = self._wheel_torque * values[WHEEL.name]["current"]
         with self.lock:
-            latch_released = any(report.name == _LATCH_RELEASED for report in tick.event_reports)
+            latch_released = any(
+                report.name is PlantEvent.LATCH_RELEASED for report in tick.event_reports
+            )
             if latch_released and JUMP.name in self.drives:
                 self.drives[JUMP.name].complete()
             for name, device in self.devices.items():
@@ -211,7 +211,7 @@ class EmulatedMachine:
                 if device.is_on:
                     device.power_on()
 
-    def take_transitions(self) -> tuple[Transition, ...]:
+    def take_transitions(self) -> tuple[EventReport, ...]:
         """Transitions since the last call."""
         with self.lock:
             taken = (*self._schedule.take_transitions(), *self._transitions)
@@ -243,7 +243,8 @@ class EmulatedMachine:
             self._released[name] = False
         except Refusal as refusal:
             drive.reject()
-            self._transitions.append(Transition(f"{name}_drive_refuses", str(refusal), Level.WARN))
+            event = EventReport(EmulatorEvent.SETPOINT_REFUSED, str(refusal), {"device": name})
+            self._transitions.append(event)
 
     def _publish_states(self) -> None:
         for name, drive in self.drives.items():
@@ -253,7 +254,7 @@ class EmulatedMachine:
             self._reported_states[name] = state
             code = drive.automaton.error_code
             reason = f"{state.value.lower()}" + (f", error {code:04X}h" if code else "")
-            level = Level.ERROR if code else Level.OK
+            event = EmulatorEvent.DRIVE_FAULT if code else EmulatorEvent.DRIVE_STATE
             self._transitions.append(
-                Transition(f"{name}_drive", reason, level, {"error_code": code})
+                EventReport(event, reason, {"device": name, "error_code": code})
             )

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from msg_schemas import topics
 from msg_schemas.configuration import ConfigurationError, choice, flag, read_by, text
+from msg_schemas.events import EVENTS
 from msg_schemas.fields import not_known, shown
-from msg_schemas.refusal import RefusalCode
+from msg_schemas.refusal import RefusalCode, read_refusal
 from msg_schemas.samples import Status, StatusSample, TextSample
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.rehearsal.expectation import (
@@ -274,7 +275,7 @@ class _StatusExpectation(_TimedExpectation):
 class Event(_StatusExpectation):
     """Expectation of an event."""
 
-    name: str = text("name of the event: winch_disarmed", "")
+    name: str = choice(("", *EVENTS), "name of an event of the contract", "")
     values: tuple[tuple[str, str], ...] = read_by(
         _read_texts, (tuple,), "a mapping of keys and texts that the event must have", ()
     )
@@ -312,7 +313,8 @@ class RefusalExpectation(_StatusExpectation):
 
 def is_refusal(status: Status, subject: str, code: str) -> bool:
     """Whether a status reports the refusal of a subject for a reason."""
-    return status.name.endswith(f": refused {subject}") and status.values.get("code") == code
+    refusal = read_refusal(status)
+    return refusal is not None and refusal.subject == subject and refusal.code == code
 
 
 @dataclass(frozen=True, kw_only=True)

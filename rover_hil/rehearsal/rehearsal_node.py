@@ -28,8 +28,10 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from msg_schemas import node_process, qos, topics
 from msg_schemas.codecs import decode, message_class, to_time, topic_row
 from msg_schemas.endpoint_matching import listeners
-from msg_schemas.node import READY, ContractNode, ExitCode, package_version
+from msg_schemas.health import Health, read_health
+from msg_schemas.node import ContractNode, ExitCode, package_version
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
 from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import StatusSample, TextSample
@@ -415,10 +417,9 @@ class RehearsalNode(ContractNode):
             )
 
     def _wait_for_recorder(self, recording: Recording) -> None:
-        ready_name = f"{_RECORDER}: node"
         since = time.monotonic()
         while not any(
-            status.name == ready_name and status.message == READY
+            read_health(status) == Health(_RECORDER, HealthState.READY)
             for message in self.history.of(topics.DIAGNOSTICS)
             if isinstance(message.sample, StatusSample)
             for status in message.sample.statuses

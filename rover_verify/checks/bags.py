@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_ros2.decoder import DecoderFactory
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
 from rover_bags.read import read_bag
@@ -46,8 +47,8 @@ def _whole_bag(batch: Batch) -> Path:
     bag = batch.folder / "bag"
     with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
         recorder = _start_recording(harness, bag)
-        drive_nut(observer, 0.1, 0.2, has_event(observer, "take_off"))
-        observer.wait_for_event("touchdown")
+        drive_nut(observer, 0.1, 0.2, has_event(observer, PlantEvent.TAKE_OFF))
+        observer.wait_for_event(PlantEvent.TOUCHDOWN)
         wait_until_time(observer, observer.time_ns() + 500_000_000)
         if recorder.stop() != 0:
             raise RuntimeError(f"the recorder ended badly:\n{recorder.output}")

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_bags.resim import resimulate
-from rover_sim import Phase, compile_ahead, load_scenario
+from rover_sim import compile_ahead, load_scenario
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import Observer, open_harness
 from rover_verify.harness.recording import missing_streams
@@ -95,7 +96,7 @@ def _obeys(observer: Observer, status: Any) -> bool:
         lambda sample: sample.statuses[0].values.get("simulated_time") == now,
         max(0, len(status) - 1),
     )
-    return bool(told.statuses[0].values["phase"] != Phase.FLIGHT.value)
+    return bool(told.statuses[0].values["phase"] != PlantPhase.FLIGHT.value)
 
 
 def _has_taken(commands: int, sample: StatusSample) -> bool:

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from rover_sim import Outcome, Phase, PlanarPlant, PlanarState, Scenario, load_scenario, run
+from msg_schemas.phases import PlantPhase
+from rover_sim import Outcome, PlanarPlant, PlanarState, Scenario, load_scenario, run
 from rover_sim.physics import ancf
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.jumps import random_jump
@@ -134,7 +135,7 @@ def divergence_is_reported(_batch: Batch) -> Measured:
     flight = run(plant, start, 0.1)
     again = run(plant, flight.final, 0.1)
     promises = {
-        "the phase is diverged": flight.final.phase is Phase.DIVERGED,
+        "the phase is diverged": flight.final.phase is PlantPhase.DIVERGED,
         "an event reports it": flight.event("diverged") is not None,
         "the last converged state is kept": bool(np.all(np.isfinite(flight.final.nodes))),
         "further steps leave it unchanged": again.final is flight.final

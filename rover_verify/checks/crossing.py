@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.events import PlantEvent
 from rover_control.jump_prediction import PredictionParameters, PredictionRequest, RoverStance
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
@@ -129,7 +130,7 @@ class _Walker:
         wheel = None if rate is None else WheelRateCommand(rate, _TORQUE)
         self.state, result = self.plant.step(self.state, Command(jump, None, wheel), _TICK)
         self.energy = result.energies.input
-        return any(event.name == "latch_released" for event in result.events)
+        return any(event.name == PlantEvent.LATCH_RELEASED for event in result.events)
 
     def go(self, rate: float | None, time: float, done: Callable[[], bool] = lambda: False) -> None:
         """Drive for so long [s], or until it is done."""

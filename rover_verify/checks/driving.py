@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.events import DriveEvent
 from msg_schemas.samples import PathSample, PoseSample
 from rover_control.drive import DriveSettings
 from rover_verify.checks import Batch, Measured
@@ -48,14 +49,14 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     rover.drive.request_path(PathSample(0, tuple(corners)), rover.now_ns)
     reached = -1
     while rover.drive.is_busy and rover.time < _LIMIT:
-        if len(rover.told("goal_reached")) != reached:
-            reached = len(rover.told("goal_reached"))
+        if len(rover.told(DriveEvent.GOAL_REACHED)) != reached:
+            reached = len(rover.told(DriveEvent.GOAL_REACHED))
             left, right = (float(scatter * each) for each in generator.standard_normal(2))
             rover.slip = (left, right)
         rover.tick()
     rover.run(5.0)
     end, odometry = rover.pose, rover.drive.odometry
-    done = bool(rover.told("drive_done"))
+    done = bool(rover.told(DriveEvent.COMPLETED))
     cov = odometry.covariance()
     last = rover.changes[-1][1]
     return Square(
@@ -64,7 +65,7 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
         math.sqrt(float(cov[0, 0] + cov[1, 1])),
         rover.time,
         rover.peak_tension,
-        f"{last.name}: {last.reason}",
+        f"{last.name}: {last.message}",
     )
 
 

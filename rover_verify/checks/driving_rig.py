@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ImuSample, JointSample, JointValue, PoseSample, Sample, WrenchSample
-from msg_schemas.transition import Transition
 from rover_control.drive import Drive, DriveCommands, DriveSettings
 from rover_sim import (
     Command,
@@ -108,7 +108,7 @@ class DrivenRover:
         self.winch = Winch(WinchParameters())
         self.drive = Drive(self.settings)
         self.ticks = 0
-        self.changes: list[tuple[float, Transition]] = []
+        self.changes: list[tuple[float, EventReport]] = []
         self.refusals: list[str] = []
         self.path: list[TruePose] = []
         self.peak_tension = 0.0
@@ -251,6 +251,6 @@ class DrivenRover:
             if not self.drive.is_busy and stands:
                 return
 
-    def told(self, name: str) -> Sequence[Transition]:
+    def told(self, name: str) -> Sequence[EventReport]:
         """What the drive told by this name."""
         return [change for _, change in self.changes if change.name == name]

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.events import DescentEvent
 from rover_control.descent_parameters import ProfileParameters
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks import Batch, Measured
@@ -88,9 +89,13 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
             kicked = True
         if profile.is_idle and flight.time - began > 20.0:
             break
-    ended = [change for _, change in flight.changes if change.name == "stop_ended"]
+    ended = [
+        change
+        for _, change in flight.changes
+        if change.name in (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED)
+    ]
     settled = [change for change in ended if change.values["pictures"]]
-    reasons = tuple(change.reason for change in ended if not change.values["pictures"])
+    reasons = tuple(change.message for change in ended if not change.values["pictures"])
     said, unsaid = _budgets(flight)
     done = profile.is_idle
     return Descent(
@@ -108,9 +113,9 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
 def _budgets(flight: HangingFlight) -> tuple[int, int]:
     """How often an axis said that it cannot hold, and how many were spent before they said so."""
     said = [
-        (time, change.reason)
+        (time, change.message)
         for time, change in flight.changes
-        if change.name == "attitude_budget" and "cannot" in change.reason
+        if change.name is DescentEvent.BUDGET_EXHAUSTED
     ]
     unsaid = sum(
         not any(when <= spent and reason.startswith(name) for when, reason in said)

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport
 from msg_schemas.machine import SMEAR, WINCH_TO_LENGTH
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, WrenchSample
-from msg_schemas.transition import Transition
 from rover_control.descent_profile import Stop
 from rover_control.hanging_controller import (
     ActuatorCommands,
@@ -160,7 +160,7 @@ class HangingFlight:
         self.rover = HangingController(self.parameters)
         self.ticks = 0
         self.pictures: list[Picture] = []
-        self.changes: list[tuple[float, Transition]] = []
+        self.changes: list[tuple[float, EventReport]] = []
         self.refusals: list[str] = []
         self.spent: dict[str, float] = {}  # when a rotor first left its budget, by its axis [s]
         self._drive: DriveCommand | None = None

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
 from rover_hil.devices import SYNC_PERIOD
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.checks import Batch, Measured
 from rover_verify.hil_bench import HilBench
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 _SCENARIO = "free_hang"
@@ -71,9 +71,9 @@ class _Flight:
     @property
     def is_over(self) -> bool:
         """Whether it holds again; raises RuntimeError after a fault."""
-        if self._winch.mode is Mode.FAULT:
+        if self._winch.mode is WinchMode.FAULT:
             raise RuntimeError(f"the winch is in fault: {self._winch.fault_reason}")
-        return self._requested and self._winch.mode is Mode.HOLD
+        return self._requested and self._winch.mode is WinchMode.HOLD
 
 
 def _simulation(length: float, seed: int) -> Simulation[Any]:

@@ -20,6 +20,7 @@ import numpy as np
 import yaml
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, JumpEvent
 from msg_schemas.machine import (
     CAMERA_RATE,
     DEPTH,
@@ -29,7 +30,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import StatusSample
 from rover_bags.analysis.activities import hanging_swing
-from rover_bags.analysis.entries import entries_of
+from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.metrics import measure
 from rover_bags.read import Bag, read_bag
 from rover_hil.devices import SYNC_PERIOD
@@ -212,6 +213,9 @@ def _arm(observer: Observer) -> None:
             return
 
 
+_STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED)
+
+
 def _has_event(*names: str) -> Callable[[StatusSample], bool]:
     return lambda sample: any(s.name in names for s in sample.statuses)
 
@@ -233,7 +237,7 @@ def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
     with _machine(kind, folder, scenario, seed, ("winch_node", "descent_node")) as (run, machine):
         since = len(run.observer.listen(topics.EVENTS))
         run.observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _has_event("stop_ended"), since)
+        machine.wait(run.observer, _has_event(*_STOP_ENDS), since)
         return run.end()
 
 
@@ -245,11 +249,16 @@ def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
     with _machine(kind, folder, scenario, seed, ("winch_node", "jump_node")) as (run, machine):
         since = len(run.observer.listen(topics.EVENTS))
         run.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _has_event("jump_standby", "jump_fault"), since)
+        machine.wait(run.observer, _has_event(JumpEvent.STANDBY, JumpEvent.FAULT), since)
         return run.end()
 
 
 # --- metrics of a bag ----------------------------------------------------------------------------
+
+
+def _end(events: Mapping[str, Entry]) -> Entry:
+    """Return the event that ended the stop."""
+    return next(events[name] for name in _STOP_ENDS if name in events)
 
 
 def descent_metrics(bag: Bag) -> Metrics:
@@ -258,7 +267,7 @@ def descent_metrics(bag: Bag) -> Metrics:
     events = {entry.name: entry for entry in entries_of(bag.series(topics.EVENTS))}
     pictures = bag.series(topics.DESCENT_OBSERVATION)
     if pictures is None:
-        raise RuntimeError(f"no pictures: {events['stop_ended'].message}")
+        raise RuntimeError(f"no pictures: {_end(events).message}")
     swing = hanging_swing(bag, metrics.timeline)
     assert swing is not None
     time, angle = swing
@@ -266,8 +275,8 @@ def descent_metrics(bag: Bag) -> Metrics:
         "pictures": len(pictures),
         "depth of the pictures [m]": float(np.mean(pictures.columns[f"{DEPTH}.position"])),
         "steady pictures": int(np.sum(pictures.columns[f"{CAMERA_RATE}.velocity"] <= _STEADY)),
-        "time to the end of the stop [s]": events["stop_ended"].time_s
-        - events["stop_accepted"].time_s,
+        "time to the end of the stop [s]": _end(events).time_s
+        - events[DescentEvent.STOP_ACCEPTED].time_s,
         "swing at the end [rad]": float(np.nanmax(angle[time > time[-1] - _LAST])),
     }
 

@@ -15,7 +15,9 @@ from functools import cache
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
 from msg_schemas.machine import JUMP_HEIGHT, PAYOUT
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
     ImuSample,
@@ -25,7 +27,6 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from rover_control.jump import Jump, JumpRecord, JumpSettings
-from rover_control.jump_parameters import JumpPhase
 from rover_control.jump_prediction import Prediction, PredictionParameters
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_sequence import NutCommand, Transition
@@ -143,7 +144,7 @@ class JumpingRover:
             raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
         self.ticks += 1
         self.events += result.events
-        if any(event.name == "latch_released" for event in result.events):
+        if any(event.name == PlantEvent.LATCH_RELEASED for event in result.events):
             self._command = None  # as the drive does once its latch has tripped
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self._top = max(self._top, float(self.state.G1[2]))

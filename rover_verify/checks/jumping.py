@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.machine import JUMP_CLEARANCE
-from rover_control.jump_parameters import JumpPhase
+from msg_schemas.phases import JumpPhase
 from rover_control.jump_prediction import (
     Interval,
     PredictionParameters,
@@ -60,7 +60,7 @@ def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
         records = len(rover.records)
         done = rover.perform_jump(requested_height)
         measured = rover.records[-1].flown.height if len(rover.records) > records else math.nan
-        reason = rover.changes[-1][1].reason if rover.changes else "; ".join(rover.refusals)
+        reason = rover.changes[-1][1].event.message if rover.changes else "; ".join(rover.refusals)
         found.append(
             FlownJump(requested_height, rover.heights[-1] if done else math.nan, measured, reason)
         )
@@ -120,7 +120,12 @@ def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
         landed_upright = last.phase is not JumpPhase.FAULT
         found.append(
             Predicted(
-                clearance, prediction.height, flown, prediction.upright, landed_upright, last.reason
+                clearance,
+                prediction.height,
+                flown,
+                prediction.upright,
+                landed_upright,
+                last.event.message,
             )
         )
         if not landed_upright:

@@ -16,6 +16,7 @@ from unittest.mock import patch
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
 from rover_launch.nodes import NODES
@@ -139,7 +140,7 @@ def _side_by_side(folder: Path) -> None:
         before = [drum.wait().joints[WINCH_DRUM].position for drum in drums]
         moving, _ = observers
         moving.call(topics.WINCH_REARM)
-        moving.wait_for_text(topics.WINCH_MODE, "hold")
+        moving.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
         moving.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, before[0] + _PAYOUT, 0.1, 0.0)
         drums[0].wait(
             lambda sample: (

@@ -18,7 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.events import MissionEvent
 from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
+from msg_schemas.phases import MissionPhase, WinchMode
 from msg_schemas.samples import JointSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_kept
@@ -188,7 +190,7 @@ def _moves_unarmed(cast: _Cast) -> list[str]:
     cast.wait(_DEAD - _WATCHDOGS)
     first, told = len(drum), len(modes)
     cast.start("winch_node")
-    modes.wait(lambda sample: sample.text not in ("disarmed", "fault"), told)
+    modes.wait(lambda sample: sample.text not in (WinchMode.DISARMED, WinchMode.FAULT), told)
     # The last samples may already be those of the armed winch.
     before = drum.samples[first : len(drum) - _LATE]
     if not before:
@@ -202,9 +204,9 @@ def _stayed(cast: _Cast, since: int) -> str:
     """Wait for a leg to be done; why none was."""
     ends = cast.time + _RESUMES
     while cast.time < ends:
-        if cast.told("mission_leg_done", since) or cast.told("mission_done", since):
+        if cast.told(MissionEvent.LEG_COMPLETED, since) or cast.told(MissionEvent.COMPLETED, since):
             return ""
-        if cast.phase in ("holding", "aborted"):
+        if cast.phase in (MissionPhase.HOLDING, MissionPhase.ABORTED):
             return f"the mission is {cast.phase}"
         cast.wait(0.5)
     return f"no leg was done within {_RESUMES:g} s, the mission is {cast.phase}"
@@ -218,7 +220,7 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
         cast.observer.call(topics.MISSION_GO)
         for node in rng.permutation(list(_MODULES)):
             cast.wait(float(rng.uniform(_SOONEST, _LATEST)))
-            if cast.phase == "standby":
+            if cast.phase == MissionPhase.STANDBY:
                 cast.observer.call(topics.MISSION_GO)  # it is over: another one
                 cast.wait(float(rng.uniform(_SOONEST, _LATEST)))
             kills.append(_kill(cast, str(node)))

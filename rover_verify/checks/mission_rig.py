@@ -13,12 +13,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, PlantEvent
 from msg_schemas.machine import (
     HEADING_TURN,
     OBSERVATION_STOP,
     WINCH_WHILE_RENEWED,
 )
-from msg_schemas.refusal import Refusal
+from msg_schemas.refusal import Refusal, RefusalReport
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -29,7 +30,6 @@ from msg_schemas.samples import (
     TextSample,
 )
 from msg_schemas.table import SERVICES
-from msg_schemas.transition import Transition
 from rover_control.descent import Descent, DescentCommands, DescentSettings
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample
@@ -122,8 +122,10 @@ class MissionFlight:
         self.ticks = 0
         self.peak_tension = 0.0
         self.deepest = 0.0  # of base_link below the fairlead [m]
-        self.story: list[tuple[float, str, Transition]] = []  # by whom, what
-        self.watch: Callable[[float, str, Transition], None] = lambda _time, _who, _what: None
+        self.story: list[tuple[float, str, EventReport]] = []  # by whom, what
+        self.watch: Callable[[float, str, EventReport | RefusalReport], None] = (
+            lambda _time, _who, _what: None
+        )
         self._predictor: JumpPredictor | None = None
         self._words: dict[str, str] = {}
         self._alarms: dict[str, bool] | None = None
@@ -150,7 +152,7 @@ class MissionFlight:
         """True inclination of the rover [rad]."""
         return math.acos(min(max(float(self.state.rotation[2, 2]), -1.0), 1.0))
 
-    def told(self, name: str) -> list[Transition]:
+    def told(self, name: str) -> list[EventReport]:
         """What was told by this name."""
         return [what for _, _, what in self.story if what.name == name]
 
@@ -175,7 +177,7 @@ class MissionFlight:
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
         self.ticks += 1
-        if any(event.name == "latch_released" for event in result.events):
+        if any(event.name == PlantEvent.LATCH_RELEASED for event in result.events):
             self._nut = None  # as the drive does once its latch has tripped
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.deepest = max(self.deepest, -float(self.state.G1[2]))
@@ -259,10 +261,7 @@ class MissionFlight:
         elif self._nut is not None and self._idle == _NUT_TIMEOUT:
             # As the drive's own watchdog does: the nut stays where it is.
             self._nut = replace(self._nut, compression=self._held_nut(), trips=False)
-        changes = [
-            Transition(f"jump_{each.phase}", each.reason, each.level, each.values)
-            for each in self.jump.take_transitions()
-        ]
+        changes = [each.event for each in self.jump.take_transitions()]
         self._tell(_JUMP, changes)
         for record in self.jump.take_records():
             self._record(topics.JUMP_FLOWN, flown_sample(record))
@@ -327,15 +326,11 @@ class MissionFlight:
             self.descent.on_jump(word)
             self.drive.on_jump(word)
 
-    def _tell(self, who: str, changes: list[Transition]) -> None:
+    def _tell(self, who: str, changes: list[EventReport]) -> None:
         for change in changes:
             self.story.append((self.time, who, change))
             self.watch(self.time, who, change)
-            values = {
-                key: repr(value) if isinstance(value, float) else str(value)
-                for key, value in change.values.items()
-            }
-            status = Status(change.name, change.reason, change.level, who, values)
+            status = Status(change.name, change.message, change.level, who, change.texts())
             sample = StatusSample(self.now_ns, (status,))
             if who == MISSION:
                 self._record(topics.EVENTS, sample)
@@ -356,9 +351,9 @@ class MissionFlight:
         try:
             act()
         except Refusal as refusal:
-            self.watch(self.time, who, Transition(f"refused {subject}", refusal.reason))
-            status = Status(f"{who}: refused {subject}", refusal.reason, hardware_id=who)
-            sample = StatusSample(self.now_ns, (status,))
+            report = RefusalReport(who, subject, refusal.code, refusal.reason)
+            self.watch(self.time, who, report)
+            sample = StatusSample(self.now_ns, (report.status(),))
             self.mission.receive(topics.DIAGNOSTICS, sample, self.now_ns)
 
     # --- the mission -----------------------------------------------------------------------------

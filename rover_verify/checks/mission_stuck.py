@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.events import DriveEvent
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission_legs import LegResult
 from rover_control.mission_parameters import MissionSettings
@@ -92,7 +93,7 @@ def fly_stuck(seed: int, index: int) -> Freed:
     stuck_at: list[tuple[float, float]] = []
 
     def is_over() -> bool:
-        if len(stuck_at) < len(flight.told("drive_stuck")):
+        if len(stuck_at) < len(flight.told(DriveEvent.STUCK)):
             stuck_at.append((float(flight.state.G1[0]), float(flight.state.G1[1])))
         leg = flight.mission.leg
         return leg is None or leg.kind is not LegKind.VISIT
@@ -113,7 +114,7 @@ def fly_stuck(seed: int, index: int) -> Freed:
     told = end or (f"{done[0].result.name}: {done[0].reason}" if done else flight.mission.reason)
     jumps = flight.mission.blackboard.jumps
     arrived = bool(done) and done[0].result is LegResult.DONE
-    return Freed(len(flight.told("drive_stuck")), jumps, way, arrived, told, flight.time)
+    return Freed(len(flight.told(DriveEvent.STUCK)), jumps, way, arrived, told, flight.time)
 
 
 def not_freed(batch: Batch) -> Measured:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.phases import MissionPhase
 from rover_control.mission import LegRecord
-from rover_control.mission_legs import LegResult, MissionPhase
+from rover_control.mission_legs import LegResult
 from rover_control.mission_plan import load_plan
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch

@@ -12,6 +12,8 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import NodeEvent, PlantEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Status
 from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
 from rover_sim import PlanarPlant, jump, load_scenario
@@ -64,7 +66,7 @@ def wait_until_time(observer: Observer, stamp_ns: int) -> None:
 def wait_until_active(observer: Observer, node: str, since: int = 0) -> None:
     """Wait until a node reports that it is active."""
     observer.wait_for_status(
-        topics.EVENTS, lambda s: s.name == "active" and s.hardware_id == node, since
+        topics.EVENTS, lambda s: s.name == NodeEvent.ACTIVE and s.hardware_id == node, since
     )
 
 
@@ -135,7 +137,7 @@ def bad_commands(batch: Batch) -> Measured:
             missed += 1
             details["nut"] = f"moved {moved} m"
         # A valid command is executed afterwards.
-        drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
+        drive_nut(observer, 0.1, 0.4, has_event(observer, PlantEvent.TAKE_OFF))
         if process.stop() != 0:
             missed += 1
             details["exit"] = "not 0"
@@ -147,8 +149,8 @@ def jump_difference(batch: Batch) -> Measured:
     overrides = {"start.geometry": "+K", "start.slack": 2.0}
     changed = json.dumps(overrides)
     with simulation(batch, overrides=changed, real_time_factor=2.0) as (_, _, observer):
-        drive_nut(observer, 0.2, 0.4, has_event(observer, "take_off"))
-        values = observer.wait_for_event("touchdown").values
+        drive_nut(observer, 0.2, 0.4, has_event(observer, PlantEvent.TAKE_OFF))
+        values = observer.wait_for_event(PlantEvent.TOUCHDOWN).values
     own = jump(PlanarPlant(load_scenario(SCENARIO, overrides)))
     details = {
         "height [m]": float(values["height"]),
@@ -175,13 +177,13 @@ def pause_step_reset(batch: Batch) -> Measured:
             stepped.success and after == paused_ns + _NANO // 100
         )
         observer.call(topics.SIM_PAUSE, False)
-        drive_nut(observer, 0.1, 0.4, has_event(observer, "take_off"))
+        drive_nut(observer, 0.1, 0.4, has_event(observer, PlantEvent.TAKE_OFF))
         bodies, count = observer.listen(topics.TRUTH_BODY1), len(clock)
         stamp = observer.time_ns()
         phases = observer.listen(topics.TRUTH_PHASE)
         since = len(phases)
         observer.call(topics.SIM_RESET_PLANT)
-        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=since)
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=since)
         later = clock.wait(lambda sample: sample.stamp_ns > stamp, count).stamp_ns
         criteria["reset_plant resets the plant, time continues"] = later > stamp
         count, since = len(clock), len(bodies)
@@ -196,8 +198,8 @@ def divergence_stops(batch: Batch) -> Measured:
     """Number of three criteria of a diverged simulation that are met."""
     with simulation(batch, overrides=_DIVERGING) as (_, process, observer):
         bodies = observer.listen(topics.TRUTH_BODY1)
-        observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
-        event = observer.wait_for_event("diverged")
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.DIVERGED)
+        event = observer.wait_for_event(PlantEvent.DIVERGED)
         count = len(bodies)
         samples = bodies.wait_for_count(count + 20)[count:]
         criteria = {
@@ -296,7 +298,7 @@ def bad_requests(batch: Batch) -> Measured:
         process = harness.processes.start(JUMP)
         observer = harness.observer()
         observer.listen(topics.DIAGNOSTICS)
-        observer.wait_for_event("active")
+        observer.wait_for_event(NodeEvent.ACTIVE)
         for position, code in ((math.nan, "not_finite"), (9.0, "out_of_limits"), (0.1, "")):
             total += 1
             sample = JointSample(0, {JUMP_STROKE: JointValue(0.1, 0.1, 0.0)})

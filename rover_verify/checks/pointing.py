@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.events import DescentEvent
 from msg_schemas.refusal import Refusal
 from rover_control.pointing import Prediction
 from rover_verify.checks import Batch, Measured
@@ -86,10 +87,10 @@ def turn(seed: int, index: int) -> Turn:
             strayed = max(strayed, error)
     ended = ""
     for _, change in flight.changes:
-        if change.name == "pointing_reached":
+        if change.name == DescentEvent.POINTING_REACHED:
             told = Prediction(**change.values)  # type: ignore[arg-type]
-        if change.name == "pointing_ended":
-            ended = change.reason
+        if change.name in (DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED):
+            ended = change.message
     held = flight.time - arrived
     return Turn(length, "", arrived - began, strayed, held, asked, told, ended, asks)
 

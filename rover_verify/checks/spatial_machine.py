@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from scipy.integrate import quad
 
+from msg_schemas.events import PlantEvent
 from rover_sim import (
     Command,
     FlywheelCommand,
@@ -96,7 +97,7 @@ def _jump(plant: SpatialPlant, compression: float) -> tuple[Rover, float]:
     released = False
     while not released:
         state, result = plant.step(state, charge, 0.01)
-        released = any(event.name == "latch_released" for event in result.events)
+        released = any(event.name == PlantEvent.LATCH_RELEASED for event in result.events)
         if state.time > 30.0:
             raise RuntimeError(f"the latch is {state.latch.name} after {state.time:.3g} s")
     best, until = -math.inf, state.time + 3.0

@@ -9,12 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim import (
     Command,
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
-    Phase,
     SettlingError,
     SpatialPlant,
     SpatialState,
@@ -209,9 +210,9 @@ def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, flo
         metrics["gain"] = max(metrics["gain"], energies.drift / scale)
         metrics["loss"] = min(metrics["loss"], energies.drift / scale)
         metrics["halved"] += result.outcome is Outcome.HALVED
-        metrics["touched"] += state.phase is Phase.GROUNDED
-        if state.phase is Phase.TETHER_BROKEN:
-            has_event = any(event.name == "tether_broken" for event in result.events)
+        metrics["touched"] += state.phase is PlantPhase.GROUNDED
+        if state.phase is PlantPhase.TETHER_BROKEN:
+            has_event = any(event.name == PlantEvent.TETHER_BROKEN for event in result.events)
             return ("" if has_event else "broken without an event"), metrics
         wrong = fault(result, state, scale, GAIN, LOSS) or _implausible(plant, state)
         if not wrong and not math.isclose(state.time, before.time + TICK, abs_tol=1e-9):

@@ -9,7 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from msg_schemas import topics
-from rover_sim import Command, Outcome, Phase, SpatialPlant, SpatialState, StepResult
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
+from rover_sim import Command, Outcome, SpatialPlant, SpatialState, StepResult
 from rover_sim.physics.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import SIM
@@ -161,15 +163,15 @@ def _torn(generator: np.random.Generator, details: dict[str, float | str], name:
     fresh, _ = plant.step(plant.initial_state(), _IDLE, 0.5 * state.time)
     _, unbroken, _ = throw(1.001 * peak)
     promises = {
-        "an event, once": [event.name for event in events] == ["tether_broken"],
+        "an event, once": [event.name for event in events] == [PlantEvent.TETHER_BROKEN],
         "with the breaking tension": bool(events) and events[-1].values["tension"] > load,
         "at the time of the state": bool(events) and abs(events[-1].time - state.time) < 1e-9,
-        "a finite state in the phase": state.phase is Phase.TETHER_BROKEN and is_finite(state),
+        "a finite state in the phase": state.phase is PlantPhase.TETHER_BROKEN and is_finite(state),
         "reported as the outcome": last.outcome is Outcome.TETHER_BROKEN,
         "no higher tension before": all(r.peak_tension <= load for r in results[:-1]),
         "further steps do not change it": again is state and after.outcome is Outcome.TETHER_BROKEN,
-        "the plant can start again": fresh.phase is not Phase.TETHER_BROKEN,
-        "a stronger tether does not break": unbroken.phase is not Phase.TETHER_BROKEN
+        "the plant can start again": fresh.phase is not PlantPhase.TETHER_BROKEN,
+        "a stronger tether does not break": unbroken.phase is not PlantPhase.TETHER_BROKEN
         and np.array_equal(unbroken.nodes, whole.nodes),
     }
     for promise, kept in promises.items():
@@ -193,14 +195,14 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
         observer = harness.observer()
         for name in (topics.EVENTS, topics.TRUTH_PHASE, topics.CLOCK):
             observer.listen(name)
-        observer.wait_for_text(topics.TRUTH_PHASE, "tether_broken")
-        event = observer.wait_for_event("tether_broken")
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.TETHER_BROKEN)
+        event = observer.wait_for_event(PlantEvent.TETHER_BROKEN)
         clock = observer.listen(topics.CLOCK)
         count, stamp = len(clock), observer.time_ns()
         clock.wait(lambda sample: sample.stamp_ns > stamp + 200_000_000, count)
         published = len(observer.listen(topics.TRUTH_PHASE))
         answer = observer.call(topics.SIM_RESET_PLANT)
-        observer.wait_for_text(topics.TRUTH_PHASE, "hanging", since=published)
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING, since=published)
         promises = {
             "the event has the tension": float(event.values["tension"]) > 20.0,
             "the reset succeeds": answer.success,

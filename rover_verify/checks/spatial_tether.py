@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rover_sim import Command, Phase, SpatialPlant, SpatialState, WinchCommand
+from msg_schemas.phases import PlantPhase
+from rover_sim import Command, SpatialPlant, SpatialState, WinchCommand
 from rover_sim.physics.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.spatial_cases import IDEAL_WINCH, make_plant, tether_of
@@ -247,7 +248,7 @@ def far_out_and_back(batch: Batch) -> Measured:
                 moved = max(moved, abs(result.energies.gravity))
                 drift = max(drift, abs(result.energies.drift))
                 halved += result.smallest_step < 1.9e-3
-                wrong = state.phase.value if state.phase is not Phase.HANGING else ""
+                wrong = state.phase.value if state.phase is not PlantPhase.HANGING else ""
                 wrong = wrong or _sound(plant, state)
         if not wrong and abs(state.length - _NEAR) > 0.02:
             wrong = f"ends at {state.length:.2f} m"

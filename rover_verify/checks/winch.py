@@ -10,20 +10,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
 )
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, run_trial
 from rover_verify.winch_flight import flight_of_session
-from tether_winch.fault_monitor import Fault
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 _ERRORS = SensorErrors(cell_noise=0.1, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
@@ -242,7 +242,7 @@ class _Case(NamedTuple):
         act: what else happens.
     """
 
-    fault: Fault | None
+    fault: WinchFault | None
     spoil: Callable[[Readings], Readings | None] = lambda readings: readings
     act: Callable[[Session], None] = lambda _session: None
 
@@ -281,18 +281,18 @@ def _replaced(parameters: WinchParameters, **values: float) -> WinchParameters:
 
 def _cases() -> dict[str, _Case]:
     return {
-        "drum silent": _Case(Fault.DRUM_LOST, lambda _: None),
+        "drum silent": _Case(WinchFault.DRUM_LOST, lambda _: None),
         "length NaN": _Case(
-            Fault.BAD_READING,
-            act=lambda s: s.winch.latch(Fault.BAD_READING, "length is not a number", s.now_ns),
+            WinchFault.BAD_READING,
+            act=lambda s: s.winch.latch(WinchFault.BAD_READING, "length is not a number", s.now_ns),
         ),
-        "clock jump": _Case(Fault.CLOCK_JUMP, act=lambda s: s.winch.clock_jumped(s.now_ns)),
-        "overspeed": _Case(Fault.OVERSPEED, _run_away()),
-        "over-tension": _Case(Fault.OVER_TENSION, lambda r: r._replace(tension=80.0)),
-        "tension NaN": _Case(Fault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
-        "tether end": _Case(Fault.TETHER_END, act=_end_here),
+        "clock jump": _Case(WinchFault.CLOCK_JUMP, act=lambda s: s.winch.clock_jumped(s.now_ns)),
+        "overspeed": _Case(WinchFault.OVERSPEED, _run_away()),
+        "over-tension": _Case(WinchFault.OVER_TENSION, lambda r: r._replace(tension=80.0)),
+        "tension NaN": _Case(WinchFault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
+        "tether end": _Case(WinchFault.TETHER_END, act=_end_here),
         "node stop": _Case(None, act=lambda s: s.winch.stop("the node stops", s.now_ns)),
-        "command silence": _Case(Fault.COMMAND_TIMEOUT),
+        "command silence": _Case(WinchFault.COMMAND_TIMEOUT),
     }
 
 
@@ -302,7 +302,7 @@ def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
     session = _Spoilt(Winch(WinchParameters()), rig)
     session.arm()
     joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
-    if case.fault is Fault.COMMAND_TIMEOUT:
+    if case.fault is WinchFault.COMMAND_TIMEOUT:
         joint, value = WINCH_AT_RATE, (0.0, _RATE)
     session.request(joint, *value)
     session.run(0.9)
@@ -322,9 +322,9 @@ def unsafe_cases(_batch: Batch) -> Measured:
         session, rig = _in_fault(case)
         winch, drum = session.winch, rig.state.drives.drum
         safe = (
-            winch.mode is (Mode.STOP if case.fault is None else Mode.FAULT)
+            winch.mode is (WinchMode.STOP if case.fault is None else WinchMode.FAULT)
             and winch.fault is case.fault
-            and bool(session.transitions[-1][1].reason)
+            and bool(session.transitions[-1][1].message)
             and drum.braked
             and drum.rate == 0.0
             and session.ticks[-1].torque == 0.0
@@ -371,7 +371,7 @@ def refusals_without_reason(_batch: Batch) -> Measured:
         (WINCH_SLACK, 1.0, 0.1, 0.0, "must stand"),
     ]
     lacking = [request for request in asked if not _is_refused(session, request)]
-    session.winch.on_jump("flight", session.now_ns)
+    session.winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
     if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps")):
         lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps"))
     session.winch.stop("a test", session.now_ns)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent, WinchEvent
+from msg_schemas.faults import WinchFault
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_bags.read import Bag
@@ -106,7 +108,7 @@ def _go(observer: Observer, length: float, lockstep: Lockstep | None) -> None:
         return [s for s in statuses if s.name.startswith("winch_")]
 
     def ends(_: StatusSample | None = None) -> bool:
-        return any(s.name != "winch_length" for s in told())
+        return any(s.name != WinchEvent.LENGTH for s in told())
 
     if lockstep is None:
         events.wait(ends, heard, _PATIENCE)
@@ -115,7 +117,7 @@ def _go(observer: Observer, length: float, lockstep: Lockstep | None) -> None:
     last = told()[-1]
     if _is_stall(last):
         raise Stalled(last.message)
-    if last.name != "winch_hold":
+    if last.name != WinchEvent.HOLD:
         raise RuntimeError(f"sent to {length:g} m it ended by {last}")
     rested = observer.time_ns() + round(_REST * _NANO)
     if lockstep is None:
@@ -125,8 +127,12 @@ def _go(observer: Observer, length: float, lockstep: Lockstep | None) -> None:
 
 
 def _is_stall(status: Status) -> bool:
-    late = status.values.get("fault") in {"node_late", "drum_lost", "tension_lost"}
-    return status.name == "winch_silent" or late
+    late = status.values.get("fault") in {
+        WinchFault.NODE_LATE,
+        WinchFault.DRUM_LOST,
+        WinchFault.TENSION_LOST,
+    }
+    return status.name == SimulationEvent.COMMAND_TIMEOUT or late
 
 
 def recorded_descent(folder: Path, seed: int) -> Recorded:

@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.events import PlantEvent
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_SLACK
+from msg_schemas.phases import JumpPhase, WinchMode
 from rover_sim import Event, JumpMotorCommand
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 _ERRORS = SensorErrors(cell_noise=0.05, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
@@ -95,7 +96,7 @@ def free_jump(jump: Jump) -> Flight:
     longest = chord
     for _ in range(round(_PATIENCE / 0.01)):
         rig.step(None, 0.01)
-        if _event(rig.events, "take_off") is not None:
+        if _event(rig.events, PlantEvent.TAKE_OFF) is not None:
             rig.jump = None
             longest = max(longest, _chord(rig))
         if _landing(rig.events) is not None:
@@ -121,7 +122,7 @@ class _Trip:
     def take_up(self) -> None:
         """Reel in until the tether is taut."""
         self.session.request(WINCH_SLACK, 0.0)
-        self._until(lambda: self.session.winch.mode is Mode.HOLD, "the slack is not taken up")
+        self._until(lambda: self.session.winch.mode is WinchMode.HOLD, "the slack is not taken up")
         self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
 
     def give(self, slack: float) -> None:
@@ -133,7 +134,7 @@ class _Trip:
     def fly(self, renew: Callable[[], None] = lambda: None) -> Flight:
         """Compress, take off, land, settle; told to the winch as the jump's controller would."""
         session, rig, winch = self.session, self.rig, self.session.winch
-        winch.on_jump("compressing", session.now_ns)
+        winch.on_jump(JumpPhase.COMPRESSING, session.now_ns)
         chord = longest = _chord(rig)
         rig.jump = JumpMotorCommand(self.jump.stroke, _NUT_SPEED)
 
@@ -148,24 +149,29 @@ class _Trip:
 
             self._until(look, complaint)
 
-        go(lambda: _event(rig.events, "latch_released") is not None, "the latch does not trip")
+        go(
+            lambda: _event(rig.events, PlantEvent.LATCH_RELEASED) is not None,
+            "the latch does not trip",
+        )
         rig.peak_tension = 0.0
-        go(lambda: _event(rig.events, "take_off") is not None, "it does not take off")
+        go(lambda: _event(rig.events, PlantEvent.TAKE_OFF) is not None, "it does not take off")
         rig.jump = None
-        winch.on_jump("flight", session.now_ns)
+        winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
         begun = len(session.ticks)
         go(lambda: _landing(rig.events) is not None, "it does not land")
         way, time = _flown(rig.events)
         lengths: NDArray[np.float64] = session.column("length")[begun - 1 :]
         reeled_in = float(np.max(np.maximum.accumulate(lengths) - lengths))
-        winch.on_jump("landed", session.now_ns)
+        winch.on_jump(JumpPhase.LANDED, session.now_ns)
         session.run(_SETTLING)
-        winch.on_jump("standby", session.now_ns)
+        winch.on_jump(JumpPhase.STANDBY, session.now_ns)
         return Flight(way, time, longest - chord, rig.peak_tension, reeled_in)
 
     def after(self, flight: Flight) -> Flight:
         """Wait until the slack is taken up, as the winch does by itself after the landing."""
-        self._until(lambda: self.session.winch.mode is not Mode.SLACK, "the slack is not taken up")
+        self._until(
+            lambda: self.session.winch.mode is not WinchMode.SLACK, "the slack is not taken up"
+        )
         self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
         return flight._replace(peak_tension=self.rig.peak_tension, slack_left=self.rig.slack)
 
@@ -277,12 +283,12 @@ def _event(events: list[Event], name: str, after: str = "") -> Event | None:
 
 
 def _landing(events: list[Event]) -> Event | None:
-    return _event(events, "touchdown", after="take_off")
+    return _event(events, PlantEvent.TOUCHDOWN, after=PlantEvent.TAKE_OFF)
 
 
 def _flown(events: list[Event]) -> tuple[float, float]:
     """Range [m] and time [s] of the first flight."""
-    begun, ended = _event(events, "take_off"), _landing(events)
+    begun, ended = _event(events, PlantEvent.TAKE_OFF), _landing(events)
     if begun is None or ended is None:
         raise RuntimeError("the rover has not flown")
     return math.dist(_place(begun.values), _place(ended.values)), ended.time - begun.time

@@ -12,18 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
 )
+from msg_schemas.phases import WinchMode
 from rover_sim import WheelRateCommand
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_rig import SensorErrors, Session
 from rover_verify.checks.winch_spatial import SpatialRig
-from tether_winch.fault_monitor import Fault
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 _ERRORS = SensorErrors(cell_noise=0.05, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
@@ -95,11 +95,11 @@ def largest_heat(batch: Batch) -> Measured:
     for _ in range(9000):
         session.tick()
         heat = max(heat, session.winch.heat.heat)
-        if session.winch.mode is Mode.FAULT:
+        if session.winch.mode is WinchMode.FAULT:
             break
     session.run(2.0)
     winch, state = session.winch, rig.state
-    if winch.fault is not Fault.OVERHEATED or state.drives.drum.rate != 0.0:
+    if winch.fault is not WinchFault.OVERHEATED or state.drives.drum.rate != 0.0:
         return Measured(math.inf, f"it ended in {winch.mode}, {winch.fault}")
     return Measured(heat, f"stood braked at {state.length:.3g} m: {winch.fault_reason}")
 
@@ -127,7 +127,7 @@ def beyond_ends(batch: Batch) -> Measured:
             f"stands at {rig.state.length:.4f} m, the soft end is {end:g} m; at most "
             f"{float(np.abs(speed[near]).max()):.3f} m/s within 0.1 m of it; {session.winch.mode}"
         )
-        if abs(rig.state.length - end) > 0.01 or session.winch.mode is Mode.FAULT:
+        if abs(rig.state.length - end) > 0.01 or session.winch.mode is WinchMode.FAULT:
             beyond = math.inf
     return Measured(beyond, details=details)
 
@@ -207,7 +207,7 @@ def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tupl
     session.request(WINCH_SLACK, 0.0)
     for _ in range(6000):
         session.tick()
-        if session.winch.mode is Mode.HOLD and session.winch.servo.is_at_rest:
+        if session.winch.mode is WinchMode.HOLD and session.winch.servo.is_at_rest:
             break
     began, place = len(session.ticks), float(rig.state.G1[0])
     for step in range(30):
@@ -217,7 +217,7 @@ def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tupl
         session.run(_RENEWAL)
     held = session.column("tension")[began + 400 :]
     way = float(rig.state.G1[0]) - place
-    if session.winch.mode is not Mode.TENSION:
+    if session.winch.mode is not WinchMode.TENSION:
         return math.inf, way
     return float(np.sqrt(np.mean((held - tension) ** 2))), way
 

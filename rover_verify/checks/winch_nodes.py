@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_spatial import WEIGHT, spatial_plant
@@ -98,7 +100,7 @@ def arm(observer: Observer) -> None:
     answer = observer.call(topics.WINCH_REARM)
     if not answer.success:
         raise RuntimeError(f"the winch cannot be armed: {answer.message}")
-    observer.wait_for_text(topics.WINCH_MODE, "hold")
+    observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 
 
 @contextmanager
@@ -132,7 +134,9 @@ def _pays_out(observer: Observer, length: float, lockstep: Lockstep | None) -> b
         return position >= length and velocity > 0.98 * _RATE
 
     def ended(_: JointSample) -> bool:
-        return any(mode.text in {"fault", "disarmed"} for mode in modes.samples[told:])
+        return any(
+            mode.text in {WinchMode.FAULT, WinchMode.DISARMED} for mode in modes.samples[told:]
+        )
 
     if lockstep is not None:
         lockstep.run_until(lambda: at_rate(states.last), _LONGEST)
@@ -187,7 +191,9 @@ def _let_go(observer: Observer, death: int) -> tuple[int, float]:
     """When the drive let the brake go [ns], and how long it had then heard nothing [s]."""
 
     def tells(sample: StatusSample) -> list[Status]:
-        return [status for status in sample.statuses if status.name == "winch_silent"]
+        return [
+            status for status in sample.statuses if status.name == SimulationEvent.COMMAND_TIMEOUT
+        ]
 
     feed = observer.listen(topics.EVENTS)
     sample = feed.wait(lambda s: s.stamp_ns >= death and bool(tells(s)))

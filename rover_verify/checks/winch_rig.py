@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.events import EventReport
 from msg_schemas.machine import (
     JUMP_MOTOR,
     WHEEL_MOTOR,
@@ -16,9 +17,8 @@ from msg_schemas.machine import (
     WINCH_MOTOR,
     WINCH_TO_LENGTH,
 )
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
-from msg_schemas.transition import Transition
-from tether_winch.requests import Mode
 from tether_winch.servo import DriveCommand
 from tether_winch.winch import Winch
 
@@ -63,7 +63,7 @@ class Tick(NamedTuple):
     tension: float
     reference: float  # length aimed at
     reference_rate: float
-    mode: Mode
+    mode: WinchMode
     torque: float  # of the motor [N m]
 
 
@@ -84,7 +84,7 @@ class Session:
     keeps: bool = True
     now_ns: int = 1_000_000_000
     ticks: list[Tick] = field(default_factory=list)
-    transitions: list[tuple[float, Transition]] = field(default_factory=list)
+    transitions: list[tuple[float, EventReport]] = field(default_factory=list)
     asked: list[tuple[float, float, float]] = field(default_factory=list)
     _command: DriveCommand | None = None
 
@@ -116,7 +116,7 @@ class Session:
         """Go on until the winch has come to rest by itself, or so long [s]."""
         for _ in range(round(limit / TICK)):
             self.tick()
-            if self.winch.mode is not Mode.LENGTH and self.winch.servo.is_at_rest:
+            if self.winch.mode is not WinchMode.LENGTH and self.winch.servo.is_at_rest:
                 return
 
     def tick(self) -> Readings:

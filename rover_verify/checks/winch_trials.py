@@ -18,9 +18,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal
 from rover_verify.checks.winch_rig import TICK, Rig, SensorErrors, Session
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 APPROACH_RATE = 0.1  # [m/s]
@@ -231,7 +231,7 @@ class _Trial:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
 
         def done() -> bool:
-            return winch.mode is not Mode.LENGTH and winch.servo.is_at_rest
+            return winch.mode is not WinchMode.LENGTH and winch.servo.is_at_rest
 
         if leg.hard_stop_after is not None:
             self.go(leg.hard_stop_after, done)
@@ -257,13 +257,13 @@ class _Trial:
         self._ready()
         with contextlib.suppress(Refusal):
             session.request(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
-        self.go(140.0, lambda: winch.mode is not Mode.LENGTH and winch.servo.is_at_rest)
+        self.go(140.0, lambda: winch.mode is not WinchMode.LENGTH and winch.servo.is_at_rest)
         self.go(_SETTLE)
 
     def _ready(self) -> None:
         """Arm again what has stopped."""
         winch = self.session.winch
-        if winch.mode is Mode.FAULT:
+        if winch.mode is WinchMode.FAULT:
             self.faults.append(winch.fault_reason)
         for _ in range(5):
             if winch.mode.is_armed:

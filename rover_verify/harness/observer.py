@@ -27,7 +27,10 @@ from msg_schemas import middleware, qos, topics
 from msg_schemas.access import ACCESS, ALL
 from msg_schemas.codecs import decode, encode, message_class, topic_row
 from msg_schemas.endpoint_matching import EndpointMatching, listeners
-from msg_schemas.node import READY
+from msg_schemas.events import EventName
+from msg_schemas.health import Health, read_health
+from msg_schemas.phases import HealthState
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
 from msg_schemas.table import SERVICES
 from rover_verify.harness.processes import DEFAULT_TIMEOUT, ros_arguments
@@ -197,25 +200,25 @@ class Observer:
         self.listen(name).wait(find, since)
         return found[0]
 
-    def wait_for_event(self, name: str, since: int = 0) -> Status:
-        """Wait for an event by name."""
-        return self.wait_for_status(topics.EVENTS, lambda s: s.name == name, since)
+    def wait_for_event(self, name: EventName, since: int = 0, **values: str) -> Status:
+        """Wait for an event by name and some of its values."""
+        return self.wait_for_status(
+            topics.EVENTS, lambda s: s.name == name and values.items() <= s.values.items(), since
+        )
 
     def wait_for_refusal(self, subject: str, code: str, since: int = 0) -> Status:
         """Wait for the refusal of a subject for a reason in the diagnostics."""
-        return self.wait_for_status(
-            topics.DIAGNOSTICS,
-            lambda s: s.name.endswith(f"refused {subject}") and s.values.get("code") == code,
-            since,
-        )
+
+        def look(status: Status) -> bool:
+            refusal = read_refusal(status)
+            return refusal is not None and (refusal.subject, refusal.code) == (subject, code)
+
+        return self.wait_for_status(topics.DIAGNOSTICS, look, since)
 
     def wait_until_ready(self, node_name: str, since: int = 0) -> None:
         """Wait until a node's health reports it as ready."""
-        self.wait_for_status(
-            topics.DIAGNOSTICS,
-            lambda s: s.name == f"{node_name}: node" and s.message == READY,
-            since,
-        )
+        ready = Health(node_name, HealthState.READY)
+        self.wait_for_status(topics.DIAGNOSTICS, lambda s: read_health(s) == ready, since)
 
     def time_ns(self) -> int:
         """Simulated time as last received [ns]."""

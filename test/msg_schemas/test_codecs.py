@@ -343,7 +343,11 @@ def test_a_foreign_frame_is_refused(attribute: str):
 
 
 def test_bad_words_and_bad_json_are_refused():
-    for name, bad in ((topics.JUMP_PHASE, "flying"), (topics.CONFIG, "{"), (topics.CONFIG, "[1]")):
+    for name, bad in (
+        (topics.JUMP_PHASE, "flying"),
+        (topics.CONFIG, "{"),
+        (topics.CONFIG, "[1]"),
+    ):
         message = message_class("std_msgs/msg/String")(data=bad)
         with pytest.raises(Refusal) as refused:
             decode(name, message)

@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from shell_node import ShellEvent
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import NodeEvent
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status, TextSample
 from msg_schemas.table import JUMP_SCREW
 
@@ -31,7 +34,7 @@ SECOND = 1_000_000_000
 
 
 def is_active(observer: Observer):
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
 
 
 def command(
@@ -222,7 +225,7 @@ def test_a_good_parameter_change_reaches_the_node_and_its_latched_configuration(
     config = observer.listen(topics.CONFIG)
     assert observer.set_parameter(NODE, "rate", 20).successful
     config.wait(lambda s: json.loads(s.text)["parameters"]["rate"] == 20.0)
-    observer.wait_for_event("changed")
+    observer.wait_for_event(ShellEvent.CHANGED)
 
 
 def test_configuration_and_events_reach_those_who_join_late(
@@ -260,15 +263,17 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
     observer.wait_for_refusal(COMMAND, "not_active")
     assert "[not_active]" in observer.call(topics.SIM_PAUSE, True).message
     assert not states.samples
-    observer.send(topics.WINCH_MODE, TextSample("hold"))
+    observer.send(topics.WINCH_MODE, TextSample(WinchMode.HOLD))
 
     assert observer.change_state(NODE, "activate")
-    assert observer.wait_for_event("mode").message == "hold"  # what is latched is said once
+    assert (
+        observer.wait_for_event(ShellEvent.MODE).message == "hold"
+    )  # what is latched is said once
     assert says_back(observer, 0.2)
 
     heard = len(observer.listen(topics.EVENTS))
     assert observer.change_state(NODE, "deactivate")
-    observer.wait_for_event("inactive", max(0, heard - 1))
+    observer.wait_for_event(NodeEvent.INACTIVE, max(0, heard - 1))
     silent_since = len(states)
     heard = len(observer.listen(topics.DIAGNOSTICS))
     observer.send(COMMAND, command(0.19))
@@ -342,7 +347,7 @@ def test_a_signal_ends_it_cleanly(
     # Their threads would look at what the process's end destroys.
     assert "0 participants are left" in process.output
     assert process.has_group_exited()
-    observer.wait_for_event("inactive")
+    observer.wait_for_event(NodeEvent.INACTIVE)
 
 
 def test_a_signal_ends_it_in_the_middle_of_a_long_setup(processes: Processes):
@@ -413,7 +418,7 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
         topics.DIAGNOSTICS,
         lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.CLOCK}",
     )
-    observer.send(topics.WINCH_MODE, TextSample("hold"))
+    observer.send(topics.WINCH_MODE, TextSample(WinchMode.HOLD))
     observer.send(COMMAND, command(0.1, stamp_ns=100 * SECOND))
     assert topics.CLOCK in observer.wait_for_refusal(COMMAND, "not_active").message
     answer = observer.call(topics.SIM_PAUSE, True)
@@ -425,12 +430,14 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
 
     # A running clock; its timer speaks at the stamps of the clock alone.
     set_clock(100 * SECOND)
-    assert observer.wait_for_event("mode").message == "hold"  # what is latched is said once
+    assert (
+        observer.wait_for_event(ShellEvent.MODE).message == "hold"
+    )  # what is latched is said once
     observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
     heard = len(observer.listen(topics.EVENTS))
     observer.send(topics.CLOCK, ClockSample(5 * SECOND))
-    observer.wait_for_event("clock_jumped", heard)
+    observer.wait_for_event(ShellEvent.CLOCK_JUMPED, heard)
     # Stamps of the new past are accepted, those of the old time are not.
     observer.send(COMMAND, command(0.12, stamp_ns=5 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)

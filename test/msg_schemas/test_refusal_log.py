@@ -22,7 +22,12 @@ def test_few_refusals_are_told_at_once_with_their_count():
     assert last is not None
     assert last.name == f"node: refused {topics.JUMP_REQUEST}"
     assert last.level is Level.WARN
-    assert last.values == {"code": "stale", "refused": str(SHOWN_PER_PERIOD), "not_shown": "0"}
+    assert last.values == {
+        "subject": topics.JUMP_REQUEST,
+        "code": "stale",
+        "refused": str(SHOWN_PER_PERIOD),
+        "not_shown": "0",
+    }
     assert log.end_period() == ()
 
 

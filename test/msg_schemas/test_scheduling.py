@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Level
 from msg_schemas.scheduling import give_priority_up
 
@@ -67,14 +68,14 @@ def own() -> tuple[int, int]:
 
 def test_a_process_is_scheduled_as_any_other(processes: Processes, observer: Observer):
     process = processes.start("shell_node")
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
     assert scheduling(process.pid) == {own()}
 
 
 @permitted
 def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, observer: Observer):
     process = processes.start("shell_node", {"realtime_priority": PRIORITY})
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
     assert scheduling(process.pid) == {(os.SCHED_RR, PRIORITY)}
 
 
@@ -82,7 +83,7 @@ def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, o
 def test_the_predicting_of_jumps_stays_behind(processes: Processes, observer: Observer):
     given = {"realtime_priority": PRIORITY, "preload_model": True}
     process = processes.start("rover_control.jump_node", given)
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
     others = scheduling(process.pid) - {(os.SCHED_RR, PRIORITY)}
     assert others == {(os.SCHED_OTHER, 0)}
 
@@ -91,10 +92,10 @@ def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
     processes: Processes, observer: Observer
 ):
     process = processes.start("shell_node", {"realtime_priority": PRIORITY, "trouble": "no_rights"})
-    event = observer.wait_for_event("no_realtime_priority")
+    event = observer.wait_for_event(NodeEvent.REALTIME_DENIED)
     assert event.level is Level.WARN
     assert f"should be permitted rtprio {PRIORITY}" in event.message
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
     assert scheduling(process.pid) == {own()}
 
 

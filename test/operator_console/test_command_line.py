@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from operator_console.command_line import Exit, main, make_parser
 from operator_console.commands import COMMANDS
@@ -99,7 +100,7 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     # Ctrl-C during a motion: the command stops the motion before it ends.
     jog = rover("jog", "0.02", "--timeout", PATIENCE)
     jog.wait_for_output("renewed until Ctrl-C")
-    observer.wait_for_text(topics.WINCH_MODE, "rate")
+    observer.wait_for_text(topics.WINCH_MODE, WinchMode.RATE)
     assert jog.stop(signal.SIGINT) == Exit.DONE
     assert "hold: accepted by winch/hold" in jog.output
     assert re.search("at rest; .*winch hold", jog.output)

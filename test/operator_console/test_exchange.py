@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.refusal import REQUEST_ACCEPTED, Refusal, RefusalCode
+from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, NodeEvent, WinchEvent
+from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.samples import Level, Status, StatusSample
 from operator_console.commands import COMMANDS
@@ -33,7 +34,7 @@ def event(
 
 
 def accept(exchange: Exchange, source: str = ME) -> None:
-    event(exchange, REQUEST_ACCEPTED, commander=source)
+    event(exchange, NodeEvent.REQUEST_ACCEPTED, commander=source)
 
 
 def refuse(exchange: Exchange, source: str, node: str = "") -> None:
@@ -72,21 +73,23 @@ def test_only_a_refusal_with_the_own_name_counts_with_code_and_reason():
 
 def test_the_end_of_another_stop_does_not_complete_the_request():
     exchange = exchange_of("descend", depth=12.5)
-    event(exchange, "stop_ended", "reached", depth=12.5)  # latched before the request
+    event(
+        exchange, DescentEvent.STOP_COMPLETED, "reached", depth=12.5
+    )  # latched before the request
     accept(exchange)
-    event(exchange, "stop_ended", "reached", depth=11.0)
-    event(exchange, "stop_ended", "reached", node="winch_node", depth=12.5)
+    event(exchange, DescentEvent.STOP_COMPLETED, "reached", depth=11.0)
+    event(exchange, DescentEvent.STOP_COMPLETED, "reached", node="winch_node", depth=12.5)
     assert exchange.completion is None
-    event(exchange, "stop_ended", "reached", depth=12.5)
+    event(exchange, DescentEvent.STOP_COMPLETED, "reached", depth=12.5)
     assert ended(exchange) == (True, "reached")
 
 
 @pytest.mark.parametrize(
     ("name", "level", "message"),
     [
-        ("stop_ended", Level.WARN, "not steady within 60 s"),
-        ("descent_interrupted", Level.WARN, "the winch is in fault"),
-        ("descent_holding", Level.OK, "exchange_of to hold"),
+        (DescentEvent.STOP_FAILED, Level.WARN, "not steady within 60 s"),
+        (DescentEvent.INTERRUPTED, Level.WARN, "the winch is in fault"),
+        (DescentEvent.HOLDING, Level.OK, "exchange_of to hold"),
     ],
 )
 def test_a_descent_may_end_without_success(name: str, level: Level, message: str):
@@ -105,24 +108,24 @@ def test_a_descent_may_end_without_success(name: str, level: Level, message: str
 def test_a_winch_that_holds_at_another_length_is_not_done(values: Mapping[str, Any], done: bool):
     exchange = exchange_of("payout", length=12.0)
     accept(exchange)
-    event(exchange, "winch_hold", "holds", **values)
+    event(exchange, WinchEvent.HOLD, "holds", **values)
     assert ended(exchange) == (done, "holds")
 
 
 def test_a_jump_is_done_at_rest_on_the_ground_and_fails_when_the_spring_is_unloaded():
     good, bad = exchange_of("jump", stroke=0.2), exchange_of("jump", stroke=0.2)
     for exchange in (good, bad):
-        event(exchange, "jump_compressing")
+        event(exchange, JumpEvent.COMPRESSING)
         accept(exchange)
-    for name in ("jump_flight", "jump_landed"):
+    for name in (JumpEvent.FLIGHT, JumpEvent.LANDED):
         event(good, name)
     assert good.completion is None
-    assert [status.name for status in good.events] == ["jump_flight", "jump_landed"]
-    event(good, "jump_standby", "at rest on the ground")
+    assert [status.name for status in good.events] == [JumpEvent.FLIGHT, JumpEvent.LANDED]
+    event(good, JumpEvent.STANDBY, "at rest on the ground")
     assert ended(good) == (True, "at rest on the ground")
-    event(bad, "jump_letting_down", "no take-off", Level.ERROR)
-    event(bad, "jump_standby", "the spring is let down")
-    assert ended(bad) == (False, "jump_letting_down: no take-off")
+    event(bad, JumpEvent.FAILED, "no take-off", Level.ERROR)
+    event(bad, JumpEvent.STANDBY, "the spring is let down")
+    assert ended(bad) == (False, "jump_failed: no take-off")
 
 
 def test_a_goal_in_a_frame_is_matched_by_its_stamp():
@@ -132,7 +135,7 @@ def test_a_goal_in_a_frame_is_matched_by_its_stamp():
     assert exchange.outcome is None
     accept(exchange, "1500000123 ns")
     assert exchange.outcome is not None
-    event(exchange, "drive_done", "all goals are reached")
+    event(exchange, DriveEvent.COMPLETED, "all goals are reached")
     assert ended(exchange) == (True, "all goals are reached")
 
 

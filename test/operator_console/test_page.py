@@ -15,6 +15,8 @@ from descent_mother import DescentMother
 from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas import topics
+from msg_schemas.events import JumpEvent
+from msg_schemas.phases import WinchMode
 from operator_console.bag_shelf import BagShelf
 from operator_console.page_access import Access
 from operator_console.server import Content, Server, ServerSettings
@@ -46,7 +48,7 @@ class Pit:
         start("rover_control.descent_node", {"use_sim_time": True, **QUICK})
         self.mother = DescentMother(observer, hoist, START)
         self.mother.begin()
-        observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+        observer.wait_for_text(topics.WINCH_MODE, WinchMode.DISARMED)
         observer.wait_until_ready("winch_node")
         observer.wait_until_ready("descent_node")
         self.address = self.console.wait_for_output(r"the page is at (\S+)").group(1)
@@ -164,7 +166,7 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     made = MadeUp()
     jump = Parabola()
     made.jumps([jump], until=3.0, rate=50.0)
-    made.event(2.5, "jump_landed", "it stands", {})
+    made.event(2.5, JumpEvent.LANDED, "it stands", {})
     made.write(tmp_path / "jump")
     settings = ServerSettings("127.0.0.1", 0, Access(), BagShelf(tmp_path))
     server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})

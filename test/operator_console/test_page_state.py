@@ -7,7 +7,11 @@ import json
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent
+from msg_schemas.health import Health
 from msg_schemas.machine import PAYOUT, REFERENCE, STRETCHED, TENSION, TETHER_OUT
+from msg_schemas.phases import HealthState, WinchMode
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -34,8 +38,13 @@ def estimate(length: float, tension: float = 16.0) -> JointSample:
     )
 
 
-def report(node: str, message: str, level: Level = Level.OK, what: str = "node") -> StatusSample:
+def report(node: str, message: str, level: Level, what: str) -> StatusSample:
     return StatusSample(0, (Status(f"{node}: {what}", message, level, node),))
+
+
+def health_of(node: str, *missing: str) -> StatusSample:
+    state = HealthState.WAITING if missing else HealthState.READY
+    return StatusSample(0, (Health(node, state, missing).status({}),))
 
 
 class Console:
@@ -80,10 +89,10 @@ def test_geometry_falls_back_to_the_payout_when_the_truth_is_missing():
 def test_the_worst_part_sets_the_overall_health():
     console = Console()
     assert console.frame(0.0)["health"]["level"] == "unknown"
-    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "ready"), 0.0)
-    console.on_sample(topics.DIAGNOSTICS, report("descent_node", "ready"), 0.0)
+    console.on_sample(topics.DIAGNOSTICS, health_of("winch_node"), 0.0)
+    console.on_sample(topics.DIAGNOSTICS, health_of("descent_node"), 0.0)
     assert console.frame(0.1)["health"]["level"] == "ok"
-    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "waiting for x", Level.WARN), 0.2)
+    console.on_sample(topics.DIAGNOSTICS, health_of("winch_node", "x"), 0.2)
     assert console.frame(0.3)["health"] == {
         "level": "warn", "title": "warning", "text": "winch_node: waiting for x",
     }  # fmt: skip
@@ -97,8 +106,8 @@ def test_the_worst_part_sets_the_overall_health():
 
 def test_a_silent_node_makes_the_health_stale():
     console = Console()
-    console.on_sample(topics.DIAGNOSTICS, report("winch_node", "ready"), 0.0)
-    console.on_sample(topics.WINCH_MODE, TextSample("hold"), 0.0)
+    console.on_sample(topics.DIAGNOSTICS, health_of("winch_node"), 0.0)
+    console.on_sample(topics.WINCH_MODE, TextSample(WinchMode.HOLD), 0.0)
     assert console.frame(1.0)["phases"]["winch"][2] is False
     made = console.frame(9.0)
     assert made["health"]["level"] == "stale"
@@ -120,16 +129,14 @@ def test_a_fault_outranks_warnings():
 
 def test_the_journal_holds_events_and_refusals_with_their_reasons():
     console = Console()
-    event = Status("stop_ended", "at 14 m", Level.OK, "descent_node", {})
+    event = Status(DescentEvent.STOP_COMPLETED, "at 14 m", Level.OK, "descent_node", {})
     console.on_sample(topics.EVENTS, StatusSample(0, (event,)), 1.0)
-    refusal = Status(
-        "descent_node: refused x", "too deep", Level.WARN, "descent_node",
-        {"code": "out_of_limits"},
-    )  # fmt: skip
+    refusal = RefusalReport("descent_node", "x", RefusalCode.OUT_OF_LIMITS, "too deep").status()
     console.on_sample(topics.DIAGNOSTICS, StatusSample(0, (refusal,)), 2.0)
-    console.on_sample(topics.DIAGNOSTICS, report("descent_node", "ready"), 3.0)
+    console.on_sample(topics.DIAGNOSTICS, health_of("descent_node"), 3.0)
     first, second = (entry.as_dict() for entry in console.page_state.journal)
-    assert (first["time"], first["title"], first["text"]) == (101.0, "stop_ended", "at 14 m")
+    assert (first["time"], first["text"]) == (101.0, "at 14 m")
+    assert first["title"] == DescentEvent.STOP_COMPLETED
     assert (second["level"], second["text"]) == ("warn", "too deep [out_of_limits]")
 
 

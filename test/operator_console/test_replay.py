@@ -9,6 +9,7 @@ import pytest
 from contract_bag import MadeUp, Parabola
 
 from msg_schemas import topics
+from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import TextSample
 from msg_schemas.table import TOPICS
 from operator_console.bag_shelf import BagShelf, ShelfError
@@ -22,7 +23,7 @@ JUMP = Parabola()
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = MadeUp()
     made.jumps([JUMP], until=3.0, rate=50.0)
-    made.add(1.5, topics.JUMP_PHASE, TextSample("flight"))
+    made.add(1.5, topics.JUMP_PHASE, TextSample(JumpPhase.FLIGHT))
     made.event(2.0, "landed", "it stands", {})
     made.refusal(2.5, topics.JUMP_REQUEST, "jump_stroke.position is nan")
     where = tmp_path_factory.mktemp("bags")

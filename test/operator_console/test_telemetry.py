@@ -7,6 +7,8 @@ import pytest
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
+from msg_schemas.health import Health
+from msg_schemas.phases import HealthState, PlantPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.samples import (
@@ -28,8 +30,9 @@ from operator_console.telemetry import (
 )
 
 
-def health(node: str, message: str = "ready", level: Level = Level.OK, *more: Status):
-    return StatusSample(1, (Status(f"{node}: node", message, level, node), *more))
+def health(node: str, *more: Status, missing: tuple[str, ...] = ()) -> StatusSample:
+    state = HealthState.WAITING if missing else HealthState.READY
+    return StatusSample(1, (Health(node, state, missing).status({}), *more))
 
 
 def estimate(length: float, rate: float, tension: float, valid: bool = True) -> JointSample:
@@ -106,7 +109,7 @@ def test_angles_are_in_degrees_and_budgets_in_percent():
 
 def test_a_phase_is_as_fresh_as_its_node():
     known = Telemetry()
-    known.on_sample(topics.WINCH_MODE, TextSample("fault"), 1.0)
+    known.on_sample(topics.WINCH_MODE, TextSample(WinchMode.FAULT), 1.0)
     assert known.snapshot(1.1).reading("winch").is_stale  # latched by a node that has ended
     known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 50.0)
     now = known.snapshot(50.5).reading("winch")
@@ -116,7 +119,7 @@ def test_a_phase_is_as_fresh_as_its_node():
 
 def test_the_plant_s_phase_is_fresh_with_any_plant():
     known = Telemetry()
-    known.on_sample(topics.TRUTH_PHASE, TextSample("hanging"), 1.0)
+    known.on_sample(topics.TRUTH_PHASE, TextSample(PlantPhase.HANGING), 1.0)
     known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 1.0)
     assert known.snapshot(1.1).reading("plant").is_stale
     known.on_sample(topics.DIAGNOSTICS, health("mock_plant"), 1.0)
@@ -127,7 +130,7 @@ def test_a_node_reports_its_problems_and_becomes_silent():
     known = Telemetry()
     bad = Status("winch_node: mode", "fault: node_late", Level.ERROR, "winch_node")
     good = Status("winch_node: tension", "normal", Level.OK, "winch_node")
-    known.on_sample(topics.DIAGNOSTICS, health("winch_node", "ready", Level.OK, bad, good), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node", bad, good), 1.0)
     (node,) = known.snapshot(2.0).nodes
     assert (node.condition, node.level, node.is_silent) == ("ready", "ERROR", False)
     assert node.details == ("mode: fault: node_late",)
@@ -199,7 +202,7 @@ def test_a_parameter_is_read_from_the_configuration():
 
 def test_a_node_that_reports_its_health_is_alive():
     known = Telemetry()
-    known.on_sample(topics.WINCH_MODE, TextSample("hold"), 1.0)
+    known.on_sample(topics.WINCH_MODE, TextSample(WinchMode.HOLD), 1.0)
     assert not known.has_any_node
     known.on_sample(topics.DIAGNOSTICS, health("a"), 1.0)
     assert known.has_any_node

@@ -19,6 +19,7 @@ from lockstep_run import (
 )
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -137,7 +138,7 @@ def test_resets_of_plant_and_clock_are_followed(tmp_path: Path):
     simulation = recorder.simulation
     simulation.reset_plant()
     stamp = simulation.stamp_ns * 1e-9
-    recorder.made.rows.append(event(recorder, stamp, "reset_plant"))
+    recorder.made.rows.append(event(recorder, stamp, SimulationEvent.PLANT_RESET))
     recorder.wall += 0.5
     recorder.record()
     recorder.run(20, nut_until_trip)

@@ -12,6 +12,7 @@ from hanging_machine import WALL, HangingMachine
 from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas import topics
+from msg_schemas.events import DescentEvent, EventReport, WinchEvent
 from msg_schemas.machine import (
     DEPTH,
     HEADING,
@@ -26,13 +27,12 @@ from msg_schemas.machine import (
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import ParameterError
+from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
-from msg_schemas.transition import Transition
 from rover_control.attitude import RotorParameters
 from rover_control.descent import (
-    RELEASED,
     Descent,
     DescentCommands,
     DescentParameters,
@@ -40,11 +40,10 @@ from rover_control.descent import (
     Observation,
 )
 from rover_control.descent_parameters import ProfileParameters
-from rover_control.descent_profile import DescentPhase, Stop
+from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks.winch_rig import TICK, Readings, Session
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 QUICK = ProfileParameters(
@@ -64,7 +63,7 @@ class World:
         )
         self.silent: set[str] = set()
         self.sent: list[DescentCommands] = []
-        self.changes: list[Transition] = []
+        self.changes: list[EventReport] = []
         self.observations: list[Observation] = []
         self.readings: Readings | None = None
         self._mode = ""
@@ -114,7 +113,7 @@ class World:
         self.rover.flywheel_torque = commands.flywheel_torque or 0.0
         if commands.winch is not None:
             self.winch.request(WINCH_WHILE_RENEWED, *commands.winch)
-        if commands.trim is not None and self.winch.winch.mode is Mode.LENGTH:
+        if commands.trim is not None and self.winch.winch.mode is WinchMode.LENGTH:
             self.winch.winch.trim(commands.trim, self.winch.now_ns)
 
     def run(self, duration: float, *, is_alive: bool = True) -> None:
@@ -142,7 +141,7 @@ class World:
         self.run_until(lambda: self.length > 5.5)
 
     def reasons(self, name: str) -> list[str]:
-        return [change.reason for change in self.changes if change.name == name]
+        return [change.message for change in self.changes if change.name == name]
 
     @property
     def done(self) -> bool:
@@ -165,7 +164,7 @@ def refused(act: Callable[[], object]) -> Refusal:
 
 def test_a_stop_publishes_each_picture_with_the_camera_report(world: World):
     world.arm()
-    assert world.descent.phase == RELEASED
+    assert world.descent.phase == DescentPhase.RELEASED
     world.request(6.0)
     world.run_until(lambda: world.done)
     world.run(0.5)
@@ -193,7 +192,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     before = world.rover.wheel_rate
     assert before < -0.5
     world.run(6.0)
-    assert world.reasons(f"descent_{RELEASED}") == ["release requested"]
+    assert world.reasons(DescentEvent.RELEASED) == ["release requested"]
     assert world.sent[-1] == NOTHING
     assert world.rover.wheel_rate == 0.0
     rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
@@ -218,7 +217,7 @@ def test_a_travel_is_held_resumed_and_aborted(world: World):
     world.run(4.0)
     held = world.length
     assert held == pytest.approx(5.5, abs=0.1)
-    assert world.winch.winch.mode is Mode.HOLD
+    assert world.winch.winch.mode is WinchMode.HOLD
     assert refused(lambda: world.request(6.0)).subject == topics.DESCENT_REQUEST
     assert "1 stops" in world.descent.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > 6.5)
@@ -228,8 +227,8 @@ def test_a_travel_is_held_resumed_and_aborted(world: World):
     world.descent.release()  # while the winch still comes to rest
     world.run(4.0)
     assert world.length == pytest.approx(6.5, abs=0.1)
-    assert world.winch.winch.mode is Mode.HOLD
-    assert not [t for _, t in world.winch.transitions if "was not renewed" in t.reason]
+    assert world.winch.winch.mode is WinchMode.HOLD
+    assert not [t for _, t in world.winch.transitions if "was not renewed" in t.message]
     assert all(commands.winch is None for commands in world.sent[-50:])
 
 
@@ -243,7 +242,7 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     world.descent.turn(0.05, now)
     assert world.descent.is_engaged
     world.run(0.5)
-    (begun,) = world.reasons("pointing_begun")
+    (begun,) = world.reasons(DescentEvent.POINTING_STARTED)
     assert "turn by 3 deg" in begun
     state = state_sample(world.descent, world.winch.now_ns)
     assert state is not None
@@ -252,12 +251,12 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     world.request(5.5, observes=False)
     assert refused(lambda: world.descent.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
     world.run_until(lambda: world.done)
-    assert len(world.reasons("pointing_ended")) == 1
+    assert len(world.reasons(DescentEvent.POINTING_RELEASED)) == 1
     world.run(0.5)
     world.descent.turn(0.05, world.winch.now_ns)
     world.silent.add(topics.IMU)
     world.run(1.5)
-    assert world.reasons("pointing_ended")[1:] == [f"{topics.IMU} timed out"]
+    assert world.reasons(DescentEvent.POINTING_LOST) == [f"{topics.IMU} timed out"]
     assert not world.descent.controller.pointing.is_active
 
 
@@ -283,9 +282,9 @@ def test_a_request_in_a_wrong_state_is_refused_with_the_reason(world: World):
     now = world.winch.now_ns
     assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
     assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
-    world.descent.on_jump("flight")
+    world.descent.on_jump(JumpPhase.FLIGHT)
     assert "a jump is in progress" in refused(lambda: world.request(6.0)).reason
-    world.descent.on_jump("standby")
+    world.descent.on_jump(JumpPhase.STANDBY)
     screw, world.descent.screw = world.descent.screw, 20.0
     assert topics.JUMP_ABORT in refused(lambda: world.request(6.0)).reason
     world.descent.screw = screw
@@ -305,7 +304,7 @@ def test_a_nut_on_the_latch_is_driven_clear_before_the_rotors_are_used(world: Wo
     assert all(commands.wheel_rate is None for commands in ordered)
     world.rover.screw = RotorParameters().screw_travel_centre + 5.0
     world.run_until(lambda: world.done)
-    assert world.reasons("nut_clear")
+    assert world.reasons(DescentEvent.NUT_CLEARING_COMPLETED)
     assert world.sent[-1].nut is None
     assert world.sent[-1].flywheel_torque is not None
 
@@ -327,7 +326,7 @@ def test_estimation_pauses_after_a_release_and_restarts_with_the_next_stop(world
     assert estimator.estimate.swing_error > known.swing_error
     world.run(0.5 * world.descent.settings.hanging_controller.profile.estimator_settling_time)
     names = [change.name for change in world.changes[begun:]]
-    assert "descent_travelling" not in names
+    assert DescentEvent.TRAVELLING not in names
     world.run_until(lambda: world.length < 5.01)
 
 
@@ -357,10 +356,10 @@ def test_a_sensor_timeout_interrupts_until_a_resume(world: World, topic: str):
     world.travel()
     world.silent.add(topic)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert world.reasons("descent_interrupted") == [f"{topic} timed out"]
+    assert world.reasons(DescentEvent.INTERRUPTED) == [f"{topic} timed out"]
     assert topic in world.descent.interruption
     world.run(3.0)
-    assert world.winch.winch.mode is Mode.HOLD
+    assert world.winch.winch.mode is WinchMode.HOLD
     assert set(world.sent[-50:]) == {NOTHING}
     assert refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.STALE
     world.silent.clear()
@@ -382,7 +381,7 @@ def test_a_late_step_does_not_time_its_sensors_out(world: World):
         world.run(0.6, is_alive=False)
         world.control()  # before it receives the queued samples
         world.run(0.2)
-    assert not world.reasons("descent_interrupted")
+    assert not world.reasons(DescentEvent.INTERRUPTED)
     assert world.descent.phase == DescentPhase.TRAVELLING
 
 
@@ -394,11 +393,11 @@ def test_rotors_do_not_follow_a_delayed_gyro(world: World):
         world.control()
         assert world.sent[-1][:2] == (rate, 0.0)
         world.run(0.04)
-    assert len(world.reasons("rotors_late")) == 1
+    assert len(world.reasons(DescentEvent.ROTORS_SUSPENDED)) == 1
     world.run(1.8)
     assert {d[:2] for d in world.sent[-90:]} == {(rate, 0.0)}
     world.run(4.0)
-    assert len(world.reasons("rotors_follow")) == 1
+    assert len(world.reasons(DescentEvent.ROTORS_RESUMED)) == 1
     rates = [d.wheel_rate for d in world.sent[-300:] if d.wheel_rate is not None]
     assert max(abs(b - a) for a, b in pairwise(rates)) < 0.05
     assert rates[-1] == world.rover.wheel_rate != rate
@@ -426,7 +425,7 @@ def test_a_winch_that_others_use_is_left_alone_until_a_resume(
     world.travel()
     act(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    (reason,) = world.reasons("descent_interrupted")
+    (reason,) = world.reasons(DescentEvent.INTERRUPTED)
     assert text in reason
     requests = [d.winch for d in world.sent[-10:] if d.winch is not None]
     world.run(3.0)
@@ -449,13 +448,13 @@ def test_a_winch_that_is_stopped_during_a_trim_is_left_alone():
     world.arm()
     world.request(8.0)
     world.run_until(lambda: world.descent.phase == DescentPhase.DAMPING)
-    world.run_until(lambda: world.winch.winch.mode is Mode.LENGTH)
+    world.run_until(lambda: world.winch.winch.mode is WinchMode.LENGTH)
     world.run(2.0)
     assert max(abs(d.trim or 0.0) for d in world.sent) > 0.05
-    assert not world.reasons("descent_interrupted")
+    assert not world.reasons(DescentEvent.INTERRUPTED)
     held(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert "was stopped" in world.reasons("descent_interrupted")[0]
+    assert "was stopped" in world.reasons(DescentEvent.INTERRUPTED)[0]
     world.run(3.0)
     assert {(d.winch, d.trim) for d in world.sent[-100:]} == {(None, None)}
 
@@ -465,7 +464,7 @@ def test_a_winch_that_does_not_accept_the_request_ends_in_a_hold(world: World):
     world.request(6.0)
     world.winch.request = lambda *_, **__: None  # type: ignore[method-assign]
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 10.0)
-    (reason,) = world.reasons("descent_interrupted")
+    (reason,) = world.reasons(DescentEvent.INTERRUPTED)
     assert "not accepted the request for 6 m" in reason
 
 
@@ -487,10 +486,10 @@ def test_a_winch_whose_controller_dies_comes_to_rest(world: World):
     world.travel()
     length = world.length
     world.run(3.0, is_alive=False)
-    assert world.winch.winch.mode is Mode.HOLD
+    assert world.winch.winch.mode is WinchMode.HOLD
     assert length < world.length < length + 0.2 * 1.1 + 0.1
-    (timed_out,) = [t for _, t in world.winch.transitions if "was not renewed" in t.reason]
-    assert timed_out.name == "winch_hold"
+    (timed_out,) = [t for _, t in world.winch.transitions if "was not renewed" in t.message]
+    assert timed_out.name == WinchEvent.HOLD
 
 
 def test_a_halt_stops_the_winch_and_switches_the_motors_off(world: World):
@@ -506,8 +505,6 @@ def test_a_halt_stops_the_winch_and_switches_the_motors_off(world: World):
 
 
 def test_its_samples_follow_the_contract(world: World):
-    words = {RELEASED, *(phase.value for phase in DescentPhase)}
-    assert set(TOPICS[topics.DESCENT_PHASE].words) == words
     assert state_sample(world.descent, 0) is None
     world.arm()
     world.run(0.1)

@@ -15,6 +15,8 @@ from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import DescentEvent, WinchEvent
+from msg_schemas.phases import DescentPhase, WinchMode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     CAMERA_RATE,
@@ -62,7 +64,7 @@ class Bench:
         self.process = self.start()
         self.mother = DescentMother(self.observer, hoist, START)
         self.mother.begin()
-        self.observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+        self.observer.wait_for_text(topics.WINCH_MODE, WinchMode.DISARMED)
         self.observer.wait_until_ready(WINCH_NODE)
 
     def start(self) -> Process:
@@ -74,7 +76,7 @@ class Bench:
     def arm(self) -> None:
         answer = self.observer.call(topics.WINCH_REARM)
         assert answer.success, answer.message
-        self.observer.wait_for_text(topics.WINCH_MODE, "hold")
+        self.observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 
     def request(self, joint: str, depth: float, rate: float = 0.0) -> None:
         """Send a request without a stamp, as an operator does."""
@@ -83,7 +85,7 @@ class Bench:
     def request_and_wait(self, joint: str, depth: float, rate: float = 0.0) -> None:
         since = len(self.observer.listen(topics.EVENTS))
         self.request(joint, depth, rate)
-        self.observer.wait_for_event("stop_accepted", since)
+        self.observer.wait_for_event(DescentEvent.STOP_ACCEPTED, since)
         self.mother.descends = True
 
     def travel(self) -> None:
@@ -180,10 +182,11 @@ def look_at_pictures(bench: Bench) -> None:
         assert abs(sample.joints[HEADING].position) < 0.1
         # A report of the camera whose exposure began at the command or later.
         assert sample.joints[SMEAR].position * 1e3 - sample.stamp_ns * 1e-9 >= 0.1 - 1e-6
-    ended = bench.observer.wait_for_event("stop_ended")
+    ended = bench.observer.wait_for_event(DescentEvent.STOP_COMPLETED)
     assert ended.values["pictures"] == "2"
     bench.observer.wait_for_status(
-        topics.EVENTS, lambda s: s.name == "stop_ended" and s.values["depth"] == "5.3"
+        topics.EVENTS,
+        lambda s: s.name == DescentEvent.STOP_COMPLETED and s.values["depth"] == "5.3",
     )
     state = bench.observer.listen(topics.DESCENT_STATE)
     state.wait(lambda s: abs(s.joints[DEPTH].position - 5.3) < 0.02)
@@ -195,7 +198,7 @@ def release(bench: Bench) -> None:
     since = bench.phases()
     answer = bench.observer.call(topics.DESCENT_RELEASE)
     assert answer.success, answer.message
-    bench.observer.wait_for_text(topics.DESCENT_PHASE, "released", since=since)
+    bench.observer.wait_for_text(topics.DESCENT_PHASE, DescentPhase.RELEASED, since=since)
 
 
 def be_stopped(bench: Bench) -> None:
@@ -240,7 +243,7 @@ def lose_a_sensor(bench: Bench) -> None:
     bench.travel()
     bench.mother.descends = False
     bench.mother.spoil = lambda name, m: None if name == topics.IMU else m
-    event = bench.observer.wait_for_event("descent_interrupted")
+    event = bench.observer.wait_for_event(DescentEvent.INTERRUPTED)
     assert event.level is Level.WARN
     assert event.message == f"{topics.IMU} timed out"
     bench.wait_until_braked()
@@ -260,7 +263,7 @@ def be_killed(bench: Bench) -> None:
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
     bench.observer.wait_for_status(
-        topics.EVENTS, lambda s: s.name == "winch_hold" and "is silent" in s.message
+        topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and "is silent" in s.message
     )
     bench.wait_until_braked()
     length = bench.mother.last.length
@@ -269,7 +272,7 @@ def be_killed(bench: Bench) -> None:
     phases = bench.phases()
     bench.start()
     bench.wait_until_ready(since)
-    bench.observer.wait_for_text(topics.DESCENT_PHASE, "released", since=phases)
+    bench.observer.wait_for_text(topics.DESCENT_PHASE, DescentPhase.RELEASED, since=phases)
     bench.mother.wait_for(2.0)
     assert bench.mother.last.length == length
     assert len(bench.observer.listen(topics.WINCH_REQUEST)) == requests

@@ -6,20 +6,19 @@ import math
 
 import pytest
 
+from msg_schemas.events import DescentEvent
+from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.descent_parameters import ProfileParameters
-from rover_control.descent_profile import (
-    DescentPhase,
-    DescentProfile,
-    ProfileSetpoints,
-    Stop,
-)
+from rover_control.descent_profile import DescentProfile, ProfileSetpoints, Stop
 from rover_control.hanging_rover import HangingParameters
 from rover_control.swing_estimator import SwingEstimate
 from rover_control.yaw_momentum import MomentumTransfer
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1
+
+STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_ABORTED, DescentEvent.STOP_FAILED)
 
 
 class World:
@@ -88,7 +87,7 @@ class World:
 
     def ended(self) -> list[str]:
         changes = self.profile.take_changes()
-        return [change.reason for change in changes if change.name == "stop_ended"]
+        return [change.message for change in changes if change.name in STOP_ENDS]
 
 
 def test_a_steady_rover_takes_its_pictures_at_every_stop():
@@ -296,7 +295,7 @@ def test_an_aborted_travel_reports_no_pictures_of_the_last_stop():
     while world.profile.phase is not DescentPhase.TRAVELLING or world.pictures == 0:
         world.step()
     world.profile.abort(world.length, world.now)
-    ended = [each for each in world.profile.take_changes() if each.name == "stop_ended"]
+    ended = [each for each in world.profile.take_changes() if each.name in STOP_ENDS]
     assert [each.values["pictures"] for each in ended] == [PROFILE.exposures, 0]
 
 

@@ -11,11 +11,13 @@ import pytest
 from rolling_rover import RollingRover
 
 from msg_schemas import topics
+from msg_schemas.events import DriveEvent
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseSample, TwistSample
 from rover_control.drive import Drive, DriveSettings
-from rover_control.drive_follower import DrivePhase, FollowerParameters
+from rover_control.drive_follower import FollowerParameters
 from rover_control.drive_odometry import OdometryParameters
 from rover_control.drive_tether import TetherParameters
 from rover_control.drive_watch import DriveWatch, WatchParameters
@@ -69,7 +71,7 @@ def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float
     drive = ready(rover)
     drive.request(pose(3.0, 0.5, 1.2), rover.now_ns)
     rover.run(drive, 300.0)
-    assert event_names(drive) == ["drive_begun", "goal_reached", "drive_done"]
+    assert event_names(drive) == [DriveEvent.STARTED, DriveEvent.GOAL_REACHED, DriveEvent.COMPLETED]
     assert phase_of(drive) is DrivePhase.RELEASED
     assert math.hypot(rover.x - 3.0, rover.y - 0.5) < 0.2
     assert abs(math.remainder(rover.heading - 1.2, 2.0 * math.pi)) < 0.1
@@ -87,7 +89,7 @@ def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
         rover.step(drive)
         for k, each in enumerate(path):
             least[k] = min(least[k], math.dist(each.position[:2], (rover.x, rover.y)))
-    assert event_names(drive).count("goal_reached") == 3
+    assert event_names(drive).count(DriveEvent.GOAL_REACHED) == 3
     assert max(least) < 0.2
     # A turn to the first pose's heading would have been a full turn more.
     assert rover.heading < 2.0 * math.pi
@@ -102,7 +104,7 @@ def test_the_wheels_never_turn_the_rover_right():
         rover.step(drive)
         assert rover.heading >= before - 1e-9
         before = rover.heading
-    assert event_names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == DriveEvent.COMPLETED
 
 
 def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
@@ -110,7 +112,7 @@ def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
     drive = ready(rover)
     drive.request(pose(0.08, -0.3), rover.now_ns)
     rover.run(drive, 200.0)
-    assert event_names(drive) == ["drive_begun", "goal_reached", "drive_done"]
+    assert event_names(drive) == [DriveEvent.STARTED, DriveEvent.GOAL_REACHED, DriveEvent.COMPLETED]
     assert math.hypot(rover.x - 0.08, rover.y + 0.3) < 0.12
 
 
@@ -140,8 +142,8 @@ def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
     drive.request(pose(2.0, 0.0), rover.now_ns)
     rover.run(drive, 30.0)
     assert phase_of(drive) is DrivePhase.FAILED
-    (failed,) = [c for c in drive.take_changes() if c.name == "drive_failed"]
-    assert "did not enter mode tension" in failed.reason
+    (failed,) = [c for c in drive.take_changes() if c.name == DriveEvent.FAILED]
+    assert "did not enter mode tension" in failed.message
     assert rover.travelled == 0.0
 
 
@@ -155,7 +157,7 @@ def test_the_rover_stops_when_the_winch_leaves_mode_tension():
     rover.step(drive)
     rover.step(drive)
     assert phase_of(drive) is DrivePhase.FAILED
-    assert "left mode tension for fault" in drive.take_changes()[-1].reason
+    assert "left mode tension for fault" in drive.take_changes()[-1].message
 
 
 def test_the_rover_drives_without_winch_requests_if_configured():
@@ -164,7 +166,7 @@ def test_the_rover_drives_without_winch_requests_if_configured():
     drive = ready(rover, settings)
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
-    assert event_names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == DriveEvent.COMPLETED
     assert rover.requests == []
 
 
@@ -177,8 +179,8 @@ def stuck_after(rover: RollingRover, drive: Drive, limit: float) -> tuple[str, f
     while drive.is_busy and rover.now < started + limit:
         rover.step(drive)
     assert phase_of(drive) is DrivePhase.STUCK
-    (change,) = [c for c in drive.take_changes() if c.name == "drive_stuck"]
-    return change.reason, abs(rover.angles[0] - turned) * 0.15
+    (change,) = [c for c in drive.take_changes() if c.name == DriveEvent.STUCK]
+    return change.message, abs(rover.angles[0] - turned) * 0.15
 
 
 def test_the_accelerometer_detects_a_rover_stuck_at_the_start():
@@ -261,7 +263,7 @@ def test_a_new_goal_is_accepted_after_being_stuck():
     drive.set_pose(pose(rover.x, rover.y, rover.heading))
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
-    assert event_names(drive)[-1] == "drive_done"
+    assert event_names(drive)[-1] == DriveEvent.COMPLETED
 
 
 # --- twists -----------------------------------------------------------------------------------
@@ -282,7 +284,7 @@ def test_the_rover_follows_twists_and_stops_when_they_time_out():
     rover.run(drive, 20.0)
     assert phase_of(drive) is DrivePhase.RELEASED
     assert rover.rates == pytest.approx((0.0, 0.0), abs=1e-3)
-    assert any("0.5 s" in change.reason for change in drive.take_changes())
+    assert any("0.5 s" in change.message for change in drive.take_changes())
 
 
 def test_a_twist_that_is_too_fast_or_impossible_is_refused():
@@ -315,9 +317,9 @@ def test_unreachable_goals_are_refused_with_the_reason():
     ("change", "code", "text"),
     [
         (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
-        (lambda rover, drive: drive.on_jump("flight"), RefusalCode.WRONG_PHASE, "jumping"),
+        (lambda rover, drive: drive.on_jump(JumpPhase.FLIGHT), RefusalCode.WRONG_PHASE, "jumping"),
         (
-            lambda rover, drive: drive.on_descent("holding"),
+            lambda rover, drive: drive.on_descent(DescentPhase.HOLDING),
             RefusalCode.WRONG_PHASE,
             topics.DESCENT_RELEASE,
         ),
@@ -358,7 +360,7 @@ def test_stale_sensors_are_named_and_stop_the_rover():
         rover.now_ns += 20_000_000
         drive.step(rover.now_ns)
     assert phase_of(drive) is DrivePhase.FAILED
-    assert topics.WHEEL_STATE in drive.take_changes()[-1].reason
+    assert topics.WHEEL_STATE in drive.take_changes()[-1].message
 
 
 def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
@@ -372,7 +374,7 @@ def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
     lifted = drive.odometry.pose
     rover.run(drive, 10.0)
     assert phase_of(drive) is DrivePhase.FAILED
-    assert "floor" in drive.take_changes()[-1].reason
+    assert "floor" in drive.take_changes()[-1].message
     assert (drive.odometry.pose.x, drive.odometry.pose.y) == pytest.approx(lifted[:2], abs=1e-3)
 
 

@@ -9,6 +9,8 @@ import pytest
 from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
+from msg_schemas.events import DriveEvent
+from msg_schemas.phases import DrivePhase
 from msg_schemas.samples import OdometrySample, PoseSample, TwistSample
 
 if TYPE_CHECKING:
@@ -56,10 +58,10 @@ def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarn
 
     ahead = (0.0, 0.0, 0.0, 1.0)
     observer.send(topics.DRIVE_START, PoseSample(0, (1.0, 0.0, 0.0), ahead))
-    observer.wait_for_event("pose_taken")
+    observer.wait_for_event(DriveEvent.POSE_SET)
     observer.send(topics.DRIVE_GOAL, PoseSample(0, (2.0, 0.6, 0.0)))
-    observer.wait_for_event("drive_done")
-    observer.wait_for_text(topics.DRIVE_PHASE, "released")
+    observer.wait_for_event(DriveEvent.COMPLETED)
+    observer.wait_for_text(topics.DRIVE_PHASE, DrivePhase.RELEASED)
     true: OdometrySample = truth.last
     # The mock plant turns about the middle of its axle, not about the pivot.
     assert math.dist(true.position[:2], (2.0, 0.6)) < 0.5

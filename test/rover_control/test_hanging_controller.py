@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from msg_schemas.events import DescentEvent
 from msg_schemas.machine import FLYWHEEL, WHEEL_LEFT, WHEEL_RIGHT, WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.hanging_controller import HangingController, HangingControllerParameters
@@ -27,6 +28,6 @@ def test_a_divergence_is_reported_once_and_its_end_too():
     rover = HangingController(HangingControllerParameters())
     assert events_at(rover, 1, 10.0, 0.0) == []
     # The rate of a rover that is turned over, not of a hanging one.
-    assert events_at(rover, 1001, 20.0, 1.0) == ["swing_lost"]
+    assert events_at(rover, 1001, 20.0, 1.0) == [DescentEvent.SWING_LOST]
     assert rover.estimator.divergences > 1
-    assert events_at(rover, 3001, 60.0, 0.0) == ["swing_found"]
+    assert events_at(rover, 3001, 60.0, 0.0) == [DescentEvent.SWING_RECOVERED]

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.events import EventName, JumpEvent
 from msg_schemas.machine import (
     FLOOR_SWITCH,
     JUMP_CLEARANCE,
@@ -15,8 +16,9 @@ from msg_schemas.machine import (
     JUMP_STROKE,
     PAYOUT,
 )
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, OdometrySample
+from msg_schemas.samples import ImuSample, JointSample, JointValue, OdometrySample
 from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_prediction import (
     Interval,
@@ -49,7 +51,7 @@ class Standing:
     def __init__(self, *, knows_place: bool = True) -> None:
         self.jump = Jump(JumpSettings())
         self.now_ns = NANO
-        self.changes: list[tuple[str, str, Level]] = []
+        self.changes: list[tuple[JumpPhase, str, EventName]] = []
         if knows_place:
             c, s = math.cos(0.35), math.sin(0.35)
             still = (0.0, 0.0, 0.0)
@@ -67,7 +69,9 @@ class Standing:
             self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
             self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
             self.jump.step(now)
-        self.changes += [(c.phase.value, c.reason, c.level) for c in self.jump.take_transitions()]
+        self.changes += [
+            (c.phase, c.event.message, c.event.name) for c in self.jump.take_transitions()
+        ]
 
     def request(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
         sample = JointSample(self.now_ns, {joint: JointValue(clearance)})
@@ -116,27 +120,31 @@ def test_an_accepted_prediction_begins_the_jump_with_its_stroke(rover: Standing)
 def test_a_rejected_prediction_returns_to_standby_with_its_reason(rover: Standing):
     rover.request()
     rover.answer(rejected_prediction("it would topple"))
-    assert rover.changes[-1] == ("standby", "jump rejected: it would topple", Level.WARN)
+    assert rover.changes[-1] == (
+        JumpPhase.STANDBY,
+        "jump rejected: it would topple",
+        JumpEvent.REJECTED,
+    )
     rover.request()
 
 
 def test_slack_is_requested_once_and_awaited(rover: Standing):
-    rover.jump.on_winch_mode("hold")
+    rover.jump.on_winch_mode(WinchMode.HOLD)
     rover.request()
     rover.answer(GOOD._replace(extra_slack=0.5))
     assert rover.jump.take_slack_request() == GOOD.slack
     assert rover.jump.take_slack_request() is None
     rover.run(1.0)
     assert rover.phases == ["predicting", "giving_slack"]
-    rover.jump.on_winch_mode("slack")
+    rover.jump.on_winch_mode(WinchMode.SLACK)
     rover.run(3.0)
-    rover.jump.on_winch_mode("hold")
+    rover.jump.on_winch_mode(WinchMode.HOLD)
     rover.run(0.02)
     assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
 
 def test_a_winch_without_slack_in_time_cancels_the_jump(rover: Standing):
-    rover.jump.on_winch_mode("fault")
+    rover.jump.on_winch_mode(WinchMode.FAULT)
     rover.request()
     rover.answer(GOOD._replace(extra_slack=0.5))
     rover.run(61.0)
@@ -148,7 +156,7 @@ def test_a_late_prediction_cancels_the_jump_and_is_ignored(rover: Standing):
     rover.request()
     prediction_request = rover.prediction_request()
     rover.run(61.0)
-    assert rover.changes[-1][:2] == ("standby", "no prediction within 60 s")
+    assert rover.changes[-1][:2] == (JumpPhase.STANDBY, "no prediction within 60 s")
     rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
     rover.request()
     rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
@@ -159,7 +167,7 @@ def test_an_abort_during_the_prediction_cancels_the_jump(rover: Standing):
     rover.request()
     assert rover.jump.abort(rover.now_ns) == "aborted before the spring was compressed"
     rover.run(0.02)
-    assert rover.changes[-1][:2] == ("standby", "aborted in predicting")
+    assert rover.changes[-1][:2] == (JumpPhase.STANDBY, "aborted in predicting")
 
 
 @pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
@@ -197,14 +205,17 @@ def test_a_prediction_only_request_moves_nothing(rover: Standing):
     rover.answer(GOOD)
     rover.run(1.0)
     assert rover.phases == ["predicting", "standby"]
-    assert rover.changes[-1][1:] == ("predicted: probability of landing upright 1.00", Level.OK)
+    assert rover.changes[-1][1:] == (
+        "predicted: probability of landing upright 1.00",
+        JumpEvent.PREDICTED,
+    )
     assert rover.jump.take_slack_request() is None
 
 
 def test_a_rejected_prediction_only_request_gives_the_reason(rover: Standing):
     rover.request(0.12, JUMP_PREDICTION)
     rover.answer(rejected_prediction("it would topple"))
-    assert rover.changes[-1][1:] == ("jump rejected: it would topple", Level.WARN)
+    assert rover.changes[-1][1:] == ("jump rejected: it would topple", JumpEvent.REJECTED)
 
 
 def test_the_depth_is_taken_from_the_odometry(rover: Standing):

@@ -14,6 +14,8 @@ from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
+from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
     ClockSample,
     ImuSample,
@@ -50,7 +52,7 @@ def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
         "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
     )
     # Each node's last topic: once it is matched, so are the others.
-    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY)
     observer.listen(topics.JUMP_MOTOR_STATE).wait()
     observer.wait_until_ready(NODE)
     return process, observer
@@ -74,14 +76,14 @@ def test_a_requested_jump_matches_the_plant_and_passes_its_phases(harness: NodeH
     _, observer = start_both(harness)
     since = len(observer.listen(topics.JUMP_PHASE))
     request(observer, 0.2, 0.4)
-    touchdown = observer.wait_for_event("touchdown")
-    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    touchdown = observer.wait_for_event(PlantEvent.TOUCHDOWN)
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     alone = jump(build_plant(load_planar("paper_table1_high")))
     assert float(touchdown.values["height"]) == pytest.approx(alone.height, abs=1e-5)
     assert phases(observer, since) == [
         "compressing", "settling", "releasing", "flight", "landed", "standby",
     ]  # fmt: skip
-    landed = observer.wait_for_event("jump_landed")
+    landed = observer.wait_for_event(JumpEvent.LANDED)
     assert float(landed.values["flight_time"]) == pytest.approx(alone.flight_time, abs=0.03)
 
 
@@ -90,13 +92,13 @@ def test_commands_are_sent_only_while_compressing(harness: NodeHarness):
     commands = observer.listen(topics.JUMP_MOTOR_COMMAND)
     assert not commands.samples
     request(observer, 0.1, 0.1)
-    observer.wait_for_event("jump_standby")
+    observer.wait_for_event(JumpEvent.STANDBY)
     samples = commands.samples
     assert {s.joints[JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
     latch = [s.joints[JUMP_LATCH].position for s in samples]
     assert latch == sorted(latch)  # held first, then tripped
     assert {*latch} == {0.0, 1.0}
-    begin, end = (stamp_of(observer, f"jump_{phase}") for phase in ("compressing", "flight"))
+    begin, end = (stamp_of(observer, name) for name in (JumpEvent.COMPRESSING, JumpEvent.FLIGHT))
     assert end - begin > 0.9 * NANO
     stamps = [sample.stamp_ns for sample in samples]
     # The first one answers the request, the last one precedes the detected take-off.
@@ -119,7 +121,7 @@ def test_an_abort_lets_the_spring_down_and_no_jump_happens(harness: NodeHarness)
     wait_for_compression(observer, 0.02)
     answer = observer.call(topics.JUMP_ABORT)
     assert (answer.success, answer.message) == (True, "letting the spring down")
-    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     assert phases(observer, since) == ["compressing", "letting_down", "standby"]
     wait_for_compression(observer, -1.0, 1e-9)
     assert observer.listen(topics.TRUTH_PHASE).wait().text == "held"
@@ -165,7 +167,7 @@ def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
 def test_without_sensors_a_request_is_refused(harness: NodeHarness):
     harness.processes.start(MODULE)
     observer = harness.observer()
-    observer.wait_for_text(topics.JUMP_PHASE, "standby")
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY)
     request(observer, 0.1)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "stale")
     assert "never received" in refusal.message
@@ -178,7 +180,7 @@ def test_a_request_during_a_jump_is_refused_and_the_jump_continues(harness: Node
     request(observer, 0.2)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_phase")
     assert "compressing" in refusal.message
-    observer.wait_for_event("touchdown")
+    observer.wait_for_event(PlantEvent.TOUCHDOWN)
 
 
 def test_after_a_kill_the_nut_stops_and_the_next_node_lets_the_spring_down(
@@ -189,7 +191,11 @@ def test_after_a_kill_the_nut_stops_and_the_next_node_lets_the_spring_down(
     wait_for_compression(observer, 0.02)
     process.send(signal.SIGKILL)
     process.wait()
-    stopped = float(observer.wait_for_event("jump_motor_silent").values["compression"])
+    stopped = float(
+        observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="jump_motor").values[
+            "compression"
+        ]
+    )
     assert 0.02 < stopped < 0.1
 
     events, count = len(observer.listen(topics.EVENTS)), len(observer.listen(topics.DIAGNOSTICS))
@@ -200,10 +206,10 @@ def test_after_a_kill_the_nut_stops_and_the_next_node_lets_the_spring_down(
     assert "compressed by" in refusal.message
     since = len(observer.listen(topics.JUMP_PHASE))
     assert observer.call(topics.JUMP_ABORT).success
-    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     wait_for_compression(observer, -1.0, 1e-9)
     request(observer, 0.1, 0.4)
-    observer.wait_for_event("touchdown", events)
+    observer.wait_for_event(PlantEvent.TOUCHDOWN, events)
 
 
 def test_a_simulator_reset_returns_to_standby(harness: NodeHarness):
@@ -212,10 +218,10 @@ def test_a_simulator_reset_returns_to_standby(harness: NodeHarness):
     wait_for_compression(observer, 0.02)
     since = len(observer.listen(topics.JUMP_PHASE))
     assert observer.call(topics.SIM_RESET).success
-    observer.wait_for_text(topics.JUMP_PHASE, "standby", since=since)
+    observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     observer.wait_until_ready(NODE, len(observer.listen(topics.DIAGNOSTICS)))
     request(observer, 0.1, 0.4)
-    observer.wait_for_event("touchdown")
+    observer.wait_for_event(PlantEvent.TOUCHDOWN)
 
 
 def test_a_deactivated_node_sends_nothing_and_the_nut_stops(harness: NodeHarness):
@@ -223,7 +229,7 @@ def test_a_deactivated_node_sends_nothing_and_the_nut_stops(harness: NodeHarness
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     assert observer.change_state(NODE, "deactivate")
-    observer.wait_for_event("jump_motor_silent")
+    observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="jump_motor")
     count = len(observer.listen(topics.DIAGNOSTICS))
     assert observer.change_state(NODE, "activate")
     observer.wait_until_ready(NODE, count)

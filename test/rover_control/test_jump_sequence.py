@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from msg_schemas import topics
 from msg_schemas.parameters import from_mapping
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, WrenchSample
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS
-from rover_control.jump_parameters import JumpParameters, JumpPhase
+from rover_control.jump_parameters import JumpParameters
 from rover_control.jump_sensors import Sensors
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 
@@ -143,10 +144,10 @@ def test_a_jump_goes_through_its_phases_and_back_to_standby(rover: Rover):
     assert rover.command == (0.2, 0.1, PARAMETERS.max_nut_force, False)
     rover.run(3.0)
     assert rover.phases == [*JUMPS, LANDED, STANDBY]
-    assert all(change.level is Level.OK for change in rover.transitions)
+    assert all(change.event.level is Level.OK for change in rover.transitions)
     assert rover.command is None
     landed = rover.transitions[4]
-    assert landed.values["flight_time"] == pytest.approx(0.5, abs=0.015)
+    assert landed.event.values["flight_time"] == pytest.approx(0.5, abs=0.015)
 
 
 def test_a_nut_below_the_latch_is_driven_past_it_after_landing(rover: Rover):
@@ -166,7 +167,7 @@ def test_a_nut_that_does_not_move_up_is_a_fault(rover: Rover):
     rover.stuck = True
     rover.run(15.0)
     assert rover.phases == [*JUMPS, LANDED, HOOKING, FAULT]
-    assert "latch not hooked" in rover.transitions[-1].reason
+    assert "latch not hooked" in rover.transitions[-1].event.message
 
 
 def test_an_unhooked_latch_is_detected_early_and_hooked_by_letting_down(rover: Rover):
@@ -174,8 +175,8 @@ def test_an_unhooked_latch_is_detected_early_and_hooked_by_letting_down(rover: R
     rover.request()
     rover.run(4.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN, STANDBY]
-    assert "has not hooked" in rover.transitions[1].reason
-    assert rover.transitions[1].values["compression"] == pytest.approx(
+    assert "has not hooked" in rover.transitions[1].event.message
+    assert rover.transitions[1].event.values["compression"] == pytest.approx(
         PARAMETERS.hook_check_stroke, abs=0.006
     )
 
@@ -194,7 +195,7 @@ def test_tilt_or_tension_beyond_the_limit_prevents_the_release(
     rover.request()
     rover.run(15.0)
     assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
-    assert reason in rover.transitions[2].reason
+    assert reason in rover.transitions[2].event.message
     assert rover.compression == 0.0
 
 
@@ -203,7 +204,7 @@ def test_a_restless_rover_is_not_released(rover: Rover):
     rover.request()
     rover.run(15.0)
     assert rover.phases == [COMPRESSING, SETTLING, LETTING_DOWN, STANDBY]
-    assert "not quiet within 5 s" in rover.transitions[2].reason
+    assert "not quiet within 5 s" in rover.transitions[2].event.message
 
 
 def test_the_release_waits_until_the_rover_is_quiet(rover: Rover):
@@ -231,8 +232,8 @@ def test_a_release_without_take_off_is_reported_and_hooked_again(rover: Rover):
     rover.request(0.1, 0.1)
     rover.run(10.0)
     assert rover.phases == [*JUMPS, LANDED, HOOKING, STANDBY]
-    assert "no take-off" in rover.transitions[4].reason
-    assert rover.transitions[4].level is Level.WARN
+    assert "no take-off" in rover.transitions[4].event.message
+    assert rover.transitions[4].event.level is Level.WARN
 
 
 def test_a_toppled_rover_is_a_fault(rover: Rover):
@@ -241,7 +242,7 @@ def test_a_toppled_rover_is_a_fault(rover: Rover):
     rover.tilt = 1.5
     rover.run(3.0)
     assert rover.phases == [*JUMPS, LANDED, FAULT]
-    assert "toppled" in rover.transitions[-1].reason
+    assert "toppled" in rover.transitions[-1].event.message
 
 
 def test_a_second_jump_follows_the_first(rover: Rover):
@@ -344,7 +345,7 @@ def test_late_samples_count_at_their_time_stamps(rover: Rover):
     rover.request()
     rover.run(6.0)
     assert rover.phases == [*JUMPS, LANDED, STANDBY]
-    assert rover.transitions[4].values["flight_time"] == pytest.approx(0.5, abs=0.015)
+    assert rover.transitions[4].event.values["flight_time"] == pytest.approx(0.5, abs=0.015)
 
 
 @pytest.mark.parametrize("late", [topics.CONTACT, topics.JUMP_MOTOR_STATE])
@@ -417,7 +418,7 @@ def test_a_stuck_nut_is_a_fault_that_an_abort_clears(
     rover.stuck = True
     rover.run(4.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN]
-    assert "not compressed within 3.5 s" in rover.transitions[-1].reason
+    assert "not compressed within 3.5 s" in rover.transitions[-1].event.message
     rover.run(10.0)
     assert rover.phases[-1] is FAULT
     assert rover.command is None
@@ -434,7 +435,7 @@ def test_a_latch_that_does_not_trip_lets_the_spring_down(rover: Rover):
     rover.request()
     rover.run(15.0)
     assert rover.phases == [COMPRESSING, SETTLING, RELEASING, LETTING_DOWN, STANDBY]
-    assert "still measures the spring's force" in rover.transitions[3].reason
+    assert "still measures the spring's force" in rover.transitions[3].event.message
     assert rover.compression == 0.0
 
 
@@ -445,8 +446,8 @@ def test_a_stale_sensor_while_compressing_ends_the_jump(rover: Rover, sensor: st
     rover.stale = {sensor}
     rover.run(1.0)
     assert rover.phases == [COMPRESSING, LETTING_DOWN]
-    assert rover.transitions[-1].level is Level.ERROR
-    assert sensor in rover.transitions[-1].reason
+    assert rover.transitions[-1].event.level is Level.ERROR
+    assert sensor in rover.transitions[-1].event.message
 
 
 def test_lifting_the_rover_with_the_spring_held_is_no_take_off(rover: Rover):
@@ -455,7 +456,7 @@ def test_lifting_the_rover_with_the_spring_held_is_no_take_off(rover: Rover):
     rover.contact = 0.0
     rover.run(0.5)
     assert rover.phases == [COMPRESSING, LETTING_DOWN]
-    assert "spring still held" in rover.transitions[-1].reason
+    assert "spring still held" in rover.transitions[-1].event.message
 
 
 def test_contact_bounce_is_no_lift(rover: Rover):
@@ -474,7 +475,7 @@ def test_a_flight_without_landing_is_a_fault(rover: Rover):
     rover.request()
     rover.run(PARAMETERS.flight_timeout + 3.0)
     assert rover.phases == [*JUMPS, FAULT]
-    assert "no landing within 20 s" in rover.transitions[-1].reason
+    assert "no landing within 20 s" in rover.transitions[-1].event.message
 
 
 def test_a_landing_without_rest_is_a_fault(rover: Rover):
@@ -486,7 +487,7 @@ def test_a_landing_without_rest_is_a_fault(rover: Rover):
         rover.force = GRAVITY
         rover.run(0.05)
     assert rover.phases == [*JUMPS, LANDED, FAULT]
-    assert "not at rest after landing within 5 s" in rover.transitions[-1].reason
+    assert "not at rest after landing within 5 s" in rover.transitions[-1].event.message
 
 
 def test_a_clock_jump_back_restarts_the_sequence(rover: Rover):

@@ -9,10 +9,13 @@ import pytest
 from mission_machine import PLAN, MissionMachine, finished, results, start_mission
 
 from msg_schemas import topics
+from msg_schemas.events import DriveEvent, MissionEvent, WinchEvent
+from msg_schemas.faults import Reason
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
 from msg_schemas.refusal import Refusal
 from rover_control.locomotion import LocomotionParameters
 from rover_control.mission import Mission
-from rover_control.mission_legs import LegLimits, LegResult, MissionPhase
+from rover_control.mission_legs import LegLimits, LegResult
 from rover_control.mission_parameters import MissionParameters
 from rover_control.mission_plan import Lift, Waypoint
 from rover_control.mission_route import LegKind
@@ -25,7 +28,7 @@ def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
     assert results(machine) == {LegResult.DONE}
     assert len(machine.mission.record) == len(machine.mission.route.legs)
     assert machine.length == pytest.approx(PLAN.stow)
-    assert machine.descent == "released"
+    assert machine.descent == DescentPhase.RELEASED
     assert machine.mission.blackboard.pictures == 3
     assert topics.JUMP_REQUEST not in machine.requests
     assert machine.mission.go(machine.now_ns)  # and again
@@ -85,8 +88,8 @@ def test_a_winch_missing_for_a_while_costs_one_trial_at_most():
     machine = start_mission(MissionPhase.DRIVING)
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.refuses[topics.DRIVE_GOAL] = "winch/estimate missing or stale"
-    machine.drive = "failed"
-    machine.emit("drive_node", "drive_failed", "winch/estimate missing or stale")
+    machine.drive = DrivePhase.FAILED
+    machine.emit("drive_node", DriveEvent.FAILED, "winch/estimate missing or stale")
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert machine.mission.phase is MissionPhase.DRIVING
@@ -105,7 +108,7 @@ def test_a_choice_is_reported_with_its_reason_and_its_risks():
     assert choice.values["rule"] == "risk"
     assert choice.values["wheels_risk"] == pytest.approx(2.0 / 3.0)
     assert choice.values["jump_risk"] == pytest.approx(1.0 / 3.0)
-    assert "landing upright 1.00" in choice.reason
+    assert "landing upright 1.00" in choice.message
 
 
 @pytest.mark.parametrize(
@@ -118,7 +121,7 @@ def test_a_rejected_jump_leads_to_a_detour(upright: float, advice: str):
     assert results(machine) == {LegResult.DONE}
     assert machine.mission.blackboard.jumps == 0
     assert [choice.values["mode"] for choice in machine.choices] == ["wheels"]
-    assert advice in machine.choices[0].reason
+    assert advice in machine.choices[0].message
 
 
 @pytest.mark.parametrize("cannot_turn", [False, True])
@@ -168,17 +171,17 @@ def test_detours_are_followed_by_jumps_and_then_the_leg_fails():
     machine.run(200.0, until=MissionPhase.RETURNING)
     modes = [choice.values["mode"] for choice in machine.choices]
     assert modes[:4] == ["wheels", "wheels", "jump", "jump"]
-    assert "mission_trial_failed" in machine.events
+    assert MissionEvent.TRIAL_FAILED in machine.events
 
 
 def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
     machine = start_mission(MissionPhase.DRIVING)
     machine.stuck = 1
     machine.run(until=MissionPhase.JUMPING)
-    while machine.jump != "flight":
+    while machine.jump != JumpPhase.FLIGHT:
         machine.tick()
     machine.tick()
-    machine.jump = "fault"  # as after toppling
+    machine.jump = JumpPhase.FAULT  # as after toppling
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert finished(machine)
@@ -191,7 +194,7 @@ def test_a_jump_without_take_off_is_not_counted():
     machine.stuck, machine.jump_fails = 1, True
     machine.run(60.0, until=MissionPhase.RETURNING)
     assert machine.mission.blackboard.jumps == 0
-    assert "mission_trial_failed" in machine.events
+    assert MissionEvent.TRIAL_FAILED in machine.events
 
 
 # --- operators -----------------------------------------------------------------------------------
@@ -200,10 +203,10 @@ def test_a_jump_without_take_off_is_not_counted():
 def test_a_held_mission_comes_to_rest_and_resumes_its_leg():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
-    assert machine.descent == "travelling"
+    assert machine.descent == DescentPhase.TRAVELLING
     machine.mission.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
-    assert machine.descent == "holding"
+    assert machine.descent == DescentPhase.HOLDING
     assert machine.mission.phase is MissionPhase.HOLDING
     with pytest.raises(Refusal, match=topics.MISSION_RESUME):
         machine.mission.go(machine.now_ns)
@@ -219,11 +222,11 @@ def test_a_held_mission_does_not_interfere_with_an_operator():
     machine = start_mission(MissionPhase.DRIVING)
     machine.mission.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
-    assert machine.drive == "released"
+    assert machine.drive == DrivePhase.RELEASED
     count = len(machine.requests)
-    machine.drive = "steered"
+    machine.drive = DrivePhase.STEERED
     machine.run(5.0, until=MissionPhase.STANDBY)
-    assert machine.drive == "steered"
+    assert machine.drive == DrivePhase.STEERED
     assert len(machine.requests) == count
 
 
@@ -231,16 +234,16 @@ def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
     machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
-    machine.descent = "exposing"  # the last phase received
+    machine.descent = DescentPhase.EXPOSING  # the last phase received
     machine.run(0.3, until=MissionPhase.STANDBY)
-    machine.descent = "standby"
+    machine.descent = DescentPhase.STANDBY
     assert finished(machine)
     assert topics.DESCENT_ABORT not in machine.requests
 
     machine = start_mission(MissionPhase.LOOKING)
     while machine.mission.phase is not MissionPhase.APPROACHING:
         machine.tick()
-    machine.descent = "exposing"  # another command source has requested a stop
+    machine.descent = DescentPhase.EXPOSING  # another command source has requested a stop
     assert finished(machine)
     assert topics.DESCENT_ABORT in machine.requests
 
@@ -277,8 +280,8 @@ def test_an_aborted_mission_comes_to_rest_and_returns_on_command(phase: MissionP
     machine.mission.abort(machine.now_ns)
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.phase is MissionPhase.ABORTED
-    assert machine.winch == "hold"
-    assert machine.drive == "released"
+    assert machine.winch == WinchMode.HOLD
+    assert machine.drive == DrivePhase.RELEASED
     assert machine.descent in ("released", "standby")
     machine.mission.go(machine.now_ns)
     assert finished(machine)
@@ -304,22 +307,22 @@ def test_commands_without_an_active_mission_are_refused():
 
 def test_a_restarted_winch_is_armed_but_a_stopped_one_is_not():
     machine = start_mission(MissionPhase.LANDING)
-    machine.winch = "disarmed"
+    machine.winch = WinchMode.DISARMED
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 
     machine = start_mission(MissionPhase.LANDING)
-    machine.winch = "stop"
+    machine.winch = WinchMode.STOP
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "stopped" in machine.mission.reason
-    assert machine.winch == "stop"
+    assert machine.winch == WinchMode.STOP
 
 
 def test_repeated_winch_faults_end_in_a_hold():
     machine = start_mission(MissionPhase.LANDING)
     for _ in range(3000):
-        machine.winch = "fault" if machine.winch == "length" else machine.winch
+        machine.winch = WinchMode.FAULT if machine.winch == WinchMode.LENGTH else machine.winch
         machine.tick()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert machine.requests.count(topics.WINCH_REARM) == 1 + MissionParameters().max_rearms
@@ -328,8 +331,8 @@ def test_repeated_winch_faults_end_in_a_hold():
 def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
-    machine.winch = "hold"
-    machine.emit("winch_node", "winch_hold", "asked to hold")
+    machine.winch = WinchMode.HOLD
+    machine.emit("winch_node", WinchEvent.HOLD, "asked to hold", reason=Reason.REQUESTED)
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "another command source holds the winch" in machine.mission.reason
@@ -340,7 +343,7 @@ def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
     # The descent controller holds the winch when it releases it.
-    machine.emit("winch_node", "winch_hold", "asked to hold")
+    machine.emit("winch_node", WinchEvent.HOLD, "asked to hold", reason=Reason.REQUESTED)
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 
@@ -365,7 +368,7 @@ def test_a_timeout_gives_the_reason_and_a_mandatory_leg_holds():
     machine.run(200.0)
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "the winch estimate is missing or stale" in machine.mission.reason
-    assert machine.events.count("mission_trial_failed") == MissionParameters().max_trials
+    assert machine.events.count(MissionEvent.TRIAL_FAILED) == MissionParameters().max_trials
     machine.silent.clear()
     machine.publish()
     machine.mission.resume(machine.now_ns)
@@ -385,7 +388,7 @@ def test_a_restarted_drive_node_gets_the_pose():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     before = len(machine.requests)
-    machine.place, machine.drive = (0.0, 0.0, 0.0), "released"
+    machine.place, machine.drive = (0.0, 0.0, 0.0), DrivePhase.RELEASED
     machine.tick()
     machine.tick()
     assert topics.DRIVE_START in machine.requests[before:]
@@ -431,7 +434,7 @@ def test_a_mission_restarted_soon_resumes_by_itself(phase: MissionPhase):
 def test_a_descent_interrupted_during_the_downtime_is_resumed():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
-    saved, machine.descent = machine.mission.checkpoint(machine.now_ns), "holding"
+    saved, machine.descent = machine.mission.checkpoint(machine.now_ns), DescentPhase.HOLDING
     machine.mission = Mission(PLAN)
     machine.mission.restore(saved, machine.now_ns)
     machine.mission.step(machine.now_ns)  # before any latched sample is received
@@ -467,7 +470,9 @@ def test_a_checkpoint_of_another_plan_or_run_is_ignored():
         fresh = MissionMachine()
         fresh.mission.restore({**saved, name: value}, fresh.now_ns)
         assert fresh.mission.phase is MissionPhase.STANDBY
-        assert [change.name for change in fresh.mission.take_changes()] == ["mission_forgotten"]
+        assert [change.name for change in fresh.mission.take_changes()] == [
+            MissionEvent.CHECKPOINT_DISCARDED
+        ]
 
 
 def test_a_standing_rover_begins_on_the_floor():

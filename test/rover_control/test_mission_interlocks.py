@@ -9,6 +9,7 @@ from mission_machine import MissionMachine
 
 from msg_schemas import topics
 from msg_schemas.machine import JUMP_SCREW, PAYOUT, TENSION, TETHER_OUT
+from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from rover_control.mission_interlocks import (
     INTERLOCKS,
@@ -18,7 +19,7 @@ from rover_control.mission_interlocks import (
     remedy,
     violated_interlock,
 )
-from rover_control.mission_legs import MissionPhase, Request
+from rover_control.mission_legs import Request
 from rover_control.observed_state import ObservedState
 
 NOW = 10.0

@@ -8,7 +8,8 @@ import pytest
 from mission_machine import PLAN, MissionMachine, finished, missed, start_mission
 
 from msg_schemas import topics
-from rover_control.mission_legs import MissionPhase
+from msg_schemas.events import DriveEvent, MissionEvent, WinchEvent
+from msg_schemas.phases import DrivePhase, MissionPhase
 from rover_control.mission_plan import Lift, Recovery
 from rover_control.mission_route import LegKind
 
@@ -23,7 +24,7 @@ def test_an_unreachable_waypoint_is_skipped_and_the_rover_returns():
     assert missed(machine) == ["waypoint 1 at (2, 0) m"]
     (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
     assert "wheels turn" in reason
-    assert machine.events.count("mission_rescue") == PLAN.recovery.max_count
+    assert machine.events.count(MissionEvent.RESCUE_STARTED) == PLAN.recovery.max_count
 
 
 def test_a_stuck_rover_is_set_down_below_the_fairlead_and_tries_again():
@@ -56,7 +57,7 @@ def test_a_rover_lifted_by_its_tether_is_set_down_again(phase: MissionPhase):
     machine = start_mission(phase)
     machine.run(1.0, until=MissionPhase.STANDBY)
     machine._on_floor, machine.length = False, machine.length - 0.1
-    machine.drive = "stuck"
+    machine.drive = DrivePhase.STUCK
     machine.run(25.0, until=MissionPhase.LIFTING)
     assert machine.mission.phase is MissionPhase.LIFTING
     assert finished(machine)
@@ -71,7 +72,7 @@ def test_a_restarted_winch_gets_time_to_detect_touchdown():
     machine.run(10.0, until=MissionPhase.LIFTING)
     machine._on_floor, machine.length = True, length
     assert finished(machine)
-    assert "mission_rescue" not in machine.events
+    assert MissionEvent.RESCUE_STARTED not in machine.events
 
 
 def test_a_failed_return_is_completed_by_the_winch():
@@ -81,7 +82,7 @@ def test_a_failed_return_is_completed_by_the_winch():
     assert missed(machine) == []
     (back,) = [done for done in machine.mission.record if done.leg == "return"]
     assert "completed by the winch" in back.reason
-    assert "mission_rescue" not in machine.events
+    assert MissionEvent.RESCUE_STARTED not in machine.events
 
 
 @pytest.mark.parametrize("recovery", [Recovery(max_count=0), Recovery(radius=1.0)])
@@ -100,12 +101,12 @@ def test_a_refused_goal_starts_no_recovery():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(0.3)
     machine.refuses[topics.DRIVE_GOAL] = "the tether does not reach"
-    machine.drive = "failed"
-    machine.emit("drive_node", "drive_failed", "let go")
+    machine.drive = DrivePhase.FAILED
+    machine.emit("drive_node", DriveEvent.FAILED, "let go")
     machine.run(60.0, until=MissionPhase.RETURNING)
     machine.refuses.clear()
     assert finished(machine)
-    assert "mission_rescue" not in machine.events
+    assert MissionEvent.RESCUE_STARTED not in machine.events
 
 
 @pytest.mark.parametrize(
@@ -143,18 +144,18 @@ def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():
     machine.run(until=MissionPhase.LIFTING)
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.03
-    failed = machine.events.count("mission_trial_failed")
-    machine.emit("winch_node", "alarm_snag", "9 N")
+    failed = machine.events.count(MissionEvent.TRIAL_FAILED)
+    machine.emit("winch_node", WinchEvent.SNAG, "9 N")
     assert finished(machine)
     assert missed(machine) == []
-    assert machine.events.count("mission_trial_failed") == failed
+    assert machine.events.count(MissionEvent.TRIAL_FAILED) == failed
 
 
 def test_below_the_fairlead_a_snag_fails_the_lift():
     machine = start_mission(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.1
-    machine.emit("winch_node", "alarm_snag", "9 N")
+    machine.emit("winch_node", WinchEvent.SNAG, "9 N")
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert finished(machine)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.events import BridgeEvent, EmulatorEvent
 from msg_schemas.machine import (
     FLYWHEEL,
     JUMP_SCREW,
@@ -192,7 +193,7 @@ def test_each_motor_follows_its_command(
     assert isinstance(after, JointSample)
     distance = after.joints[joint].position - before.joints[joint].position
     assert abs(distance) > 1e-3
-    assert not bench.has_event("jump_drive_refuses")
+    assert not bench.has_event(EmulatorEvent.SETPOINT_REFUSED, "jump")
 
 
 def test_the_wheel_drive_reports_the_torque_of_its_current(bench: HilBench):
@@ -213,7 +214,7 @@ def test_a_command_timeout_stops_the_drive_and_the_next_command_starts_it(
 ):
     paying_out(bench)
     assert_stops(bench, STOP)
-    assert bench.has_event("winch_commands_ceased")
+    assert bench.has_event(BridgeEvent.COMMANDS_CEASED, "winch")
     assert bench.bridge.channels["winch"].state == SWITCHED_ON
     assert not brake_is_open(bench)
     bench.cycles(0.5, winch())
@@ -251,8 +252,8 @@ def test_only_the_drive_that_restarts_is_disarmed(bench: HilBench):
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
     assert_stops(bench, STOP)
-    assert bench.has_event("winch_restarted")
-    assert bench.has_event("winch_disarmed")
+    assert bench.has_event(BridgeEvent.RESTARTED, "winch")
+    assert bench.has_event(BridgeEvent.TRIPPED, "winch")
     assert not bench.bridge.channels["winch"].armed
     assert bench.bridge.channels["wheel"].armed
 
@@ -265,9 +266,9 @@ def test_a_fault_brakes_is_reported_with_its_code_and_reset_only_when_its_cause_
     with pytest.raises(Refusal, match="not armed"):
         bench.cycles(0.1, winch())
     assert_stops(bench, STOP)
-    emergencies = [change for _, change in bench.changes if change.name == "winch_emergency"]
+    emergencies = [change for _, change in bench.changes if change.name is BridgeEvent.EMERGENCY]
     assert emergencies[0].level is Level.ERROR
-    assert "4310h" in emergencies[0].reason
+    assert "4310h" in emergencies[0].message
     bench.arm()
     assert bench.bridge.channels["winch"].state == FAULT
     bench.impair("")
@@ -286,8 +287,8 @@ def test_an_impossible_command_is_reported_and_dropped(bench: HilBench):
     bench.arm()
     joints = {JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
     bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
-    assert bench.has_event("jump_drive_refuses")
-    assert bench.has_event("jump_refuses")
+    assert bench.has_event(EmulatorEvent.SETPOINT_REFUSED, "jump")
+    assert bench.has_event(BridgeEvent.SETPOINT_REJECTED, "jump")
 
 
 # ------------------------------------------------------------------------------ frames of commands

@@ -16,6 +16,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import BridgeEvent, EmulatorEvent
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from rover_hil.devices import COMMANDS_LOST, HEARTBEAT_LOST
@@ -131,7 +132,7 @@ class Rig:
         """Start an impairment; returns its start [ns]."""
         since = len(self.events)
         self.impair(text)
-        status = self.event("impairment_began", since)
+        status = self.event(EmulatorEvent.IMPAIRMENT_STARTED, since)
         return int(status.stamp_ns)
 
     # --- observations ----------------------------------------------------------------------------
@@ -208,28 +209,32 @@ def test_a_mild_impairment_does_not_stop_the_winch(rig: Rig, impairment: str):
     rig.impair("")
     assert is_open(state)
     assert state.joints[WINCH_DRUM].velocity > 0.8 * RATE
-    ended = rig.event("impairment_ended", since)
+    ended = rig.event(EmulatorEvent.IMPAIRMENT_ENDED, since)
     assert ended.statuses[0].values["kind"] in impairment
 
 
 @pytest.mark.parametrize(
     ("impairment", "event_name", "reason"),
     [
-        ("{kind: cut}", "winch_silent", ""),
-        ("{kind: cut, target: winch, direction: to_devices}", "winch_emergency", "8250h"),
-        ("{kind: cut, target: winch, direction: to_bridge}", "winch_unheard", ""),
-        ("{kind: delay, magnitude: 0.5}", "winch_silent", ""),
-        ("{kind: jitter, magnitude: 1.0}", "winch_silent", ""),
+        ("{kind: cut}", BridgeEvent.SILENT, ""),
+        ("{kind: cut, target: winch, direction: to_devices}", BridgeEvent.EMERGENCY, "8250h"),
+        ("{kind: cut, target: winch, direction: to_bridge}", BridgeEvent.FEEDBACK_LOST, ""),
+        ("{kind: delay, magnitude: 0.5}", BridgeEvent.SILENT, ""),
+        ("{kind: jitter, magnitude: 1.0}", BridgeEvent.SILENT, ""),
         (
             "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
-            "winch_silent",
+            BridgeEvent.SILENT,
             "",
         ),
-        ("{kind: bit_errors, magnitude: 0.05}", "winch_silent", ""),
-        ("{kind: stale_stamps, target: winch, magnitude: 5.0}", "winch_silent", ""),
-        ("{kind: bus_off, target: winch}", "winch_silent", ""),
-        ("{kind: brown_out, target: winch}", "winch_drive", "not ready"),
-        ("{kind: drive_fault, target: winch, cause: overtemperature}", "winch_emergency", "4310h"),
+        ("{kind: bit_errors, magnitude: 0.05}", BridgeEvent.SILENT, ""),
+        ("{kind: stale_stamps, target: winch, magnitude: 5.0}", BridgeEvent.SILENT, ""),
+        ("{kind: bus_off, target: winch}", BridgeEvent.SILENT, ""),
+        ("{kind: brown_out, target: winch}", EmulatorEvent.DRIVE_STATE, "not ready"),
+        (
+            "{kind: drive_fault, target: winch, cause: overtemperature}",
+            BridgeEvent.EMERGENCY,
+            "4310h",
+        ),
     ],
 )
 def test_a_severe_impairment_stops_the_winch_with_a_reason_until_it_is_armed(
@@ -242,7 +247,7 @@ def test_a_severe_impairment_stops_the_winch_with_a_reason_until_it_is_armed(
     rig.event(event_name, since, reason)
     rig.pass_time(0.6)
     rig.impair("")
-    rig.event("impairment_ended", since)
+    rig.event(EmulatorEvent.IMPAIRMENT_ENDED, since)
     # After the impairment commands continue, and the brake stays closed.
     first = rig.state(rig.time_ns)
     again = rig.state(first.stamp_ns + 200_000_000)
@@ -274,10 +279,10 @@ def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
     wheels.wait(lambda s: max(v.velocity for v in s.joints.values()) > 0.5, len(wheels))
     since = len(rig.events)
     begun_ns = rig.begin("{kind: cut, target: rover, duration: 30.0}")
-    rig.event("wheel_disarmed", since)
-    rig.event("imu_silent", since)
+    rig.event(BridgeEvent.TRIPPED, since)
+    rig.event(BridgeEvent.SILENT, since)
     ended = rig.events.wait(
-        lambda s: s.statuses[0].name == "impairment_ended", since, 4.0 * TIMEOUT
+        lambda s: s.statuses[0].name == EmulatorEvent.IMPAIRMENT_ENDED, since, 4.0 * TIMEOUT
     )
     assert ended.stamp_ns - begun_ns == pytest.approx(30e9, abs=20e6)
     # The mother machine continued; nothing was received from the rover.
@@ -340,7 +345,11 @@ def test_a_killed_bridge_brakes_and_a_new_one_moves_nothing_until_it_is_armed(ri
     assert rig.bridge.wait() == -signal.SIGKILL
 
     def is_watchdog_fault(sample: StatusSample) -> bool:
-        codes = [s.values.get("error_code") for s in sample.statuses if s.name == "winch_drive"]
+        codes = [
+            s.values.get("error_code")
+            for s in sample.statuses
+            if s.name == EmulatorEvent.DRIVE_STATE
+        ]
         return bool({str(COMMANDS_LOST), str(HEARTBEAT_LOST)} & set(codes))
 
     rig.events.wait(is_watchdog_fault, since)
@@ -359,8 +368,8 @@ def test_a_killed_emulator_times_out_and_a_new_one_stays_braked_until_it_is_arme
     # After the response to the request.
     rig.impair("{kind: emulator_kill, start: 0.5}")
     assert rig.emulator.wait() == -signal.SIGKILL
-    rig.event("winch_silent", since)
-    rig.event("winch_disarmed", since)
+    rig.event(BridgeEvent.SILENT, since)
+    rig.event(BridgeEvent.TRIPPED, since)
     back = len(rig.states)
     rig.emulator = rig.start_emulator()
     rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "not_armed", refused)

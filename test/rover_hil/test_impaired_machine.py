@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.events import BridgeEvent, EmulatorEvent
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
@@ -53,7 +54,7 @@ def rate(bench: HilBench) -> float:
 
 
 def reasons(bench: HilBench, name: str) -> list[str]:
-    return [change.reason for _, change in bench.changes if change.name == name]
+    return [change.message for _, change in bench.changes if change.name == name]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ def test_a_mild_impairment_does_not_stop_the_winch(bench: HilBench, impairment: 
     bench.cycles(1.0, PAY_OUT)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
     assert bench.bridge.channels["winch"].state == ENABLED
-    assert reasons(bench, "impairment_began")
+    assert reasons(bench, EmulatorEvent.IMPAIRMENT_STARTED)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +116,7 @@ def test_a_severe_impairment_stops_the_winch_until_it_is_armed_again(
         RefusalCode.NOT_ARMED,
     }
     assert refused[-1].code is RefusalCode.NOT_ARMED
-    assert len(reasons(bench, "impairment_ended")) == impairment.count("kind")
+    assert len(reasons(bench, EmulatorEvent.IMPAIRMENT_ENDED)) == impairment.count("kind")
     bench.arm()
     bench.cycles(0.5, PAY_OUT)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
@@ -146,7 +147,7 @@ def test_samples_with_old_stamps_are_not_published(bench: HilBench):
     bench.cycles(1.0, PAY_OUT)
     assert topics.IMU not in bench.published
     assert topics.WINCH_STATE in bench.published
-    assert bench.has_event("imu_silent")
+    assert bench.has_event(BridgeEvent.SILENT, "imu")
 
 
 def test_a_frozen_encoder_reports_a_constant_position_while_the_drum_turns(bench: HilBench):
@@ -195,8 +196,8 @@ def test_impairments_start_and_end_in_time_and_report_their_effect(bench: HilBen
     bench.impair("[{kind: loss, target: load_cell, magnitude: 0.5, start: 0.2, duration: 0.3}]")
     bench.cycles(1.0, PAY_OUT)
     began, ended = (
-        [(time, change) for time, change in bench.changes if change.name == name]
-        for name in ("impairment_began", "impairment_ended")
+        [(time, change) for time, change in bench.changes if change.name is name]
+        for name in (EmulatorEvent.IMPAIRMENT_STARTED, EmulatorEvent.IMPAIRMENT_ENDED)
     )
     ((begin, impairment),) = began
     ((end, counts),) = ended
@@ -219,8 +220,8 @@ def test_an_active_impairment_continues_while_another_one_starts_and_ends(bench:
     bench.cycles(0.1, PAY_OUT)
     bench.impair("{kind: drifted_load_cell, magnitude: 1.0}")
     bench.cycles(0.1, PAY_OUT)
-    assert len(reasons(bench, "impairment_began")) == 2
-    (ended,) = reasons(bench, "impairment_ended")
+    assert len(reasons(bench, EmulatorEvent.IMPAIRMENT_STARTED)) == 2
+    (ended,) = reasons(bench, EmulatorEvent.IMPAIRMENT_ENDED)
     assert "loss" in ended
     assert [each.kind for each in bench.machine.impairments] == ["drifted_load_cell"]
 
@@ -251,8 +252,8 @@ def test_a_reset_plant_restarts_its_impairments(bench: HilBench):
     bench.simulation.reset_plant()
     bench.machine.restart()
     bench.cycles(0.5, PAY_OUT, [])
-    assert len(reasons(bench, "impairment_began")) == 2
-    assert len(reasons(bench, "impairment_ended")) == 2
+    assert len(reasons(bench, EmulatorEvent.IMPAIRMENT_STARTED)) == 2
+    assert len(reasons(bench, EmulatorEvent.IMPAIRMENT_ENDED)) == 2
 
 
 def test_a_kill_is_passed_to_the_owner_of_the_processes(bench: HilBench):

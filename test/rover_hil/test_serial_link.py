@@ -14,6 +14,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue
 
 if TYPE_CHECKING:
@@ -87,11 +88,11 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
         observer.wait_until_ready("winch_node")
         assert observer.call(topics.DRIVES_ARM, True).success
         assert observer.call(topics.WINCH_REARM).success
-        observer.wait_for_text(topics.WINCH_MODE, "hold")
+        observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
         states, since = observer.listen(topics.WINCH_STATE), len(observer.listen(topics.WINCH_MODE))
         request = {WINCH_TO_LENGTH: JointValue(LENGTH, 0.3, 0.0)}
         observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), request))
-        observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
+        observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD, since=since)
         assert drum(states.last).position == pytest.approx(LENGTH, abs=0.02)
         status = observer.wait_for_status(
             topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.message != ""

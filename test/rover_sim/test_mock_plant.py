@@ -11,6 +11,8 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.codecs import decode, encode
+from msg_schemas.events import PlantEvent, SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from msg_schemas.table import (
@@ -30,7 +32,6 @@ from rover_sim.plant import (
     Event,
     FlywheelCommand,
     JumpMotorCommand,
-    Phase,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
@@ -49,7 +50,7 @@ def build(name: str = "marius_hills", overrides: str = "") -> MockPlant:
 def standing(length: float = 52.0) -> tuple[MockPlant, MockState]:
     plant = build(overrides=f'{{"tether.length": {length}}}')
     state = plant.initial_state()
-    assert state.phase is Phase.GROUNDED
+    assert state.phase is PlantPhase.GROUNDED
     return plant, state
 
 
@@ -76,7 +77,7 @@ def test_the_drum_pays_out_as_told_and_the_rover_hangs_at_its_length():
     state, events = follow(plant, plant.initial_state(), out(0.3), 5.0)
     assert state.length == pytest.approx(11.5)
     assert state.payout_rate == 0.3
-    assert (state.phase, plant.drop(state)) == (Phase.HANGING, state.length)
+    assert (state.phase, plant.drop(state)) == (PlantPhase.HANGING, state.length)
     assert not events
 
 
@@ -102,19 +103,19 @@ def test_the_drum_stops_at_its_ends_and_says_so_once(rate: float, end: float, si
     plant = build()
     state, events = follow(plant, plant.initial_state(), out(rate), 105.0)
     assert (state.length, state.payout_rate) == (end, 0.0)
-    stops = [event.values["side"] for event in events if event.name == "drum_stop"]
+    stops = [event.values["side"] for event in events if event.name == PlantEvent.DRUM_STOP]
     assert stops == [side]
 
 
 def test_it_comes_down_on_the_floor_and_leaves_it_again():
     plant = build(overrides='{"tether.length": 50.0}')
     state, down = follow(plant, plant.initial_state(), out(0.5), 2.0)
-    assert state.phase is Phase.GROUNDED
+    assert state.phase is PlantPhase.GROUNDED
     assert plant.tension(state)[1] == 0.0
     assert plant.drop(state) == pytest.approx(plant.floor_drop)
     assert [event.name for event in down] == ["touchdown"]
     state, up = follow(plant, state, out(-0.5), 2.0)
-    assert state.phase is Phase.HANGING
+    assert state.phase is PlantPhase.HANGING
     assert [event.name for event in up] == ["take_off"]
 
 
@@ -226,7 +227,7 @@ def test_reeled_in_it_is_dragged_below_the_fairlead_and_lifted_without_a_leap():
         interface.measure(state, tick * TICK_NS, result)
         ((_, body),) = interface.samples([topics.TRUTH_BODY1])
         places.append(body.position)  # type: ignore[attr-defined]
-    assert state.phase is Phase.HANGING
+    assert state.phase is PlantPhase.HANGING
     assert places[-1][:2] == (0.0, 0.0)
     leaps = [math.dist(*pair) for pair in itertools.pairwise(places)]
     # Close to the plumb line a little tether drags it a long way: sqrt(2 * 50.6 m * 5 mm).
@@ -243,13 +244,13 @@ def test_it_jumps_as_high_as_the_spring_brings_it_and_comes_down_where_it_stood(
     state, released = follow(plant, state, jump, 2.3)
     assert [event.name for event in released] == ["latch_released", "take_off"]
     assert released[0].time == pytest.approx(2.3)
-    assert state.phase is Phase.FLIGHT
+    assert state.phase is PlantPhase.FLIGHT
     state, flown = follow(plant, state, Command(), 3.0)
     assert [event.name for event in flown] == ["apex", "touchdown"]
     height = jump_height(plant.rover, plant.scenario.gravity, 0.2)
     assert flown[0].values["height"] == pytest.approx(height)
     assert height == pytest.approx(0.375, abs=0.001)
-    assert (state.phase, state.nut) == (Phase.GROUNDED, 0.0)
+    assert (state.phase, state.nut) == (PlantPhase.GROUNDED, 0.0)
 
 
 def test_a_latch_that_is_told_to_hold_holds():
@@ -268,7 +269,7 @@ def test_a_latch_that_trips_while_it_hangs_makes_no_flight():
     jump = Command(jump=JumpMotorCommand(0.1, 0.5))
     state, events = follow(plant, plant.initial_state(), jump, 0.3)
     assert [event.name for event in events] == ["latch_released"]
-    assert state.phase is Phase.HANGING
+    assert state.phase is PlantPhase.HANGING
 
 
 def test_the_flywheel_turns_the_screw_until_its_end():
@@ -335,7 +336,7 @@ def test_commands_are_refused_and_cease_as_with_every_plant():
     }
     simulation.accept_command(topics.WINCH_COMMAND, JointSample(0, joints))
     happened = [h.name for _ in range(100) for h in simulation.tick().event_reports]
-    assert happened == ["winch_silent"]
+    assert happened == [SimulationEvent.COMMAND_TIMEOUT]
     assert 10.0 < simulation.state.length < 10.3
     assert not simulation.state.brake_released
     simulation.accept_command(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
 from msg_schemas.codecs import decode, encode
+from msg_schemas.phases import PlantPhase
 from msg_schemas.table import (
     FLOOR_SWITCH,
     JUMP_SCREW,
@@ -21,7 +22,7 @@ from msg_schemas.table import (
 )
 from rover_sim.planar_interface import PlanarInterface
 from rover_sim.planar_plant import PlanarPlant
-from rover_sim.plant import Command, JumpMotorCommand, Phase
+from rover_sim.plant import Command, JumpMotorCommand
 from rover_sim.scenario import load_scenario
 
 DT = 0.002
@@ -35,7 +36,7 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
     outside.restart(state, stamp)
     for index in range(round(seconds / DT)):
         command = Command()
-        if index * DT >= standing and state.phase is Phase.HELD:
+        if index * DT >= standing and state.phase is PlantPhase.HELD:
             command = Command(jump=JumpMotorCommand(0.2, MAX_NUT_SPEED))
         before = state
         state, result = plant.step(before, command, DT)
@@ -62,7 +63,7 @@ def in_flight(ticks: list[Tick]) -> list[tuple[Tick, Tick]]:
     return [
         (a, b)
         for a, b in itertools.pairwise(ticks)
-        if a["state"].phase is b["state"].phase is Phase.FLIGHT
+        if a["state"].phase is b["state"].phase is PlantPhase.FLIGHT
     ]
 
 
@@ -136,9 +137,9 @@ def test_gyro_and_odometry_agree(turning_jump: list[Tick]):
 def test_contact_opens_at_take_off_and_closes_at_landing(turning_jump: list[Tick]):
     for tick in turning_jump:
         closed = tick[topics.CONTACT].joints[FLOOR_SWITCH].position
-        assert closed == (0.0 if tick["state"].phase is Phase.FLIGHT else 1.0)
+        assert closed == (0.0 if tick["state"].phase is PlantPhase.FLIGHT else 1.0)
     assert {tick["state"].phase for tick in turning_jump} == {
-        Phase.HELD, Phase.FLIGHT, Phase.LANDED,
+        PlantPhase.HELD, PlantPhase.FLIGHT, PlantPhase.LANDED,
     }  # fmt: skip
 
 

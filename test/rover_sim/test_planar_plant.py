@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import rover_sim
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim import (
     Command,
     Event,
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
-    Phase,
     PlanarPlant,
     WheelRateCommand,
     WinchCommand,
@@ -40,10 +41,10 @@ def test_the_packages_example_runs() -> None:
 def test_starts_held_at_rest_in_equilibrium() -> None:
     plant = plant_of()
     state = plant.initial_state()
-    assert state.phase is Phase.HELD
+    assert state.phase is PlantPhase.HELD
     after, result = plant.step(state, IDLE, 0.1)
     assert after.time == 0.1
-    assert after.phase is Phase.HELD
+    assert after.phase is PlantPhase.HELD
     assert np.abs(after.nodes - state.nodes).max() < 1e-7
     assert np.array_equal(after.G1, state.G1)
     assert result.outcome is Outcome.CONVERGED
@@ -115,7 +116,7 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
     command = Command(jump=JumpMotorCommand(compression=0.2, rate=0.05))
     state, result = plant.step(state, command, 1.0)
     assert state.compression == pytest.approx(0.05)
-    assert state.phase is Phase.HELD
+    assert state.phase is PlantPhase.HELD
     state, result = plant.step(state, IDLE, 0.5)
     assert state.compression == pytest.approx(0.05)
     state, result = plant.step(state, command, 2.95)
@@ -125,7 +126,7 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
     assert [event.name for event in result.events] == ["take_off"]
     assert result.events[0].time == pytest.approx(4.5, abs=1e-9)
     assert result.events[0].values["speed"] == pytest.approx(0.2 * math.sqrt(824 / 5))
-    assert state.phase is Phase.FLIGHT
+    assert state.phase is PlantPhase.FLIGHT
     assert state.compression == 0.0
     assert state.time == pytest.approx(4.55)
 
@@ -134,7 +135,7 @@ def test_the_latch_holds_at_the_setpoint_until_it_is_told_to_trip() -> None:
     plant = plant_of("paper_table1_high")
     held = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2, trips=False))
     state, result = plant.step(plant.initial_state(), held, 1.0)
-    assert (state.compression, state.phase, result.events) == (0.1, Phase.HELD, ())
+    assert (state.compression, state.phase, result.events) == (0.1, PlantPhase.HELD, ())
     trips = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2))
     state, result = plant.step(state, trips, 0.01)
     assert [event.name for event in result.events] == ["take_off"]
@@ -148,7 +149,7 @@ def test_a_commanded_jump_is_the_same_as_a_direct_one() -> None:
     state = plant.initial_state()
     events: list[Event] = []
     for _ in range(200):
-        sent = command if state.phase is Phase.HELD else IDLE
+        sent = command if state.phase is PlantPhase.HELD else IDLE
         state, result = plant.step(state, sent, 0.0073)
         events += result.events
     assert [event.name for event in events] == ["take_off", "apex", "touchdown"]
@@ -167,14 +168,14 @@ def test_the_drive_may_go_back_without_a_jump() -> None:
     assert state.compression == pytest.approx(0.1)
     state, result = plant.step(state, Command(jump=JumpMotorCommand(0.0, 0.1)), 2.0)
     assert state.compression == 0.0
-    assert state.phase is Phase.HELD
+    assert state.phase is PlantPhase.HELD
     assert result.events == ()
 
 
 def test_landing_stops_the_rover_where_it_came_down_and_it_can_jump_again() -> None:
     plant = plant_of("paper_table1_high")
     first = run(plant, plant.take_off(plant.initial_state()), 2.0, until="touchdown").final
-    assert first.phase is Phase.LANDED
+    assert first.phase is PlantPhase.LANDED
     assert first.G1[1] == pytest.approx(first.start_height, abs=1e-12)
     assert first.omega == 0.0
     assert first.G1_rate.tolist() == [0.0, 0.0]
@@ -192,7 +193,7 @@ def test_landing_stops_the_rover_where_it_came_down_and_it_can_jump_again() -> N
 def test_flying_on_after_landing_passes_through_the_starting_height() -> None:
     plant = plant_of("paper_table1_high", after_landing="fly_on")
     history = run(plant, plant.take_off(plant.initial_state()), 0.7)
-    assert history.final.phase is Phase.FLIGHT
+    assert history.final.phase is PlantPhase.FLIGHT
     assert history.final.G1[1] < history.final.start_height - 0.1
     assert [event.name for event in history.events] == ["apex", "touchdown"]
 
@@ -234,10 +235,10 @@ def test_broken_tether_is_an_event_and_an_end() -> None:
     assert limit > 1.0
     plant = plant_of(tether__breaking_load=limit)
     history = run(plant, plant.take_off(plant.initial_state()), 1.0)
-    assert history.final.phase is Phase.TETHER_BROKEN
+    assert history.final.phase is PlantPhase.TETHER_BROKEN
     assert history.results[-1].outcome is Outcome.TETHER_BROKEN
     event = history.events[-1]
-    assert event.name == "tether_broken"
+    assert event.name == PlantEvent.TETHER_BROKEN
     assert event.values["tension"] > limit
     assert all(result.peak_tension <= limit for result in history.results[:-1])
     again, result = plant.step(history.final, IDLE, 0.1)

@@ -8,12 +8,12 @@ import pytest
 from fake_plant import fake_interface
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_sim.actuators import Equipment
-from rover_sim.event_reports import EventReport
-from rover_sim.plant import Phase
 from rover_sim.sim_loop import NANO, Pacer, Schedule, Simulation
 
 TICK = 0.01
@@ -148,14 +148,14 @@ def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[
     assert [h.name for h in happened] == ["take_off"]
     assert happened[0].stamp_ns == pytest.approx(0.255 * NANO, abs=2)
     assert happened[0].values == {"speed": 1.0}
-    assert simulation.phase is Phase.FLIGHT
+    assert simulation.phase is PlantPhase.FLIGHT
 
 
 def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.0255))
     happened = run_to(simulation, 2.0)
     assert [h.name for h in happened] == ["take_off"]
-    assert simulation.phase is Phase.LANDED
+    assert simulation.phase is PlantPhase.LANDED
     simulation.accept_command(NUT, nut(0.02, at=2.0))
     assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
 
@@ -163,7 +163,7 @@ def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation
 def test_silence_stops_the_nut_where_it_is(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
-    assert [(h.name, h.level) for h in happened] == [("jump_motor_silent", Level.WARN)]
+    assert [(h.name, h.level) for h in happened] == [(SimulationEvent.COMMAND_TIMEOUT, Level.ERROR)]
     assert happened[0].stamp_ns == pytest.approx(0.5 * NANO, abs=0.02 * NANO)
     assert simulation.state.compression == pytest.approx(0.05, abs=0.002)
 
@@ -193,7 +193,7 @@ def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
 ):
     simulation.accept_command(NUT, nut(0.02))
     run_to(simulation, 0.25)
-    assert simulation.phase is Phase.FLIGHT
+    assert simulation.phase is PlantPhase.FLIGHT
     simulation.accept_command(NUT, nut(0.02, at=0.19))
     refusal = refusal_of(simulation, NUT, nut(0.02, at=0.35))
     assert refusal.code is RefusalCode.WRONG_PHASE
@@ -202,7 +202,7 @@ def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
     # What was on its way at the take-off starts nothing after the landing either.
     simulation.accept_command(NUT, nut(0.02, at=0.19))
     assert not run_to(simulation, 1.2)
-    assert simulation.state.phase is Phase.LANDED
+    assert simulation.state.phase is PlantPhase.LANDED
 
 
 def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation[Any]):
@@ -223,7 +223,7 @@ def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down
     simulation.accept_command(NUT, nut(0.0))
     run_to(simulation, 0.7)
     assert simulation.state.compression == 0.0
-    assert simulation.phase is Phase.HELD
+    assert simulation.phase is PlantPhase.HELD
 
 
 def test_a_scenario_without_a_rover_has_no_jump_motor():
@@ -247,7 +247,7 @@ def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [("diverged", Level.ERROR)]
     assert "0.3 s" in happened[0].message
-    assert simulation.phase is Phase.DIVERGED
+    assert simulation.phase is PlantPhase.DIVERGED
     assert simulation.state.time == pytest.approx(0.3)
     assert simulation.state.compression == pytest.approx(0.03)
     assert simulation.stamp_ns == NANO

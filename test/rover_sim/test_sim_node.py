@@ -15,7 +15,9 @@ from driving import drive_nut, has_event
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.parameters import ParameterError, from_mapping
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     FLOOR_SWITCH,
@@ -47,7 +49,7 @@ def start(harness: NodeHarness, **parameters: object) -> Sim:
     observer.listen(topics.EVENTS)
     observer.listen(topics.DIAGNOSTICS)
     observer.listen(topics.CLOCK)
-    observer.wait_for_event("active")
+    observer.wait_for_event(NodeEvent.ACTIVE)
     return process, observer
 
 
@@ -87,7 +89,7 @@ def test_every_topic_is_heard_at_its_rate_in_simulated_time(harness: NodeHarness
 
 def test_standing_it_shows_a_rover_at_rest(harness: NodeHarness):
     _, observer = start(harness)
-    assert observer.wait_for_text(topics.TRUTH_PHASE, "held")
+    assert observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD)
     assert observer.listen(topics.CONTACT).wait().joints[FLOOR_SWITCH].position == 1.0
     force = observer.listen(topics.IMU).wait().linear_acceleration
     assert force == pytest.approx((0.0, 0.0, 9.81), abs=1e-6)
@@ -122,9 +124,9 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     for feed in (bodies, nut):
         feed.wait()
-    drive_nut(observer, 0.2, 0.4, has_event(observer, "take_off"))
-    flown = {k: float(v) for k, v in observer.wait_for_event("touchdown").values.items()}
-    observer.wait_for_text(topics.TRUTH_PHASE, "landed")
+    drive_nut(observer, 0.2, 0.4, has_event(observer, PlantEvent.TAKE_OFF))
+    flown = {k: float(v) for k, v in observer.wait_for_event(PlantEvent.TOUCHDOWN).values.items()}
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.LANDED)
 
     alone = jump(build_plant(load_planar("paper_table1_high", changes)))
     assert flown["height"] == pytest.approx(alone.height, abs=1e-5)
@@ -135,7 +137,7 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     assert max(heights) - heights[0] == pytest.approx(alone.height, abs=5e-4)
     speeds = {round(s.joints[JUMP_SCREW].velocity, 6) for s in nut.samples}
     assert 0.4 in speeds
-    observer.wait_for_event("apex")
+    observer.wait_for_event(PlantEvent.APEX)
 
 
 # ------------------------------------------------------------------------- bad commands are refused
@@ -244,11 +246,11 @@ def test_after_all_refusals_a_good_command_is_obeyed(sim: Sim):
 
 def test_commands_in_flight_are_refused(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=0.1)
-    drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
+    drive_nut(observer, 0.1, 0.5, has_event(observer, PlantEvent.TAKE_OFF))
     took_off = next(
         e.stamp_ns
         for e in observer.listen(topics.EVENTS).samples
-        if e.statuses[0].name == "take_off"
+        if e.statuses[0].name == PlantEvent.TAKE_OFF
     )
     observer.wait_for_time(took_off + 110_000_000)
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
@@ -258,7 +260,7 @@ def test_commands_in_flight_are_refused(harness: NodeHarness):
 
 def test_a_scenario_without_a_rover_refuses_to_jump(harness: NodeHarness):
     _, observer = start(harness, scenario="tether_pendulum", real_time_factor=0.1)
-    observer.wait_for_text(topics.TRUTH_PHASE, "free")
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.FREE)
     observer.wait_for_time(1)
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_supported")
@@ -271,10 +273,10 @@ def test_when_commands_cease_the_nut_stops_where_it_is(harness: NodeHarness):
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     observer.wait_for_time(1)
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.3, 0.1, 400.0)
-    stopped = observer.wait_for_event("jump_motor_silent")
-    assert stopped.level is Level.WARN
+    stopped = observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="jump_motor")
+    assert stopped.level is Level.ERROR
     observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: "jump_motor_silent" in s.name and s.level is Level.WARN
+        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: {SimulationEvent.COMMAND_TIMEOUT}"
     )
     position = float(stopped.values["compression"])
     assert position == pytest.approx(0.05, abs=0.002)
@@ -323,14 +325,14 @@ def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(harness: NodeH
     heights = []
     for _ in range(2):
         since = len(observer.listen(topics.EVENTS))
-        drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off", since))
-        heights.append(float(observer.wait_for_event("touchdown", since).values["height"]))
+        drive_nut(observer, 0.1, 0.5, has_event(observer, PlantEvent.TAKE_OFF, since))
+        heights.append(float(observer.wait_for_event(PlantEvent.TOUCHDOWN, since).values["height"]))
         clock, phases = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_PHASE)
         count, told = len(clock), len(phases)
         assert observer.call(topics.SIM_RESET).success
         clock.wait(lambda s: s.stamp_ns == 0, count)
-        observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
-        observer.wait_for_event("reset", since)
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
+        observer.wait_for_event(SimulationEvent.RESET, since)
     assert heights[1] == pytest.approx(heights[0], abs=1e-6)
 
 
@@ -338,11 +340,11 @@ def test_reset_plant_puts_the_plant_back_and_time_runs_on(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=2.0)
     clock, bodies = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
     start_position = bodies.wait().position
-    drive_nut(observer, 0.1, 0.5, has_event(observer, "take_off"))
+    drive_nut(observer, 0.1, 0.5, has_event(observer, PlantEvent.TAKE_OFF))
     told = len(observer.listen(topics.TRUTH_PHASE))
     stamp, count = observer.time_ns(), len(bodies)
     assert observer.call(topics.SIM_RESET_PLANT).success
-    observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
     bodies.wait(lambda s: s.position == start_position, count)
     observer.wait_for_time(stamp + NANO // 5)
     stamps = [sample.stamp_ns for sample in clock.samples]
@@ -358,8 +360,8 @@ def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(harnes
     )
     bodies = observer.listen(topics.TRUTH_BODY1)
     observer.call(topics.SIM_PAUSE, False)
-    observer.wait_for_text(topics.TRUTH_PHASE, "diverged")
-    event = observer.wait_for_event("diverged")
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.DIVERGED)
+    event = observer.wait_for_event(PlantEvent.DIVERGED)
     assert event.level is Level.ERROR
     assert "last good state" in event.message
     observer.wait_for_status(
@@ -377,7 +379,7 @@ def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(harnes
     phases = observer.listen(topics.TRUTH_PHASE)
     told = len(phases)
     assert observer.call(topics.SIM_RESET).success
-    observer.wait_for_text(topics.TRUTH_PHASE, "held", since=told)
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
     assert process.stop() == 0
 
 
@@ -393,7 +395,7 @@ def test_a_run_of_given_duration_ends_by_itself(harness: NodeHarness):
     process, observer = start(harness, duration=3.0, real_time_factor=0.0, start_paused=True)
     observer.call(topics.SIM_PAUSE, False)
     assert process.wait() == 0
-    assert "simulated 3 s" in observer.wait_for_event("finished").message
+    assert "simulated 3 s" in observer.wait_for_event(SimulationEvent.FINISHED).message
     assert observer.listen(topics.CLOCK).last.stamp_ns == 3 * NANO
     assert process.has_group_exited()
 
@@ -435,8 +437,8 @@ def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHa
     for observer in (one, two):
         observer.wait_for_time(1)
     assert two.set_parameter(f"/two/{NODE}", "real_time_factor", 0.5).successful
-    drive_nut(one, 0.1, 0.4, has_event(one, "take_off"))
-    one.wait_for_text(topics.TRUTH_PHASE, "landed")
+    drive_nut(one, 0.1, 0.4, has_event(one, PlantEvent.TAKE_OFF))
+    one.wait_for_text(topics.TRUTH_PHASE, PlantPhase.LANDED)
     assert {s.joints[JUMP_SCREW].position for s in two_nut.samples} == {0.0}
     assert [s.text for s in two_phase.samples] == ["held"]
     for observer in (one, two):
@@ -452,7 +454,7 @@ def test_deactivated_time_stands_and_activated_it_goes_on(harness: NodeHarness):
     clock = observer.listen(topics.CLOCK)
     observer.wait_for_time(NANO // 2)
     assert observer.change_state(NODE, "deactivate")
-    observer.wait_for_event("inactive")
+    observer.wait_for_event(NodeEvent.INACTIVE)
     # What was sent before the event has arrived when a later call is answered.
     assert not observer.call(topics.SIM_PAUSE, True).success
     count, stamp = len(clock), observer.time_ns()

@@ -11,11 +11,11 @@ import pytest
 from fake_plant import fake_interface
 
 from msg_schemas import topics
+from msg_schemas.events import EventReport, SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
-from rover_sim.event_reports import EventReport
-from rover_sim.plant import Phase
 from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 
@@ -157,7 +157,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
-    assert listening.event_reports == ["reset_plant", "reset"]
+    assert listening.event_reports == [SimulationEvent.PLANT_RESET, "reset"]
 
 
 def test_a_diverged_plant_leaves_time_running_at_the_wall_s_pace(listening: Listening):
@@ -167,7 +167,7 @@ def test_a_diverged_plant_leaves_time_running_at_the_wall_s_pace(listening: List
         count = len(listening.ticks)
         listening.wait(lambda: len(listening.ticks) > count + 3)
         assert runner.pacer.factor == 1.0
-        assert runner.simulation.phase is Phase.DIVERGED
+        assert runner.simulation.phase is PlantPhase.DIVERGED
         running.plant.diverges_at = math.inf
         runner.reset(clock=True)
         assert runner.pacer.factor == 0.0

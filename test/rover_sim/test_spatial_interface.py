@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
 from msg_schemas.codecs import decode, encode
+from msg_schemas.events import SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import (
     FLOOR_SWITCH,
@@ -32,7 +34,6 @@ from msg_schemas.table import (
 )
 from rover_sim import build_plant
 from rover_sim.interface_factory import build_interface
-from rover_sim.plant import Phase
 from rover_sim.scenario import SpatialScenario, load_spatial
 from rover_sim.sim_loop import NANO, Simulation, Tick
 from rover_sim.spatial_interface import SpatialInterface
@@ -219,12 +220,12 @@ def test_a_hanging_accelerometer_reads_gravity_along_the_tether():
     each = run(simulate(load_spatial("free_hang", PERFECT)), 0.5)[-1]
     assert each[topics.IMU].linear_acceleration == pytest.approx((0.0, 0.0, MOON), abs=0.01)
     assert joints(each[topics.CONTACT], FLOOR_SWITCH).position == 0.0
-    assert each["tick"].after.phase is Phase.HANGING
+    assert each["tick"].after.phase is PlantPhase.HANGING
 
 
 def test_a_standing_rover_closes_its_switches():
     each = run(simulate(load_spatial("floor_rubble", PERFECT)), 0.1)[-1]
-    assert each["tick"].after.phase is Phase.GROUNDED
+    assert each["tick"].after.phase is PlantPhase.GROUNDED
     for name in (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT):
         assert joints(each[topics.CONTACT], name).position == 1.0
     assert np.linalg.norm(each[topics.IMU].linear_acceleration) == pytest.approx(MOON, abs=1e-3)
@@ -262,7 +263,7 @@ def test_silence_brakes_the_winch_within_the_contract_s_time_and_way():
     run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     before = simulation.state.length
     every = run(simulation, 1.0)
-    assert happened(every) == ["winch_silent"]
+    assert happened(every) == [SimulationEvent.COMMAND_TIMEOUT]
     rates = [joints(each[topics.WINCH_STATE], WINCH_DRUM).velocity for each in every]
     stopped = next(i for i, rate in enumerate(rates) if rate == 0.0) * TICK
     assert stopped < 0.75
@@ -347,7 +348,7 @@ def test_a_standing_rover_compresses_waits_and_jumps():
     assert joints(flown[-1][topics.CONTACT], FLOOR_SWITCH).position == 0.0
     assert joints(flown[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).effort == 0.0
     run(simulation, 3.0)
-    assert simulation.phase is Phase.GROUNDED
+    assert simulation.phase is PlantPhase.GROUNDED
     assert simulation.state.G1[2] == pytest.approx(height, abs=0.05)
 
 
@@ -366,7 +367,7 @@ def test_a_broken_tether_stops_all_and_the_sensors_keep_their_last_readings():
     simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
     every = run(simulation, 0.5)
     assert happened(every) == ["tether_broken"]
-    assert simulation.phase is Phase.TETHER_BROKEN
+    assert simulation.phase is PlantPhase.TETHER_BROKEN
     assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
     assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)
     with pytest.raises(ValueError, match="tether is broken"):

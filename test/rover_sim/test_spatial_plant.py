@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msg_schemas.phases import PlantPhase
 from rover_sim import (
     Command,
-    Phase,
     PlanarPlant,
     ScenarioError,
     SettlingError,
@@ -188,5 +188,5 @@ def test_what_rolls_on_down_its_slope_is_refused_unless_a_creep_is_borne():
         SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
     changes["start"]["residual_speed"] = 0.1
     began = SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
-    assert began.phase is Phase.GROUNDED
+    assert began.phase is PlantPhase.GROUNDED
     assert not began.G1_rate.any()

@@ -15,6 +15,8 @@ from driving import drive
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import SimulationEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Level, StatusSample
 from msg_schemas.table import (
     FLOOR_SWITCH,
@@ -83,7 +85,7 @@ def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(harness: NodeHarne
     process, observer = start(harness)
     process.wait_for_output("scenario free_hang: compiling")
     process.wait_for_output(r"compiled and at rest after \d+\.\d s")
-    observer.wait_for_text(topics.TRUTH_PHASE, "hanging")
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING)
     content = json.loads(observer.listen(topics.CONFIG).wait().text)
     assert content["scenario"]["model"] == "spatial"
     assert content["scenario"]["winch"]["brake_torque"] == 2.0
@@ -124,14 +126,15 @@ def test_the_winch_pays_out_until_silence_closes_its_brake(harness: NodeHarness)
     assert drum(observer).velocity == pytest.approx(0.3, abs=0.02)
     lengths = [sample.joints[WINCH_DRUM].position for sample in states.samples]
     assert lengths == sorted(lengths)
-    silent = observer.wait_for_event("winch_silent")
-    assert silent.level is Level.WARN
+    silent = observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="winch")
+    assert silent.level is Level.ERROR
     assert float(silent.values["age"]) <= 0.1
     states.wait(lambda s: s.joints[WINCH_BRAKE].position == 0.0, since=len(lengths))
     stopped = states.wait(lambda s: s.joints[WINCH_DRUM].velocity == 0.0, since=len(lengths))
     run_on = stopped.joints[WINCH_DRUM].position - float(silent.values["length"])
     assert 0.0 < run_on < 0.1
-    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: winch_silent")
+    name = f"{NODE}: {SimulationEvent.COMMAND_TIMEOUT}"
+    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == name)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +262,7 @@ def test_resets_put_tether_and_rover_back_and_only_one_of_them_the_clock(harness
             assert back.stamp_ns == 0
         else:
             assert back.stamp_ns >= stamp
-    observer.wait_for_text(topics.TRUTH_PHASE, "hanging")
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING)
 
 
 TOLD = (

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_control.descent_profile import DescentPhase
 from rover_verify.checks.hanging import kicked
 from rover_verify.checks.hanging_rig import HangingFlight, Start
 from rover_verify.checks.pointing import turn

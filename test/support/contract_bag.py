@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.phases import PlantPhase
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -164,7 +166,7 @@ class MadeUp:
             put(time, topics.TRUTH_BODY1, odometry(time, pose, rates))
             above = pose + np.array([-0.2 * math.sin(pose[2]), 0.2 * math.cos(pose[2]), 0.0])
             put(time, topics.TRUTH_BODY2, odometry(time, above, rates))
-            stands = JointValue(0.0 if phase == "flight" else 1.0)
+            stands = JointValue(0.0 if phase == PlantPhase.FLIGHT else 1.0)
             put(time, topics.CONTACT, JointSample(ns(time), {FLOOR_SWITCH: stands}))
             put(time, topics.LOAD_CELL, WrenchSample(ns(time), (3.0, 0.0, -4.0)))
             # The balance drifts by 1 microjoule per second.
@@ -173,7 +175,7 @@ class MadeUp:
             energies["kinetic"] = JointValue(2.5 * float(rates[0] ** 2 + rates[1] ** 2))
             put(time, topics.TRUTH_ENERGY, JointSample(ns(time), energies))
             if count % 2 == 0:
-                tension = 7.5 if phase == "flight" else 1.0
+                tension = 7.5 if phase == PlantPhase.FLIGHT else 1.0
                 put(time, topics.TRUTH_TETHER, tether(time, (4.0, -2.0), tension))
 
     def event(self, time: float, name: str, message: str, values: Mapping[str, str]) -> None:
@@ -181,10 +183,7 @@ class MadeUp:
         self.add(time, topics.EVENTS, StatusSample(ns(time), (status,)))
 
     def refusal(self, time: float, subject: str, reason: str) -> None:
-        status = Status(
-            f"jump_node: refused {subject}", reason, hardware_id="jump_node",
-            values={"code": "not_finite", "refused": "1"},
-        )  # fmt: skip
+        status = RefusalReport("jump_node", subject, RefusalCode.NOT_FINITE, reason).status()
         self.add(time, topics.DIAGNOSTICS, StatusSample(ns(time), (status,)))
 
     def write(self, path: Path, *, prefix: str = "/", close: bool = True) -> Path:

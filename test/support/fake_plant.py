@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
 from rover_sim.actuators import DriveFeedback, Equipment, Nut
@@ -18,7 +20,6 @@ from rover_sim.plant import (
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
-    Phase,
     StepResult,
     WheelRateCommand,
     WheelTorqueCommand,
@@ -34,7 +35,7 @@ LENGTH = 5.0
 @dataclass(frozen=True)
 class FakeState:
     time: float = 0.0
-    phase: Phase = Phase.HELD
+    phase: PlantPhase = PlantPhase.HELD
     compression: float = 0.0
     length: float = LENGTH
     payout_rate: float = 0.0
@@ -74,12 +75,12 @@ class FakePlant:
             return state, self._result(Outcome.DIVERGED)
         time = state.time + dt
         if time > self.diverges_at + 1e-9:
-            event = Event("diverged", state.time)
-            return replace(state, phase=Phase.DIVERGED), self._result(Outcome.DIVERGED, event)
+            event = Event(PlantEvent.DIVERGED, state.time)
+            return replace(state, phase=PlantPhase.DIVERGED), self._result(Outcome.DIVERGED, event)
         after = self._moved(replace(state, time=time), command, dt)
-        if state.phase is Phase.FLIGHT:
+        if state.phase is PlantPhase.FLIGHT:
             if time >= 0.5:
-                return replace(after, phase=Phase.LANDED), self._result(Outcome.CONVERGED)
+                return replace(after, phase=PlantPhase.LANDED), self._result(Outcome.CONVERGED)
             return after, self._result(Outcome.CONVERGED)
         jump = command.jump
         if not isinstance(jump, JumpMotorCommand):
@@ -87,8 +88,8 @@ class FakePlant:
         travel = jump.compression - state.compression
         moved = state.compression + math.copysign(min(abs(travel), jump.rate * dt), travel)
         if jump.trips and jump.compression > 0.0 and abs(travel) <= jump.rate * dt:
-            event = Event("take_off", state.time + abs(travel) / jump.rate, {"speed": 1.0})
-            flying = replace(after, phase=Phase.FLIGHT, compression=0.0)
+            event = Event(PlantEvent.TAKE_OFF, state.time + abs(travel) / jump.rate, {"speed": 1.0})
+            flying = replace(after, phase=PlantPhase.FLIGHT, compression=0.0)
             return flying, self._result(Outcome.CONVERGED, event)
         return replace(after, compression=moved), self._result(Outcome.HALVED)
 

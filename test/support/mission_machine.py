@@ -5,6 +5,15 @@ from __future__ import annotations
 import math
 
 from msg_schemas import topics
+from msg_schemas.events import (
+    DescentEvent,
+    DriveEvent,
+    EventName,
+    EventReport,
+    JumpEvent,
+    MissionEvent,
+    WinchEvent,
+)
 from msg_schemas.machine import (
     HEADING,
     JUMP_PREDICTION,
@@ -18,6 +27,8 @@ from msg_schemas.machine import (
     TETHER_OUT,
     WINCH_SLACK,
 )
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -28,9 +39,8 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from msg_schemas.transition import Transition
 from rover_control.mission import Mission
-from rover_control.mission_legs import LegResult, MissionPhase, Request
+from rover_control.mission_legs import LegResult, Request
 from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
 
@@ -66,8 +76,10 @@ class MissionMachine:
         self.mission = Mission(plan, settings)
         self.now = 1.0
         self.length, self.slack = 2.0, 0.0
-        self.winch, self.descent, self.drive, self.jump = "disarmed", "released", "released", ""
-        self.jump = "standby"
+        self.winch: str = WinchMode.DISARMED
+        self.descent: str = DescentPhase.RELEASED
+        self.drive: str = DrivePhase.RELEASED
+        self.jump: str = JumpPhase.STANDBY
         self.nut = -0.03
         self.place = (0.0, 0.0, 0.0)
         self.slope = 0.0
@@ -83,7 +95,7 @@ class MissionMachine:
         self.requests: list[str] = []
         self.goals: list[tuple[float, float]] = []
         self.events: list[str] = []
-        self.choices: list[Transition] = []
+        self.choices: list[EventReport] = []
         self._goal: tuple[float, float] | None = None
         self._stop: tuple[str, float] | None = None
         self._length_goal: float | None = None
@@ -119,7 +131,9 @@ class MissionMachine:
             self.handle(request)
         changes = self.mission.take_changes()
         self.events += [change.name for change in changes]
-        self.choices += [change for change in changes if change.name == "mission_chosen"]
+        self.choices += [
+            change for change in changes if change.name == MissionEvent.LOCOMOTION_CHOSEN
+        ]
 
     def publish(self) -> None:
         receive, now = self.mission.receive, self.now_ns
@@ -149,24 +163,23 @@ class MissionMachine:
         tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0)}
         receive(topics.DRIVE_STATE, JointSample(now, tilt), now)
 
-    def emit(self, node: str, name: str, reason: str, **values: object) -> None:
-        status = Status(
-            name, reason, hardware_id=node, values={k: str(v) for k, v in values.items()}
-        )
+    def emit(self, node: str, name: EventName, text: str, **values: object) -> None:
+        status = Status(name, text, name.level, node, values={k: str(v) for k, v in values.items()})
         self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
     def _move(self) -> None:
-        if self._stop is not None and self.descent == "travelling":
+        if self._stop is not None and self.descent == DescentPhase.TRAVELLING:
             joint, depth = self._stop
             self.length += math.copysign(
                 min(abs(depth - self.length), 0.3 * STEP * 10), depth - self.length
             )
             if abs(depth - self.length) < 1e-6 and not self.swings:
-                self._stop, self.descent = None, "standby"
+                self._stop, self.descent = None, DescentPhase.STANDBY
                 pictures = 3 if joint == OBSERVATION_STOP else 0
-                reason = "3 pictures" if pictures else "reached"
-                self.emit("descent_node", "stop_ended", reason, depth=depth, pictures=pictures)
-        if self._length_goal is not None and self.winch == "length":
+                text = "3 pictures" if pictures else "reached"
+                name = DescentEvent.STOP_COMPLETED
+                self.emit("descent_node", name, text, depth=depth, pictures=pictures)
+        if self._length_goal is not None and self.winch == WinchMode.LENGTH:
             distance = self._length_goal - self.length
             self.length += math.copysign(min(abs(distance), 0.1 * STEP * 10), distance)
             if distance < 0.0:
@@ -177,25 +190,25 @@ class MissionMachine:
             elif abs(self._length_goal - self.length) < 1e-6:
                 self._on_floor = self.length >= FLOOR
                 self._end_length("there")
-        if self.jump == "letting_down":
-            self.jump, self.nut = "standby", 0.0
+        if self.jump == JumpPhase.LETTING_DOWN:
+            self.jump, self.nut = JumpPhase.STANDBY, 0.0
         self._busy -= STEP
         if self._busy > 0.0:
             return
-        if self.jump == "flight" and self.jump_fails:
+        if self.jump == JumpPhase.FLIGHT and self.jump_fails:
             self.jump_fails = False
-            status = Status("jump_landed", "no take-off", Level.WARN, "jump_node")
+            status = Status(JumpEvent.NO_TAKE_OFF, "no take-off", Level.WARN, "jump_node")
             self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
-        if self.jump == "flight":
-            self.jump, self.nut, self.slack = "standby", -0.03, 0.0
+        if self.jump == JumpPhase.FLIGHT:
+            self.jump, self.nut, self.slack = JumpPhase.STANDBY, -0.03, 0.0
             self.length = FLOOR
-        if self.drive == "driving" and self._goal is not None:
+        if self.drive == DrivePhase.DRIVING and self._goal is not None:
             if self.stuck > 0:
                 self.stuck -= 1
-                self.drive = "stuck"
+                self.drive = DrivePhase.STUCK
                 self.emit(
                     "drive_node",
-                    "drive_stuck",
+                    DriveEvent.STUCK,
                     "the wheels turn but the rover does not move",
                     turning=int(self.cannot_turn),
                 )
@@ -207,18 +220,21 @@ class MissionMachine:
                 )
                 self.place = (x, y, self.place[2])
                 if share == 1.0:
-                    self.drive = "released"
-                    self.emit("drive_node", "drive_done", "all goals reached")
+                    self.drive = DrivePhase.RELEASED
+                    self.emit("drive_node", DriveEvent.COMPLETED, "all goals reached")
 
     def _end_length(self, reason: str) -> None:
-        self._length_goal, self.winch = None, "hold"
-        self.emit("winch_node", "winch_hold", reason)
+        self._length_goal, self.winch = None, WinchMode.HOLD
+        self.emit("winch_node", WinchEvent.HOLD, reason)
 
     # --- requests --------------------------------------------------------------------------------
 
     def handle(self, request: Request) -> None:
         if request.name in self.refuses:
-            status = Status(f"a_node: refused {request.name}", self.refuses[request.name])
+            refusal = RefusalReport(
+                "a_node", request.name, RefusalCode.WRONG_PHASE, self.refuses[request.name]
+            )
+            status = refusal.status()
             self.mission.receive(
                 topics.DIAGNOSTICS, StatusSample(self.now_ns, (status,)), self.now_ns
             )
@@ -230,7 +246,7 @@ class MissionMachine:
                 qz, qw = request.sample.orientation[2:]
                 self.place = (x, y, 2.0 * math.atan2(qz, qw))
             else:
-                self._goal, self.drive, self._busy = (x, y), "driving", 0.5
+                self._goal, self.drive, self._busy = (x, y), DrivePhase.DRIVING, 0.5
                 self.goals.append((x, y))
         else:
             assert isinstance(request.sample, JointSample)
@@ -239,42 +255,42 @@ class MissionMachine:
 
     def _request(self, topic: str, name: str, amount: float, rate: float) -> None:
         if topic == topics.DESCENT_REQUEST and name in (OBSERVATION_STOP, PLAIN_STOP):
-            self._stop, self.descent = (name, amount), "travelling"
+            self._stop, self.descent = (name, amount), DescentPhase.TRAVELLING
         elif topic == topics.WINCH_REQUEST and name == WINCH_SLACK:
             self.length += amount - self.slack  # beyond the taut length
-            self.slack, self.winch = amount, "slack"
+            self.slack, self.winch = amount, WinchMode.SLACK
         elif topic == topics.WINCH_REQUEST:
-            self._length_goal, self.winch, self.rate = amount, "length", rate
+            self._length_goal, self.winch, self.rate = amount, WinchMode.LENGTH, rate
         elif name == JUMP_PREDICTION:
             self._predict()
         elif topic == topics.JUMP_REQUEST:
-            self.jump, self._busy = "flight", 3.0
+            self.jump, self._busy = JumpPhase.FLIGHT, 3.0
 
     def _predict(self) -> None:
-        level = Level.WARN if self.rejection else Level.OK
+        name = JumpEvent.REJECTED if self.rejection else JumpEvent.PREDICTED
         status = Status(
-            "jump_standby", self.rejection, level, "jump_node",
+            name, self.rejection, name.level, "jump_node",
             {"upright": repr(self.upright), "stroke": "0.13"},
         )  # fmt: skip
         self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
     def _serve(self, service: str) -> None:
         if service == topics.WINCH_REARM:
-            self.winch = "hold"
+            self.winch = WinchMode.HOLD
         elif service == topics.WINCH_HOLD:
-            self._length_goal, self.winch = None, "hold"
+            self._length_goal, self.winch = None, WinchMode.HOLD
         elif service == topics.DESCENT_RELEASE:
-            self.descent = "released"
+            self.descent = DescentPhase.RELEASED
         elif service == topics.DESCENT_HOLD:
-            self.descent = "holding"
+            self.descent = DescentPhase.HOLDING
         elif service == topics.DESCENT_RESUME:
-            self.descent = "travelling"
+            self.descent = DescentPhase.TRAVELLING
         elif service == topics.DESCENT_ABORT:
-            self._stop, self.descent = None, "standby"
+            self._stop, self.descent = None, DescentPhase.STANDBY
         elif service == topics.DRIVE_STOP:
-            self._goal, self.drive = None, "released"
+            self._goal, self.drive = None, DrivePhase.RELEASED
         elif service == topics.JUMP_ABORT:
-            self.jump, self.nut = "standby", 0.0
+            self.jump, self.nut = JumpPhase.STANDBY, 0.0
 
     def restart_mission(self, after: float = 1.0) -> None:
         """Kill the mission and restart it after a time [s]."""
@@ -301,7 +317,7 @@ def start_mission(
 def finished(machine: MissionMachine) -> bool:
     """Whether the mission runs to its end."""
     machine.run()
-    return machine.events[-3:].count("mission_done") == 1
+    return machine.events[-3:].count(MissionEvent.COMPLETED) == 1
 
 
 def results(machine: MissionMachine) -> set[LegResult]:

@@ -19,7 +19,7 @@ from ros2_commands import Call, Echo, Launch, Publish
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import message_class
-from msg_schemas.refusal import REQUEST_ACCEPTED
+from msg_schemas.events import NodeEvent
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -143,5 +143,5 @@ class Session:
         )
         since = len(self.observer.listen(topics.EVENTS))
         publisher.publish(message)
-        taken = self.observer.wait_for_event(REQUEST_ACCEPTED, since)
+        taken = self.observer.wait_for_event(NodeEvent.REQUEST_ACCEPTED, since)
         assert taken.values["commander"] == ASKER

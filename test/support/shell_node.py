@@ -11,11 +11,12 @@ from pathlib import Path
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from msg_schemas import topics
+from msg_schemas.events import EventName, EventReport
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW
 
 _NOBODY = 65534
@@ -35,6 +36,14 @@ class ShellNodeParameters:
     )
 
 
+class ShellEvent(EventName):
+    """Events of this node."""
+
+    MODE = "mode", Level.OK, "the winch's mode has changed"
+    CHANGED = "changed", Level.OK, "parameters have changed", "now"
+    CLOCK_JUMPED = "clock_jumped", Level.OK, "the clock has jumped"
+
+
 class ShellNode(ContractNode):
     """Says back what it is commanded."""
 
@@ -45,7 +54,9 @@ class ShellNode(ContractNode):
         trouble = self.parameters_of(ShellNodeParameters).trouble
         self._state = self.publisher(topics.JUMP_MOTOR_STATE)
         self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
-        self.subscribe(topics.WINCH_MODE, lambda sample: self.event("mode", sample.text))
+        self.subscribe(
+            topics.WINCH_MODE, lambda sample: self.event(EventReport(ShellEvent.MODE, sample.text))
+        )
         self.serve(topics.JUMP_ABORT, self._on_abort)
         self.serve(topics.SIM_PAUSE, self._on_pause)
         if trouble == "value":
@@ -68,10 +79,11 @@ class ShellNode(ContractNode):
         self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)
 
     def parameters_changed(self) -> None:
-        self.event("changed", "parameters changed", values={"now": self.now_ns()})
+        values = {"now": self.now_ns()}
+        self.event(EventReport(ShellEvent.CHANGED, "parameters changed", values))
 
     def clock_jumped(self) -> None:
-        self.event("clock_jumped", "the clock jumped")
+        self.event(EventReport(ShellEvent.CLOCK_JUMPED, "the clock jumped"))
 
     def _on_timer(self) -> None:
         if self.parameters_of(ShellNodeParameters).trouble == "timer":

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from msg_schemas import topics
+from msg_schemas.events import BridgeEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, ServiceResponse
@@ -122,7 +124,7 @@ class SimulatedEnvironment:
         since_command = (self.time_ns - self._command_ns) * 1e-9
         if self.brake and since_command > machine.timeout:
             self.brake = 0.0
-            self.event("winch_commands_ceased", "no command")
+            self.event(BridgeEvent.COMMANDS_CEASED, "no command")
         if self.time_ns - self._state_ns >= 1e9 / machine.rate - 1:
             self._state_ns = self.time_ns
             joints = {WINCH_DRUM: JointValue(20.0), WINCH_BRAKE: JointValue(self.brake)}
@@ -167,8 +169,7 @@ class SimulatedEnvironment:
         self.receive(topics.EVENTS, StatusSample(self.time_ns, (status,)))
 
     def refuse(self, subject: str, code: str, reason: str) -> None:
-        name = f"hil_bridge: refused {subject}"
-        status = Status(name, reason, Level.WARN, "hil_bridge", {"code": code})
+        status = RefusalReport("hil_bridge", subject, RefusalCode(code), reason).status()
         self.receive(topics.DIAGNOSTICS, StatusSample(self.time_ns, (status,)))
 
     # --- ProcedureEnvironment --------------------------------------------------------------------

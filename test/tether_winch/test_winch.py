@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from winch_hoist import Hoist, HoistParameters
 
+from msg_schemas.events import WinchEvent
+from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
@@ -16,11 +18,10 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
+from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
-from tether_winch.fault_monitor import Fault
-from tether_winch.requests import Mode
 from tether_winch.winch import Winch, WinchParameters
 
 
@@ -52,7 +53,7 @@ def test_a_length_is_reached_without_overshoot_and_braked():
     made.run_until_rest(30.0)
     made.run(0.5)
     lengths = made.column("length")
-    assert made.winch.mode is Mode.HOLD
+    assert made.winch.mode is WinchMode.HOLD
     assert lengths[-1] == pytest.approx(14.0, abs=0.003)
     assert lengths.max() < 14.003
     assert np.abs(made.column("length") - made.column("reference")).max() < 0.01
@@ -74,25 +75,25 @@ def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
     for _ in range(8):
         made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
         made.run(0.5)
-    assert made.winch.mode is Mode.LENGTH
-    assert len(made.times_of("winch_hold")) == 1  # when it was armed
+    assert made.winch.mode is WinchMode.LENGTH
+    assert len(made.times_of(WinchEvent.HOLD)) == 1  # when it was armed
     renewed, length = made.time, made.ticks[-1].length
     made.run_until_rest(10.0)
-    _, held = made.times_of("winch_hold")
+    (held,) = made.times_of(WinchEvent.MOTION_ABORTED)
     assert held - renewed == pytest.approx(made.winch.parameters.faults.command_timeout, abs=0.6)
     assert made.ticks[-1].length - length < 0.7
     assert made.winch.fault is None
     made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
     for _ in range(30):
         made.run(0.5)
-        if made.winch.mode is Mode.LENGTH:
+        if made.winch.mode is WinchMode.LENGTH:
             made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
     assert made.ticks[-1].length == pytest.approx(14.0, abs=0.003)
     made.run(3.0)  # at the length it needs no renewal
-    assert made.ticks[-1].mode is Mode.HOLD
+    assert made.ticks[-1].mode is WinchMode.HOLD
     made.request(WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
     made.run(3.0)
-    assert made.winch.mode is Mode.LENGTH
+    assert made.winch.mode is WinchMode.LENGTH
 
 
 def test_small_changes_of_the_rate_publish_the_mode_once():
@@ -112,7 +113,7 @@ def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
     made.request(WINCH_TO_LENGTH, 11.0, 0.3)
     made.now_ns += 14 * TICK_NS  # no step in this time
     made.run(0.3)
-    assert made.winch.mode is Mode.LENGTH
+    assert made.winch.mode is WinchMode.LENGTH
     made.run_until_rest(20.0)
     assert made.ticks[-1].length == pytest.approx(11.0, abs=0.003)
 
@@ -126,13 +127,13 @@ def test_a_stalled_controller_does_not_time_its_sensors_out():
         made.rig.step(running, TICK)
         made.now_ns += TICK_NS
     made.winch.step(made.now_ns)  # before it receives the queued samples
-    assert made.winch.mode is Mode.LENGTH
+    assert made.winch.mode is WinchMode.LENGTH
     made.run(1.0)
     assert made.winch.fault is None
     for _ in range(12):  # sensors that stay silent time out
         made.now_ns += TICK_NS
         made.winch.step(made.now_ns)
-    assert made.winch.fault is Fault.DRUM_LOST
+    assert made.winch.fault is WinchFault.DRUM_LOST
 
 
 def test_lost_samples_do_not_raise_the_drift():
@@ -181,7 +182,7 @@ def test_a_tension_below_the_tether_weight_is_refused():
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert "without end" in refusal.reason
     made.request(WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
-    assert made.winch.mode is Mode.TENSION
+    assert made.winch.mode is WinchMode.TENSION
 
 
 def test_a_tension_hold_keeps_its_rate_limit():
@@ -194,7 +195,7 @@ def test_a_tension_hold_keeps_its_rate_limit():
         rates = made.column("rate")[begun:]
         assert np.abs(rates[200:] - sign * 0.1).max() < 0.02
     made.run(2.5)
-    assert made.winch.fault is Fault.COMMAND_TIMEOUT
+    assert made.winch.fault is WinchFault.COMMAND_TIMEOUT
     assert made.ticks[-1].rate == 0.0
 
 
@@ -202,14 +203,14 @@ def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
     made = standing()
     made.request(WINCH_SLACK, 0.0)
     made.run(20.0)
-    assert made.transitions[-1][1].name == "winch_hold"
+    assert made.transitions[-1][1].name == WinchEvent.HOLD
     taut = made.ticks[-1].length
     assert taut == pytest.approx(10.0, abs=0.01)
     assert made.column("tension")[300:].max() < 16.0
     made.request(WINCH_SLACK, 0.4)
     made.run(6.0)
     assert made.ticks[-1].length == pytest.approx(taut + 0.4, abs=0.01)
-    assert made.winch.mode is Mode.SLACK
+    assert made.winch.mode is WinchMode.SLACK
 
 
 def test_a_length_request_lifts_a_standing_rover():
@@ -224,10 +225,10 @@ def test_nothing_is_reeled_in_during_a_jump():
     made = standing()
     made.request(WINCH_SLACK, 0.0)
     made.run(1.0)
-    made.winch.on_jump("compressing", made.now_ns)
+    made.winch.on_jump(JumpPhase.COMPRESSING, made.now_ns)
     made.run(0.5)
     before = made.ticks[-1].length
-    made.winch.on_jump("flight", made.now_ns)
+    made.winch.on_jump(JumpPhase.FLIGHT, made.now_ns)
     made.run(3.0)
     assert made.ticks[-1].length >= before - 1e-6
     assert "a jump is in progress" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
@@ -247,7 +248,7 @@ def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
     assert made.winch.servo.trim_offset == pytest.approx(p.trim_length, abs=0.01)
     assert np.abs(made.column("reference_rate")).max() < p.trim_rate * 1.1
     made.run(25.0)
-    assert made.winch.mode is Mode.HOLD
+    assert made.winch.mode is WinchMode.HOLD
     assert made.ticks[-1].length == pytest.approx(20.003, abs=0.01)
 
 
@@ -255,12 +256,12 @@ def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
     made = session(20.0)
     made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.6)
-    assert len(made.times_of("winch_hold")) == 2  # when armed, and when no trim came
+    assert len(made.times_of(WinchEvent.HOLD)) == 2  # when armed, and when no trim came
     made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
     made.run(0.25)
     made.winch.trim(0.05, made.now_ns)
     made.run(0.4)
-    assert made.winch.mode is Mode.LENGTH
+    assert made.winch.mode is WinchMode.LENGTH
     assert made.winch.servo.trim_offset > 0.005
 
 
@@ -306,7 +307,7 @@ def test_a_hot_motor_brakes_before_it_overheats():
     for _ in range(2000):
         made.tick()
         hottest = max(hottest, made.winch.heat.heat)
-    assert made.winch.fault is Fault.OVERHEATED
+    assert made.winch.fault is WinchFault.OVERHEATED
     assert hottest <= 1.0
     assert made.ticks[-1].rate == 0.0
 

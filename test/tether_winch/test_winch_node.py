@@ -15,6 +15,9 @@ from winch_mother import Mother
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.events import WinchEvent
+from msg_schemas.phases import TensionState, WinchMode
+from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     PAYOUT,
@@ -57,7 +60,7 @@ class Bench:
     def arm(self) -> None:
         answer = self.observer.call(topics.WINCH_REARM)
         assert answer.success, answer.message
-        self.observer.wait_for_text(topics.WINCH_MODE, "hold")
+        self.observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 
     def lower(self, rate: float = 0.3) -> None:
         """Arm, and wait until the tether is paid out at a rate."""
@@ -67,16 +70,16 @@ class Bench:
 
     def wait_for_fault(self, fault: str, since: int) -> str:
         """Wait for the fault; returns its reason."""
-        self.observer.wait_for_text(topics.WINCH_MODE, "fault", since=since)
+        self.observer.wait_for_text(topics.WINCH_MODE, WinchMode.FAULT, since=since)
         return self.observer.wait_for_status(
             topics.EVENTS,
-            lambda s: s.name == "winch_fault" and s.values.get("fault") == fault,
+            lambda s: s.name == WinchEvent.FAULT and s.values.get("fault") == fault,
         ).message
 
     def wait_for_hold(self, why: str) -> None:
         """Wait for a hold whose reason contains a text."""
         self.observer.wait_for_status(
-            topics.EVENTS, lambda s: s.name == "winch_hold" and why in s.message
+            topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and why in s.message
         )
 
     def wait_until_braked(self) -> None:
@@ -102,7 +105,7 @@ def make_bench(harness: NodeHarness, hoist: Hoist) -> Iterator[Bench]:
     observer.listen(topics.WINCH_MODE)
     mother = Mother(observer, hoist)
     mother.begin()
-    observer.wait_for_text(topics.WINCH_MODE, "disarmed")
+    observer.wait_for_text(topics.WINCH_MODE, WinchMode.DISARMED)
     observer.wait_until_ready(NODE)
     try:
         yield Bench(process, observer, mother)
@@ -131,8 +134,8 @@ def test_a_length_is_reached_and_held_by_the_brake(bench: Bench):
     bench.arm()
     since = bench.modes()
     bench.request(WINCH_TO_LENGTH, 6.0, 0.3)
-    bench.observer.wait_for_text(topics.WINCH_MODE, "length", since=since)
-    bench.observer.wait_for_text(topics.WINCH_MODE, "hold", since=since)
+    bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.LENGTH, since=since)
+    bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD, since=since)
     bench.wait_until_braked()
     assert bench.mother.last.length == pytest.approx(6.0, abs=0.005)
     estimate = bench.observer.listen(topics.WINCH_ESTIMATE)
@@ -199,7 +202,7 @@ def use_every_mode(bench: Bench) -> None:
     assert taut == pytest.approx(5.6, abs=0.01)
 
     bench.request(WINCH_SLACK, 0.3)
-    bench.observer.wait_for_text(topics.WINCH_MODE, "slack")
+    bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.SLACK)
     mother.wait(lambda: mother.last.length > taut + 0.29, "no slack is given")
     bench.wait_until_braked()
     assert mother.last.length == pytest.approx(taut + 0.3, abs=0.01)
@@ -229,7 +232,7 @@ def use_every_mode(bench: Bench) -> None:
     assert max(abs(a - b) for a, b in pairwise(rates)) < 0.02
 
     assert bench.observer.call(topics.WINCH_STOP).success
-    bench.observer.wait_for_text(topics.WINCH_MODE, "stop")
+    bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.STOP)
 
 
 # ------------------------------------------------------------------------------------------- safety
@@ -349,7 +352,7 @@ def test_the_stop_service_brakes_at_once_and_stays_so(bench: Bench):
     bench.lower()
     since = bench.modes()
     assert bench.observer.call(topics.WINCH_STOP).success
-    bench.observer.wait_for_text(topics.WINCH_MODE, "stop", since=since)
+    bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.STOP, since=since)
     bench.wait_until_braked()
     bench.request(WINCH_TO_LENGTH, 2.5, 0.2)
     bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
@@ -409,14 +412,14 @@ def test_touchdown_is_reported_and_stops_the_payout(harness: NodeHarness):
     for bench in make_bench(harness, hoist):
         bench.arm()
         bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
-        event = bench.observer.wait_for_event("alarm_touchdown")
+        event = bench.observer.wait_for_event(WinchEvent.TOUCHDOWN)
         assert float(event.values["length"]) == pytest.approx(5.65, abs=0.05)
         bench.wait_until_braked()
         assert hoist.slack < 0.15
         alarms = bench.observer.listen(topics.WINCH_ALARMS)
         alarms.wait(lambda s: s.joints["touchdown"].position == 1.0)
         alarms.wait(lambda s: s.joints["slack"].position == 1.0)
-        bench.observer.wait_for_text(topics.TENSION_WATCH, "slack")
+        bench.observer.wait_for_text(topics.TENSION_WATCH, TensionState.SLACK)
         bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
         bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_phase")
 
@@ -451,18 +454,18 @@ def test_it_detects_slack_and_loss_of_the_planar_simulator(
     observer.listen(topics.DIAGNOSTICS)
     harness.processes.start(MODULE, {"use_sim_time": True, "reference_weight": 49.0})
     sim = harness.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
-    observer.wait_for_text(topics.TENSION_WATCH, "slack")
+    observer.wait_for_text(topics.TENSION_WATCH, TensionState.SLACK)
     observer.listen(topics.WINCH_COMMAND).wait_for_count(20)
     refused = [
         status
         for sample in observer.listen(topics.DIAGNOSTICS).samples
         for status in sample.statuses
-        if "refused" in status.name
+        if read_refusal(status) is not None
     ]
     assert not refused
     since = len(observer.listen(topics.TENSION_WATCH))
     sim.send(signal.SIGKILL)
-    observer.wait_for_text(topics.TENSION_WATCH, "unknown", since=since)
+    observer.wait_for_text(topics.TENSION_WATCH, TensionState.UNKNOWN, since=since)
     assert not [
         s for e in observer.listen(topics.EVENTS).samples for s in e.statuses
         if s.hardware_id == NODE and s.level is Level.ERROR

@@ -8,7 +8,9 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.configuration import read
+from msg_schemas.events import BridgeEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
 from rover_hil.rehearsal.expectations import EXPECTATIONS
@@ -46,6 +48,10 @@ class Scene:
     def status(self, topic: str, time: float, name: str, message: str = "", **values: str) -> None:
         status = Status(name, message, Level.OK, name.partition(":")[0], values)
         self.receive(topic, time, StatusSample(ns(time), (status,)))
+
+    def refuse(self, time: float, subject: str, code: RefusalCode, reason: str) -> None:
+        status = RefusalReport("hil_bridge", subject, code, reason).status()
+        self.receive(topics.DIAGNOSTICS, time, StatusSample(ns(time), (status,)))
 
     def evaluate(self, kind: str, **keys: Any) -> ExpectationResult:
         (result,) = read(EXPECTATIONS[kind], keys).evaluate(self.window)
@@ -162,14 +168,14 @@ def test_a_text_that_is_published_already_counts():
 
 def test_an_event_is_reported_with_its_time_also_when_late():
     scene = Scene()
-    scene.status(topics.EVENTS, BEGIN - 1.0, "winch_disarmed")
-    scene.status(topics.EVENTS, BEGIN + 1.25, "winch_disarmed", "it is silent", error_code="5")
+    scene.status(topics.EVENTS, BEGIN - 1.0, BridgeEvent.TRIPPED)
+    scene.status(topics.EVENTS, BEGIN + 1.25, BridgeEvent.TRIPPED, "it is silent", error_code="5")
     assert (
-        scene.evaluate("event", name="winch_disarmed", within=2.0).measured
+        scene.evaluate("event", name=BridgeEvent.TRIPPED, within=2.0).measured
         == "1.25 s: it is silent"
     )
-    assert scene.evaluate("event", name="winch_disarmed", within=1.0).result is Result.FAIL
-    keys = {"name": "winch_disarmed", "within": 2.0}
+    assert scene.evaluate("event", name=BridgeEvent.TRIPPED, within=1.0).result is Result.FAIL
+    keys = {"name": BridgeEvent.TRIPPED, "within": 2.0}
     assert scene.evaluate("event", **keys, values={"error_code": 5}).result is Result.PASS
     assert scene.evaluate("event", **keys, values={"error_code": 6}).result is Result.FAIL
     assert scene.evaluate("event", **keys, node="jump").result is Result.FAIL
@@ -177,20 +183,19 @@ def test_an_event_is_reported_with_its_time_also_when_late():
 
 def test_an_event_that_must_be_absent_is_awaited_and_fails_if_it_occurs():
     scene = Scene()
-    keys = {"name": "winch_disarmed", "absent": True, "within": 3.5}
+    keys = {"name": BridgeEvent.TRIPPED, "absent": True, "within": 3.5}
     assert not scene.is_decided("event", END + 0.6, **keys)
     assert scene.is_decided("event", END + 1.1, **keys)
     assert scene.evaluate("event", **keys).result is Result.PASS
-    scene.status(topics.EVENTS, END + 0.6, "winch_disarmed")
+    scene.status(topics.EVENTS, END + 0.6, BridgeEvent.TRIPPED)
     assert scene.evaluate("event", **keys).result is Result.PASS
-    scene.status(topics.EVENTS, END + 0.4, "winch_disarmed")
+    scene.status(topics.EVENTS, END + 0.4, BridgeEvent.TRIPPED)
     assert scene.evaluate("event", **keys).result is Result.FAIL
 
 
 def test_a_refusal_matches_subject_and_reason():
     scene = Scene()
-    status = "hil_bridge: refused " + topics.WINCH_COMMAND
-    scene.status(topics.DIAGNOSTICS, BEGIN + 0.1, status, "stamped 0.8 s ago", code="stale")
+    scene.refuse(BEGIN + 0.1, topics.WINCH_COMMAND, RefusalCode.STALE, "stamped 0.8 s ago")
     keys = {"subject": topics.WINCH_COMMAND, "code": "stale"}
     assert scene.evaluate("refusal", **keys).result is Result.PASS
     assert scene.evaluate("refusal", **keys, mentions="0.8 s").result is Result.PASS

@@ -10,6 +10,7 @@ from simulated_environment import Machine, SimulatedEnvironment
 
 from msg_schemas import topics
 from msg_schemas.configuration import read
+from msg_schemas.events import BridgeEvent
 from rover_hil.rehearsal.expectation_result import Result
 from rover_hil.rehearsal.procedure import Procedure
 from rover_hil.rehearsal.procedure_result import StepResult
@@ -40,7 +41,7 @@ WATCHDOG: dict[str, Any] = {
     "expect": [
         {"value": {**BRAKE, "minimum": 1.0}},
         {"value": {**BRAKE, "maximum": 0.0, "within": 0.6, "since": "end"}},
-        {"event": {"name": "winch_commands_ceased", "within": 0.6, "since": "end"}},
+        {"event": {"name": BridgeEvent.COMMANDS_CEASED.value, "within": 0.6, "since": "end"}},
     ],
 }
 NOT_ARMED = {

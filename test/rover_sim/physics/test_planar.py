@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
 from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
 from rover_sim.physics import ancf, planar, planar_rover, tether
-from rover_sim.plant import Command, Outcome, Phase
+from rover_sim.plant import Command, Outcome
 
 REFERENCE = Path(__file__).parent / "reference"
 IDLE = Command()
@@ -188,7 +190,7 @@ def test_energy_is_conserved_over_an_undamped_jump(name: str, geometry: str) -> 
 def test_damping_is_added_to_the_dissipated_energy() -> None:
     plant = plant_of("taut_jump", tether__bending_damping_time=0.1)
     history = run(plant, plant.take_off(plant.initial_state()), 0.6, until="touchdown")
-    assert history.final.phase is Phase.LANDED
+    assert history.final.phase is PlantPhase.LANDED
     assert history.final.energy_balance.dissipated > 1.0
     assert history.final.energy_balance.input == pytest.approx(
         plant.scenario.take_off_energy, rel=1e-2
@@ -360,7 +362,7 @@ def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
 
 def test_whip_of_a_stiff_fine_tether_conserves_energy() -> None:
     history = swing(2.0, tether__elements=100, tether__youngs_modulus=70e9, integration__h=2e-3)
-    assert history.final.phase is Phase.FREE
+    assert history.final.phase is PlantPhase.FREE
     assert abs(history.energy_drift) < 1e-6
 
 
@@ -377,7 +379,7 @@ def test_a_snatch_halves_the_step_and_the_run_continues() -> None:
     landed, result = plant.advance(start, IDLE, 1.0, stop_at_touchdown=True)
     assert result.outcome is Outcome.HALVED
     assert result.smallest_step < 5e-3
-    assert landed.phase is Phase.LANDED
+    assert landed.phase is PlantPhase.LANDED
     assert abs(result.energies.drift) < 1e-6 * plant.scenario.take_off_energy
 
 
@@ -392,9 +394,9 @@ def test_forbidding_halvings_makes_divergence_a_typed_state() -> None:
     )
     history = run(plant, plant.take_off(plant.initial_state()), 1.0)
     assert history.results[-1].outcome is Outcome.DIVERGED
-    assert history.events[-1].name == "diverged"
+    assert history.events[-1].name == PlantEvent.DIVERGED
     last = history.final
-    assert last.phase is Phase.DIVERGED
+    assert last.phase is PlantPhase.DIVERGED
     assert np.isfinite(last.nodes).all()
     assert abs(plant.energies(last).drift) < 1e-6
     assert last.time == pytest.approx(history.events[-1].time)
@@ -413,6 +415,6 @@ def test_a_state_with_nan_diverges_at_once_and_is_not_changed() -> None:
     bad = replace(state, node_rates=rates)
     after, result = plant.step(bad, IDLE, 0.01)
     assert result.outcome is Outcome.DIVERGED
-    assert after.phase is Phase.DIVERGED
+    assert after.phase is PlantPhase.DIVERGED
     assert after.time == 0.0
     assert np.array_equal(after.nodes, state.nodes)

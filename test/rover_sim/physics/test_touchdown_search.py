@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from msg_schemas.events import PlantEvent
 from rover_sim import Command, build_plant, load_planar
 from rover_sim.physics import planar
 from rover_sim.physics.planar_rover import BODY_SIZE, VY1, Y1
@@ -60,7 +61,7 @@ def test_a_rover_that_flies_on_touches_down_once_with_few_iterations(name: str, 
     touchdowns = []
     while state.time < 0.6 - 1e-9:
         state, result = plant.step(state, Command(), tick)
-        touchdowns += [event for event in result.events if event.name == "touchdown"]
+        touchdowns += [event for event in result.events if event.name == PlantEvent.TOUCHDOWN]
         # A second touchdown at the same place would end a step of the length of rounding errors.
         assert result.smallest_step > 1e-9
         # For each step of 4 ms, its halves and the search included.

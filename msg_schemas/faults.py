@@ -1,0 +1,66 @@
+"""Faults and the reasons for which a motion, a phase or a control authority ends."""
+
+from __future__ import annotations
+
+from msg_schemas.described import Described
+
+
+class WinchFault(Described):
+    """Why the winch has braked and stays braked until it is armed again."""
+
+    COMMAND_TIMEOUT = "command_timeout", "a rate or tension request was not renewed in time"
+    DRUM_LOST = "drum_lost", "the drum's encoder is silent"
+    TENSION_LOST = "tension_lost", "no valid tension while the drum moves"
+    OVERSPEED = "overspeed", "the drum is faster than its limit"
+    OVER_TENSION = "over_tension", "the tension exceeds its limit"
+    TETHER_END = "tether_end", "the drum has passed an end of the tether"
+    NOT_FOLLOWING = "not_following", "the drum does not follow its setpoint"
+    BRAKE_STUCK = "brake_stuck", "the brake does not open"
+    OVERHEATED = "overheated", "the motor cannot hold the load without overheating"
+    BAD_READING = "bad_reading", "the encoder's length and rate contradict each other"
+    CLOCK_JUMP = "clock_jump", "the clock jumped"
+    NODE_LATE = "node_late", "the controller was late while the drum moved"
+
+    @property
+    def stops_before_braking(self) -> bool:
+        """Whether the drum is sound, so that it may slow down before the brake closes."""
+        return self is WinchFault.COMMAND_TIMEOUT
+
+
+class JumpFault(Described):
+    """Why the jump sequence is in `fault`."""
+
+    SPRING_NOT_LET_DOWN = "spring_not_let_down", "the nut did not relax the spring in time"
+    LATCH_NOT_HOOKED = "latch_not_hooked", "the nut did not reach the latch in time"
+    NO_LANDING = "no_landing", "no ground contact in time"
+    NOT_AT_REST = "not_at_rest", "the rover did not come to rest in time after the landing"
+    TOPPLED = "toppled", "the rover has toppled"
+
+
+class DriveFault(Described):
+    """Why the drive controller is in `failed`."""
+
+    UNREACHABLE = "unreachable", "the goal was not reached in the permitted number of motions"
+    TIME_LIMIT = "time_limit", "a motion took longer than its limit"
+    INPUT_LOST = "input_lost", "a sensor or the winch is missing, or the rover is off the floor"
+
+
+class Reason(Described):
+    """Why a motion or a phase began or ended; the value `reason` of an event."""
+
+    COMPLETED = "completed", "the requested motion is complete"
+    REQUESTED = "requested", "by request of an operator or another node"
+    SUPERSEDED = "superseded", "replaced by a newer request"
+    RENEWAL_TIMEOUT = "renewal_timeout", "the request was not renewed in time"
+    SENSOR_TIMEOUT = "sensor_timeout", "required samples are missing"
+    TIME_LIMIT = "time_limit", "the motion took longer than its limit"
+    TOUCHDOWN = "touchdown", "the ground carries the rover"
+    SNAG = "snag", "the tether is snagged"
+    LANDED = "landed", "the rover has landed after a jump"
+    ARMED = "armed", "the drive was armed"
+    FAULT = "fault", "another part is in a fault or was stopped"
+    OUT_OF_LIMITS = "out_of_limits", "a condition or prediction lies outside its limits"
+    TAKEN_OVER = "taken_over", "another command source moves the machine"
+    RESTARTED = "restarted", "the node has started again"
+    SHUTDOWN = "shutdown", "the node stops"
+    CLOCK_JUMP = "clock_jump", "the clock jumped"
