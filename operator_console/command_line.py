@@ -281,7 +281,7 @@ class Session:
     def _bring_to_rest(self, link: OperatorLink, sent: SentOrder) -> bool:
         undo = link.undo(sent.order, self._answer)
         if undo is None:
-            self._terminal.line(f"interrupted, there is no motion to stop; {self._state(link)}")
+            self._terminal.line(f"interrupted, nothing was stopped; {self._state(link)}")
             return True
         self._terminal.line(outcome_line(undo.order, undo.outcome))
         if not undo.outcome.is_accepted:

@@ -300,7 +300,7 @@ class OperatorLink:
         return completion
 
     def undo(self, order: Order, timeout: float = ANSWER_TIMEOUT) -> SentOrder | None:
-        """Stop the motion of an order safely; None = it has none."""
+        """Send the command that stops an order safely; None = the order has none."""
         undo = order.command.undo
         return self.send(COMMANDS[undo].order({}), timeout) if undo else None
 

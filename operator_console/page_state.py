@@ -202,7 +202,7 @@ def _imaging_entry(sample: JointSample, time: float) -> Entry:
     text = f"of the wall at {values.get('depth', math.nan):.2f} m"
     if "smear" in values:
         text += f", smear {values['smear']:.2f} px"
-    return Entry(time, "ok", "camera", f"picture {values.get('picture', 0):.0f}", text)
+    return Entry(time, "ok", "camera", f"image {values.get('picture', 0):.0f}", text)
 
 
 def _value(reading: Reading) -> list[Any]:
