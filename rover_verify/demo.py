@@ -18,7 +18,7 @@ from rover_verify.harness import clean_shared_memory
 from rover_verify.show import ShowError
 
 MISSION, JUMP = "mission", "jump"
-_TELL = {MISSION: mission_show.tell, JUMP: jump_show.tell}
+_SUMMARY = {MISSION: mission_show.summary, JUMP: jump_show.summary}
 
 
 class _Stopped(BaseException):
@@ -125,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
     finally:
         shutil.rmtree(made, ignore_errors=True)
         clean_shared_memory()
-    _tell(target, metrics, _TELL[options.what](metrics))
+    _tell(target, metrics, _SUMMARY[options.what](metrics))
     return 0 if metrics["pass"] else 1
 
 

@@ -1,9 +1,9 @@
-"""The demonstration of a tethered jump over DDS, and how it compares with an independent code.
+"""Demonstration of a tethered jump over DDS, compared with an independent code.
 
-Simulator, jump and winch controller and recorder run as four processes that talk over DDS, in a
-ROS domain of their own. This process is the operator: it asks for a jump by a message, waits for
-the landing, stops the recorder, has the bag reported, and compares height and attitude with what
-another code gives for the same jump.
+Simulator, jump controller, winch controller and recorder run as four processes over DDS, in a ROS
+domain of their own. This process is the operator: it requests a jump, waits for the landing, stops
+the recorder, creates the report, and compares height and attitude with another code's result for
+the same jump.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ STROKE, NUT_SPEED = 0.2, 0.1
 
 @dataclass(frozen=True)
 class Reference:
-    """What an independent code gives for a figure of this jump, and how close we must come."""
+    """Metric of this jump from an independent code, and its tolerance."""
 
     key: str
     label: str
@@ -47,7 +47,7 @@ class Reference:
 
 
 # Exudyn 1.13 with Green's strain, 20 elements: the source study's Table 1 with 0.5 GPa, rover above
-# the start (+K), slack 2. Its figures are given to four digits.
+# the start (+K), slack 2. Its values have four digits.
 REFERENCES = (
     Reference("jump_height_m", "jump height", 0.3084, 5e-4, "m"),
     Reference("attitude_variation_rad", "attitude variation", 0.6615, 2e-3, "rad"),
@@ -59,9 +59,9 @@ MAX_LOSS = 0.10
 
 # On a cold cache the simulator compiles before it is ready.
 _READY_TIMEOUT = 170.0
-_ASK_TIMEOUT = 20.0
+_REQUEST_TIMEOUT = 20.0
 _JUMP_TIMEOUT = 60.0
-_LOOK = 0.1
+_POLL_PERIOD = 0.1
 
 SIM, JUMP, WINCH, RECORD = (
     "rover_sim.sim_node",
@@ -71,13 +71,13 @@ SIM, JUMP, WINCH, RECORD = (
 )
 _LET_DOWN = (JumpEvent.ABORTED, JumpEvent.CANCELLED, JumpEvent.FAILED)
 _STEPS = ("starting", "compressing", "flying", "landing", "stopping", "reporting")
-# A node that a busy machine starves for a quarter of a second counts as lost, and the spring is let
-# down: the operator asks again.
-_MOST_TRIALS = 4
+# If a busy machine delays a sensor by a quarter of a second, it counts as stale and the spring is
+# let down: the operator repeats the request.
+_MAX_TRIALS = 4
 
 
 class Show:
-    """The demonstration while it runs: four processes, one observer, one progress line."""
+    """The running demonstration: four processes, an observer and a progress bar."""
 
     def __init__(self, harness: NodeHarness, folder: Path, factor: float, bar: Any) -> None:
         self._bar = bar
@@ -102,62 +102,64 @@ class Show:
                      topics.JUMP_PHASE, topics.CLOCK, topics.DIAGNOSTICS):  # fmt: skip
             self._observer.listen(name)
 
-    # --- the acts, in their order ----------------------------------------------------------------
+    # --- steps, in order -------------------------------------------------------------------------
 
     def wait_until_ready(self) -> None:
-        """Until everybody runs, the recorder listens, and the rover stands."""
+        """Wait until all nodes run, the recorder is subscribed, and the rover stands."""
         self._follow("starting", self._is_ready, self._missing, _READY_TIMEOUT)
 
     def jump(self) -> None:
-        """Ask for a jump as an operator does, and follow it to the landing."""
-        for trial in range(1, _MOST_TRIALS + 1):
+        """Request a jump as an operator does, and monitor it until the landing."""
+        for trial in range(1, _MAX_TRIALS + 1):
             if self._jumped(trial):
                 return
             self._bar.total += 2
-        raise ShowError(f"the spring was let down {_MOST_TRIALS} times; is this machine very busy?")
+        raise ShowError(f"the spring was let down {_MAX_TRIALS} times; is this machine very busy?")
 
     def _jumped(self, trial: int) -> bool:
-        """Whether a jump that was asked for was flown; if not, the spring was let down."""
-        seen = self._seen
-        stood = seen(JumpEvent.STANDBY)
-        self._ask(trial)
+        """Whether the requested jump took place; if not, the spring was let down."""
+        event_count = self._event_count
+        standby_count = event_count(JumpEvent.STANDBY)
+        self._request_jump(trial)
 
         def is_over() -> bool:
-            return seen(JumpEvent.STANDBY) > stood
+            return event_count(JumpEvent.STANDBY) > standby_count
 
         def is_let_down() -> bool:
-            return sum(map(seen, _LET_DOWN)) == trial
+            return sum(map(event_count, _LET_DOWN)) == trial
 
         self._follow(
             "compressing",
-            lambda: seen(PlantEvent.TAKE_OFF) or is_let_down(),
+            lambda: event_count(PlantEvent.TAKE_OFF) or is_let_down(),
             self._nut,
             _JUMP_TIMEOUT,
         )
         if is_let_down():
             self._follow("letting down", is_over, self._nut, _JUMP_TIMEOUT)
             return False
-        self._follow("flying", lambda: seen(PlantEvent.TOUCHDOWN), self._height, _JUMP_TIMEOUT)
+        self._follow(
+            "flying", lambda: event_count(PlantEvent.TOUCHDOWN), self._height, _JUMP_TIMEOUT
+        )
         self._follow("landing", is_over, self._height, _JUMP_TIMEOUT)
         return True
 
-    def _ask(self, trial: int) -> None:
-        """Ask until it is accepted: on a busy machine a sensor may just then be silent."""
+    def _request_jump(self, trial: int) -> None:
+        """Repeat the request until it is accepted: on a busy machine a sensor may be stale."""
         request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
-        give_up = time.monotonic() + _ASK_TIMEOUT
+        deadline = time.monotonic() + _REQUEST_TIMEOUT
         answered = threading.Event()
-        while self._seen(JumpEvent.COMPRESSING) < trial:
+        while self._event_count(JumpEvent.COMPRESSING) < trial:
             refusals = self._refusals()
-            if time.monotonic() > give_up:
-                raise ShowError(f"no jump: {refusals[-1] if refusals else 'no answer'}")
+            if time.monotonic() > deadline:
+                raise ShowError(f"no jump: {refusals[-1] if refusals else 'no response'}")
             self._observer.send(topics.JUMP_REQUEST, request)
-            while self._seen(JumpEvent.COMPRESSING) < trial and self._refusals() == refusals:
-                if time.monotonic() > give_up:
+            while self._event_count(JumpEvent.COMPRESSING) < trial and self._refusals() == refusals:
+                if time.monotonic() > deadline:
                     break
-                answered.wait(_LOOK)
+                answered.wait(_POLL_PERIOD)
 
     def stop(self) -> None:
-        """Stop the recorder, then the others; each must end well."""
+        """Stop the recorder, then the other nodes; each must exit with code 0."""
         self._bar.set_description("stopping")
         for name in (RECORD, JUMP, WINCH, SIM):
             code = self.nodes[name].stop()
@@ -166,31 +168,31 @@ class Show:
         self._bar.update()
 
     def report(self, folder: Path, domain: int) -> None:
-        """Have the bag reported by the suite's own command."""
+        """Create the report from the bag with the suite's command."""
         self._bar.set_description("reporting")
         write_report(folder, domain)
         self._bar.update()
 
-    # --- what is seen ----------------------------------------------------------------------------
+    # --- monitoring ------------------------------------------------------------------------------
 
     def _follow(
-        self, act: str, done: Callable[[], object], now: Callable[[], str], timeout: float
+        self, step: str, done: Callable[[], object], status: Callable[[], str], timeout: float
     ) -> None:
-        self._bar.set_description(act)
-        give_up = time.monotonic() + timeout
+        self._bar.set_description(step)
+        deadline = time.monotonic() + timeout
         pause = threading.Event()
         while not done():
             for name, process in self.nodes.items():
                 if not process.is_running:
-                    raise ShowError(f"{name} has ended while {act}:\n{process.output}")
+                    raise ShowError(f"{name} exited during {step}:\n{process.output}")
             phase = self._last(topics.JUMP_PHASE)
             if phase is not None and phase.text == JumpPhase.FAULT:
-                raise ShowError(f"while {act}: the jump controller reports a fault")
-            if time.monotonic() > give_up:
-                said = "\n".join(f"--- {n}:\n{p.output}" for n, p in self.nodes.items())
-                raise ShowError(f"{act} took longer than {timeout:g} s: {now()}\n{said}")
-            self._bar.set_postfix_str(now())
-            pause.wait(_LOOK)
+                raise ShowError(f"fault of the jump controller during {step}")
+            if time.monotonic() > deadline:
+                output = "\n".join(f"--- {n}:\n{p.output}" for n, p in self.nodes.items())
+                raise ShowError(f"{step} took longer than {timeout:g} s: {status()}\n{output}")
+            self._bar.set_postfix_str(status())
+            pause.wait(_POLL_PERIOD)
         self._bar.set_postfix_str("")
         self._bar.update()
 
@@ -208,27 +210,29 @@ class Show:
             for status in sample.statuses
             if status.name == NodeEvent.ACTIVE
         }
-        wanted = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
-        waiting = [name for name in wanted if name not in active]
+        required = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
+        waiting = [name for name in required if name not in active]
         if not waiting:
             healths = self._healths()
             waiting = [
                 f"{name} ({healths[name].message if name in healths else 'silent'})"
-                for name in wanted
+                for name in required
                 if healths.get(name) != Health(name, HealthState.READY)
             ]
         if not waiting:
             missing = missing_streams(self.bag)
             waiting += [f"{missing[0]} in the bag"] if missing else []
         contact = self._last(topics.CONTACT)
-        stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
+        is_standing = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
         phase = self._last(topics.JUMP_PHASE)
-        if not waiting and not (stands and phase is not None and phase.text == JumpPhase.STANDBY):
+        if not waiting and not (
+            is_standing and phase is not None and phase.text == JumpPhase.STANDBY
+        ):
             waiting.append("the rover to stand")
         return f"waiting for {', '.join(waiting)}" if waiting else ""
 
-    def _seen(self, name: str) -> int:
-        """How often an event was told."""
+    def _event_count(self, name: str) -> int:
+        """Number of events with this name."""
         return sum(
             status.name == name
             for sample in self._observer.listen(topics.EVENTS).samples
@@ -266,7 +270,7 @@ class Show:
 
 
 def judge(metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
-    """Each comparison as a line and whether it holds."""
+    """Compare each metric; returns lines of text and whether they pass."""
     lines: list[tuple[str, bool]] = []
     for reference in REFERENCES:
         value = metrics.get(reference.key)
@@ -286,28 +290,28 @@ def judge(metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
         text = f"{'energy drift':20} {drift:+.1e} J, allowed {MAX_ENERGY_DRIFT:g}"
         lines.append((text, abs(drift) <= MAX_ENERGY_DRIFT))
     jumps = len(metrics.get("jumps", []))
-    lines.append((f"{'jumps in the bag':20} {jumps}, one was asked for", jumps == 1))
+    lines.append((f"{'jumps in the bag':20} {jumps}, 1 requested", jumps == 1))
     closed = bool(metrics.get("closed"))
     lines.append((f"{'bag':20} {'closed' if closed else 'NOT closed'} by its recorder", closed))
-    figures = metrics.get("topics", {}).values()
+    streams = metrics.get("topics", {}).values()
     for key, what, allowed in (
         ("rejected", "messages that break the contract", 0.0),
         ("dropped", "messages dropped by the recorder", 0.0),
-        # A machine that is busy with other things may lose some on the way.
-        ("missed", "messages lost on the way", MAX_LOSS),
+        # A busy machine may lose some messages.
+        ("missed", "messages lost in transit", MAX_LOSS),
     ):
-        count = sum(item.get(key) or 0 for item in figures)
-        total = sum(item.get("count") or 0 for item in figures)
+        count = sum(item.get(key) or 0 for item in streams)
+        total = sum(item.get("count") or 0 for item in streams)
         text = f"{count} of {count + total} {what}, allowed {allowed:.0%}"
         lines.append((f"{'recording':20} {text}", count <= allowed * (count + total)))
     return lines
 
 
 def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, Any]:
-    """Run everything into an existing folder and return the metrics, the verdict with them.
+    """Run the demonstration in an existing folder; returns the metrics including the verdict.
 
     Raises:
-        ShowError: something did not go as it must.
+        ShowError: a step failed.
     """
     began = time.monotonic()
     with ExitStack() as closing:
@@ -321,14 +325,14 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
             ready = time.monotonic() - began
             show.jump()
             show.stop()
-        except AssertionError as stuck:
-            raise ShowError(str(stuck)) from stuck
+        except AssertionError as error:
+            raise ShowError(str(error)) from error
         show.report(folder, harness.domain)
         processes: Sequence[Process] = list(show.nodes.values())
         domain = harness.domain
-    left = [process.module for process in processes if not process.has_group_exited()]
-    if left:
-        raise ShowError(f"processes left running: {', '.join(left)}")
+    remaining = [process.module for process in processes if not process.has_group_exited()]
+    if remaining:
+        raise ShowError(f"processes left running: {', '.join(remaining)}")
     path = folder / "metrics.json"
     metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     verdict = judge(metrics)
@@ -348,8 +352,8 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
     return metrics
 
 
-def tell(metrics: Mapping[str, Any]) -> str:
-    """What was shown, in a sentence."""
+def summary(metrics: Mapping[str, Any]) -> str:
+    """One sentence about the demonstration."""
     return (
         f"A jump of {STROKE:g} m stroke on a tether of 5 m, commanded by a message, simulated,\n"
         f"recorded and reported by separate processes in {metrics['wall_time_s']:.0f} s:"

@@ -1,6 +1,6 @@
-"""One picture of a whole mission, several moments in each view: what the suite simulates.
+"""Figure of a whole mission, with several instants in each view.
 
-The mission is that of `rover_verify.scripted_mission`, flown when the picture is made:
+The mission is that of `rover_verify.scripted_mission`, simulated when the figure is drawn:
 
     mother_rover picture docs/mission.png
 """
@@ -27,29 +27,29 @@ Array = NDArray[np.float64]
 
 _BODY1, _BODY2, _TETHER, _GROUND, _WHEEL = "#0072b2", "#d55e00", "#4d4d4d", "#b8ae9e", "#1a1a1a"
 _DOWN_EVERY = 4.0  # [s]
-_WHOLE, _FAINT = 1.0, 0.35  # opacity
-_SMOOTH = 12  # points of each element of the tether
+_OPAQUE, _FAINT = 1.0, 0.35  # opacity
+_POINTS = 12  # points per tether element
 
 
 @dataclass
-class Moments:
-    """States of a mission as it is flown, one in ten."""
+class Snapshots:
+    """Every tenth state of a simulated mission."""
 
     states: list[SpatialState] = field(default_factory=list)
 
     def watch(self, state: SpatialState, _result: StepResult) -> None:
-        """Keep it, if it is one of those."""
+        """Store every tenth state."""
         if round(state.time / TICK) % 10 == 0:
             self.states.append(state)
 
     def within(self, mission: Mission, name: str) -> list[SpatialState]:
-        """Those of a leg; of legs of the same name, of the first."""
+        """States of the first leg with this name."""
         leg = next(leg for leg in mission.legs if leg.name == name)
         return [state for state in self.states if leg.begin < state.time <= leg.end]
 
 
-def draw(mission: Mission, moments: Moments) -> Figure:
-    """Three views from the side: the way down, a drive and a jump."""
+def draw(mission: Mission, snapshots: Snapshots) -> Figure:
+    """Three side views: descent, drive and jump."""
     plant = mission.plant
     floor = plant.scenario.environment.floor_height
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
@@ -62,59 +62,61 @@ def draw(mission: Mission, moments: Moments) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
 
     down.plot(0.0, 0.0, "s", color=_WHEEL, markersize=7)
-    lowered = moments.within(mission, "lower")
+    lowered = snapshots.within(mission, "lower")
     for state in lowered[:: round(_DOWN_EVERY / (10 * TICK))]:
-        _rover(down, plant, state, _WHOLE)
+        _rover(down, plant, state, _OPAQUE)
     down.set(xlim=(-1.9, 1.9), ylim=(floor - 0.5, 0.5), ylabel="z [m]")
     down.set_title("lowered by the winch", fontsize=10)
 
-    driven = moments.within(mission, "drive straight")
+    driven = snapshots.within(mission, "drive straight")
     _rover(drive, plant, driven[0], _FAINT)
-    _rover(drive, plant, driven[-1], _WHOLE)
-    drive.set_title("drives, on slack tether", fontsize=10)
-    flown = moments.within(mission, "take off and land")
+    _rover(drive, plant, driven[-1], _OPAQUE)
+    drive.set_title("drives on a slack tether", fontsize=10)
+    flown = snapshots.within(mission, "take off and land")
     _rover(jump, plant, flown[0], _FAINT)
-    _rover(jump, plant, max(flown, key=lambda state: float(state.G1[2])), _WHOLE)
-    jump.set_title("turns, and jumps", fontsize=10)
+    _rover(jump, plant, max(flown, key=lambda state: float(state.G1[2])), _OPAQUE)
+    jump.set_title("turns and jumps", fontsize=10)
     for axes in (drive, jump):
         axes.set(xlim=(-1.1, 1.5), ylim=(floor - 0.25, floor + 2.0))
     return figure
 
 
-def _rover(axes: Axes, plant: SpatialPlant, state: SpatialState, strength: float) -> None:
-    """Tether, bodies and wheels as they stand at a moment, seen along y."""
+def _rover(axes: Axes, plant: SpatialPlant, state: SpatialState, opacity: float) -> None:
+    """Draw tether, bodies and wheels of one state, seen along y."""
     rover = plant.scenario.rover
     assert rover is not None
     nodes = plant.to_full_nodes(state)
     lengths = np.diff(plant.to_arc_lengths(state))
-    pieces = zip(nodes[:-1], nodes[1:], lengths, strict=True)
-    line = np.concatenate([_curve(*piece) for piece in pieces])
-    axes.plot(line[:, 0], line[:, 2], color=_TETHER, linewidth=1.0, alpha=strength, zorder=3)
-    turned = state.rotation
+    elements = zip(nodes[:-1], nodes[1:], lengths, strict=True)
+    line = np.concatenate([_curve(*element) for element in elements])
+    axes.plot(line[:, 0], line[:, 2], color=_TETHER, linewidth=1.0, alpha=opacity, zorder=3)
+    rotation = state.rotation
     for centre, size, colour in (
-        (state.G1 + turned @ np.array(rover.body1_centre), rover.body1_size, _BODY1),
+        (state.G1 + rotation @ np.array(rover.body1_centre), rover.body1_size, _BODY1),
         (state.G2, rover.body2_size, _BODY2),
     ):
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.array(size)
-        seen = (centre + corners @ turned.T)[:, [0, 2]]
-        hull = seen[ConvexHull(seen).vertices]
-        axes.add_patch(Polygon(hull, facecolor=colour, alpha=strength, zorder=4))
+        projected = (centre + corners @ rotation.T)[:, [0, 2]]
+        hull = projected[ConvexHull(projected).vertices]
+        axes.add_patch(Polygon(hull, facecolor=colour, alpha=opacity, zorder=4))
     angles = np.linspace(0.0, 2.0 * np.pi, 49)[:, None]
-    rim = np.hstack([np.cos(angles), 0.0 * angles, np.sin(angles)]) * rover.wheels.radius
+    circle = np.hstack([np.cos(angles), 0.0 * angles, np.sin(angles)]) * rover.wheels.radius
     for place in (rover.wheels.left, rover.wheels.right):
-        seen = state.G1 + (rim + np.array(place)) @ turned.T
-        axes.plot(seen[:, 0], seen[:, 2], color=_WHEEL, linewidth=1.2, alpha=strength, zorder=5)
+        projected = state.G1 + (circle + np.array(place)) @ rotation.T
+        axes.plot(
+            projected[:, 0], projected[:, 2], color=_WHEEL, linewidth=1.2, alpha=opacity, zorder=5
+        )
 
 
-def _curve(one: Array, two: Array, length: float) -> Array:
-    """Points of an element between two nodes with their slopes, (k, 3)."""
-    x = np.linspace(0.0, 1.0, _SMOOTH)[:, None]
+def _curve(start: Array, end: Array, length: float) -> Array:
+    """Points (k, 3) of an element between two nodes with their slopes."""
+    x = np.linspace(0.0, 1.0, _POINTS)[:, None]
     shapes = (1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2)
-    values = (one[0], length * one[1], two[0], length * two[1])
-    found: Array = sum(
+    values = (start[0], length * start[1], end[0], length * end[1])
+    points: Array = sum(
         (shape * value for shape, value in zip(shapes, values, strict=True)), 0.0 * x
     )
-    return found
+    return points
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -128,10 +130,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate the mission and write its picture."""
-    moments = Moments()
-    mission = Mission(make_plant(options.seed), moments.watch)
+    snapshots = Snapshots()
+    mission = Mission(make_plant(options.seed), snapshots.watch)
     fly(mission)
-    figure = draw(mission, moments)
+    figure = draw(mission, snapshots)
     FigureCanvasAgg(figure).print_figure(str(options.picture), dpi=100, metadata={"Software": None})
     print(f"wrote {options.picture}")
     return 0

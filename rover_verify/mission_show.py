@@ -1,9 +1,8 @@
-"""The demonstration of a whole mission, down the Marius Hills Hole and back.
+"""Demonstration of a whole mission in the Marius Hills Hole.
 
-Plant, sensors with their errors, and every controller of the suite are stepped together in this
-process: over DDS the machine would have to wait for five nodes at each of a hundred thousand ticks
-for what is here a minute's work. What they tell is recorded as it would come over DDS, and
-reported by the suite's own command.
+Plant, sensors with their errors and all controllers run in lockstep in this process: over DDS,
+each of a hundred thousand ticks would have to wait for five nodes. The messages are recorded as
+over DDS, and the suite's command creates the report.
 """
 
 from __future__ import annotations
@@ -35,24 +34,24 @@ OVERRIDES: Mapping[str, object] = {
     "integration.h": 2.0e-3,
 }
 LIMIT = 2400.0
-"""For the mission [s]; one that takes longer is shown as far as it came."""
-_BRIEF = 180.0  # that the whole is to take [s]
-_RECORDED = 12.5  # largest rate of a stream of the plant's in the bag [Hz]
-_TOLD_EVERY = 25  # ticks
-_BALANCE = 1e-4  # by which the energy book may be off, of the weight taken to the deepest
-_STOWED = 0.2  # so near to the stow counts as there [m]
+"""Time limit of the mission [s]; a longer mission is shown up to here."""
+_TARGET_TIME = 180.0  # wall time that the demonstration should take [s]
+_RECORDED = 12.5  # largest rate of a plant topic in the bag [Hz]
+_UPDATE_TICKS = 25  # ticks
+_BALANCE = 1e-4  # allowed error of the energy balance, as a fraction of the energy of the descent
+_STOWED = 0.2  # tolerance of the length at the stow [m]
 
 
 def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[str, Any]:
-    """Fly the mission into an existing folder and return the metrics, the verdict with them.
+    """Run the mission in an existing folder; returns the metrics including the verdict.
 
     Args:
         folder: for bag and report.
-        seed: of the sensors' errors.
-        quiet: without a progress line.
+        seed: of the sensor errors.
+        quiet: no progress bar.
 
     Raises:
-        ShowError: something did not go as it must.
+        ShowError: a step failed.
     """
     began = time.monotonic()
     with tqdm(
@@ -68,7 +67,7 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
             tape.tell(topics.CONFIG, TextSample(json.dumps(content)), 0)
             flight = MissionFlight(SCENARIO, OVERRIDES, load_plan(PLAN), seed=seed, tape=tape)
             ready = time.monotonic() - began
-            ended = _fly(flight, bar)
+            failure = _fly(flight, bar)
         finally:
             tape.close()
         flown = time.monotonic() - began - ready
@@ -78,7 +77,7 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
     path = folder / "metrics.json"
     metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     mission = {
-        **outcome(flight, ended),
+        **outcome(flight, failure),
         "ready_after_s": ready,
         "flown_in_s": flown,
         "real_time_factor": flight.time / flown,
@@ -100,12 +99,12 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
 
 
 def _fly(flight: MissionFlight, bar: Any) -> str:
-    """Fly until the mission is over; returns why it could not go on, empty: it could."""
+    """Run until the mission ends; returns why it could not continue, empty = no failure."""
     began = time.monotonic()
     mission = flight.mission
 
     def is_over() -> bool:
-        if flight.ticks % _TOLD_EVERY == 0:
+        if flight.ticks % _UPDATE_TICKS == 0:
             bar.total = len(mission.route.legs)
             bar.n = mission.route.number - 1 if mission.is_active else bar.total
             factor = flight.time / max(time.monotonic() - began, 1e-3)
@@ -120,18 +119,18 @@ def _fly(flight: MissionFlight, bar: Any) -> str:
     try:
         flight.run(1.0)
         mission.go(flight.now_ns)
-        over = flight.run(LIMIT, is_over)
+        is_finished = flight.run(LIMIT, is_over)
     except RuntimeError as error:
         return str(error)
-    return "" if over else f"not over after {LIMIT:g} s"
+    return "" if is_finished else f"not finished after {LIMIT:g} s"
 
 
-def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
-    """What became of a mission.
+def outcome(flight: MissionFlight, failure: str) -> dict[str, Any]:
+    """Metrics of a mission.
 
     Args:
-        flight: as it has ended.
-        ended: why it could not go on; empty = it could.
+        flight: the finished flight.
+        failure: why it could not continue; empty = no failure.
     """
     mission, state = flight.mission, flight.state
     done = [each.leg for each in mission.record if each.result is LegResult.DONE]
@@ -139,37 +138,41 @@ def outcome(flight: MissionFlight, ended: str) -> dict[str, Any]:
     scenario = flight.plant.scenario
     weight = scenario.tip_mass * scenario.gravity
     stow = flight.plan.stow
-    near = abs(state.length - stow) < _STOWED and -float(state.G1[2]) < stow + 1.0
+    is_at_stow = abs(state.length - stow) < _STOWED and -float(state.G1[2]) < stow + 1.0
     return {
         "plan": PLAN,
         "legs_done": done,
         "legs_missed": missed,
         "phase": mission.phase.value,
-        "reason": ended or mission.reason,
-        "home": near and not mission.is_active and not ended,
+        "reason": failure or mission.reason,
+        "home": is_at_stow and not mission.is_active and not failure,
         "depth_m": -float(state.G1[2]),
-        "deepest_m": flight.deepest,
+        "deepest_m": flight.max_depth,
         "pictures": mission.blackboard.pictures,
         "jumps": mission.blackboard.jumps,
         "jumps_planned": sum(leg.kind is LegKind.JUMP for leg in mission.route.legs),
         "peak_tension_N": flight.peak_tension,
         "breaking_load_N": scenario.tether.section.breaking_load,
-        "energy_J": weight * flight.deepest,
+        "energy_J": weight * flight.max_depth,
         "simulated_s": flight.time,
     }
 
 
 def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
-    """Each promise as a line, and whether it is kept."""
+    """Check each requirement; returns lines of text and whether they pass."""
     missed = mission["legs_missed"]
-    left_out = "; ".join(f"{leg}: {why}" for leg, why in missed.items())
+    skipped = "; ".join(f"{leg}: {reason}" for leg, reason in missed.items())
     total = len(mission["legs_done"]) + len(missed)
     where = f"{mission['depth_m']:.1f} m below the fairlead, {mission['phase']}"
-    home = "hangs at the stow" if mission["home"] else f"NOT home, {where}: {mission['reason']}"
-    peak, most = mission["peak_tension_N"], mission["breaking_load_N"]
+    home = (
+        "hangs at the stow"
+        if mission["home"]
+        else (f"NOT at the stow, {where}: {mission['reason']}")
+    )
+    peak, breaking_load = mission["peak_tension_N"], mission["breaking_load_N"]
     drift, moved = metrics.get("energy_drift_J"), mission["energy_J"]
     drift = drift if isinstance(drift, int | float) else math.nan
-    energy = f"book is off by {drift:+.1e} J, {moved:.0f} J is what the descent sets free"
+    energy = f"balance error {drift:+.1e} J of {moved:.0f} J released by the descent"
     counts = metrics.get("topics", {}).values()
     rejected = sum(item.get("rejected") or 0 for item in counts)
     legs = f"{len(mission['legs_done'])} of {total} done"
@@ -177,13 +180,16 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
     bag = f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages"
     return [
         (f"rover      {home}", bool(mission["home"])),
-        (f"legs       {legs}{f', missed {left_out}' if left_out else ''}", not missed),
+        (f"legs       {legs}{f', not done: {skipped}' if skipped else ''}", not missed),
         (f"pictures   {mission['pictures']} of the wall", mission["pictures"] > 0),
         (
             f"jumps      {mission['jumps']} flown, {mission['jumps_planned']} planned",
             mission["jumps"] >= mission["jumps_planned"],
         ),
-        (f"tether     at most {peak:.0f} N, it bears {most:.0f} N", peak < most),
+        (
+            f"tether     tension up to {peak:.0f} N, breaking load {breaking_load:.0f} N",
+            peak < breaking_load,
+        ),
         (
             f"time       {mission['simulated_s']:.0f} s simulated, {pace}",
             mission["real_time_factor"] > 1.0,
@@ -193,8 +199,8 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
     ]
 
 
-def tell(metrics: Mapping[str, Any]) -> str:
-    """What happened, in a sentence."""
+def summary(metrics: Mapping[str, Any]) -> str:
+    """One sentence about the mission."""
     mission = metrics["mission"]
     how = (
         "and came back to the stow"
@@ -202,7 +208,11 @@ def tell(metrics: Mapping[str, Any]) -> str:
         else f"and is {mission['depth_m']:.1f} m below the fairlead now, {mission['phase']}: "
         f"{mission['reason']}"
     )
-    brief = "" if mission["wall_time_s"] <= _BRIEF else f", more than the {_BRIEF:g} s aimed at"
+    brief = (
+        ""
+        if mission["wall_time_s"] <= _TARGET_TIME
+        else f", more than the target of {_TARGET_TIME:g} s"
+    )
     return (
         f"In the Marius Hills Hole the rover went down to {mission['deepest_m']:.1f} m, took "
         f"{mission['pictures']} pictures, jumped {mission['jumps']} times, {how};\n"

@@ -1,4 +1,4 @@
-"""How well the rover drives: squares that close, and being stuck that is noticed."""
+"""Accuracy of driven squares."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.checks.driving_rig import DrivenRover, level_floor
 from rover_verify.checks.flights import fly_batch
 
-_SIDE = 10.0  # of the square [m]
-_LIMIT = 2500.0  # for a square [s]
+_SIDE = 10.0  # side of the square [m]
+_LIMIT = 2500.0  # time limit of a square [s]
 _RUNS = 20
 _SCATTERS = (0.01, 0.02)
 
 
 class Square(NamedTuple):
-    """A square as it was driven."""
+    """Result of a driven square."""
 
-    closing: float  # distance of the true end from the true start [m]; inf = it was not closed
-    told: float  # distance of the estimated end from the true one [m]
-    error: float  # standard deviation of that, as the odometry tells [m]
+    closing: float  # distance from the true end to the true start [m]; inf = not finished
+    estimate_error: float  # distance from the estimated to the true end [m]
+    reported_std: float  # standard deviation of that distance, from the odometry [m]
     time: float  # [s]
     peak_tension: float  # [N]
-    end: str  # the last thing that was told
+    end: str  # last event
 
 
 def drive_square(seed: int, index: int, scatter: float) -> Square:
-    """One square around the plumb line; at each corner the sides' slips are drawn anew."""
+    """One square around the plumb line; the slip of each side changes randomly at each corner."""
     generator = np.random.default_rng([seed, index, round(1e4 * scatter)])
     corner = -0.5 * _SIDE
     rover = DrivenRover(level_floor(corner, corner), DriveSettings(), seed=1000 * seed + index)
@@ -49,14 +49,14 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     rover.drive.request_path(PathSample(0, tuple(corners)), rover.now_ns)
     reached = -1
     while rover.drive.is_busy and rover.time < _LIMIT:
-        if len(rover.told(DriveEvent.GOAL_REACHED)) != reached:
-            reached = len(rover.told(DriveEvent.GOAL_REACHED))
+        if len(rover.events_named(DriveEvent.GOAL_REACHED)) != reached:
+            reached = len(rover.events_named(DriveEvent.GOAL_REACHED))
             left, right = (float(scatter * each) for each in generator.standard_normal(2))
             rover.slip = (left, right)
         rover.tick()
     rover.run(5.0)
     end, odometry = rover.pose, rover.drive.odometry
-    done = bool(rover.told(DriveEvent.COMPLETED))
+    done = bool(rover.events_named(DriveEvent.COMPLETED))
     cov = odometry.covariance()
     last = rover.changes[-1][1]
     return Square(
@@ -73,24 +73,24 @@ def _closing(batch: Batch, scatter: float, limit: float) -> Measured:
     runs = batch.runs if batch.runs > 0 else _RUNS
     squares = fly_batch(batch, runs, drive_square, scatter)
     closing = np.array([square.closing for square in squares])
-    share = float(np.mean(closing <= limit))
+    fraction = float(np.mean(closing <= limit))
     details: dict[str, float | str] = {
         f"run {index}": (
-            f"closes within {square.closing:.3f} m after {square.time:.0f} s, "
-            f"estimated within {square.told:.3f} m (told {square.error:.3f} m), "
-            f"at most {square.peak_tension:.1f} N; {square.end}"
+            f"closes within {square.closing:.3f} m after {square.time:.0f} s, estimation error "
+            f"{square.estimate_error:.3f} m (standard deviation {square.reported_std:.3f} m), "
+            f"tension up to {square.peak_tension:.1f} N; {square.end}"
         )
         for index, square in enumerate(squares)
     }
     note = f"{runs} squares on level regolith, median {float(np.median(closing)):.3f} m"
-    return Measured(share, note, details)
+    return Measured(fraction, note, details)
 
 
 def square_at_1_percent(batch: Batch) -> Measured:
-    """Share of squares of 10 m that close within 0.5 m at 1 % slip scatter of each side."""
+    """Share of squares of 10 m that close within 0.5 m at 1 % slip scatter per side."""
     return _closing(batch, _SCATTERS[0], 0.5)
 
 
 def square_at_2_percent(batch: Batch) -> Measured:
-    """Share of squares of 10 m that close within 1 m at 2 %."""
+    """Share of squares of 10 m that close within 1 m at 2 % slip scatter per side."""
     return _closing(batch, _SCATTERS[1], 1.0)

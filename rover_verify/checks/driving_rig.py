@@ -1,9 +1,9 @@
-"""The driving rover under its own controllers: spatial plant, real sensors, winch and drive.
+"""The driving rover with its controllers: spatial plant, sensors, winch and drive. Without ROS.
 
-Plant, sensor errors, the winch's controller and the rover's are stepped together at 50 Hz, without
-ROS. The ground makes the wheels slip as it does; on top each side may slip by a share of its own,
-which is told to nobody: after each tick the rover is put back along each wheel's track, and turned
-where the sides differ. What is true is kept for the checks alone.
+Plant, sensor errors and controllers run in lockstep at 50 Hz. In addition to the slip on the
+ground, each side may have a slip that no sensor measures: after each tick the rover is moved back
+along each wheel's path and rotated by the difference of the sides. Only the checks use the ground
+truth.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from tether_winch.winch import Winch, WinchParameters
 
 TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
-_TORQUE = 2.0  # that the wheel motor may use [N m]
-_HEARD = (
+_TORQUE = 2.0  # limit of the wheel motor [N m]
+_SENSOR_TOPICS = (
     topics.IMU,
     topics.CONTACT,
     topics.WINCH_STATE,
@@ -47,14 +47,14 @@ _HEARD = (
     topics.MOTOR_CURRENTS,
     topics.WHEEL_STATE,
 )
-# A bare level floor of regolith, on which the rover stands with little slack.
-_FLOOR = 6.0  # below the fairlead [m]
-_ATTACHMENT = 0.43  # of the tether above the floor [m]
+# Level regolith without relief and boulders; little slack.
+_FLOOR = 6.0  # depth below the fairlead [m]
+_ATTACHMENT = 0.43  # height of the tether attachment above the floor [m]
 _SLACK = 0.3  # [m]
 
 
 def level_floor(x: float, y: float, heading: float = 0.0) -> dict[str, object]:
-    """Overrides of a scenario in which the rover stands so [m, rad] on a level floor."""
+    """Scenario overrides: the rover stands at a pose [m, rad] on a level floor."""
     reach = math.hypot(x, y, _FLOOR - _ATTACHMENT)
     return {
         "environment.relief": None,
@@ -74,7 +74,7 @@ def _plant(overrides: str) -> SpatialPlant:
 
 
 class TruePose(NamedTuple):
-    """Where base_link truly is."""
+    """True pose of base_link."""
 
     x: float
     y: float
@@ -87,12 +87,11 @@ class DrivenRover:
 
     Args:
         overrides: of the scenario, by dotted path.
-        settings: of the rover's controller.
-        seed: of the sensors' errors.
+        settings: of the drive controller.
+        seed: of the sensor errors.
 
     Attributes:
-        slip: share of its way by which each wheel, left and right, slips beyond what the ground
-            makes it.
+        slip: additional slip of the left and the right wheel, as a fraction of their travel.
     """
 
     overrides: Mapping[str, object]
@@ -112,28 +111,28 @@ class DrivenRover:
         self.refusals: list[str] = []
         self.path: list[TruePose] = []
         self.peak_tension = 0.0
-        self.turned = 0.0  # of the left wheel since the start, both ways [rad]
-        self._drives = DriveCommands()
+        self.turned = 0.0  # total angle of the left wheel, both directions [rad]
+        self._commands = DriveCommands()
         self._winch: DriveCommand | None = None
 
     @property
     def time(self) -> float:
-        """[s]."""
+        """Time [s]."""
         return self.ticks * TICK
 
     @property
     def now_ns(self) -> int:
-        """Simulated time."""
+        """Simulated time [ns]."""
         return self.ticks * TICK_NS
 
     @property
     def pose(self) -> TruePose:
-        """The true one."""
+        """True pose."""
         x, y = self.state.rotation[:2, 0]
         return TruePose(float(self.state.G1[0]), float(self.state.G1[1]), math.atan2(y, x))
 
     def begin(self) -> None:
-        """Let the controllers hear their sensors, arm the winch, say where the rover stands."""
+        """Feed the controllers with sensor samples, arm the winch, and set the pose."""
         for _ in range(20):
             self.tick()
         self.winch.rearm(self.now_ns)
@@ -144,10 +143,10 @@ class DrivenRover:
         self.drive.set_pose(PoseSample(0, (x, y, 0.0), turned))
 
     def tick(self) -> None:
-        """One tick: plant, sensors, both controllers.
+        """Advance one tick: plant, sensors, both controllers.
 
         Raises:
-            RuntimeError: the plant cannot go on.
+            RuntimeError: the plant cannot continue.
         """
         wheels = self.state.wheel_angles
         self.state, result = self.plant.step(self.state, self._command(), TICK)
@@ -156,68 +155,68 @@ class DrivenRover:
         self.ticks += 1
         left, right = (now - was for now, was in zip(self.state.wheel_angles, wheels, strict=True))
         self.turned += abs(left)
-        self._slip_on(left, right)
+        self._apply_slip(left, right)
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         self.interface.measure(self.state, self.now_ns, result)
-        self._hear(dict(self.interface.samples(_HEARD)))
+        self._update_sensors(dict(self.interface.samples(_SENSOR_TOPICS)))
         self._winch = self.winch.step(self.now_ns)
         self.winch.take_transitions()
         self._control()
         if self.ticks % 10 == 0:
             self.path.append(self.pose)
 
-    def _slip_on(self, left: float, right: float) -> None:
-        """Put the rover back by what each wheel slips beyond the ground's own."""
+    def _apply_slip(self, left: float, right: float) -> None:
+        """Move the rover back by the additional slip of its wheels."""
         rover = self.plant.scenario.rover
         assert rover is not None
-        radius, track = rover.wheels.radius, rover.wheels.track_width
-        back = [radius * max(angle, 0.0) * share for angle, share in
+        radius, track_width = rover.wheels.radius, rover.wheels.track_width
+        slipped = [radius * max(angle, 0.0) * fraction for angle, fraction in
                 zip((left, right), self.slip, strict=True)]  # fmt: skip
-        if not any(back):
+        if not any(slipped):
             return
         state = self.state
-        turn = (back[0] - back[1]) / track
-        way = -0.5 * (back[0] + back[1])
+        turn = (slipped[0] - slipped[1]) / track_width
+        shift = -0.5 * (slipped[0] + slipped[1])
         # About the middle of the axle, which lies ahead of base_link's origin.
         ahead = state.rotation[:, 0] * np.array([1.0, 1.0, 0.0])
         middle = state.G1 + rover.wheels.axle_x * ahead
         c, s = math.cos(turn), math.sin(turn)
-        spun = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
-        def moved(place: np.ndarray) -> np.ndarray:
-            return np.asarray(middle + spun @ (place - middle) + way * ahead)
+        def displaced(place: np.ndarray) -> np.ndarray:
+            return np.asarray(middle + rotation @ (place - middle) + shift * ahead)
 
         body, nodes = state.body.copy(), state.nodes.copy()
         at = spatial_rover.POSITION
-        body[at : at + 3] = moved(state.G1)
-        for first in (spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
-            body[first : first + 3] = spun @ body[first : first + 3]
+        body[at : at + 3] = displaced(state.G1)
+        for start in (spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
+            body[start : start + 3] = rotation @ body[start : start + 3]
         at = spatial_rover.ORIENTATION
         w, x, y, z = body[at : at + 4]
         c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
         body[at : at + 4] = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
-        nodes[-1, 0] = moved(nodes[-1, 0])
+        nodes[-1, 0] = displaced(nodes[-1, 0])
         self.state = replace(state, body=body, nodes=nodes)
 
     def _command(self) -> Command:
         winch = None if self._winch is None else winch_command(self._winch)
-        rate = self._drives.wheel_rate
+        rate = self._commands.wheel_rate
         wheel = None if rate is None else WheelRateCommand(rate, _TORQUE)
         return Command(None, winch, wheel)
 
     def _control(self) -> None:
-        self._drives = self.drive.step(self.now_ns)
+        self._commands = self.drive.step(self.now_ns)
         self.changes += [(self.time, change) for change in self.drive.take_changes()]
-        ask = self._drives.winch
-        if ask is None:
+        request = self._commands.winch
+        if request is None:
             return
-        value = JointValue(ask.position, ask.velocity, ask.effort)
+        value = JointValue(request.position, request.velocity, request.effort)
         try:
-            self.winch.request(JointSample(self.now_ns, {ask.joint: value}), self.now_ns)
+            self.winch.request(JointSample(self.now_ns, {request.joint: value}), self.now_ns)
         except Refusal as refusal:
             self.refusals.append(f"{self.time:.2f} s: {refusal}")
 
-    def _hear(self, samples: dict[str, Sample]) -> None:
+    def _update_sensors(self, samples: dict[str, Sample]) -> None:
         now, drive, winch = self.now_ns, self.drive, self.winch
         drum, cell = samples[topics.WINCH_STATE], samples[topics.LOAD_CELL]
         currents, imu = samples[topics.MOTOR_CURRENTS], samples[topics.IMU]
@@ -240,17 +239,17 @@ class DrivenRover:
         if estimate is not None:
             drive.on_winch_estimate(estimate, now)
 
-    # --- what is asked for -----------------------------------------------------------------------
+    # --- requests and results --------------------------------------------------------------------
 
     def run(self, limit: float) -> None:
-        """Go on until nothing is driven and the rover stands, or so long [s]."""
-        ends = self.time + limit
-        while self.time < ends:
+        """Run until the drive has ended and the rover is at rest, or for a time [s]."""
+        deadline = self.time + limit
+        while self.time < deadline:
             self.tick()
-            stands = max(map(abs, self.state.wheel_rates)) < 1e-3
-            if not self.drive.is_busy and stands:
+            is_at_rest = max(map(abs, self.state.wheel_rates)) < 1e-3
+            if not self.drive.is_busy and is_at_rest:
                 return
 
-    def told(self, name: str) -> Sequence[EventReport]:
-        """What the drive told by this name."""
+    def events_named(self, name: str) -> Sequence[EventReport]:
+        """Events of the drive controller with this name."""
         return [change for _, change in self.changes if change.name == name]

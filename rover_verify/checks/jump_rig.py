@@ -1,8 +1,8 @@
-"""The jumping rover under its own controller: spatial plant, real sensors, the jump; without ROS.
+"""The jumping rover with its controller: spatial plant, real sensors, jump controller. Without ROS.
 
-Plant and sensors are stepped at 100 Hz, the controller at 20 Hz, as its node is. The machine may
-differ from what the controller takes it for: its spring, the stroke at which the latch trips, the
-floor that it stands on. What is true is kept for the checks alone.
+Plant and sensors run at 100 Hz, the controller at 20 Hz like its node. The machine may deviate from
+the controller's parameters: spring, stroke at which the latch trips, floor. Only the checks use the
+ground truth.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from rover_sim.spatial_interface import SpatialInterface
 
 TICK_NS = 10_000_000
 TICK = TICK_NS * 1e-9
-_EVERY = 5  # ticks between two steps of the controller
+_EVERY = 5  # ticks per step of the controller
 _SENSOR_TOPICS = (topics.IMU, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.ROVER_LOAD_CELL)
-_FLOOR = 6.0  # below the fairlead [m]
-_ATTACHMENT = 0.43  # of the tether above the floor [m]
+_FLOOR = 6.0  # depth below the fairlead [m]
+_ATTACHMENT = 0.43  # height of the tether attachment above the floor [m]
 
 
 @dataclass(frozen=True)
 class Stand:
-    """Where and on what the rover stands."""
+    """Place and ground on which the rover stands."""
 
-    away: float = 2.0  # from the plumb line, along x [m]
+    away: float = 2.0  # distance from the plumb line, along x [m]
     heading: float = 0.0  # [rad]
     slope: float = 0.0  # of the floor [rad]
-    downhill: float = 0.0  # where it falls to, from x towards y [rad]
-    slack: float = 0.8  # of the tether beyond the chord [m]
-    spring: float = 1.0  # true spring rate over that of the data sheet
+    downhill: float = 0.0  # downhill direction, from x towards y [rad]
+    slack: float = 0.8  # tether length beyond the chord [m]
+    spring: float = 1.0  # true spring rate over the nominal one
 
     def overrides(self) -> dict[str, object]:
-        """Of the scenario, by dotted path."""
+        """Overrides of the scenario."""
         drop = self.away * math.tan(self.slope) * math.cos(self.downhill)
         chord = math.hypot(self.away, _FLOOR + drop - _ATTACHMENT)
         return {
@@ -81,17 +81,17 @@ def _plant(overrides: str) -> SpatialPlant:
 
 @dataclass
 class JumpingRover:
-    """A rover that jumps.
+    """A jumping rover.
 
     Args:
-        stand: where it stands, and its true spring.
+        stand: place, ground and true spring.
         settings: of the controller.
-        seed: of the sensors' errors.
-        jump: the controller, if it is to go on with what it has learnt elsewhere.
+        seed: of the sensor errors.
+        jump: a controller whose spring estimate is to be used; None = a new one.
 
     Attributes:
-        stroke_error: by how much the nut stands further down than its encoder says [m].
-        heights: true largest rise of Body 1 of each jump [m].
+        stroke_error: true nut position less the measured one [m].
+        heights: true rise of Body 1 in each jump [m].
     """
 
     stand: Stand = field(default_factory=Stand)
@@ -125,19 +125,19 @@ class JumpingRover:
 
     @property
     def time(self) -> float:
-        """[s]."""
+        """Time [s]."""
         return self.ticks * TICK
 
     @property
     def now_ns(self) -> int:
-        """Simulated time."""
+        """Simulated time [ns]."""
         return self.ticks * TICK_NS
 
     def tick(self) -> None:
-        """One tick: plant, sensors, controller.
+        """Advance one tick: plant, sensors, controller.
 
         Raises:
-            RuntimeError: the plant cannot go on.
+            RuntimeError: the plant cannot continue.
         """
         self.state, result = self.plant.step(self.state, self._plant_command(), TICK)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
@@ -156,12 +156,12 @@ class JumpingRover:
             self._process_changes()
 
     def run(self, duration: float) -> None:
-        """Go on for so long [s]."""
+        """Run for a time [s]."""
         for _ in range(round(duration / TICK)):
             self.tick()
 
     def request(self, joint: str, value: float) -> None:
-        """Send a request; a refusal is kept."""
+        """Send a request; records a refusal."""
         try:
             self.control.request(JointSample(self.now_ns, {joint: JointValue(value)}), self.now_ns)
         except Refusal as refusal:
@@ -169,7 +169,7 @@ class JumpingRover:
         self._process_changes()
 
     def perform_jump(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> bool:
-        """Ask for a jump and wait until it has ended; whether a jump was flown."""
+        """Request a jump and wait for its end; whether the rover jumped."""
         if self.ticks == 0:
             self.run(0.5)
         flown = len(self.heights)
@@ -227,7 +227,7 @@ class JumpingRover:
 
 
 def draw_stand(generator: np.random.Generator, tilt: float = math.radians(5.0)) -> Stand:
-    """A place on a floor that tilts by up to `tilt` [rad], with a spring off by up to 5 %."""
+    """A random place on a floor tilted by up to `tilt` [rad], with a spring off by up to 5 %."""
     return Stand(
         away=round(float(generator.uniform(0.5, 3.0)), 3),
         heading=round(float(generator.uniform(-math.pi, math.pi)), 3),

@@ -1,4 +1,4 @@
-"""How well the rover jumps, with a spring that it has to learn, and how well that is predicted."""
+"""Accuracy of jumps with an unknown spring, and of their predictions."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.jump_rig import JumpingRover, draw_stand
 
-_JUMPS = 6  # of each rover
+_JUMPS = 6  # per rover
 _RUNS = 20  # rovers
-_OPEN_LOOP = 5  # of those that do not learn, for comparison
+_OPEN_LOOP = 5  # rovers without spring adaptation, for comparison
 _STROKE_ERROR = 2.0e-3  # [m]
-_HEIGHTS = (0.08, 0.35)  # wanted [m]
+_HEIGHTS = (0.08, 0.35)  # requested [m]
 _NEAR = 0.10
 _CLEARANCES = (0.08, 0.30)  # [m]
-_PREDICTIONS = 10  # that are timed
+_PREDICTIONS = 10  # timed predictions
 
 
 class FlownJump(NamedTuple):
-    """A jump as it was asked for and flown."""
+    """A requested jump and its result."""
 
     requested_height: float  # [m]
-    flown: float  # true [m]; nan = the rover did not leave the ground
-    measured: float  # as the rover measured it [m]; nan = it did not
-    reason: str  # why it did not jump, or how it ended
+    flown: float  # true [m]; nan = no take-off
+    measured: float  # measured by the rover [m]; nan = not measured
+    reason: str  # why there was no jump, or how it ended
 
     @property
     def is_near(self) -> bool:
-        """Whether it came within 10 % of what was wanted."""
+        """Whether the height is within 10 % of the requested one."""
         return abs(self.flown / self.requested_height - 1.0) <= _NEAR
 
 
@@ -68,7 +68,7 @@ def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
 
 
 def height_reached(batch: Batch) -> Measured:
-    """Share of jumps whose height comes within 10 % of the wanted one."""
+    """Share of jumps within 10 % of the requested height."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     rovers = fly_batch(batch, runs, jumps_of, True)
     open_loop = fly_batch(batch, min(runs, _OPEN_LOOP), jumps_of, False)
@@ -76,15 +76,15 @@ def height_reached(batch: Batch) -> Measured:
     first = [rover[0] for rover in rovers]
     errors = np.array([abs(jump.measured - jump.flown) for jump in jumps])
     details: dict[str, float | str] = {
-        "without learning": _share([jump for rover in open_loop for jump in rover]),
-        "of the first jumps": _share(first),
-        "of the later ones": _share([jump for rover in rovers for jump in rover[1:]]),
+        "without adaptation": _share([jump for rover in open_loop for jump in rover]),
+        "first jumps": _share(first),
+        "later jumps": _share([jump for rover in rovers for jump in rover[1:]]),
         "largest error of the measured height [m]": float(np.nanmax(errors)),
         "jumps not measured": float(np.isnan(errors).sum()),
     }
     for index, rover in enumerate(rovers):
         text = ", ".join(f"{jump.flown:.3f}/{jump.requested_height:.3f}" for jump in rover)
-        details[f"rover {index}"] = f"flown/wanted {text} m; {rover[-1].reason}"
+        details[f"rover {index}"] = f"flown/requested {text} m; {rover[-1].reason}"
     note = f"{len(jumps)} jumps of {runs} rovers, {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m"
     return Measured(_share(jumps), note, details)
 
@@ -94,19 +94,19 @@ class Predicted(NamedTuple):
 
     clearance: float  # [m]
     height: Interval  # predicted [m]
-    flown: float  # true [m]; nan = it was not flown
-    upright: float  # probability of landing so that was predicted
+    flown: float  # true [m]; nan = no jump
+    upright: float  # predicted probability of landing upright
     landed_upright: bool  # whether the rover landed upright
     reason: str  # how it ended
 
     @property
     def is_held(self) -> bool:
-        """Whether the flown height lies in the interval that holds 90 %."""
+        """Whether the flown height lies in the 90 % interval."""
         return self.height.low <= self.flown <= self.height.high
 
 
 def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
-    """The jumps of one rover by clearance, its spring off as for `jumps_of`."""
+    """The jumps of one rover by clearance, with the same spring errors as in `jumps_of`."""
     generator = np.random.default_rng([seed, index, 62])
     rover = JumpingRover(draw_stand(generator), seed=1000 * seed + index)
     found = []
@@ -142,8 +142,8 @@ def _predicted(batch: Batch) -> Measured:
         "refused": float(len(jumps) - len(flown)),
         "clearances reached": float(np.mean([jump.flown >= jump.clearance for jump in flown])),
         "landed upright": float(np.mean([jump.landed_upright for jump in flown])),
-        "so predicted": float(np.mean([jump.upright for jump in flown])),
-        "half of the interval over its middle, mean": float(
+        "predicted share upright": float(np.mean([jump.upright for jump in flown])),
+        "half width of the interval over its median, mean": float(
             np.mean([0.5 * (j.height.high - j.height.low) / j.height.median for j in flown])
         ),
     }
@@ -157,17 +157,17 @@ def _predicted(batch: Batch) -> Measured:
 
 
 def interval_holds(batch: Batch) -> Measured:
-    """Share of flown heights in the predicted interval of 90 %, to be high enough."""
+    """Share of flown heights in the predicted 90 % interval; must be high enough."""
     return _predicted(batch)
 
 
 def interval_is_narrow(batch: Batch) -> Measured:
-    """The same share, to be low enough: an interval that is too wide holds everything."""
+    """The same share; must be low enough, as too wide an interval contains everything."""
     return _predicted(batch)
 
 
 def prediction_time(batch: Batch) -> Measured:
-    """Longest wall time [s] of predictions in places not seen before, the model loaded."""
+    """Longest wall time [s] of predictions at new places, with the model loaded."""
     predictor = JumpPredictor(PredictionParameters(floor_depth=6.0))
     spring = SpringEstimate(SpringParameters())
     wall_time, used, rollouts = [], [], math.inf
@@ -183,7 +183,7 @@ def prediction_time(batch: Batch) -> Measured:
         height = float(generator.uniform(*_CLEARANCES))
         started, processor = time.monotonic(), time.process_time()
         prediction = predictor.predict(PredictionRequest(stance, height, True, index), spring)
-        if index > 0:  # the first one loads what was compiled
+        if index > 0:  # the first one loads compiled code
             wall_time.append(time.monotonic() - started)
             used.append(time.process_time() - processor)
             rollouts = min(rollouts, prediction.rollouts)

@@ -15,7 +15,7 @@ from rover_verify.checks import Batch, Measured
 
 
 class _Known(NamedTuple):
-    """A jump with H [m] and dtheta [rad] of an independent code (Exudyn with Green's strain)."""
+    """A jump with H [m] and dtheta [rad] from an independent code (Exudyn with Green's strain)."""
 
     scenario: str
     geometry: str
@@ -34,8 +34,8 @@ _KNOWN = (
     _Known(_STIFF, "+K", 2.0, 0.0, 0.2, {5: (0.1093, 1.6635), 20: (0.1090, 1.6660)}),
 )
 
-# Taut jump, converged in mesh and step by another code: H, dtheta, dx, flight time; and Body 1
-# (x, y, theta) at 0.3 s.
+# Taut jump, converged in mesh and step by another code: H, dtheta, dx, flight time; and Body 1 (x,
+# y, theta) at 0.3 s.
 _TAUT = {"height": 0.20415, "attitude": -0.17281, "travel": 0.38128, "time": 0.41168}
 _TAUT_AT_300_MS = (4.82477, -1.98151, -0.04219)
 
@@ -72,7 +72,7 @@ def attitudes(_batch: Batch) -> Measured:
 
 
 def taut(_batch: Batch) -> Measured:
-    """Largest deviation of the taut jump's figures from the other code's, on three meshes."""
+    """Largest deviation of the taut jump's metrics from the other code's, on three meshes."""
     details = {}
     for elements in (10, 20, 40):
         metrics = jump(PlanarPlant(load_planar("taut_jump", {"tether.elements": elements})))

@@ -1,8 +1,8 @@
-"""Nodes killed in the middle of a mission: real processes over DDS, on the mock plant.
+"""Nodes killed during a mission: real processes over DDS, on the mock plant.
 
-In each mission every controller and the supervisor is killed once, at a random moment, left dead
-for a while, and started again. What it had moved must come to rest by the watchdogs of others,
-the winch must not move before it is armed again, and the mission must go on by itself.
+In each mission every controller and the supervisor is killed once, at a random time, and restarted
+after a while. Watchdogs of the other nodes must stop its motions, the winch must not move before it
+is armed again, and the mission must continue by itself.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rover_verify.checks.flights import fly_kept
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 _PLANT = "rover_sim.mock_plant_node"
-# As `config/winch_descent.yaml` sets it up.
+# As in `config/winch_descent.yaml`.
 _WINCH = {"trim_rate": 0.3, "shortest_length": 1.4, "end_zone": 0.3}
 _MODULES = {
     "winch_node": "tether_winch.winch_node",
@@ -42,7 +42,7 @@ _OVERRIDES = {
     "winch.min_length": 1.4,
     "start": {"kind": "hanging"},
 }
-# Many short legs, so that there is much to be killed in.
+# Many short legs, for kills in different phases.
 _PLAN = """
 stow: 2.0
 landing: {approach_depth: 3.0, max_depth: 6.5, rate: 0.05}
@@ -51,9 +51,9 @@ survey:
   - {x: 0.6, y: 0.6}
 lift: {height: 0.5, rate: 0.05, radius: 0.6}
 """
-# What each moves, the winch by requests that it renews, and in which phases of the mission; others
-# may go on with what is theirs. An empty set: in any.
-_MOVED: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
+# What each node moves, and in which phases of the mission; an empty set means any. In other phases
+# other nodes may move the same.
+_MOVED_TOPICS: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
     "winch_node": ((topics.WINCH_STATE,), frozenset()),
     "descent_node": (
         (topics.WINCH_STATE, topics.WHEEL_STATE),
@@ -63,7 +63,7 @@ _MOVED: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
         (topics.WINCH_STATE, topics.WHEEL_STATE),
         frozenset({"driving", "returning"}),
     ),
-    # The screw turns with the flywheel, by which the descent holds the rover's attitude.
+    # The screw turns with the flywheel, which the descent uses for attitude control.
     "jump_node": ((topics.JUMP_MOTOR_STATE,), frozenset({"driving", "jumping", "returning"})),
     "mission_node": ((topics.WINCH_STATE,), frozenset({"landing", "lifting"})),
 }
@@ -72,28 +72,28 @@ _JOINTS = {
     topics.WHEEL_STATE: (WHEEL_LEFT, 0.05),
     topics.JUMP_MOTOR_STATE: (JUMP_SCREW, 2e-3),
 }
-_WATCHDOGS = 3.0  # in which all that was moved must rest [s]
-_DEAD = 5.0  # before it is started again [s]
-_RESUMES = 240.0  # in which a leg must be done again [s]
-_SOONEST, _LATEST = 2.0, 12.0  # of a kill after the last one is mended [s]
-_LATE = 20  # samples of the drum that may have come after its winch was armed
-_FACTOR = 0.5  # so slow that no node is late on a busy machine
+_WATCHDOG_TIME = 3.0  # time in which all motions must stop [s]
+_DOWNTIME = 5.0  # time before the restart [s]
+_RESUME_TIME = 240.0  # time in which a leg must be completed [s]
+_MIN_DELAY, _MAX_DELAY = 2.0, 12.0  # of a kill after the last recovery [s]
+_LATE_SAMPLES = 20  # drum samples that may already belong to the armed winch
+_FACTOR = 0.5  # slow, so that no node is late on a busy machine
 _NANO = 1_000_000_000
 
 
 class Kill(NamedTuple):
-    """A kill, and what came of it."""
+    """A kill and its consequences."""
 
     node: str
     when: float  # [s]
     during: str  # phase of the mission
-    unsafe: str  # what was not safe; empty = all was
-    stayed: str  # why the mission did not go on; empty = it did
+    unsafe: str  # what was unsafe; empty = nothing
+    not_resumed: str  # why the mission did not continue; empty = it did
 
 
 @dataclass
-class _Cast:
-    """The nodes of a mission, and who watches them."""
+class _MissionNodes:
+    """The nodes of a mission and their observer."""
 
     harness: NodeHarness
     folder: Path
@@ -103,13 +103,13 @@ class _Cast:
         plan.write_text(_PLAN, encoding="utf-8")
         parameters = {"scenario": "floor_rubble", "overrides": json.dumps(_OVERRIDES)}
         self.harness.processes.start(_PLANT, {**parameters, "real_time_factor": _FACTOR})
-        self.given: dict[str, dict[str, object]] = {
+        self.parameters: dict[str, dict[str, object]] = {
             name: {"use_sim_time": True} for name in _MODULES
         }
-        self.given["winch_node"] |= _WINCH
-        kept = self.folder / "checkpoint.json"
-        self.given["mission_node"] |= {"plan": str(plan), "checkpoint": str(kept)}
-        self.nodes: dict[str, Process] = {}
+        self.parameters["winch_node"] |= _WINCH
+        checkpoint = self.folder / "checkpoint.json"
+        self.parameters["mission_node"] |= {"plan": str(plan), "checkpoint": str(checkpoint)}
+        self.processes: dict[str, Process] = {}
         self.observer: Observer = self.harness.observer()
         for name in (
             topics.CLOCK,
@@ -125,106 +125,115 @@ class _Cast:
             self.observer.wait_until_ready(name)
 
     def start(self, name: str) -> None:
-        """Start a node, or start it again."""
-        self.nodes[name] = self.harness.processes.start(_MODULES[name], self.given[name])
+        """Start or restart a node."""
+        self.processes[name] = self.harness.processes.start(_MODULES[name], self.parameters[name])
 
     @property
     def time(self) -> float:
-        """Simulated [s]."""
+        """Simulated time [s]."""
         return self.observer.time_ns() / _NANO
 
     @property
     def phase(self) -> str:
-        """Of the mission."""
+        """Phase of the mission."""
         last = self.observer.listen(topics.MISSION_PHASE).last
         return "" if last is None else str(last.text)
 
     def wait(self, duration: float) -> None:
-        """For so long [s], simulated."""
+        """Wait for a simulated duration [s]."""
         self.observer.wait_for_time(self.observer.time_ns() + round(duration * _NANO))
 
-    def told(self, name: str, since: int) -> bool:
-        """Whether an event was told since so many samples."""
+    def has_event(self, name: str, since: int) -> bool:
+        """Whether an event has arrived since a number of samples."""
         samples = self.observer.listen(topics.EVENTS).samples[since:]
         return any(status.name == name for sample in samples for status in sample.statuses)
 
-    def moves(self, topic: str) -> str:
-        """What of a topic's moves now, in words; empty = it rests."""
+    def describe_motion(self, topic: str) -> str:
+        """Describe a topic's present motion; empty = at rest."""
         sample: JointSample = self.observer.listen(topic).last
-        joint, still = _JOINTS[topic]
+        joint, threshold = _JOINTS[topic]
         rate = sample.joints[joint].velocity
-        return f"{joint} moves with {rate:.3g}" if abs(rate) > still else ""
+        return f"{joint} moves at {rate:.3g}" if abs(rate) > threshold else ""
 
 
 @contextmanager
-def _cast(folder: Path) -> Iterator[_Cast]:
+def _mission_nodes(folder: Path) -> Iterator[_MissionNodes]:
     folder.mkdir(parents=True, exist_ok=True)
     with open_harness(folder) as harness:
-        yield _Cast(harness, folder)
+        yield _MissionNodes(harness, folder)
 
 
-def _kill(cast: _Cast, node: str) -> Kill:
-    """Kill a node, look at what it has left, start it again, and wait for a leg to be done."""
-    events = cast.observer.listen(topics.EVENTS)
-    during, when = cast.phase, cast.time
-    dead = cast.nodes[node]
-    dead.send(signal.SIGKILL)
-    dead.wait()
-    cast.wait(_WATCHDOGS)
-    watched, phases = _MOVED[node]
-    is_its_own = not phases or during in phases
-    unsafe = [moves for topic in watched if is_its_own and (moves := cast.moves(topic))]
+def _kill(nodes: _MissionNodes, node: str) -> Kill:
+    """Kill a node, check its motions, restart it, and wait for a completed leg."""
+    events = nodes.observer.listen(topics.EVENTS)
+    during, when = nodes.phase, nodes.time
+    process = nodes.processes[node]
+    process.send(signal.SIGKILL)
+    process.wait()
+    nodes.wait(_WATCHDOG_TIME)
+    moved_topics, phases = _MOVED_TOPICS[node]
+    is_moving_phase = not phases or during in phases
+    unsafe = [
+        motion
+        for topic in moved_topics
+        if is_moving_phase and (motion := nodes.describe_motion(topic))
+    ]
     since = len(events)
     if node == "winch_node":
-        unsafe += _moves_unarmed(cast)
+        unsafe += _motion_while_unarmed(nodes)
     else:
-        cast.wait(_DEAD - _WATCHDOGS)
-        cast.start(node)
-    stayed = _stayed(cast, since)
-    return Kill(node, when, during, "; ".join(unsafe), stayed)
+        nodes.wait(_DOWNTIME - _WATCHDOG_TIME)
+        nodes.start(node)
+    not_resumed = _wait_for_leg(nodes, since)
+    return Kill(node, when, during, "; ".join(unsafe), not_resumed)
 
 
-def _moves_unarmed(cast: _Cast) -> list[str]:
-    """Start the winch again; whether its drum moves before it is armed."""
-    drum, modes = cast.observer.listen(topics.WINCH_STATE), cast.observer.listen(topics.WINCH_MODE)
-    cast.wait(_DEAD - _WATCHDOGS)
-    first, told = len(drum), len(modes)
-    cast.start("winch_node")
-    modes.wait(lambda sample: sample.text not in (WinchMode.DISARMED, WinchMode.FAULT), told)
+def _motion_while_unarmed(nodes: _MissionNodes) -> list[str]:
+    """Restart the winch; reports motion of its drum before it is armed."""
+    drum, modes = (
+        nodes.observer.listen(topics.WINCH_STATE),
+        nodes.observer.listen(topics.WINCH_MODE),
+    )
+    nodes.wait(_DOWNTIME - _WATCHDOG_TIME)
+    first, count = len(drum), len(modes)
+    nodes.start("winch_node")
+    modes.wait(lambda sample: sample.text not in (WinchMode.DISARMED, WinchMode.FAULT), count)
     # The last samples may already be those of the armed winch.
-    before = drum.samples[first : len(drum) - _LATE]
+    before = drum.samples[first : len(drum) - _LATE_SAMPLES]
     if not before:
-        return ["the drum was not heard before it was armed"]
-    moved = max(abs(sample.joints[WINCH_DRUM].velocity) for sample in before)
-    still = _JOINTS[topics.WINCH_STATE][1]
-    return [f"the drum moved with {moved:.3g} m/s unarmed"] if moved > still else []
+        return ["no drum sample before the winch was armed"]
+    max_rate = max(abs(sample.joints[WINCH_DRUM].velocity) for sample in before)
+    threshold = _JOINTS[topics.WINCH_STATE][1]
+    return [f"the drum moved at {max_rate:.3g} m/s while unarmed"] if max_rate > threshold else []
 
 
-def _stayed(cast: _Cast, since: int) -> str:
-    """Wait for a leg to be done; why none was."""
-    ends = cast.time + _RESUMES
-    while cast.time < ends:
-        if cast.told(MissionEvent.LEG_COMPLETED, since) or cast.told(MissionEvent.COMPLETED, since):
+def _wait_for_leg(nodes: _MissionNodes, since: int) -> str:
+    """Wait for a completed leg; returns why there was none."""
+    deadline = nodes.time + _RESUME_TIME
+    while nodes.time < deadline:
+        if nodes.has_event(MissionEvent.LEG_COMPLETED, since) or nodes.has_event(
+            MissionEvent.COMPLETED, since
+        ):
             return ""
-        if cast.phase in (MissionPhase.HOLDING, MissionPhase.ABORTED):
-            return f"the mission is {cast.phase}"
-        cast.wait(0.5)
-    return f"no leg was done within {_RESUMES:g} s, the mission is {cast.phase}"
+        if nodes.phase in (MissionPhase.HOLDING, MissionPhase.ABORTED):
+            return f"the mission is in phase {nodes.phase}"
+        nodes.wait(0.5)
+    return f"no leg completed within {_RESUME_TIME:g} s, the mission is in phase {nodes.phase}"
 
 
 def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     """One mission in which each node is killed once."""
     rng = np.random.default_rng([seed, index, 2])
     kills: list[Kill] = []
-    with _cast(folder / f"kills_{index}") as cast:
-        cast.observer.call(topics.MISSION_GO)
+    with _mission_nodes(folder / f"kills_{index}") as nodes:
+        nodes.observer.call(topics.MISSION_GO)
         for node in rng.permutation(list(_MODULES)):
-            cast.wait(float(rng.uniform(_SOONEST, _LATEST)))
-            if cast.phase == MissionPhase.STANDBY:
-                cast.observer.call(topics.MISSION_GO)  # it is over: another one
-                cast.wait(float(rng.uniform(_SOONEST, _LATEST)))
-            kills.append(_kill(cast, str(node)))
-            if kills[-1].stayed:
+            nodes.wait(float(rng.uniform(_MIN_DELAY, _MAX_DELAY)))
+            if nodes.phase == MissionPhase.STANDBY:
+                nodes.observer.call(topics.MISSION_GO)  # the mission is over: start another one
+                nodes.wait(float(rng.uniform(_MIN_DELAY, _MAX_DELAY)))
+            kills.append(_kill(nodes, str(node)))
+            if kills[-1].not_resumed:
                 break
     return kills
 
@@ -242,14 +251,14 @@ def _kills(batch: Batch) -> list[Kill]:
 
 
 def unsafe(batch: Batch) -> Measured:
-    """Kills after which something moved that should not, or the mission did not go on."""
+    """Kills with an unsafe motion, or after which the mission did not continue."""
     kills = _kills(batch)
-    bad = [kill for kill in kills if kill.unsafe or kill.stayed]
+    bad = [kill for kill in kills if kill.unsafe or kill.not_resumed]
     details: dict[str, float | str] = {
         f"kill {number}": f"{kill.node} at {kill.when:.1f} s, {kill.during}: "
         + (kill.unsafe or "safe")
         + ", "
-        + (kill.stayed or "went on")
+        + (kill.not_resumed or "resumed")
         for number, kill in enumerate(kills, 1)
     }
     by_node = {name: sum(kill.node == name for kill in kills) for name in _MODULES}

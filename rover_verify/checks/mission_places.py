@@ -1,4 +1,4 @@
-"""Where missions take place, and what the controllers do not know of the machine: drawn."""
+"""Random places and machine parameters of missions."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from rover_sim import load_spatial
 from rover_verify.checks.machine_off import machine_off
 
-_MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # by which they may be off
+_MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # relative deviations from the nominal machine, at most
 
 
 def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
-    """Overrides of `floor_rubble`: the rover hangs at the stow over rubble of its own."""
+    """Overrides of `floor_rubble`: the rover hangs at the stow over random rubble."""
     return {
         **hanging(rng),
         "environment.floor": {"height": -depth},
@@ -23,7 +23,7 @@ def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
 
 
 def hanging(rng: np.random.Generator) -> dict[str, object]:
-    """Overrides of any scenario: how the rover hangs, and what the controllers do not know."""
+    """Overrides of any scenario: random swing, attitude and machine parameters."""
     swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     return {

@@ -1,8 +1,8 @@
-"""Whole missions without ROS: spatial plant, real sensors, and every controller of the suite.
+"""Whole missions without ROS: spatial plant, real sensors, and all controllers of the suite.
 
-Plant, sensor errors, winch, descent, driving, jump and the mission's supervisor are stepped
-together at 50 Hz, the supervisor at 10 Hz. What the nodes say to one another over topics and
-services is handed on here, refusals and events included. What is true is kept for the checks alone.
+Plant, sensor errors, winch, descent, drive and jump controllers run in lockstep at 50 Hz, the
+mission supervisor at 10 Hz. This rig delivers the messages that the nodes exchange on topics and
+services, refusals and events included. Only the checks use the ground truth.
 """
 
 from __future__ import annotations
@@ -64,11 +64,11 @@ from tether_winch.winch import Winch, WinchParameters
 
 TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
-_SUPERVISED = 5  # ticks between two steps of the mission
-_STATED = 25  # between two times that it tells how far it is
-_NUT_TIMEOUT = 25  # ticks without a command after which the nut stays where it is
-_WHEEL_TORQUE = 2.0  # that the wheel motor may use on the floor [N m]
-_HEARD = (
+_MISSION_PERIOD = 5  # ticks per step of the mission
+_STATE_PERIOD = 25  # ticks per sample of the mission state
+_NUT_TIMEOUT = 25  # ticks without a command after which the nut holds its position
+_WHEEL_TORQUE = 2.0  # limit of the wheel motor on the floor [N m]
+_SENSOR_TOPICS = (
     topics.IMU,
     topics.CONTACT,
     topics.WINCH_STATE,
@@ -81,12 +81,12 @@ _HEARD = (
     topics.CAMERA,
 )
 WINCH = WinchParameters(servo=ServoParameters(trim_rate=0.3, shortest_length=1.4, end_zone=0.3))
-"""The winch as `config/winch_descent.yaml` sets it up."""
+"""Parameters of the winch as in `config/winch_descent.yaml`."""
 
 _WINCH, _DESCENT, _DRIVE, _JUMP = "winch_node", "descent_node", "drive_node", "jump_node"
 MISSION = "mission_node"
 NODES = (_WINCH, _DESCENT, _DRIVE, _JUMP, MISSION)
-"""What may be killed and started again."""
+"""Nodes that can be killed and restarted."""
 
 
 @dataclass
@@ -94,12 +94,12 @@ class MissionFlight:
     """A rover, its mother machine, and a mission.
 
     Args:
-        scenario: its name.
+        scenario: name.
         overrides: of the scenario, by dotted path.
         plan: of the mission.
         settings: of the mission.
-        seed: of the sensors' errors.
-        tape: takes down what sensors and controllers tell; None: nothing is recorded.
+        seed: of the sensor errors.
+        tape: records the messages; None: no recording.
     """
 
     scenario: str
@@ -121,30 +121,30 @@ class MissionFlight:
         self.mission = Mission(self.plan, self.settings)
         self.ticks = 0
         self.peak_tension = 0.0
-        self.deepest = 0.0  # of base_link below the fairlead [m]
-        self.story: list[tuple[float, str, EventReport]] = []  # by whom, what
-        self.watch: Callable[[float, str, EventReport | RefusalReport], None] = (
+        self.max_depth = 0.0  # largest depth of base_link below the fairlead [m]
+        self.reports: list[tuple[float, str, EventReport]] = []  # time [s], node, event
+        self.on_report: Callable[[float, str, EventReport | RefusalReport], None] = (
             lambda _time, _who, _what: None
         )
         self._predictor: JumpPredictor | None = None
-        self._words: dict[str, str] = {}
+        self._phases: dict[str, str] = {}
         self._alarms: dict[str, bool] | None = None
-        self._drive_command: DriveCommand | None = None
-        self._of_descent = DescentCommands()
-        self._of_drive = DriveCommands()
+        self._winch_command: DriveCommand | None = None
+        self._descent_commands = DescentCommands()
+        self._drive_commands = DriveCommands()
         self._nut: JumpMotorCommand | None = None
-        self._idle = 0  # ticks for which nobody has told the nut anything
+        self._idle_ticks = 0  # ticks without a nut command
 
-    # --- what is known ---------------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
-        """[s]."""
+        """Time [s]."""
         return self.ticks * TICK
 
     @property
     def now_ns(self) -> int:
-        """Simulated time."""
+        """Simulated time [ns]."""
         return self.ticks * TICK_NS
 
     @property
@@ -152,26 +152,26 @@ class MissionFlight:
         """True inclination of the rover [rad]."""
         return math.acos(min(max(float(self.state.rotation[2, 2]), -1.0), 1.0))
 
-    def told(self, name: str) -> list[EventReport]:
-        """What was told by this name."""
-        return [what for _, _, what in self.story if what.name == name]
+    def events_named(self, name: str) -> list[EventReport]:
+        """Events with this name."""
+        return [what for _, _, what in self.reports if what.name == name]
 
-    # --- stepped ---------------------------------------------------------------------------------
+    # --- simulation ------------------------------------------------------------------------------
 
     def run(self, limit: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Go on until something is so, or so long [s]; whether it became so."""
-        ends = self.time + limit
-        while self.time < ends:
+        """Run until a condition holds, or for a time [s]; whether it holds."""
+        deadline = self.time + limit
+        while self.time < deadline:
             self.tick()
             if until():
                 return True
         return False
 
     def tick(self) -> None:
-        """One tick: plant, sensors, controllers.
+        """Advance one tick: plant, sensors, controllers.
 
         Raises:
-            RuntimeError: the plant cannot go on.
+            RuntimeError: the plant cannot continue.
         """
         self.state, result = self.plant.step(self.state, self._command(), TICK)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
@@ -180,21 +180,21 @@ class MissionFlight:
         if any(event.name == PlantEvent.LATCH_RELEASED for event in result.events):
             self._nut = None  # as the drive does once its latch has tripped
         self.peak_tension = max(self.peak_tension, result.peak_tension)
-        self.deepest = max(self.deepest, -float(self.state.G1[2]))
+        self.max_depth = max(self.max_depth, -float(self.state.G1[2]))
         self.interface.measure(self.state, self.now_ns, result)
-        samples = dict(self.interface.samples(_HEARD))
+        samples = dict(self.interface.samples(_SENSOR_TOPICS))
         if self.tape is not None:
             self.tape.tick(self.interface, samples, self.now_ns)
-        self._hear(samples)
+        self._update_sensors(samples)
         self._step_winch()
         self._step_descent()
         self._step_drive()
         self._step_jump()
-        self._publish_words()
-        if self.ticks % _SUPERVISED == 0:
+        self._publish_phases()
+        if self.ticks % _MISSION_PERIOD == 0:
             self._step_mission(samples)
 
-    def _hear(self, samples: Mapping[str, Any]) -> None:
+    def _update_sensors(self, samples: Mapping[str, Any]) -> None:
         now, winch, descent, drive = self.now_ns, self.winch, self.descent, self.drive
         drum, imu = samples[topics.WINCH_STATE], samples[topics.IMU]
         currents, wheels = samples[topics.MOTOR_CURRENTS], samples[topics.WHEEL_STATE]
@@ -219,8 +219,8 @@ class MissionFlight:
 
     def _step_winch(self) -> None:
         now, winch = self.now_ns, self.winch
-        self._drive_command = winch.step(now)
-        self._tell(_WINCH, winch.take_transitions())
+        self._winch_command = winch.step(now)
+        self._publish_events(_WINCH, winch.take_transitions())
         estimate = winch.estimate(now)
         if estimate is not None:
             self.drive.on_winch_estimate(estimate, now)
@@ -228,46 +228,56 @@ class MissionFlight:
         if dict(winch.alarms) != self._alarms:
             self._alarms = dict(winch.alarms)
             joints = {name: JointValue(float(on)) for name, on in self._alarms.items()}
-            self._say(topics.WINCH_ALARMS, JointSample(now, joints))
+            self._publish(topics.WINCH_ALARMS, JointSample(now, joints))
 
     def _step_descent(self) -> None:
-        drives = self._of_descent = self.descent.step(self.now_ns)
-        self._tell(_DESCENT, self.descent.take_changes())
+        commands = self._descent_commands = self.descent.step(self.now_ns)
+        self._publish_events(_DESCENT, self.descent.take_changes())
         for picture in self.descent.take_observations():
             self._record(topics.DESCENT_OBSERVATION, observation_sample(picture))
-        if drives.winch is not None:
-            value = JointValue(drives.winch.length, drives.winch.rate, 0.0)
+        if commands.winch is not None:
+            value = JointValue(commands.winch.length, commands.winch.rate, 0.0)
             sample = JointSample(self.now_ns, {WINCH_WHILE_RENEWED: value})
-            self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
-        trim = drives.trim
+            self._attempt(
+                _WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns)
+            )
+        trim = commands.trim
         if trim is not None:
-            self._try(_WINCH, topics.WINCH_TRIM, lambda: self.winch.trim(trim, self.now_ns))
+            self._attempt(_WINCH, topics.WINCH_TRIM, lambda: self.winch.trim(trim, self.now_ns))
 
     def _step_drive(self) -> None:
-        drives = self._of_drive = self.drive.step(self.now_ns)
-        self._tell(_DRIVE, self.drive.take_changes())
-        ask = drives.winch
-        if ask is not None:
-            value = JointValue(ask.position, ask.velocity, ask.effort)
-            sample = JointSample(self.now_ns, {ask.joint: value})
-            self._try(_WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns))
+        commands = self._drive_commands = self.drive.step(self.now_ns)
+        self._publish_events(_DRIVE, self.drive.take_changes())
+        request = commands.winch
+        if request is not None:
+            value = JointValue(request.position, request.velocity, request.effort)
+            sample = JointSample(self.now_ns, {request.joint: value})
+            self._attempt(
+                _WINCH, topics.WINCH_REQUEST, lambda: self.winch.request(sample, self.now_ns)
+            )
 
     def _step_jump(self) -> None:
         self._predict()
-        told = self.jump.step(self.now_ns)
-        self._idle = 0 if told is not None or self._of_descent.nut is not None else self._idle + 1
-        if told is not None:
-            self._nut = JumpMotorCommand(told.compression, told.rate, told.force, told.trips)
-        elif self._nut is not None and self._idle == _NUT_TIMEOUT:
-            # As the drive's own watchdog does: the nut stays where it is.
+        command = self.jump.step(self.now_ns)
+        self._idle_ticks = (
+            0
+            if command is not None or self._descent_commands.nut is not None
+            else self._idle_ticks + 1
+        )
+        if command is not None:
+            self._nut = JumpMotorCommand(
+                command.compression, command.rate, command.force, command.trips
+            )
+        elif self._nut is not None and self._idle_ticks == _NUT_TIMEOUT:
+            # Like the drive's watchdog: the nut holds its position.
             self._nut = replace(self._nut, compression=self._held_nut(), trips=False)
         changes = [each.event for each in self.jump.take_transitions()]
-        self._tell(_JUMP, changes)
+        self._publish_events(_JUMP, changes)
         for record in self.jump.take_records():
             self._record(topics.JUMP_FLOWN, flown_sample(record))
 
     def _predict(self) -> None:
-        """Answer at once what takes a node a second or two."""
+        """Run a requested prediction at once; a node needs a second or two."""
         prediction_request = self.jump.take_prediction_request()
         if prediction_request is None:
             return
@@ -282,8 +292,8 @@ class MissionFlight:
         return min(max(self.state.nut, -drive.free_travel), drive.stroke)
 
     def _command(self) -> Command:
-        winch = None if self._drive_command is None else winch_command(self._drive_command)
-        descent, drive = self._of_descent, self._of_drive
+        winch = None if self._winch_command is None else winch_command(self._winch_command)
+        descent, drive = self._descent_commands, self._drive_commands
         wheel = None
         if drive.wheel_rate is not None:
             wheel = WheelRateCommand(drive.wheel_rate, _WHEEL_TORQUE)
@@ -298,47 +308,47 @@ class MissionFlight:
             jump, self._nut = FlywheelCommand(descent.flywheel_torque), None
         return Command(jump, winch, wheel)
 
-    def _publish_words(self) -> None:
-        """Hand on what the nodes' latched topics say."""
-        words = {
+    def _publish_phases(self) -> None:
+        """Deliver the phases and modes that the nodes latch."""
+        phases = {
             topics.WINCH_MODE: self.winch.mode.value,
             topics.DESCENT_PHASE: str(self.descent.phase),
             topics.DRIVE_PHASE: self.drive.phase.value,
             topics.JUMP_PHASE: self.jump.phase.value,
         }
-        for name, word in words.items():
-            if self._words.get(name) == word:
+        for name, phase in phases.items():
+            if self._phases.get(name) == phase:
                 continue
-            self._words[name] = word
-            self._say_word(name, word)
-            self._say(name, TextSample(word))
+            self._phases[name] = phase
+            self._publish_phase(name, phase)
+            self._publish(name, TextSample(phase))
 
-    def _say_word(self, name: str, word: str) -> None:
+    def _publish_phase(self, name: str, phase: str) -> None:
         now = self.now_ns
         if name == topics.WINCH_MODE:
-            self.descent.on_winch_mode(word, now)
-            self.drive.on_winch_mode(word)
-            self.jump.on_winch_mode(word)
+            self.descent.on_winch_mode(phase, now)
+            self.drive.on_winch_mode(phase)
+            self.jump.on_winch_mode(phase)
         elif name == topics.DESCENT_PHASE:
-            self.drive.on_descent(word)
+            self.drive.on_descent(phase)
         elif name == topics.JUMP_PHASE:
-            self.winch.on_jump(word, now)
-            self.descent.on_jump(word)
-            self.drive.on_jump(word)
+            self.winch.on_jump(phase, now)
+            self.descent.on_jump(phase)
+            self.drive.on_jump(phase)
 
-    def _tell(self, who: str, changes: list[EventReport]) -> None:
+    def _publish_events(self, who: str, changes: list[EventReport]) -> None:
         for change in changes:
-            self.story.append((self.time, who, change))
-            self.watch(self.time, who, change)
+            self.reports.append((self.time, who, change))
+            self.on_report(self.time, who, change)
             status = Status(change.name, change.message, change.level, who, change.texts())
             sample = StatusSample(self.now_ns, (status,))
             if who == MISSION:
                 self._record(topics.EVENTS, sample)
             else:
-                self._say(topics.EVENTS, sample)
+                self._publish(topics.EVENTS, sample)
 
-    def _say(self, name: str, sample: Sample) -> None:
-        """Tell the mission something, and the tape."""
+    def _publish(self, name: str, sample: Sample) -> None:
+        """Deliver a sample to the mission and record it."""
         self.mission.receive(name, sample, self.now_ns)
         self._record(name, sample)
 
@@ -346,13 +356,13 @@ class MissionFlight:
         if self.tape is not None:
             self.tape.tell(name, sample, self.now_ns)
 
-    def _try(self, who: str, subject: str, act: Callable[[], object]) -> None:
-        """Do what a node is asked; its refusal goes to diagnostics."""
+    def _attempt(self, who: str, subject: str, action: Callable[[], object]) -> None:
+        """Execute a request or service; a refusal goes to diagnostics."""
         try:
-            act()
+            action()
         except Refusal as refusal:
             report = RefusalReport(who, subject, refusal.code, refusal.reason)
-            self.watch(self.time, who, report)
+            self.on_report(self.time, who, report)
             sample = StatusSample(self.now_ns, (report.status(),))
             self.mission.receive(topics.DIAGNOSTICS, sample, self.now_ns)
 
@@ -362,32 +372,36 @@ class MissionFlight:
         now, mission = self.now_ns, self.mission
         estimate = self.winch.estimate(now)
         if estimate is not None:
-            self._say(topics.WINCH_ESTIMATE, estimate)
+            self._publish(topics.WINCH_ESTIMATE, estimate)
         state = descent_state(self.descent, now)
         if state is not None:
-            self._say(topics.DESCENT_STATE, state)
+            self._publish(topics.DESCENT_STATE, state)
         odometry = odometry_sample(self.drive, now)
         self.jump.on_odometry(odometry)
-        self._say(topics.ODOMETRY, odometry)
-        self._say(topics.DRIVE_STATE, drive_state(self.drive, now))
+        self._publish(topics.ODOMETRY, odometry)
+        self._publish(topics.DRIVE_STATE, drive_state(self.drive, now))
         mission.receive(topics.JUMP_MOTOR_STATE, samples[topics.JUMP_MOTOR_STATE], now)
-        for ask in mission.step(now):
-            self.ask(ask)
-        self._tell(MISSION, mission.take_changes())
+        for request in mission.step(now):
+            self.send(request)
+        self._publish_events(MISSION, mission.take_changes())
         phase = mission.phase.value
-        if phase != self._words.get(topics.MISSION_PHASE):
-            self._words[topics.MISSION_PHASE] = phase
+        if phase != self._phases.get(topics.MISSION_PHASE):
+            self._phases[topics.MISSION_PHASE] = phase
             self._record(topics.MISSION_PHASE, TextSample(phase))
-        if self.ticks % _STATED == 0:
+        if self.ticks % _STATE_PERIOD == 0:
             self._record(topics.MISSION_STATE, mission_state(mission, now))
 
-    def ask(self, ask: Request) -> None:
-        """Hand on a request, or call a service."""
-        if ask.sample is None:
-            self._try(SERVICES[ask.name].server, ask.name, lambda: self._call(ask.name))
+    def send(self, request: Request) -> None:
+        """Deliver a request, or call a service."""
+        if request.sample is None:
+            self._attempt(
+                SERVICES[request.name].server, request.name, lambda: self._call(request.name)
+            )
         else:
-            sample = ask.sample
-            self._try(_TAKERS[ask.name], ask.name, lambda: self._request(ask.name, sample))
+            sample = request.sample
+            self._attempt(
+                _SERVERS[request.name], request.name, lambda: self._request(request.name, sample)
+            )
 
     def _call(self, service: str) -> object:
         now = self.now_ns
@@ -422,38 +436,38 @@ class MissionFlight:
         else:
             self.descent.request(Stop(value.position, name == OBSERVATION_STOP, 0.0), now)
 
-    # --- killed and started again ----------------------------------------------------------------
+    # --- restarts --------------------------------------------------------------------------------
 
     def restart(self, node: str) -> None:
-        """Kill a node, and start it again at once: it knows nothing but what is latched."""
+        """Kill a node and restart it at once: it knows only latched messages."""
         if node == _WINCH:
             self.winch = Winch(WINCH)
-            self.winch.on_jump(self._words[topics.JUMP_PHASE], self.now_ns)
+            self.winch.on_jump(self._phases[topics.JUMP_PHASE], self.now_ns)
         elif node == _DESCENT:
             self.descent = Descent(DescentSettings())
-            self._of_descent = DescentCommands()
-            self.descent.on_winch_mode(self._words[topics.WINCH_MODE], self.now_ns)
-            self.descent.on_jump(self._words[topics.JUMP_PHASE])
+            self._descent_commands = DescentCommands()
+            self.descent.on_winch_mode(self._phases[topics.WINCH_MODE], self.now_ns)
+            self.descent.on_jump(self._phases[topics.JUMP_PHASE])
         elif node == _DRIVE:
             self.drive = Drive(DriveSettings())
-            self._of_drive = DriveCommands()
-            self.drive.on_winch_mode(self._words[topics.WINCH_MODE])
-            self.drive.on_jump(self._words[topics.JUMP_PHASE])
-            self.drive.on_descent(self._words[topics.DESCENT_PHASE])
+            self._drive_commands = DriveCommands()
+            self.drive.on_winch_mode(self._phases[topics.WINCH_MODE])
+            self.drive.on_jump(self._phases[topics.JUMP_PHASE])
+            self.drive.on_descent(self._phases[topics.DESCENT_PHASE])
         elif node == _JUMP:
             self.jump = Jump(JumpSettings())
-            self.jump.on_winch_mode(self._words[topics.WINCH_MODE])
+            self.jump.on_winch_mode(self._phases[topics.WINCH_MODE])
         else:
-            kept = self.mission.checkpoint(self.now_ns)
+            checkpoint = self.mission.checkpoint(self.now_ns)
             self.mission = Mission(self.plan, self.settings)
             self._alarms = None
-            for name, word in self._words.items():
+            for name, phase in self._phases.items():
                 if name != topics.MISSION_PHASE:
-                    self.mission.receive(name, TextSample(word), self.now_ns)
-            self.mission.restore(kept, self.now_ns)
+                    self.mission.receive(name, TextSample(phase), self.now_ns)
+            self.mission.restore(checkpoint, self.now_ns)
 
 
-_TAKERS = {
+_SERVERS = {
     topics.WINCH_REQUEST: _WINCH,
     topics.DESCENT_REQUEST: _DESCENT,
     topics.DRIVE_START: _DRIVE,

@@ -1,7 +1,7 @@
-"""Rovers that get stuck on rubble in a mission, and free themselves by jumping.
+"""Rovers that get stuck on rubble in a mission and free themselves by jumping.
 
-The rover begins standing on rubble so dense that wheels often get no farther, and is to drive to a
-waypoint ahead. The plan leaves it no detours: where it is stuck, it gets slack and jumps.
+The rover starts on rubble so dense that its wheels often get stuck, and drives to a waypoint ahead.
+The plan allows no detours: where the rover is stuck, it gets slack and jumps.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _RUNS = 10
 _DEPTH = 5.0  # of the floor below the fairlead [m]
 _AHEAD = 1.2  # [m]
 _LIMIT = 600.0  # [s]
-_UPRIGHT = 0.35  # tilt with which it may begin [rad]
-_MOVED = 0.2  # from where it was stuck, that counts as freed [m]
+_UPRIGHT = 0.35  # largest initial tilt [rad]
+_MOVED = 0.2  # distance that counts as freed [m]
 _PLAN = MissionPlan(
     landing=Landing(approach_depth=3.0, max_depth=8.0),
     survey=(Waypoint(x=_AHEAD, y=0.0),),
@@ -38,32 +38,32 @@ _SETTINGS = MissionSettings(locomotion=LocomotionParameters(locomotion_rule="sla
 
 
 class Freed(NamedTuple):
-    """How it went.
+    """Result of one run.
 
     Attributes:
-        stuck: times that the wheels got no farther.
-        jumps: that were flown.
-        way: from where it was stuck first to where the way has ended [m].
-        arrived: whether that is where it was to go.
-        end: of the way, in words.
+        stuck: times that the wheels got stuck.
+        jumps: number of jumps.
+        distance: from the first place where it was stuck to the end [m].
+        arrived: whether the rover reached the waypoint.
+        end: how the leg ended.
         duration: [s].
     """
 
     stuck: int
     jumps: int
-    way: float
+    distance: float
     arrived: bool
     end: str
     duration: float
 
     @property
     def is_free(self) -> bool:
-        """Whether it got away from where it was stuck, or, close to its goal, there."""
-        return self.arrived or self.way >= _MOVED
+        """Whether the rover left the place where it was stuck, or reached its waypoint."""
+        return self.arrived or self.distance >= _MOVED
 
 
 def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
-    """A rover that stands upright on rubble of its own."""
+    """A rover that stands upright on random rubble."""
     while True:
         overrides = {
             "environment.seed": int(rng.integers(1, 2**31)),
@@ -80,21 +80,21 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
             "winch.min_length": 1.4,
             "integration.h": 2.0e-3,
         }  # fmt: skip
-        with suppress(SettlingError):  # it finds no rest there: another place
+        with suppress(SettlingError):  # it does not settle there: try another place
             flight = MissionFlight("floor_rubble", overrides, _PLAN, _SETTINGS, seed)
             if flight.tilt < _UPRIGHT:
                 return flight
 
 
 def fly_stuck(seed: int, index: int) -> Freed:
-    """One way, until the rover is there or nothing helps any more."""
+    """One leg, until the rover arrives or is given up."""
     rng = np.random.default_rng([seed, index, 3])
     flight = _standing(rng, 1000 * seed + index)
-    stuck_at: list[tuple[float, float]] = []
+    stuck_positions: list[tuple[float, float]] = []
 
     def is_over() -> bool:
-        if len(stuck_at) < len(flight.told(DriveEvent.STUCK)):
-            stuck_at.append((float(flight.state.G1[0]), float(flight.state.G1[1])))
+        if len(stuck_positions) < len(flight.events_named(DriveEvent.STUCK)):
+            stuck_positions.append((float(flight.state.G1[0]), float(flight.state.G1[1])))
         leg = flight.mission.leg
         return leg is None or leg.kind is not LegKind.VISIT
 
@@ -105,16 +105,18 @@ def fly_stuck(seed: int, index: int) -> Freed:
     end = ""
     try:
         if not flight.run(_LIMIT, is_over):
-            end = f"not over after {_LIMIT:g} s"
+            end = f"not finished after {_LIMIT:g} s"
     except RuntimeError as error:
         end = str(error)
     done = flight.mission.record
     now = (float(flight.state.G1[0]), float(flight.state.G1[1]))
-    way = math.dist(stuck_at[0], now) if stuck_at else 0.0
-    told = end or (f"{done[0].result.name}: {done[0].reason}" if done else flight.mission.reason)
+    distance = math.dist(stuck_positions[0], now) if stuck_positions else 0.0
+    outcome = end or (f"{done[0].result.name}: {done[0].reason}" if done else flight.mission.reason)
     jumps = flight.mission.blackboard.jumps
     arrived = bool(done) and done[0].result is LegResult.DONE
-    return Freed(len(flight.told(DriveEvent.STUCK)), jumps, way, arrived, told, flight.time)
+    return Freed(
+        len(flight.events_named(DriveEvent.STUCK)), jumps, distance, arrived, outcome, flight.time
+    )
 
 
 def not_freed(batch: Batch) -> Measured:
@@ -124,11 +126,11 @@ def not_freed(batch: Batch) -> Measured:
     stuck = [each for each in flown if each.stuck]
     details: dict[str, float | str] = {
         f"run {index}": (
-            f"stuck {each.stuck} times, {each.jumps} jumps, {each.way:.2f} m away from where it "
-            f"was stuck first; {each.end}; {each.duration:.0f} s"
+            f"stuck {each.stuck} times, {each.jumps} jumps, {each.distance:.2f} m from the "
+            f"first place where it was stuck; {each.end}; {each.duration:.0f} s"
         )
         for index, each in enumerate(flown)
     }
     note = f"{len(stuck)} of {runs} rovers got stuck, {sum(e.jumps for e in stuck)} jumps"
-    kept = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
-    return Measured(kept, note, details)
+    not_freed_count = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
+    return Measured(not_freed_count, note, details)

@@ -1,7 +1,7 @@
-"""Whole missions on the spatial plant: how many complete, what becomes of the others, and restarts.
+"""Whole missions on the spatial plant: completion, failures and restarts.
 
-Each has rubble, a swing, sensor errors and a machine of its own: mass, friction and spring are off
-from what the controllers take them for.
+Each mission has random rubble, swing, sensor errors and machine: mass, friction and spring deviate
+from the controllers' parameters.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
 from rover_verify.checks.mission_rig import NODES, MissionFlight
 
-_LIMIT = 4000.0  # for a mission [s]
+_LIMIT = 4000.0  # time limit of a mission [s]
 _RUNS = 20
 _TOPPLED = math.radians(60.0)
 
 
-class Flown(NamedTuple):
-    """A mission as it went."""
+class MissionOutcome(NamedTuple):
+    """Outcome of a mission."""
 
     phase: str  # at the end
     reason: str
-    missed: tuple[LegRecord, ...]  # legs that were left out
-    stowed: bool  # the rover truly hangs at the stow
-    broken: str  # why the plant could not go on; empty = it could
+    incomplete: tuple[LegRecord, ...]  # legs that were not completed
+    stowed: bool  # whether the rover truly hangs at the stow
+    broken: str  # why the plant could not continue; empty = no failure
     toppled: bool
     jumps: int
     pictures: int
@@ -41,43 +41,43 @@ class Flown(NamedTuple):
 
     @property
     def is_complete(self) -> bool:
-        """Whether all of it was done, and the rover is back."""
-        return self.stowed and not self.missed and not self.broken
+        """Whether all legs were completed and the rover is back."""
+        return self.stowed and not self.incomplete and not self.broken
 
     @property
     def is_unreported(self) -> bool:
-        """Whether it went wrong without a word: it stands by, and is not back."""
+        """Whether the mission failed without a report: in standby, but the rover is not back."""
         if self.broken:
             return True
         stands_by = self.phase == MissionPhase.STANDBY.value
         return stands_by and not self.stowed
 
     @property
-    def told(self) -> str:
-        """One line."""
+    def summary(self) -> str:
+        """One line of text."""
         end = "complete" if self.is_complete else self.broken or f"{self.phase}: {self.reason}"
-        missed = "".join(f"; missed {each.leg}: {each.reason}" for each in self.missed)
+        incomplete = "".join(f"; not done {each.leg}: {each.reason}" for each in self.incomplete)
         return (
-            f"{end}{missed}; {self.duration:.0f} s, {self.pictures} pictures, {self.jumps} jumps, "
-            f"at most {self.peak_tension:.0f} N"
+            f"{end}{incomplete}; {self.duration:.0f} s, {self.pictures} pictures, {self.jumps} "
+            f"jumps, tension up to {self.peak_tension:.0f} N"
         )
 
 
 def flight_of(seed: int, index: int) -> MissionFlight:
-    """A mission in a shallow pit, before it begins."""
+    """A mission in a shallow pit before its start."""
     rng = np.random.default_rng([seed, index])
     overrides = shallow(rng)
     return MissionFlight("floor_rubble", overrides, load_plan("shallow"), seed=1000 * seed + index)
 
 
-def fly_mission(seed: int, index: int) -> Flown:
-    """One mission, from the stow to the stow."""
+def fly_mission(seed: int, index: int) -> MissionOutcome:
+    """One mission, from the stow back to the stow."""
     flight = flight_of(seed, index)
-    return _flown(flight, _conduct(flight))
+    return _outcome(flight, _run_mission(flight))
 
 
-def _conduct(flight: MissionFlight) -> str:
-    """Fly until nothing is under way; returns why the plant could not go on."""
+def _run_mission(flight: MissionFlight) -> str:
+    """Run until the mission ends; returns why the plant could not continue."""
     try:
         flight.run(1.0)
         flight.mission.go(flight.now_ns)
@@ -87,16 +87,16 @@ def _conduct(flight: MissionFlight) -> str:
     return ""
 
 
-def _flown(flight: MissionFlight, broken: str) -> Flown:
+def _outcome(flight: MissionFlight, broken: str) -> MissionOutcome:
     mission, state = flight.mission, flight.state
-    missed = tuple(done for done in mission.record if done.result is not LegResult.DONE)
-    near = abs(state.length - flight.plan.stow) < 0.2
+    incomplete = tuple(done for done in mission.record if done.result is not LegResult.DONE)
+    is_at_stow = abs(state.length - flight.plan.stow) < 0.2
     hangs = float(state.G1[2]) > -flight.plan.stow - 1.0
-    return Flown(
+    return MissionOutcome(
         mission.phase.value,
         mission.reason,
-        missed,
-        near and hangs and not mission.is_active,
+        incomplete,
+        is_at_stow and hangs and not mission.is_active,
         broken,
         flight.tilt > _TOPPLED,
         mission.blackboard.jumps,
@@ -109,17 +109,17 @@ def _flown(flight: MissionFlight, broken: str) -> Flown:
 # --- restarts ------------------------------------------------------------------------------------
 
 
-class Restarted(NamedTuple):
-    """A mission in which a node was killed and started again."""
+class RestartedMission(NamedTuple):
+    """A mission with the kill and restart of one node."""
 
     node: str
     when: float  # [s]
     during: str  # phase of the mission
-    flown: Flown
+    outcome: MissionOutcome
 
 
-def fly_restarted(seed: int, index: int) -> Restarted:
-    """One mission with one node, by turns, killed at a random moment."""
+def fly_restarted(seed: int, index: int) -> RestartedMission:
+    """One mission in which one node, in turn, is killed at a random time."""
     rng = np.random.default_rng([seed, index, 1])
     node = NODES[index % len(NODES)]
     flight = flight_of(seed, index)
@@ -134,46 +134,50 @@ def fly_restarted(seed: int, index: int) -> Restarted:
         broken = ""
     except RuntimeError as error:
         broken = str(error)
-    return Restarted(node, when, during, _flown(flight, broken))
+    return RestartedMission(node, when, during, _outcome(flight, broken))
 
 
 # --- batches -------------------------------------------------------------------------------------
 
 
-def _missions(batch: Batch) -> list[Flown]:
+def _missions(batch: Batch) -> list[MissionOutcome]:
     runs = batch.runs if batch.runs > 0 else _RUNS
     return list(fly_batch(batch, runs, fly_mission))
 
 
-def _details(flown: list[Flown]) -> dict[str, float | str]:
-    return {f"run {index}": each.told for index, each in enumerate(flown)}
+def _details(outcomes: list[MissionOutcome]) -> dict[str, float | str]:
+    return {f"run {index}": each.summary for index, each in enumerate(outcomes)}
 
 
 def completed(batch: Batch) -> Measured:
     """Share of missions that complete without help."""
-    flown = _missions(batch)
-    share = float(np.mean([each.is_complete for each in flown]))
-    jumps = sum(each.jumps for each in flown)
-    times = [each.duration for each in flown]
-    note = f"{len(flown)} missions, {jumps} jumps, median {np.median(times):.0f} s"
-    return Measured(share, note, _details(flown))
+    outcomes = _missions(batch)
+    share = float(np.mean([each.is_complete for each in outcomes]))
+    jumps = sum(each.jumps for each in outcomes)
+    times = [each.duration for each in outcomes]
+    note = f"{len(outcomes)} missions, {jumps} jumps, median {np.median(times):.0f} s"
+    return Measured(share, note, _details(outcomes))
 
 
 def unreported(batch: Batch) -> Measured:
-    """Missions that end with a broken tether, a plant that cannot go on, or a silent failure."""
-    flown = _missions(batch)
+    """Missions that end with a broken tether, a diverged plant, or an unreported failure."""
+    outcomes = _missions(batch)
     return Measured(
-        sum(each.is_unreported for each in flown), f"{len(flown)} missions", _details(flown)
+        sum(each.is_unreported for each in outcomes),
+        f"{len(outcomes)} missions",
+        _details(outcomes),
     )
 
 
 def not_resumed(batch: Batch) -> Measured:
-    """Nodes after whose restart a mission did not come home by itself."""
+    """Number of nodes after whose restart a mission did not return by itself."""
     runs = max(batch.runs, len(NODES))
-    flown = list(fly_batch(batch, runs, fly_restarted))
-    failed = {each.node for each in flown if not each.flown.stowed}
+    outcomes = list(fly_batch(batch, runs, fly_restarted))
+    failed = {each.node for each in outcomes if not each.outcome.stowed}
     details: dict[str, float | str] = {
-        f"run {index}": f"{each.node} after {each.when:.0f} s, {each.during}: {each.flown.told}"
-        for index, each in enumerate(flown)
+        f"run {index}": (
+            f"{each.node} after {each.when:.0f} s, {each.during}: {each.outcome.summary}"
+        )
+        for index, each in enumerate(outcomes)
     }
     return Measured(len(failed), f"{runs} missions with a restart each", details)

@@ -64,7 +64,7 @@ def mission_time(batch: Batch) -> Measured:
     details = {key: str(mission[key]) for key in ("ready_after_s", "flown_in_s", "simulated_s")}
     missed = [item["text"] for item in metrics["verdict"] if not item["pass"]]
     taken = float(mission["wall_time_s"]) if not missed else math.inf
-    return Measured(taken, "; ".join(missed) or mission_show.tell(metrics), details)
+    return Measured(taken, "; ".join(missed) or mission_show.summary(metrics), details)
 
 
 def demo_interrupted(batch: Batch) -> Measured:

@@ -1,4 +1,4 @@
-"""The mission's demonstration: judged by its figures."""
+"""Verdict of the mission's demonstration."""
 
 import math
 
@@ -25,13 +25,13 @@ MISSION = {
 METRICS = {"energy_drift_J": -5e-5, "closed": True, "topics": {"clock": {"rejected": 0}}}
 
 
-def missed(mission: dict[str, object], metrics: dict[str, object]) -> int:
+def failed_checks(mission: dict[str, object], metrics: dict[str, object]) -> int:
     lines = judge({**MISSION, **mission}, {**METRICS, **metrics})
     return sum(not holds for _, holds in lines)
 
 
-def test_a_mission_that_went_well_keeps_every_promise():
-    assert missed({}, {}) == 0
+def test_a_successful_mission_passes_every_check():
+    assert failed_checks({}, {}) == 0
 
 
 @pytest.mark.parametrize(
@@ -45,8 +45,8 @@ def test_a_mission_that_went_well_keeps_every_promise():
         {"real_time_factor": 0.9},
     ],
 )
-def test_what_went_wrong_is_told(change: dict[str, object]):
-    assert missed(change, {}) == 1
+def test_each_failure_is_reported(change: dict[str, object]):
+    assert failed_checks(change, {}) == 1
 
 
 @pytest.mark.parametrize(
@@ -59,5 +59,5 @@ def test_what_went_wrong_is_told(change: dict[str, object]):
         {"topics": {"clock": {"rejected": 1}}},
     ],
 )
-def test_a_bag_that_is_not_whole_is_told(change: dict[str, object]):
-    assert missed({}, change) == 1
+def test_an_incomplete_bag_is_reported(change: dict[str, object]):
+    assert failed_checks({}, change) == 1
