@@ -368,12 +368,12 @@ def refusals_without_reason(_batch: Batch) -> Measured:
         (WINCH_AT_RATE, 0.0, 0.1, 900.0, "900.0"),
         (WINCH_AT_TENSION, 0.0, 0.1, 0.05, "without end"),
         (WINCH_AT_TENSION, 0.0, 0.1, 2.0, "hangs"),
-        (WINCH_SLACK, 1.0, 0.1, 0.0, "must stand"),
+        (WINCH_SLACK, 1.0, 0.1, 0.0, "set it down first"),
     ]
     lacking = [request for request in asked if not _is_refused(session, request)]
     session.winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
-    if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps")):
-        lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "jumps"))
+    if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress")):
+        lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress"))
     session.winch.stop("a test", session.now_ns)
     asked += [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
     if not _is_refused(session, asked[-1]):

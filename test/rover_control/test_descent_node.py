@@ -230,7 +230,7 @@ def hold_resume_and_abort(bench: Bench) -> None:
     assert bench.observer.call(topics.DESCENT_RESUME).success
     bench.mother.wait(lambda: bench.mother.last.length > held + 0.2, "it does not go on")
     answer = bench.observer.call(topics.DESCENT_ABORT)
-    assert (answer.success, answer.message) == (True, "1 stops are dropped")
+    assert (answer.success, answer.message) == (True, "1 stops dropped")
     bench.wait_until_braked()
     assert bench.mother.last.length < FAR - 0.1
     again = bench.observer.call(topics.DESCENT_RESUME)
@@ -263,7 +263,7 @@ def be_killed(bench: Bench) -> None:
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
     bench.observer.wait_for_status(
-        topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and "is silent" in s.message
+        topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and "was not renewed" in s.message
     )
     bench.wait_until_braked()
     length = bench.mother.last.length

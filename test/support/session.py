@@ -33,7 +33,7 @@ PATIENT = {"winch_node": {"max_step_delay": 5.0, "command_timeout": 30.0}}
 NEVER_ENDS = {"watch"}
 # On a busy machine sensors may seem old for a moment: an order refused for it is given again, and a
 # descent that is held for it is resumed first.
-OLD, HELD, TRIALS = "[stale]", "it goes on when it is resumed", 5
+OLD, HELD, TRIALS = "[stale]", "resume it first", 5
 # Nothing damps a swing of the mock plant, which has no mechanics: a descent is taken there and does
 # not end, so what is to wait for that does not, and what is refused until then is left out.
 UNTIL_ITS_END, AFTER_ITS_END = "--wait", {"release"}
