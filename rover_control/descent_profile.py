@@ -156,7 +156,7 @@ class DescentProfile:
         """Hold the present length [m]."""
         if self.phase is not DescentPhase.HOLDING:
             self.length_setpoint = length
-            self._enter(DescentPhase.HOLDING, f"asked to hold, at {length:.4g} m", now, cause)
+            self._enter(DescentPhase.HOLDING, f"hold requested at {length:.4g} m", now, cause)
         return f"holding {self.length_setpoint:.4g} m"
 
     def resume(self, now: float) -> str:
@@ -338,7 +338,9 @@ class DescentProfile:
                 return
         if not stop.observes:
             if not self._exceeds_limits(swing, length):
-                self._end_stop(DescentEvent.STOP_COMPLETED, "reached", length, Reason.COMPLETED)
+                self._end_stop(
+                    DescentEvent.STOP_COMPLETED, "depth reached", length, Reason.COMPLETED
+                )
                 text = f"reached {length:.4g} m"
                 self._enter(DescentPhase.STANDBY, text, now, Reason.COMPLETED)
                 return

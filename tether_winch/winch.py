@@ -280,9 +280,8 @@ class Winch:
             Refusal: not armed.
         """
         self._check_armed(topics.WINCH_HOLD)
-        self._enter(
-            WinchMode.HOLD, "asked to hold", replace(REST), now_ns / _NANO, Reason.REQUESTED
-        )
+        now = now_ns / _NANO
+        self._enter(WinchMode.HOLD, "hold requested", REST, now, Reason.REQUESTED)
         return "coming to rest"
 
     def relax(self, now_ns: int) -> str:

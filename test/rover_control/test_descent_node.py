@@ -263,7 +263,8 @@ def be_killed(bench: Bench) -> None:
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
     bench.observer.wait_for_status(
-        topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and "was not renewed" in s.message
+        topics.EVENTS,
+        lambda s: s.name == WinchEvent.MOTION_ABORTED and "was not renewed" in s.message,
     )
     bench.wait_until_braked()
     length = bench.mother.last.length

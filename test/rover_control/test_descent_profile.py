@@ -236,7 +236,7 @@ def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
     world.run(2000.0)
     assert world.length == pytest.approx(4.0, abs=0.01)
     assert max(world.rates) <= PROFILE.ascent_rate_gain + 1e-9
-    assert world.ended() == ["reached"]
+    assert world.ended() == ["depth reached"]
 
 
 def test_a_stop_that_could_touch_the_wall_is_refused():

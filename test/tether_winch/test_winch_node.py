@@ -226,7 +226,7 @@ def use_every_mode(bench: Bench) -> None:
     bench.request(WINCH_AT_RATE, 0.0, -0.1)
     mother.wait(lambda: mother.last.rate < -0.095, "it does not reel in")
     assert bench.observer.call(topics.WINCH_HOLD).success
-    bench.wait_for_hold("asked")
+    bench.wait_for_hold("hold requested")
     bench.wait_until_braked()
     rates = [r.rate for _, r, _ in mother.history[begun:]]
     assert max(abs(a - b) for a, b in pairwise(rates)) < 0.02
