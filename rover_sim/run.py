@@ -171,21 +171,21 @@ def roll_out(
 
 
 def jump(
-    plant: PlanarPlant, state: PlanarState | None = None, *, limit: float = 10.0
+    plant: PlanarPlant, state: PlanarState | None = None, *, max_flight_time: float = 10.0
 ) -> JumpMetrics:
     """Simulate the scenario's take-off and the flight up to the landing.
 
     Args:
         plant: with a rover.
         state: with the rover on the ground; default: the scenario's start.
-        limit: longest time of flight [s].
+        max_flight_time: longest time of flight [s].
 
     Raises:
         RunError: the simulation diverged, the tether broke, or the flight exceeded the limit.
     """
     standing = plant.initial_state() if state is None else state
     landed, result = plant.advance(
-        plant.take_off(standing), _NO_COMMAND, limit, stop_at_touchdown=True
+        plant.take_off(standing), _NO_COMMAND, max_flight_time, stop_at_touchdown=True
     )
     touchdown = next((event for event in result.events if event.name is PlantEvent.TOUCHDOWN), None)
     if touchdown is None:
@@ -204,7 +204,7 @@ def jump(
 
 
 def jump_many(
-    scenarios: Sequence[Scenario], *, workers: int = 1, limit: float = 10.0
+    scenarios: Sequence[Scenario], *, workers: int = 1, max_flight_time: float = 10.0
 ) -> list[JumpMetrics | RunError]:
     """Simulate the jump of each scenario, in `workers` threads with the lock released.
 
@@ -214,7 +214,7 @@ def jump_many(
 
     def one(scenario: Scenario) -> JumpMetrics | RunError:
         try:
-            return jump(PlanarPlant(scenario), limit=limit)
+            return jump(PlanarPlant(scenario), max_flight_time=max_flight_time)
         except RunError as error:
             return error
 

@@ -1,5 +1,5 @@
-"""Studies: many simulated runs of one plan, and what they show together.
+"""Parameter studies: many simulations of one plan, and their evaluation.
 
-`sweep` runs grids and Monte Carlo plans over any parameters of any scenario; `whole_study` is the
-source paper's own study of the tethered jump, built on it.
+`sweep` runs grids and Monte Carlo plans over the parameters of scenarios; `whole_study` uses it to
+reproduce the source paper's study of the tethered jump.
 """

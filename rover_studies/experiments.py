@@ -1,7 +1,7 @@
-"""What one run of a sweep does: from a scenario to a row of results.
+"""Experiments of a sweep: the simulation of a scenario and its row of results.
 
-An experiment declares its columns, so that every row of a sweep has them, also the rows of runs
-that failed. A new plant or question joins by one entry of `EXPERIMENTS`.
+An experiment declares its columns, so that all rows of a sweep have them, including failed runs. To
+add an experiment, add an entry to `EXPERIMENTS`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Kind = type[float] | type[int] | type[str] | type[bool]
 
 @dataclass(frozen=True)
 class Setting:
-    """A number that an experiment can be given besides the scenario."""
+    """A numerical setting of an experiment besides the scenario."""
 
     unit: str
     about: str
@@ -43,14 +43,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done with each scenario of a sweep.
+    """The simulation of each scenario of a sweep.
 
     Attributes:
-        about: what it does, in words.
-        columns: name (with its unit) and kind of each result.
-        settings: numbers that it takes, by name.
-        perform: from scenario, seed of the run and settings to the results; raises RunError,
-            StaticsError or ScenarioError where there are none.
+        about: description.
+        columns: name (with unit) and type of each result.
+        settings: by name.
+        perform: computes the results from scenario, seed of the run and settings; raises RunError,
+            StaticsError or ScenarioError.
     """
 
     about: str
@@ -66,7 +66,7 @@ def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> d
         raise ScenarioError("rover", None, f"{scenario.name} has no rover, so nothing jumps")
     plant = PlanarPlant(scenario)
     start = plant.initial_state()
-    metrics = jump(plant, start, limit=settings["limit"])
+    metrics = jump(plant, start, max_flight_time=settings["max_flight_time"])
     found: dict[str, Value] = dict(metrics.to_mapping())
     slopes = np.linalg.norm(start.nodes[:, 1], axis=-1)
     return {
@@ -104,7 +104,7 @@ def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> di
 EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
     {
         "jump": Experiment(
-            "the rover takes off as the scenario says and flies to its landing",
+            "the scenario's take-off and the flight up to the landing",
             MappingProxyType(
                 {
                     "outcome": str,
@@ -121,12 +121,12 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
                 }
             ),
             MappingProxyType(
-                {"limit": Setting("s", "a flight is given up after this", 10.0, 1e-3, 1e4)}
+                {"max_flight_time": Setting("s", "longest time of flight", 10.0, 1e-3, 1e4)}
             ),
             _jump,
         ),
         "run": Experiment(
-            "the scenario runs from its start for a while, nothing commanded",
+            "the scenario from its start for a duration, without commands",
             MappingProxyType(
                 {
                     "outcome": str,
@@ -144,7 +144,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
             MappingProxyType(
                 {
                     "duration": Setting("s", "simulated time", 1.0, 1e-4, 1e6),
-                    "tick": Setting("s", "between two looks at the energy", 0.01, 1e-4, 10.0),
+                    "tick": Setting("s", "period of the energy samples", 0.01, 1e-4, 10.0),
                 }
             ),
             _run,
@@ -154,7 +154,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
 
 
 def results_of(experiment: Experiment, values: Mapping[str, Value]) -> dict[str, Value]:
-    """The results in the order of the columns; what is no finite number becomes None."""
+    """Return the results in the order of the columns, with None for values that are not finite."""
     row: dict[str, Value] = {}
     for name in experiment.columns:
         value = values[name]

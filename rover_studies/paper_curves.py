@@ -1,9 +1,9 @@
-"""Results of the paper's study as curves over the slack value, and what numbers tell of them.
+"""Curves of the paper's study over the slack value: convergence, scatter and its cause.
 
-A *curve* belongs to a case (tether and bodies), a geometry, the tether's shape at the start and a
-mesh. Scatter is told from a curve by its *response*: how far the attitude at the landing moves
-when the slack value changes in its sixth decimal. Where that response exceeds a degree, the point
-is no property of the slack value.
+A *curve* has a case (tether and bodies), a geometry, an initial shape of the tether and a mesh.
+The *response* of a point is the change of the landing attitude when the slack value changes in its
+sixth decimal. A point with a response above one degree is scatter: it is not a function of the
+slack value.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from rover_studies.paper_plan import (
     HEIGHT,
-    NUDGE,
     RELAXED,
+    SLACK_PERTURBATION,
     THRESHOLD,
     TURN,
     UNRELAXED,
@@ -34,7 +34,7 @@ SCATTER: Final = math.radians(1.0)
 
 
 class Key(NamedTuple):
-    """Which curve."""
+    """Identifies a curve."""
 
     case: str
     geometry: str
@@ -44,17 +44,17 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Curve:
-    """Jumps over the slack value; NaN where the rover did not land.
+    """Jumps over the slack value; NaN for jumps without a landing.
 
     Attributes:
         slack: dh/df, ascending, shape (N,).
         height: rise of Body 1 [m], shape (N,).
         turn: attitude variation from take-off to landing [rad], shape (N,).
-        stored: stretch energy of the starting shape [J], shape (N,).
-        released: energy of the take-off [J].
-        drift: what the energy balance misses at the landing [J], shape (N,).
-        response: change of `turn` under the nudge [rad], shape (N,); NaN where not run.
-        halved_height, halved_turn: the same jumps with half the time step; NaN where not run.
+        stored: stretch energy of the initial shape [J], shape (N,).
+        released: energy at take-off [J].
+        drift: residual of the energy balance at the landing [J], shape (N,).
+        response: change of `turn` by the perturbation [rad], shape (N,); NaN where not run.
+        halved_height, halved_turn: with half the time step; NaN where not run.
     """
 
     slack: Floats
@@ -79,7 +79,7 @@ class Curve:
 
     @property
     def onset(self) -> float | None:
-        """Slack value from which at least half of all further points are scatter, if any."""
+        """Slack value from which at least half of the following points are scatter, or None."""
         scattered = self.scattered
         for index in np.flatnonzero(scattered):
             if scattered[index:].mean() >= 0.5:
@@ -92,11 +92,11 @@ Curves = Mapping[Key, Curve]
 
 def curves_of(
     jumps: Iterable[Mapping[str, Any]],
-    nudged: Iterable[Mapping[str, Any]] = (),
+    perturbed: Iterable[Mapping[str, Any]] = (),
     halved: Iterable[Mapping[str, Any]] = (),
 ) -> dict[Key, Curve]:
-    """Gather rows of the study's sweeps into curves, in the order of the rows."""
-    moved = _by_point(nudged, NUDGE)
+    """Group rows of the study's sweeps into curves, in the order of the rows."""
+    moved = _by_point(perturbed, SLACK_PERTURBATION)
     finer = _by_point(halved)
     found: dict[Key, list[Mapping[str, Any]]] = {}
     for row in jumps:
@@ -123,7 +123,7 @@ def _curve(key: Key, rows: list[Mapping[str, Any]], moved: _Points, finer: _Poin
     places = [(key, round(float(value), 9)) for value in slack]
     turn = _column(rows, TURN)
     halves = [finer.get(place, {}) for place in places]
-    nudges = [moved.get(place, {}) for place in places]
+    perturbations = [moved.get(place, {}) for place in places]
     released = _column(rows, "take_off_energy_J")
     return Curve(
         slack=slack,
@@ -132,7 +132,7 @@ def _curve(key: Key, rows: list[Mapping[str, Any]], moved: _Points, finer: _Poin
         stored=_column(rows, "initial_axial_energy_J"),
         released=float(np.nanmax(released)) if np.isfinite(released).any() else math.nan,
         drift=_column(rows, "energy_drift_J"),
-        response=np.abs(_column(nudges, TURN) - turn),
+        response=np.abs(_column(perturbations, TURN) - turn),
         halved_height=_column(halves, HEIGHT),
         halved_turn=_column(halves, TURN),
     )
@@ -143,20 +143,20 @@ def _column(rows: Iterable[Mapping[str, Any]], name: str) -> Floats:
     return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
 
 
-# --- how far one can trust the numbers ------------------------------------------------------------
+# --- convergence ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """How far a mesh is from the finest one, over all slack values of a curve.
+    """Differences of a mesh from the finest one, over all slack values of a curve.
 
     Attributes:
-        key: which curve.
+        key: of the curve.
         height: median and largest difference of the heights [m].
         turn: median and largest difference of the attitude variations [rad].
-        step_height, step_turn: median difference that half the time step makes.
-        drift: largest share of the energy that the balance misses, of take-off and stretch.
-        stored: largest stretch energy of the start, over the jump's [-].
+        step_height, step_turn: median difference with half the time step.
+        drift: largest energy residual, over the energy of take-off and stretch [-].
+        stored: largest initial stretch energy, over the energy of the jump [-].
     """
 
     key: Key
@@ -169,7 +169,7 @@ class Convergence:
 
 
 def convergence(curves: Curves) -> list[Convergence]:
-    """Of every curve, against the finest mesh of its case, geometry and shape."""
+    """Compare every curve with the finest mesh of its case, geometry and shape."""
     finest: dict[tuple[str, str, str], Key] = {}
     for key in curves:
         group = (key.case, key.geometry, key.shape)
@@ -202,19 +202,19 @@ def _largest(values: Floats) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else math.nan
 
 
-# --- what the scatter goes with -------------------------------------------------------------------
+# --- cause of the scatter ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Share:
-    """Scatter of one shape on one mesh, all cases and geometries together.
+class ScatterShare:
+    """Scatter of one shape on one mesh, over all cases and geometries.
 
     Attributes:
-        shape, elements: which.
-        points: slack values beyond the paper's threshold.
-        scattered: how many of them are scatter.
-        below: how many are, of the points up to the threshold.
-        points_below: how many there are.
+        shape, elements: shape and mesh.
+        points: number of points beyond the paper's threshold.
+        scattered: number of scattered points among them.
+        below: number of scattered points up to the threshold.
+        points_below: number of points up to the threshold.
         onsets: slack value from which scatter prevails, by case and geometry.
     """
 
@@ -229,33 +229,33 @@ class Share:
 
 @dataclass(frozen=True)
 class Attribution:
-    """What the scatter beyond the threshold goes with, by numbers.
+    """Cause of the scatter beyond the threshold.
 
     Attributes:
         shares: scatter by shape and mesh.
-        separation: probability that a scattered point's starting shape stores more spurious
-            stretch than a point without scatter does (area under the ROC curve).
-        least_stored: smallest share of the jump's energy that a scattered point's start stores.
-        findings: conditions that "the unrelaxed coarse mesh makes it" needs, each with its
-            numbers and whether it holds.
+        separation: probability that a scattered point's initial shape stores more stretch energy
+            than that of a point without scatter (area under the ROC curve).
+        least_stored: smallest initial stretch energy of a scattered point, over the jump's.
+        conditions: conditions of "the unrelaxed coarse mesh is the cause": statement with values,
+            and whether it holds.
     """
 
-    shares: tuple[Share, ...]
+    shares: tuple[ScatterShare, ...]
     separation: float
     least_stored: float
-    findings: tuple[tuple[str, bool], ...]
+    conditions: tuple[tuple[str, bool], ...]
 
     @property
     def mesh_is_the_cause(self) -> bool:
         """Whether every condition holds."""
-        return all(holds for _, holds in self.findings)
+        return all(holds for _, holds in self.conditions)
 
 
 def attribution(curves: Curves) -> Attribution:
-    """Find out what the scatter goes with.
+    """Determine the cause of the scatter.
 
-    Points are those that were nudged. Nothing of the expected answer enters: the conditions are
-    evaluated for whatever shapes and meshes the curves hold.
+    Only perturbed points count. The conditions are evaluated for all shapes and meshes of the
+    curves, independent of the expected result.
     """
     known = {key: curve for key, curve in curves.items() if np.isfinite(curve.response).any()}
     shares = tuple(
@@ -269,18 +269,18 @@ def attribution(curves: Curves) -> Attribution:
     )
     separation = _separation(stored[scattered], stored[~scattered])
     least = float(stored[scattered].min()) if scattered.any() else math.nan
-    findings = [*_findings(shares, separation), *_of_the_integrator(known)]
-    return Attribution(shares, separation, least, tuple(findings))
+    conditions = [*_conditions(shares, separation), *_of_the_integrator(known)]
+    return Attribution(shares, separation, least, tuple(conditions))
 
 
-def _share(curves: Curves, shape: str, elements: int) -> Share:
+def _share(curves: Curves, shape: str, elements: int) -> ScatterShare:
     chosen = {
         key: curve
         for key, curve in curves.items()
         if key.shape == shape and key.elements == elements
     }
     onsets = {f"{key.case} {key.geometry}": curve.onset for key, curve in chosen.items()}
-    return Share(
+    return ScatterShare(
         shape,
         elements,
         points=sum(int(curve.beyond.sum()) for curve in chosen.values()),
@@ -292,7 +292,7 @@ def _share(curves: Curves, shape: str, elements: int) -> Share:
 
 
 def _separation(above: Floats, below: Floats) -> float:
-    """Probability that a value of the one set exceeds a value of the other, ties half."""
+    """Return the probability that a value of one set exceeds one of the other; ties count half."""
     if not len(above) or not len(below):
         return math.nan
     ordered = np.sort(below)
@@ -301,7 +301,7 @@ def _separation(above: Floats, below: Floats) -> float:
     return float((less + 0.5 * same).mean() / len(below))
 
 
-def _findings(shares: tuple[Share, ...], separation: float) -> Iterable[tuple[str, bool]]:
+def _conditions(shares: tuple[ScatterShare, ...], separation: float) -> Iterable[tuple[str, bool]]:
     relaxed = [share for share in shares if share.shape == RELAXED]
     unrelaxed = [share for share in shares if share.shape == UNRELAXED]
     if not relaxed or not unrelaxed:
@@ -341,24 +341,22 @@ def _findings(shares: tuple[Share, ...], separation: float) -> Iterable[tuple[st
     )
     yield (
         (
-            f"The slack value at which it begins moves with the mesh, so it is none of the"
-            f" tether's:"
+            "Its onset moves with the mesh, so it is not a property of the tether:"
             f" {words or 'nowhere'}"
         ),
         len(firsts) > 1 and all(one < other for one, other in itertools.pairwise(firsts)),
     )
     yield (
         (
-            "The stretch that the starting shape stores tells scatter from curve: a scattered"
-            " point's"
-            f" exceeds an orderly one's with probability {separation:.3f}"
+            "The stretch energy of the initial shape separates scatter from curve: a scattered"
+            f" point's exceeds another's with probability {separation:.3f}"
         ),
         separation > 0.95,
     )
 
 
 def _of_the_integrator(curves: Curves) -> Iterable[tuple[str, bool]]:
-    """Whether half the time step removes the scatter, and whether the energy balance closes."""
+    """Test whether half the time step removes the scatter and the energy balance closes."""
     spreads = []
     worst = 0.0
     for curve in curves.values():
@@ -371,11 +369,9 @@ def _of_the_integrator(curves: Curves) -> Iterable[tuple[str, bool]]:
     whole, half = np.sqrt(np.mean(np.square(spreads), axis=0))
     yield (
         (
-            f"It is not the integrator: with half the time step the scattered points still"
-            f" spread by"
-            f" {half:.2f} rad (deviation; {whole:.2f} rad with the whole step), and the energy"
-            f" balance"
-            f" of every jump closes to {worst:.0e} of the energy in play"
+            "The integrator is not the cause: with half the time step the standard deviation of"
+            f" the scattered points is {half:.2f} rad ({whole:.2f} rad with the whole step), and"
+            f" the energy balance of every jump closes to {worst:.0e} of the energy involved"
         ),
         bool(half > whole / 3.0 and worst < 1e-5),
     )

@@ -1,4 +1,4 @@
-"""Drawings of the paper's study, as SVG that stands inside a page."""
+"""Plots of the paper's study as SVG for embedding in a page."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def _svg(figure: Figure) -> str:
     FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
     text = stream.getvalue()
     body = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    # The drawing takes the page's width and its fonts.
+    # The drawing uses the width and fonts of the page.
     body = re.sub(r'<svg([^>]*?) width="[^"]*"', r"<svg\1", body, count=1)
     body = re.sub(r'<svg([^>]*?) height="[^"]*"', r"<svg\1", body, count=1)
     return body.replace("'DejaVu Sans'", "system-ui, 'DejaVu Sans', sans-serif")
 
 
 def _named(svg: str, name: str) -> str:
-    """Make the drawing's inner names its own, as several share a page."""
+    """Prefix the identifiers of a drawing, to make them unique within the page."""
     for mark in ('id="', 'href="#', "url(#"):
         svg = svg.replace(mark, f"{mark}{name}-")
     return svg
@@ -80,9 +80,9 @@ def _draw(axes: Axes, curve: Curve, height: bool, colour: str, mark: str, label:
 
 
 def paper_figure(figure: PaperFigure, curves: Curves) -> list[str]:
-    """A figure of the paper: over slack for each geometry, once for each starting shape.
+    """Draw a figure of the paper over slack for each geometry, once for each initial shape.
 
-    A figure of several cases is drawn on the coarsest and on the finest mesh, the others on all.
+    A figure of several cases has the coarsest and the finest mesh, the others have all meshes.
     """
     return [_panels(figure, curves, shape) for shape in SHAPES]
 
@@ -124,7 +124,7 @@ def _panels(paper: PaperFigure, curves: Curves, shape: str) -> str:
         for axes in grid[-1]:
             axes.set_xlabel("slack evaluation value dh/df")
         for line in grid:
-            _not_too_near(line[0])
+            _limit_zoom(line[0])
         handles, labels = grid[0][0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside upper right", ncols=len(labels), markerscale=1.6
@@ -136,8 +136,8 @@ def _panels(paper: PaperFigure, curves: Curves, shape: str) -> str:
         return _named(_svg(figure), f"f{paper.number}{shape[0]}")
 
 
-def _not_too_near(axes: Axes) -> None:
-    """Axes of a quantity that hardly changes must not blow its last digits up."""
+def _limit_zoom(axes: Axes) -> None:
+    """Set a smallest range of the y axis, so that numerical noise is not magnified."""
     low, high = axes.get_ylim()
     least = 0.02
     if high - low < least:
@@ -146,7 +146,7 @@ def _not_too_near(axes: Axes) -> None:
 
 
 def scatter_map(curves: Curves) -> str:
-    """Response to the nudge over slack, by shape and mesh; above the line is scatter."""
+    """Draw the response to the perturbation over slack, by shape and mesh."""
     meshes = _meshes(curves)
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(11.4, 4.1), layout="constrained")
@@ -175,14 +175,14 @@ def scatter_map(curves: Curves) -> str:
         both[0].text(0.52, 3.2, "scatter", color="#a50026", fontsize=9)
         _mesh_legend(figure, meshes)
         figure.suptitle(
-            "What a change of the slack value by 1e-6 does to the landing",
+            "Change of the landing attitude by a perturbation of the slack value by 1e-6",
             x=0.01, ha="left", fontsize=11.5, fontweight="bold",
         )  # fmt: skip
         return _named(_svg(figure), "map")
 
 
 def dose_response(curves: Curves) -> str:
-    """Response over the stretch energy of the starting shape, and that energy over slack."""
+    """Draw the response over the initial stretch energy, and that energy over slack."""
     meshes = _meshes(curves)
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(11.4, 4.1), layout="constrained")
@@ -201,9 +201,9 @@ def dose_response(curves: Curves) -> str:
                 alpha=0.75,
             )
         left.set(xscale="log", yscale="log", ylim=(_LEAST_RESPONSE, 10.0))
-        left.set_xlabel("stretch energy of the starting shape / energy of the jump")
+        left.set_xlabel("initial stretch energy / energy of the jump [-]")
         left.set_ylabel("|change of attitude variation| [rad]")
-        left.set_title("the more spurious energy, the more scatter (hollow: in equilibrium)")
+        left.set_title("response over initial stretch energy (hollow: static equilibrium)")
         geometry = next((g for g in GEOMETRIES if any(key.geometry == g for key in curves)), "-H")
         cases = dict.fromkeys(key.case for key in curves)
         for case in list(cases)[:1]:
@@ -218,20 +218,18 @@ def dose_response(curves: Curves) -> str:
                     released = curve.released
             right.axhline(released, color="#212529", linewidth=1.0)
             right.text(0.48, released * 1.6, f"energy of the jump, {released:.1f} J", fontsize=9)
-            right.set_title(f"stretch of the start, geometry {geometry} (dashed: in equilibrium)")
+            right.set_title(f"initial stretch, geometry {geometry} (dashed: static equilibrium)")
         _threshold(right)
         right.set_yscale("log")
         right.set_xlabel("slack evaluation value dh/df")
-        right.set_ylabel("stretch energy of the start [J]")
+        right.set_ylabel("initial stretch energy [J]")
         _mesh_legend(figure, meshes)
-        figure.suptitle(
-            "Where the scatter comes from", x=0.01, ha="left", fontsize=11.5, fontweight="bold"
-        )
+        figure.suptitle("Cause of the scatter", x=0.01, ha="left", fontsize=11.5, fontweight="bold")
         return _named(_svg(figure), "dose")
 
 
 def convergence_plot(found: Sequence[Convergence]) -> str:
-    """How the results approach those of the finest mesh, by geometry and shape."""
+    """Draw the differences from the finest mesh, by geometry and shape."""
     meshes = sorted({one.key.elements for one in found})
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(11.4, 4.1), layout="constrained")
@@ -252,7 +250,7 @@ def convergence_plot(found: Sequence[Convergence]) -> str:
                         label=f"{geometry}, {_SHAPE_WORDS[shape]}",
                     )  # fmt: skip
             drawn = np.concatenate([line.get_ydata() for line in axes.get_lines()])
-            # Where no mesh differs from the finest there is nothing to take a logarithm of.
+            # Without differences from the finest mesh a logarithmic axis is not possible.
             axes.set(
                 xscale="log", yscale="log" if np.isfinite(drawn).any() else "linear",
                 xticks=meshes[:-1],
@@ -265,7 +263,7 @@ def convergence_plot(found: Sequence[Convergence]) -> str:
         handles, labels = axes_of[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
         figure.suptitle(
-            f"Difference from n = {meshes[-1]}, the worst of all slack values and cases",
+            f"Largest difference from n = {meshes[-1]} over all slack values and cases",
             x=0.01, ha="left", fontsize=11.5, fontweight="bold",
         )  # fmt: skip
         return _named(_svg(figure), "convergence")

@@ -1,4 +1,4 @@
-"""The paper's study as one HTML page that needs nothing else, and as tables."""
+"""Report of the paper's study: one self-contained HTML page, and CSV tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from rover_studies.paper_claims import Finding, Verdict, World
+from rover_studies.paper_claims import ClaimResult, Verdict, World
 from rover_studies.paper_curves import SCATTER, Attribution, Convergence, Curves
 from rover_studies.paper_drawings import (
     convergence_plot,
@@ -18,7 +18,14 @@ from rover_studies.paper_drawings import (
     paper_figure,
     scatter_map,
 )
-from rover_studies.paper_plan import CASES, FIGURES, NUDGE, THRESHOLD, UNRELAXED, PaperFigure
+from rover_studies.paper_plan import (
+    CASES,
+    FIGURES,
+    SLACK_PERTURBATION,
+    THRESHOLD,
+    UNRELAXED,
+    PaperFigure,
+)
 
 _STYLE: Final = """
 :root { color-scheme: light; --ink:#212529; --soft:#5c636a; --line:#dee2e6; --tint:#f6f7f9 }
@@ -42,7 +49,7 @@ td.n { text-align:right; white-space:nowrap }
 .holds { background:#18794e } .partly { background:#2b6cb0 } .artefact { background:#a50026 }
 .not { background:#5f6b7c }
 .yes { background:#dff0e5; text-align:center } .no { background:#f1f3f5; text-align:center;
-  color:#868e96 } .idle { background:#fff3cd; text-align:center }
+  color:#868e96 } .undecided { background:#fff3cd; text-align:center }
 details { margin:6px 0 } summary { cursor:pointer; color:var(--soft) }
 """
 
@@ -54,49 +61,44 @@ def page(
     convergences: Sequence[Convergence],
     about: str,
 ) -> str:
-    """The whole report.
+    """Return the report as HTML.
 
     Args:
         curves: of the study.
-        attribution: what the scatter goes with.
-        verdicts: of the claims.
+        attribution: of the scatter.
+        verdicts: on the claims.
         convergences: of the curves.
-        about: one sentence about how the runs were made.
+        about: one sentence about the runs.
     """
-    nudged = {key: curve for key, curve in curves.items() if np.isfinite(curve.response).any()}
+    perturbed = {key: curve for key, curve in curves.items() if np.isfinite(curve.response).any()}
     parts = [
-        "<h1>The tethered jump of the source paper, rebuilt</h1>",
+        "<h1>Reproduction of the source paper's tethered jump</h1>",
         f'<p class="soft">{_safe(about)}</p>',
         _answer(attribution),
         "<h2>Verdicts</h2>",
         (
-            "<p>What the paper leaves open is tried in every way that its text fits: geometry (-H:"
-            " rover 2.2 m below the start; -K, +K: chord of 0.99 of the length, rover below or"
-            " above), the"
-            " tether's shape at the start, and the mesh. A claim is physics where it holds for a"
-            " tether"
+            "<p>All combinations that the paper's text permits are simulated: geometry (-H: rover"
+            " 2.2 m below the root; -K, +K: chord of 0.99 of the length, rover below or above),"
+            " initial shape of the tether, and mesh. A claim is physical if it holds for a tether"
             " in static equilibrium on the finest mesh.</p>"
         ),
         _verdict_table(verdicts),
-        "<h2>What the scatter goes with</h2>",
+        "<h2>Cause of the scatter</h2>",
         (
-            f"<p>Each jump of figures 13 and 14 is made twice, the second time with the slack value"
-            f" changed by {NUDGE:g}. Where that turns the landing by more than"
-            f" {np.degrees(SCATTER):.0f} deg the point is scatter: it belongs to no slack"
-            f" value.</p>"
+            f"<p>Each jump of figures 13 and 14 is simulated twice, the second time with the slack"
+            f" value changed by {SLACK_PERTURBATION:g}. If that changes the landing attitude by"
+            f" more than {np.degrees(SCATTER):.0f} deg, the point is scatter: not a function of"
+            " the slack value.</p>"
         ),
-        _findings(attribution),
-        _figure(scatter_map(nudged)) if nudged else "",
+        _condition_list(attribution),
+        _figure(scatter_map(perturbed)) if perturbed else "",
         _share_table(attribution),
-        _figure(dose_response(nudged)) if nudged else "",
+        _figure(dose_response(perturbed)) if perturbed else "",
         (
-            "<p>The tether's cubic elements cannot carry the catenary with unit tangents at"
-            " their ends:"
-            " between the nodes they are stretched, and the stiffer the tether the more energy"
-            " lies in"
-            " that. Nobody put it there; the mesh did. Relaxing the tether or refining the mesh"
-            " takes"
-            " it away.</p>"
+            "<p>The tether's cubic elements cannot represent the catenary with unit tangents at"
+            " the nodes: between the nodes they are stretched, with an energy that increases with"
+            " the stiffness. This energy is an artefact of the mesh; static equilibrium or a finer"
+            " mesh removes it.</p>"
         ),
     ]
     parts += [
@@ -105,12 +107,12 @@ def page(
         if all(any(key.case == case for key in curves) for case in paper.cases)
     ]
     parts += [
-        "<h2>How far the numbers can be trusted</h2>",
+        "<h2>Convergence and energy balance</h2>",
         _figure(convergence_plot(convergences)) if _has_meshes(convergences) else "",
         (
-            "<p>Dashed lines that stay high are the scatter again: there is nothing to converge to."
-            " Energy: what the balance of each jump misses, as a share of the energy in play. Step:"
-            " what half the time step changes.</p>"
+            "<p>Dashed lines that do not decrease are due to the scatter, which does not converge."
+            " Energy: largest residual of the energy balance over the energy involved. Step:"
+            " change by half the time step.</p>"
         ),
         _convergence_table(convergences),
     ]
@@ -123,7 +125,7 @@ def page(
 
 
 def _has_meshes(found: Sequence[Convergence]) -> bool:
-    """Whether there is a coarser mesh than the finest, to converge from."""
+    """Return whether there are several meshes."""
     return len({one.key.elements for one in found}) > 1
 
 
@@ -136,16 +138,16 @@ def _figure(svg: str) -> str:
 
 
 def conclusion(attribution: Attribution) -> str:
-    """What the scatter goes with, in a sentence that follows from the numbers."""
+    """Return the cause of the scatter as a sentence."""
     if attribution.mesh_is_the_cause:
         return (
-            f"The scatter beyond a slack value of {THRESHOLD:g} is no property of the tethered"
-            " jump. It goes with a tether that starts unrelaxed on a coarse mesh."
+            f"The scatter beyond a slack value of {THRESHOLD:g} is not a property of the tethered"
+            " jump. Its cause is a tether that is unrelaxed at the start, on a coarse mesh."
         )
-    missed = sum(not holds for _, holds in attribution.findings)
+    failed = sum(not holds for _, holds in attribution.conditions)
     return (
-        f"These runs do not show what the scatter beyond a slack value of {THRESHOLD:g} goes with:"
-        f" {missed} of {len(attribution.findings)} conditions are not met."
+        f"These runs do not show the cause of the scatter beyond a slack value of {THRESHOLD:g}:"
+        f" {failed} of {len(attribution.conditions)} conditions are not met."
     )
 
 
@@ -154,10 +156,10 @@ def _answer(attribution: Attribution) -> str:
     return f'<div class="{kind}"><b>{_safe(conclusion(attribution))}</b></div>'
 
 
-def _findings(attribution: Attribution) -> str:
+def _condition_list(attribution: Attribution) -> str:
     items = "".join(
         f"<li>{_safe(words)} <b>({'yes' if holds else 'no'})</b></li>"
-        for words, holds in attribution.findings
+        for words, holds in attribution.conditions
     )
     return f"<ol>{items}</ol>"
 
@@ -176,9 +178,10 @@ def _verdict_table(verdicts: Sequence[Verdict]) -> str:
         kind, mark = _kind(verdict)
         claim = verdict.claim
         rows.append(
-            f"<tr><td>{claim.figures}</td><td>{_safe(claim.statement)}"
+            f"<tr><td>{claim.figure}</td><td>{_safe(claim.statement)}"
             f'<div class="soft">Test: {_safe(claim.test)}.</div></td>'
-            f'<td><span class="mark {kind}">{mark}</span></td><td>{_safe(verdict.words)}</td></tr>'
+            f'<td><span class="mark {kind}">{mark}</span></td>'
+            f"<td>{_safe(verdict.summary)}</td></tr>"
         )
     return _table(("figure", "the paper's claim", "", "verdict"), rows)
 
@@ -206,34 +209,36 @@ def _share_table(attribution: Attribution) -> str:
         "n",
         f"scatter up to {THRESHOLD:g}",
         f"scatter beyond {THRESHOLD:g}",
-        "prevails from",
+        "onset",
     )
     return _table(head, rows)
 
 
 def _paper_section(paper: PaperFigure, curves: Curves, verdicts: Sequence[Verdict]) -> str:
     drawn = "".join(_figure(svg) for svg in paper_figure(paper, curves))
-    claims = [v for v in verdicts if v.claim.figures == str(paper.number)]
-    told = "".join(
-        f"<p><b>{_safe(v.claim.statement)}</b> {_safe(v.words[:1].upper() + v.words[1:])}.</p>"
-        f"<details><summary>in every world</summary>{_worlds(v.findings)}</details>"
+    claims = [v for v in verdicts if v.claim.figure == str(paper.number)]
+    paragraphs = "".join(
+        f"<p><b>{_safe(v.claim.statement)}</b> {_safe(v.summary[:1].upper() + v.summary[1:])}.</p>"
+        f"<details><summary>in every world</summary>{_worlds(v.results)}</details>"
         for v in claims
     )
-    return f"<h2>Figure {paper.number}</h2>{told}{drawn}"
+    return f"<h2>Figure {paper.number}</h2>{paragraphs}{drawn}"
 
 
-def _worlds(findings: Mapping[World, Finding]) -> str:
+def _worlds(results: Mapping[World, ClaimResult]) -> str:
     rows = []
-    for world, found in findings.items():
-        kind, word = {True: ("yes", "holds"), False: ("no", "does not"), None: ("idle", "idle")}[
-            found.holds
-        ]
+    for world, found in results.items():
+        kind, word = {
+            True: ("yes", "holds"),
+            False: ("no", "does not"),
+            None: ("undecided", "undecided"),
+        }[found.holds]
         rows.append(
             f"<tr><td>{world.geometry}</td><td>{world.shape}</td>"
             f'<td class="n">{world.elements}</td><td class="{kind}">{word}</td>'
-            f"<td>{_safe(found.numbers)}</td></tr>"
+            f"<td>{_safe(found.measured)}</td></tr>"
         )
-    return _table(("geometry", "start", "n", "", "numbers"), rows)
+    return _table(("geometry", "start", "n", "", "measured"), rows)
 
 
 def _convergence_table(found: Sequence[Convergence]) -> str:
@@ -248,8 +253,8 @@ def _convergence_table(found: Sequence[Convergence]) -> str:
             f'<td>{one.key.shape}</td><td class="n">{one.key.elements}</td>{shown}</tr>'
         )
     head = (
-        "case", "geometry", "start", "n", "height off, median [m]", "largest [m]",
-        "attitude off, median [rad]", "largest [rad]", "step, height [m]", "step, attitude [rad]",
+        "case", "geometry", "start", "n", "height error, median [m]", "largest [m]",
+        "attitude error, median [rad]", "largest [rad]", "step, height [m]", "step, attitude [rad]",
         "energy [-]", "stretch at start / jump [-]",
     )  # fmt: skip
     return f"<details open><summary>{len(rows)} curves</summary>{_table(head, rows)}</details>"
@@ -269,7 +274,7 @@ def write_tables(
     verdicts: Sequence[Verdict],
     convergences: Sequence[Convergence],
 ) -> list[Path]:
-    """Write a CSV for every figure of the paper, and for verdicts, scatter and convergence."""
+    """Write CSV files of every figure of the paper, and of verdicts, scatter and convergence."""
     written = []
     for paper in FIGURES:
         rows = [
@@ -285,17 +290,17 @@ def write_tables(
         ]  # fmt: skip
         head = (
             "case", "geometry", "initial_shape", "elements", "slack", "jump_height_m",
-            "attitude_variation_rad", "response_to_nudge_rad", "initial_axial_energy_J",
+            "attitude_variation_rad", "response_to_perturbation_rad", "initial_axial_energy_J",
             "energy_drift_J", "half_step_jump_height_m", "half_step_attitude_variation_rad",
         )  # fmt: skip
         if rows:
             written.append(_csv(folder / f"figure_{paper.number}.csv", head, rows))
     worlds = [
-        (v.claim.figures, v.claim.name, *world, _told(found.holds), found.numbers, v.words)
+        (v.claim.figure, v.claim.name, *world, _yes_no(found.holds), found.measured, v.summary)
         for v in verdicts
-        for world, found in v.findings.items()
+        for world, found in v.results.items()
     ]
-    claims_head = ("figure", "claim", "geometry", "initial_shape", "elements", "holds", "numbers",
+    claims_head = ("figure", "claim", "geometry", "initial_shape", "elements", "holds", "measured",
             "verdict")  # fmt: skip
     written.append(_csv(folder / "verdicts.csv", claims_head, worlds))
     shares = [
@@ -305,22 +310,22 @@ def write_tables(
     ]  # fmt: skip
     scatter_head = ("initial_shape", "elements", "points_up_to_threshold",
             "scattered_up_to_threshold",
-            "points_beyond", "scattered_beyond", "prevails_from_slack")  # fmt: skip
+            "points_beyond", "scattered_beyond", "onset_slack")  # fmt: skip
     written.append(_csv(folder / "scatter.csv", scatter_head, shares))
     rows = [
         (*one.key, *one.height, *one.turn, one.step_height, one.step_turn, one.drift, one.stored)
         for one in convergences
     ]
-    convergence_head = ("case", "geometry", "initial_shape", "elements", "height_off_median_m",
-            "height_off_largest_m", "attitude_off_median_rad", "attitude_off_largest_rad",
-            "half_step_height_m", "half_step_attitude_rad", "energy_missed_share",
-            "initial_stretch_over_jump")  # fmt: skip
+    convergence_head = ("case", "geometry", "initial_shape", "elements", "height_error_median_m",
+            "height_error_max_m", "attitude_error_median_rad", "attitude_error_max_rad",
+            "half_step_height_m", "half_step_attitude_rad", "energy_residual_ratio",
+            "initial_stretch_ratio")  # fmt: skip
     written.append(_csv(folder / "convergence.csv", convergence_head, rows))
     return written
 
 
-def _told(holds: bool | None) -> str:
-    return "idle" if holds is None else "yes" if holds else "no"
+def _yes_no(holds: bool | None) -> str:
+    return "undecided" if holds is None else "yes" if holds else "no"
 
 
 def _csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:

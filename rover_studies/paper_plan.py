@@ -1,12 +1,11 @@
-"""The paper's study as plans of jumps: which figure needs which, and how each run is told apart.
+"""Sweep plans of the paper's study: cases, figures and runs.
 
 Figures 11 and 12 are Table 1 with a soft and a stiff tether, figures 13 and 14 Table 2 with a heavy
-and a light Body 2, figures 15 and 16 Table 2 with one total mass shared out in three ways.
+and a light Body 2, figures 15 and 16 Table 2 with three mass ratios at one total mass.
 
-Three sweeps are made. `jumps` holds every point of every figure. `nudged` makes the jumps of
-figures 13 and 14 again with the slack value changed in its sixth decimal, which no ruler could
-see: where the rover then lands otherwise, a figure shows scatter and no curve. `half_step` makes
-some of them again with half the time step.
+There are three sweeps. `jumps` has all points of all figures. `perturbed` repeats the jumps of
+figures 13 and 14 with the slack value changed in its sixth decimal: a different landing shows that
+the figure has scatter instead of a curve. `half_step` repeats some jumps with half the time step.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ GEOMETRIES: Final = ("-H", "-K", "+K")
 SHAPES: Final = ("static", "catenary")
 RELAXED, UNRELAXED = SHAPES
 ELEMENTS: Final = (5, 10, 20, 40)
-NUDGE: Final = 1e-6
-"""Change of the slack value that should change nothing."""
+SLACK_PERTURBATION: Final = 1e-6
+"""Perturbation of the slack value, without effect on a regular curve."""
 THRESHOLD: Final = 1.5
 """Slack value beyond which the paper reports scatter."""
 STEP, HALF_STEP = 1e-3, 5e-4
 TOTAL_MASS: Final = 10.05
-"""Of both bodies in figures 15 and 16 [kg]."""
+"""Total mass of both bodies in figures 15 and 16 [kg]."""
 MASS_RATIOS: Final = (0.003, 0.004, 0.058)
 """m2/m1 in figures 15 and 16."""
 _EVERY: Final = 3
-"""Every so manieth slack value is run with half the step."""
+"""Interval of the slack values that are run with half the time step."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Case:
     m2: float
 
 
-def _shared_out(ratio: float) -> Case:
+def _case_of_ratio(ratio: float) -> Case:
     m1 = TOTAL_MASS / (1.0 + ratio)
     return Case(f"m2/m1 = {ratio:g}", "paper_table2_case1", m1, ratio * m1)
 
@@ -64,10 +63,10 @@ CASES: Final[Mapping[str, Case]] = MappingProxyType(
         STIFF: Case("E = 0.5 GPa", "paper_table1_high", 3.0, 2.0),
         HEAVY: Case("m2 = 0.5 kg", "paper_table2_case1", 10.0, 0.5),
         LIGHT: Case("m2 = 0.05 kg", "paper_table2_case2", 10.0, 0.05),
-        **{name: _shared_out(ratio) for name, ratio in zip(RATIOS, MASS_RATIOS, strict=True)},
+        **{name: _case_of_ratio(ratio) for name, ratio in zip(RATIOS, MASS_RATIOS, strict=True)},
     }
 )
-NUDGED_CASES: Final = (HEAVY, LIGHT)
+PERTURBED_CASES: Final = (HEAVY, LIGHT)
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,9 @@ class PaperFigure:
 
     Attributes:
         number: the paper's.
-        title: what it shows.
-        cases: its curves.
-        quantities: columns of the results that it shows.
+        title: of the figure.
+        cases: of its curves.
+        quantities: columns of the results in the figure.
     """
 
     number: int
@@ -100,7 +99,7 @@ FIGURES: Final = (
 
 @dataclass(frozen=True)
 class Extent:
-    """How much of the study is made.
+    """Extent of the study.
 
     Attributes:
         slacks: slack values, ascending.
@@ -116,23 +115,23 @@ class Extent:
 
 
 def even_slacks(step: float) -> tuple[float, ...]:
-    """Slack values from 0.5 to 3.5, as far as the paper's figures go."""
+    """Return slack values from 0.5 to 3.5, the range of the paper's figures."""
     return tuple(round(0.5 + step * index, 6) for index in range(round(3.0 / step) + 1))
 
 
 WHOLE: Final = Extent(even_slacks(0.1))
 QUICK: Final = Extent(even_slacks(0.25))
 
-JUMPS, NUDGED, HALVED = "jumps", "nudged", "half_step"
+JUMPS, PERTURBED, HALVED = "jumps", "perturbed", "half_step"
 
 
 def plans(extent: Extent) -> dict[str, Plan]:
-    """The sweeps of the study, by name."""
-    nudged = [case for case in extent.cases if case in NUDGED_CASES]
+    """Return the plans of the study's sweeps by name."""
+    perturbed = [case for case in extent.cases if case in PERTURBED_CASES]
     found = {JUMPS: _plan(JUMPS, extent, extent.cases, extent.slacks, STEP)}
-    if nudged:
-        slacks = [slack + NUDGE for slack in extent.slacks]
-        found[NUDGED] = _plan(NUDGED, extent, nudged, slacks, STEP)
+    if perturbed:
+        slacks = [slack + SLACK_PERTURBATION for slack in extent.slacks]
+        found[PERTURBED] = _plan(PERTURBED, extent, perturbed, slacks, STEP)
     found[HALVED] = _plan(HALVED, extent, extent.cases, extent.slacks[::_EVERY], HALF_STEP)
     return found
 
@@ -161,8 +160,8 @@ def _plan(
 
 
 def case_of(row: Mapping[str, Any]) -> str:
-    """Which case a row of the results belongs to."""
+    """Return the case of a row of the results."""
     for name, case in CASES.items():
         if (row["scenario"], row["rover.m1"], row["rover.m2"]) == (case.scenario, case.m1, case.m2):
             return name
-    raise ValueError(f"a row of no case of the study: {dict(row)}")
+    raise ValueError(f"the row belongs to no case of the study: {dict(row)}")

@@ -2,8 +2,8 @@
 
     mother_rover study point --geometry=+K --slack 2 --elements 20 --json
 
-Exit status: 0 if the rover jumped and landed, 1 if the simulation did not come to a landing
-(no equilibrium to start from, divergence, a broken tether), 2 if what was asked for is wrong.
+Exit status: 0 if the rover landed, 1 if it did not (no equilibrium at the start, divergence, a
+broken tether), 2 if the input is invalid.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from rover_studies.paper_plan import GEOMETRIES
 LANDED, NO_LANDING, BAD_INPUT = 0, 1, 2
 
 NEGLIGIBLE_SHARE = 0.01
-"""Stretch energy of an unrelaxed start, over the jump's, below which it is left unsaid [-]."""
+"""Initial stretch energy over the jump's, below which there is no warning [-]."""
 
 _COMPILING_NOTE_AFTER = 4.0  # [s]
 
 
 def study_point(scenario: Scenario) -> dict[str, Any]:
-    """Jump once and tell the point's settings and results, under names that carry the units.
+    """Simulate one jump; return settings and results by names that carry the units.
 
-    `energy_drift_J` is what the energy balance misses at the landing;
-    `initial_axial_energy_J` what the tether's starting shape stores by stretch, which in
-    static equilibrium is next to nothing and in an unrelaxed shape on a coarse mesh is not.
+    `energy_drift_J` is the residual of the energy balance at the landing, `initial_axial_energy_J`
+    the stretch energy of the tether's initial shape: negligible in static equilibrium, but not in
+    an unrelaxed shape on a coarse mesh.
 
     Raises:
         ScenarioError: the scenario has no rover.
-        StaticsError: the tether finds no equilibrium to start from.
+        StaticsError: the tether has no equilibrium at the start.
         RunError: the rover did not land.
     """
     if scenario.rover is None:
-        raise ScenarioError("rover", None, f"{scenario.name} has no rover, so nothing jumps")
+        raise ScenarioError("rover", None, f"{scenario.name} has no rover for a jump")
     plant = PlanarPlant(scenario)
     start = plant.initial_state()
     metrics = jump(plant, start)
@@ -75,19 +75,19 @@ def run(options: argparse.Namespace) -> int:
     try:
         scenario = _scenario_of(options)
     except ScenarioError as error:
-        return _complain(error, BAD_INPUT)
+        return _fail(error, BAD_INPUT)
     note = threading.Timer(_COMPILING_NOTE_AFTER, _note_compilation)
     note.daemon = True
     note.start()
     try:
         point = study_point(scenario)
     except ScenarioError as error:
-        return _complain(error, BAD_INPUT)
+        return _fail(error, BAD_INPUT)
     except (StaticsError, RunError) as error:
         if options.json:
             failed = {**_settings(scenario), "converged": False, "reason": str(error)}
             sys.stdout.write(json.dumps(failed, allow_nan=False) + "\n")
-        return _complain(error, NO_LANDING)
+        return _fail(error, NO_LANDING)
     except KeyboardInterrupt:
         return 130
     finally:
@@ -134,7 +134,7 @@ def _scenario_of(options: argparse.Namespace) -> Scenario:
             overrides[path] = value
     overrides |= dict(parse_override(assignment) for assignment in options.set)
     if base.rover is None:
-        raise ScenarioError("rover", None, f"{base.name} has no rover, so nothing jumps")
+        raise ScenarioError("rover", None, f"{base.name} has no rover for a jump")
     return base.with_overrides(overrides)
 
 
@@ -147,7 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("--scenario", default="paper_table1_high", help="name (see --list) or path of a YAML file")
-    add("--geometry", choices=GEOMETRIES, help="where the rover stands: -H, -K or +K")
+    add("--geometry", choices=GEOMETRIES, help="position of the rover: -H, -K or +K")
     add("--slack", type=float, help="slack evaluation value dh/df")
     add("--elements", type=int, help="number of tether elements")
     add(
@@ -202,14 +202,14 @@ def _table(point: dict[str, Any]) -> str:
     if point["initial_shape"] != "static" and stored > NEGLIGIBLE_SHARE * released:
         warning = (
             f"On this mesh the unrelaxed {point['initial_shape']} stores {stored:.4g} J of"
-            f" stretch, {stored / released:.2g} times the jump's energy,\nand lets it go in"
-            " flight: what that does to the jump is the mesh's doing, not the tether's."
+            f" stretch energy, {stored / released:.2g} times the jump's energy,\nand releases it in"
+            " flight. Its effect on the jump is an artefact of the mesh."
         )
         lines += ["", warning]
     return "\n".join(lines) + "\n"
 
 
-def _complain(error: Exception, status: int) -> int:
+def _fail(error: Exception, status: int) -> int:
     sys.stderr.write(f"mother_rover study point: {error}\n")
     return status
 

@@ -2,7 +2,7 @@
 
     mother_rover sweep plan.yaml --out out/my_sweep
 
-Killed, interrupted or out of power: the same command goes on where it was.
+After a kill, an interruption or a power failure, the same command continues the sweep.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ FAILED: Final = "failed"
 REFUSED: Final = "refused"
 _SHORTEST_BATCH: Final = 0.5
 _LONGEST_BATCH: Final = 10.0
-_PARTS_WANTED: Final = 1000
-"""Batches take so long that there are about so many, within these bounds [s]."""
+_TARGET_BATCHES: Final = 1000
+"""Target number of batches; a batch takes between `_SHORTEST_BATCH` and `_LONGEST_BATCH` [s]."""
 _WAITING_PER_WORKER: Final = 2
 
 
 class ExitCode(IntEnum):
-    """What the exit code of ``sweep`` says."""
+    """Exit codes of ``sweep``."""
 
     DONE = 0
     REFUSED = 2
@@ -58,7 +58,7 @@ class ExitCode(IntEnum):
 
 
 class Stopped(RuntimeError):
-    """The workers are gone before the sweep was done; what was done is kept."""
+    """The workers ended before the sweep was complete; completed runs are kept."""
 
 
 # --- one batch, in a worker -----------------------------------------------------------------------
@@ -70,14 +70,14 @@ def _plan_of(text: str) -> Plan:
 
 
 def run_batch(plan_text: str, numbers: Sequence[int]) -> tuple[list[dict[str, Value]], float]:
-    """Make some runs of a plan.
+    """Simulate some runs of a plan.
 
     Args:
         plan_text: the plan's content as JSON.
         numbers: of the runs.
 
     Returns:
-        A row for each run, and the time [s] that all took.
+        A row for each run, and the total time [s].
     """
     plan = _plan_of(plan_text)
     begin = time.perf_counter()
@@ -85,7 +85,7 @@ def run_batch(plan_text: str, numbers: Sequence[int]) -> tuple[list[dict[str, Va
 
 
 def run_one(plan: Plan, number: int) -> dict[str, Value]:
-    """Make one run of a plan; what goes wrong in it becomes its status and reason."""
+    """Simulate one run of a plan; a failure becomes its status and reason."""
     one = plan.run(number)
     row = plan.row(one)
     results: dict[str, Value] = dict.fromkeys(plan.experiment.columns)
@@ -103,34 +103,34 @@ def run_one(plan: Plan, number: int) -> dict[str, Value]:
 
 # --- all of them ----------------------------------------------------------------------------------
 
-Tell = Callable[[Sequence[Mapping[str, Value]]], None]
+ProgressCallback = Callable[[Sequence[Mapping[str, Value]]], None]
 
 
-def run_sweep(plan: Plan, store: SweepStore, workers: Workers, tell: Tell) -> None:
-    """Make the runs that are missing and keep them.
+def run_sweep(plan: Plan, store: SweepStore, workers: Workers, on_rows: ProgressCallback) -> None:
+    """Simulate the missing runs and store their rows.
 
     Args:
         plan: the plan.
-        store: where its rows go.
-        workers: who makes them.
-        tell: told the rows of each batch once they are kept.
+        store: of the rows.
+        workers: that simulate.
+        on_rows: called with the rows of each batch after they are stored.
 
     Raises:
-        Stopped: the workers are gone.
-        StoreError: the disk took no more.
+        Stopped: the workers ended.
+        StoreError: writing failed.
     """
     text = json.dumps(plan.content)
     missing = store.missing()
     waiting: set[Future[tuple[list[dict[str, Value]], float]]] = set()
     each: float | None = None  # time of one run [s]
-    wanted = _SHORTEST_BATCH
+    batch_time = _SHORTEST_BATCH
     try:
         while True:
             while len(waiting) < workers.count * _WAITING_PER_WORKER:
                 left = plan.count - store.done
-                # Near the end batches shrink, so that all workers end together.
+                # Batches shrink near the end, so that all workers end at the same time.
                 fair = max(1, left // (workers.count * _WAITING_PER_WORKER * 2))
-                size = 1 if each is None else min(max(1, round(wanted / each)), fair)
+                size = 1 if each is None else min(max(1, round(batch_time / each)), fair)
                 numbers = list(islice(missing, size))
                 if not numbers:
                     break
@@ -141,19 +141,19 @@ def run_sweep(plan: Plan, store: SweepStore, workers: Workers, tell: Tell) -> No
             for future in finished:
                 rows, seconds = future.result()
                 store.add(rows)
-                tell(rows)
+                on_rows(rows)
                 latest = max(seconds, 1e-6) / len(rows)
-                # The first run of a worker loads the compiled code: an upper bound, soon corrected.
+                # The first run of a worker includes loading the compiled code: an upper bound.
                 each = latest if each is None else min(0.5 * (each + latest), 2.0 * each)
                 total = each * plan.count / workers.count
-                wanted = min(max(total / _PARTS_WANTED, _SHORTEST_BATCH), _LONGEST_BATCH)
+                batch_time = min(max(total / _TARGET_BATCHES, _SHORTEST_BATCH), _LONGEST_BATCH)
     except BrokenExecutor as error:
         raise Stopped("a worker process died (killed, or out of memory)") from error
     except StoreError:
         raise
     except Exception as error:
         if _is_of_cluster(error):
-            raise Stopped(f"the cluster gave up: {error}") from error
+            raise Stopped(f"the cluster failed: {error}") from error
         raise
     finally:
         for future in waiting:
@@ -168,7 +168,7 @@ def _is_of_cluster(error: Exception) -> bool:
 
 @contextlib.contextmanager
 def workers_of(plan: Plan, scheduler: str | None, count: int | None) -> Iterator[Workers]:
-    """The workers that are asked for: a cluster's, or processes of this machine."""
+    """Provide workers: those of a cluster, or local processes."""
     scenarios = plan.scenarios.values()
     if scheduler is not None:
         with dask_cluster(scheduler, scenarios) as workers:
@@ -186,22 +186,22 @@ def sweep(
     scheduler: str | None = None,
     show_progress: bool = True,
 ) -> SweepStore:
-    """Run a plan to its end, or go on with one that was begun.
+    """Run a plan to its end, or continue one.
 
     Args:
         plan: the plan.
-        folder: where results go; a sweep of the same plan in it is continued.
-        workers: processes; by default one for each core.
-        scheduler: address of a dask.distributed scheduler to be used instead.
-        show_progress: whether a progress bar is drawn on the terminal.
+        folder: of the results; a sweep of the same plan in it is continued.
+        workers: number of processes; default: one per core.
+        scheduler: address of a dask.distributed scheduler to use instead.
+        show_progress: whether to show a progress bar.
 
     Returns:
-        The store, with the results; close it.
+        The store with the results, to be closed by the caller.
 
     Raises:
-        StoreError: the folder cannot be used, or the disk took no more.
+        StoreError: the folder cannot be used, or writing failed.
         WorkersError: there are no workers.
-        Stopped: they were gone before the end; the same call goes on.
+        Stopped: the workers ended before the sweep was complete; the same call continues it.
     """
     store = SweepStore(folder, plan, package_version())
     try:
@@ -219,16 +219,16 @@ def sweep(
                 ) as bar,
                 workers_of(plan, scheduler, workers) as crew,
             ):
-                wrong: Counter[str] = Counter()
+                failures: Counter[str] = Counter()
 
-                def tell(rows: Sequence[Mapping[str, Value]]) -> None:
+                def show(rows: Sequence[Mapping[str, Value]]) -> None:
                     bar.set_description(plan.name, refresh=False)
-                    wrong.update(str(row[STATUS]) for row in rows if row[STATUS] != DONE)
-                    if wrong:
-                        bar.set_postfix(wrong, refresh=False)
+                    failures.update(str(row[STATUS]) for row in rows if row[STATUS] != DONE)
+                    if failures:
+                        bar.set_postfix(failures, refresh=False)
                     bar.update(len(rows))
 
-                run_sweep(plan, store, crew, tell)
+                run_sweep(plan, store, crew, show)
         store.finish()
     except BaseException:
         store.close()
@@ -236,11 +236,11 @@ def sweep(
     return store
 
 
-# --- what came of it ------------------------------------------------------------------------------
+# --- summary --------------------------------------------------------------------------------------
 
 
 def summary(plan: Plan, table: Any) -> dict[str, Any]:
-    """Numbers of runs by status, reasons, and the distribution of each result."""
+    """Return the numbers of runs by status and reason, and the distribution of each result."""
     statuses = Counter(table.column(STATUS).to_pylist())
     reasons = Counter(
         str(reason).partition(": ")[0] for reason in table.column(REASON).to_pylist() if reason
@@ -276,7 +276,7 @@ def summary(plan: Plan, table: Any) -> dict[str, Any]:
 
 
 def as_text(numbers: Mapping[str, Any]) -> str:
-    """A summary for a terminal."""
+    """Format a summary for a terminal."""
     counts = ", ".join(f"{count} {status}" for status, count in numbers["statuses"].items())
     lines = [f"{numbers['plan']}: {numbers['runs']} runs ({counts}), seed {numbers['seed']}"]
     lines += [f"  {count:8d} x {reason}" for reason, count in numbers["reasons"].items()]
@@ -313,10 +313,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  set: {tether.elements: 10}\n"
         "  grid: {start.geometry: [-H, +K], start.slack: {from: 0.6, to: 3.4, count: 15}}\n"
         "  random: {start.theta0: {normal: [0, 5], within: [-15, 15]},\n"
-        "           rover.spring_rate: {times: {uniform: [0.95, 1.05]}}}\n"
+        "           rover.spring_rate: {factor: {uniform: [0.95, 1.05]}}}\n"
         "distributions: uniform, log_uniform, normal, integers, choice\n\n"
         f"experiments:\n{experiments}\n\n"
-        "exit codes: 0 every run is made (failed ones are results too), 2 refused, 3 stopped "
+        "exit codes: 0 complete (failed runs are results too), 2 refused, 3 stopped "
         "early, 130 interrupted; after 3 and 130 the same command resumes"
     )
     add = parser.add_argument
@@ -324,15 +324,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--out", type=Path, metavar="DIR", help="folder of the results (default: out/<plan's name>)"
     )
-    add("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    add("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     add("--scheduler", metavar="ADDRESS", help="a dask.distributed scheduler, tcp://host:8786")
-    add("--runs", type=int, metavar="N", help="instead of the plan's own")
-    add("--seed", type=int, metavar="N", help="instead of the plan's own")
+    add("--runs", type=int, metavar="N", help="replaces the plan's")
+    add("--seed", type=int, metavar="N", help="replaces the plan's")
     add(
         "--set", action="append", default=[], metavar="PATH=VALUE",
-        help="a value of every run, besides the plan's own",
+        help="a value of all runs, in addition to the plan's",
     )  # fmt: skip
-    add("--csv", action="store_true", help="write results.csv too")
+    add("--csv", action="store_true", help="also write results.csv")
     add("--json", action="store_true", help="print the summary as JSON")
     add("--dry-run", action="store_true", help="check the plan, print its extent, and end")
 
@@ -349,11 +349,11 @@ def _plan(options: argparse.Namespace) -> Plan:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`ExitCode`."""
     if options.workers is not None and options.workers < 1:
-        return _complain(f"--workers is {options.workers}, it should be at least 1")
+        return _fail(f"--workers is {options.workers}, it should be at least 1")
     try:
         plan = _plan(options)
     except (PlanError, ScenarioError) as error:
-        return _complain(error)
+        return _fail(error)
     if options.dry_run:
         print(_outline(plan))
         return ExitCode.DONE
@@ -363,12 +363,12 @@ def run(options: argparse.Namespace) -> int:
     try:
         store = sweep(plan, folder, workers=options.workers, scheduler=options.scheduler)
     except (StoreError, WorkersError) as error:
-        return _complain(error)
+        return _fail(error)
     except Stopped as error:
-        _complain(f"{error}; what is done is kept in {folder}, the same command goes on")
+        _fail(f"{error}; completed runs are kept in {folder}; repeat the command to continue")
         return ExitCode.STOPPED
     except KeyboardInterrupt:
-        _complain(f"interrupted; what is done is kept in {folder}, the same command goes on")
+        _fail(f"interrupted; completed runs are kept in {folder}; repeat the command to continue")
         return ExitCode.INTERRUPTED
     try:
         table = store.table()
@@ -381,7 +381,7 @@ def run(options: argparse.Namespace) -> int:
         store.close()
     print(text if options.json else as_text(numbers))
     took = time.monotonic() - begin
-    print(f"\n{took:.1f} s; written into {folder}", file=sys.stderr)
+    print(f"\n{took:.1f} s; results in {folder}", file=sys.stderr)
     return ExitCode.DONE
 
 
@@ -393,13 +393,13 @@ def _outline(plan: Plan) -> str:
         )
     ]
     lines += [f"  {axis.name}: {len(axis.points)} values" for axis in plan.axes]
-    lines += [f"  {draw.path}: drawn" for draw in plan.draws]
+    lines += [f"  {draw.path}: random" for draw in plan.draws]
     first = plan.run(0)
     values = yaml.safe_dump(dict(first.overrides), default_flow_style=True, width=10_000).strip()
     lines.append(f"  first run: {first.scenario} with {values}")
     return "\n".join(lines)
 
 
-def _complain(error: object) -> int:
+def _fail(error: object) -> int:
     print(f"mother_rover sweep: {error}", file=sys.stderr)
     return ExitCode.REFUSED

@@ -1,23 +1,23 @@
-"""The plan of a sweep: read from YAML, checked, and resolved into numbered runs.
+"""Plan of a sweep: read from YAML, checked, and expanded to numbered runs.
 
     name: slack_and_tilt
     scenario: paper_table1_high      # of the package, or a path beside this file
     experiment: jump                 # see `sweep --help`
     seed: 1
-    runs: 50                         # of each point of the grid, differing by their random draws
+    runs: 50                         # for each point of the grid, with different random draws
     set: {tether.elements: 10}       # for every run
     grid:                            # every combination
       start.geometry: [-H, +K]
       start.slack: {from: 0.6, to: 3.4, count: 15}
-      bodies:                        # several values that change together
+      bodies:                        # values that change together
         - {rover.m1: 3.0, rover.m2: 2.0}
         - {rover.m1: 4.0, rover.m2: 1.0}
-    random:                          # drawn anew for every run
+    random:                          # random draws of every run
       start.theta0: {normal: [0.0, 5.0], within: [-15.0, 15.0]}
-      rover.spring_rate: {times: {uniform: [0.95, 1.05]}}
+      rover.spring_rate: {factor: {uniform: [0.95, 1.05]}}
 
-A run is known by its number alone: its draws come from the seed and that number, so they depend
-neither on the number of workers nor on the order in which the runs are made.
+A run is defined by its number: its random draws derive from the seed and the number, independent of
+the number of workers and the order of the runs.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ _REDRAWS: Final = 10_000
 
 
 class PlanError(ValueError):
-    """A plan that cannot be run; says where, which value, and what would be right."""
+    """An invalid plan; the message has the path, the value and the expected values."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One dimension of the grid: its points, each of which sets one or more values."""
+    """One dimension of the grid; each of its points sets one or more values."""
 
     name: str
     points: tuple[Mapping[str, Any], ...]
@@ -68,21 +68,21 @@ class Draw:
     """A random value.
 
     Attributes:
-        path: what it sets.
+        path: of the value.
         kind: distribution, of `_DISTRIBUTIONS`, or ``choice``.
-        numbers: its parameters, or the words to choose among.
-        within: values outside are drawn again.
-        times: whether it multiplies the scenario's own value.
+        numbers: parameters of the distribution, or the values to choose from.
+        within: range; values outside are drawn again.
+        factor: whether it multiplies the scenario's value.
     """
 
     path: str
     kind: str
     numbers: tuple[Any, ...]
     within: tuple[float, float] | None = None
-    times: bool = False
+    factor: bool = False
 
     def value(self, generator: np.random.Generator) -> Any:
-        """Draw once."""
+        """Draw a value."""
         if self.kind == "choice":
             return self.numbers[int(generator.integers(len(self.numbers)))]
         draw = _DISTRIBUTIONS[self.kind]
@@ -92,7 +92,7 @@ class Draw:
                 return value
         raise PlanError(
             f"random.{self.path}: {_REDRAWS} draws fell outside within = {list(self.within or ())};"
-            " the range should hold a fair share of the distribution"
+            " the range should contain a larger part of the distribution"
         )
 
 
@@ -115,8 +115,8 @@ class Run:
     Attributes:
         number: from 0.
         scenario: name of its scenario.
-        overrides: values by dotted path, those of the grid and the drawn ones.
-        seed: for whatever is random inside the run.
+        overrides: values by dotted path, of the grid and the random draws.
+        seed: of the random numbers within the run.
     """
 
     number: int
@@ -127,10 +127,10 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked plan. It carries its scenarios whole, so other machines need no file.
+    """A checked plan with complete scenarios, so that other machines need no files.
 
     Attributes:
-        content: the plan as plain values, scenarios resolved; what is hashed, stored and sent.
+        content: the plan as plain values with complete scenarios, to be hashed, stored and sent.
     """
 
     content: Mapping[str, Any]
@@ -147,17 +147,17 @@ class Plan:
 
     @property
     def settings(self) -> Mapping[str, float]:
-        """What the experiment is given besides the scenario."""
+        """Settings of the experiment."""
         return dict(self.content["settings"])
 
     @cached_property
     def experiment(self) -> Experiment:
-        """What is done with each run."""
+        """Experiment of each run."""
         return EXPERIMENTS[self.content["experiment"]]
 
     @cached_property
     def scenarios(self) -> Mapping[str, AnyScenario]:
-        """The scenarios by name, with what `set` changes in all of them."""
+        """Scenarios by name, with the changes of `set`."""
         return {
             name: scenario_from_mapping(mapping)
             for name, mapping in self.content["scenarios"].items()
@@ -170,26 +170,26 @@ class Plan:
 
     @cached_property
     def draws(self) -> tuple[Draw, ...]:
-        """Random values in the order in which they are drawn."""
+        """Random values in the order of drawing."""
         return tuple(
             Draw(
                 path,
                 row["kind"],
                 tuple(row["numbers"]),
                 None if row["within"] is None else (row["within"][0], row["within"][1]),
-                row["times"],
+                row["factor"],
             )
             for path, row in self.content["random"].items()
         )
 
     @property
     def runs_per_point(self) -> int:
-        """Runs of each combination of the grid."""
+        """Number of runs of each point of the grid."""
         return int(self.content["runs"])
 
     @cached_property
     def points(self) -> int:
-        """Combinations of the grid."""
+        """Number of points of the grid."""
         return math.prod(len(axis.points) for axis in self.axes)
 
     @property
@@ -204,17 +204,17 @@ class Plan:
         return tuple(dict.fromkeys([*paths, *(draw.path for draw in self.draws)]))
 
     def values_of(self, path: str) -> tuple[Any, ...]:
-        """Every value that the grid gives to a parameter."""
+        """Return all values of a parameter in the grid."""
         return tuple(point[path] for axis in self.axes for point in axis.points if path in point)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Tells plans apart."""
+        """Hash of the plan's content."""
         text = json.dumps(self.content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def run(self, number: int) -> Run:
-        """The run of a number from 0 to `count` - 1."""
+        """Return the run of a number from 0 to `count` - 1."""
         if not 0 <= number < self.count:
             raise IndexError(f"run {number} of a plan of {self.count}")
         values: dict[str, Any] = {}
@@ -226,23 +226,23 @@ class Plan:
         generator = np.random.default_rng([self.seed, number])
         for draw in self.draws:
             value = draw.value(generator)
-            if draw.times:
+            if draw.factor:
                 value *= _number_at(self.scenarios[scenario].to_mapping() | values, draw.path)
             values[draw.path] = value
         seed = int(np.random.SeedSequence([self.seed, number, 1]).generate_state(1)[0])
         return Run(number, scenario, values, seed)
 
     def scenario_of(self, run: Run) -> AnyScenario:
-        """The scenario of a run.
+        """Return the scenario of a run.
 
         Raises:
-            ScenarioError: the values of the run do not make one.
+            ScenarioError: the values of the run are invalid.
         """
         base = self.scenarios[run.scenario]
         return base.with_overrides(run.overrides) if run.overrides else base
 
     def row(self, run: Run) -> dict[str, Value]:
-        """Number, seed and parameters of a run."""
+        """Return number, seed and parameters of a run."""
         values = {**run.overrides, SCENARIO: run.scenario}
         row: dict[str, Value] = {"run": run.number, "seed": run.seed}
         for path in self.parameters:
@@ -258,7 +258,7 @@ def _number_at(mapping: Mapping[str, Any], path: str) -> float:
     for name in path.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     if isinstance(node, bool) or not isinstance(node, int | float):
-        raise PlanError(f"random.{path}: `times` needs a number to multiply, this is {node!r}")
+        raise PlanError(f"random.{path}: `factor` needs a number to multiply, this is {node!r}")
     return float(node)
 
 
@@ -269,11 +269,11 @@ def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> Plan:
     """Read a plan from a YAML file.
 
     Args:
-        path: the file; scenarios given as paths are looked for beside it.
+        path: of the file; paths of scenarios are relative to it.
         changes: replace top-level keys (runs, seed); ``set`` is added to.
 
     Raises:
-        PlanError: it cannot be read, or holds what cannot be run.
+        PlanError: it cannot be read or is invalid.
     """
     try:
         content = read_yaml(path)
@@ -288,15 +288,15 @@ def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> Plan:
 
 
 def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str = "sweep") -> Plan:
-    """Check a plan given as a mapping (see the module's text for its keys).
+    """Check a plan given as a mapping; the module's docstring has its keys.
 
     Args:
         content: the plan.
-        folder: where scenarios given as paths are looked for.
-        name: used where the plan gives none.
+        folder: for relative paths of scenarios.
+        name: default name of the plan.
 
     Raises:
-        PlanError: it holds what cannot be run.
+        PlanError: it is invalid.
     """
     unknown = [str(key) for key in content if key not in _KEYS]
     if unknown:
@@ -306,7 +306,7 @@ def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str 
     named = [str(point[SCENARIO]) for points in grid.values() for point in points
              if SCENARIO in point]  # fmt: skip
     if "scenario" in content and named:
-        raise PlanError("scenario: stands at the top and in the grid; it should stand once")
+        raise PlanError("scenario: given at the top level and in the grid; it should be given once")
     names = named or [str(content.get("scenario", ""))]
     scenarios = {each: _scenario(each, folder, shared).to_mapping() for each in names}
     experiment = str(content.get("experiment", "jump"))
@@ -326,11 +326,11 @@ def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str 
         }
     )
     if plan.count > _MOST_RUNS:
-        raise PlanError(f"the plan has {plan.count} runs, {_MOST_RUNS} are the most")
+        raise PlanError(f"the plan has {plan.count} runs; it should have at most {_MOST_RUNS}")
     if plan.runs_per_point > 1 and not plan.draws:
         raise PlanError(
-            f"runs: {plan.runs_per_point} runs of each point would be the same run; "
-            "they need something under `random`"
+            f"runs: the {plan.runs_per_point} runs of each point would be equal; add random values "
+            "under `random`, or set runs to 1"
         )
     _try(plan)
     return plan
@@ -390,7 +390,7 @@ def _grid(given: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
                     f" {sorted(point)} differ"
                 )
         if seen & paths:
-            raise PlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} stands twice")
+            raise PlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} is given twice")
         seen |= paths
         axes[name] = points
     return axes
@@ -434,13 +434,13 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
     kinds = (*_DISTRIBUTIONS, "choice")
     if not isinstance(given, Mapping) or not given:
         raise PlanError(f"{where}: {given!r} should be one of {', '.join(kinds)} with its numbers")
-    if set(given) == {"times"}:
-        return {**_draw(f"{where}.times", given["times"]), "times": True}
+    if set(given) == {"factor"}:
+        return {**_draw(f"{where}.factor", given["factor"]), "factor": True}
     found = [key for key in given if key in kinds]
     if len(found) != 1 or set(given) - {found[0], "within"}:
         raise PlanError(
             f"{where}: {dict(given)!r} should have exactly one of {', '.join(kinds)}"
-            " (and within), or be {times: {...}}"
+            " (and within), or be {factor: {...}}"
         )
     kind, numbers, within = found[0], given[found[0]], given.get("within")
     if not isinstance(numbers, Sequence) or isinstance(numbers, str) or not numbers:
@@ -451,9 +451,11 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
         not isinstance(within, Sequence) or len(within) != 2 or not all(map(_is_number, within))
         or not within[0] < within[1] or kind == "choice"
     ):  # fmt: skip
-        raise PlanError(f"{where}.within: {within!r} should be [low, high], and goes with numbers")
+        raise PlanError(
+            f"{where}.within: {within!r} should be [low, high], with a numerical distribution"
+        )
     limits = None if within is None else [float(value) for value in within]
-    return {"kind": kind, "numbers": list(numbers), "within": limits, "times": False}
+    return {"kind": kind, "numbers": list(numbers), "within": limits, "factor": False}
 
 
 def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
@@ -480,13 +482,13 @@ def _is_number(value: Any) -> bool:
     return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
 
 
-# --- trying ---------------------------------------------------------------------------------------
+# --- trial scenarios ------------------------------------------------------------------------------
 
 _TRIED_PER_POINT: Final = 24
 
 
 def _try(plan: Plan) -> None:
-    """Refuse a value with which no run can be built: it is a mistake, not a hard case."""
+    """Refuse a value of the grid for which no run has a valid scenario."""
     if not plan.axes:
         _try_some(plan, "no run of the plan", range(min(plan.count, _TRIED_PER_POINT)))
     for place, axis in enumerate(plan.axes):
@@ -510,7 +512,7 @@ def _try_some(plan: Plan, what: str, numbers: Iterator[int] | range) -> None:
 
 
 def _numbers_with(plan: Plan, place: int, index: int) -> Iterator[int]:
-    """Some numbers of runs at one point of an axis, spread over the others."""
+    """Yield numbers of some runs at one point of an axis, at random points of the other axes."""
     sizes = [len(axis.points) for axis in plan.axes]
     generator = np.random.default_rng(0)
     for _ in range(_TRIED_PER_POINT):

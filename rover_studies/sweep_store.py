@@ -1,9 +1,9 @@
-"""The folder of a sweep: what is done stays done, whatever happens to the process.
+"""Folder of a sweep, with crash-safe storage of completed runs.
 
-While a sweep runs, each batch of rows becomes a Parquet file of its own below ``parts/``, written
-under another name, forced onto the disk and then renamed: it is there whole or not at all. Rows
-are told apart by their run's number, so a sweep that was killed does what is missing and nothing
-twice. At the end the parts become one ``results.parquet`` in the order of the runs.
+While a sweep runs, each batch of rows becomes a Parquet file below ``parts/``. It is written under
+another name, synchronised to the disk and then renamed, so it is complete or absent. Rows are
+identified by the number of their run, so a sweep that was killed continues with the missing runs.
+At the end the parts are merged to ``results.parquet`` in the order of the runs.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ REASON: Final = "reason"
 
 
 class StoreError(OSError):
-    """A folder that cannot take (or go on with) a sweep; says why and what would be right."""
+    """A folder that cannot hold or continue a sweep; the message has the reason and the remedy."""
 
 
 def schema_of(plan: Plan) -> Any:
-    """Columns of the results: number, seed, parameters, status, reason, results."""
+    """Return the columns of the results: number, seed, parameters, status, reason, results."""
     fields = [pa.field("run", pa.int64()), pa.field("seed", pa.int64())]
     fields += [pa.field(path, _KINDS[_kind_of(plan, path)]) for path in plan.parameters]
     fields += [pa.field(STATUS, pa.string()), pa.field(REASON, pa.string())]
@@ -52,10 +52,10 @@ def schema_of(plan: Plan) -> Any:
 
 
 def _kind_of(plan: Plan, path: str) -> type:
-    """Kind of a parameter's column: what all its values can be written as, else text."""
+    """Return the type of a parameter's column: the common type of its values, else text."""
     draw = next((draw for draw in plan.draws if draw.path == path), None)
     if draw is not None and draw.kind != "choice":
-        return int if draw.kind == "integers" and not draw.times else float
+        return int if draw.kind == "integers" and not draw.factor else float
     values = draw.numbers if draw is not None else plan.values_of(path)
     kinds = {type(value) for value in values if value is not None}
     if kinds == {int, float}:
@@ -64,12 +64,12 @@ def _kind_of(plan: Plan, path: str) -> type:
 
 
 class SweepStore:
-    """A sweep's folder, held by one process at a time.
+    """A sweep's folder, locked by one process at a time.
 
     Args:
-        folder: made if it is not there.
-        plan: what is run in it.
-        version: of the package; results of two versions do not mix.
+        folder: created if it does not exist.
+        plan: of the sweep.
+        version: of the package; a sweep has results of one version only.
 
     Raises:
         StoreError: the folder holds another sweep or something else, or is in use.
@@ -82,8 +82,8 @@ class SweepStore:
         self._parts = folder / PARTS_FOLDER
         self._lock = self._locked()
         try:
-            self._agree(version)
-            self._done = self._look_around()
+            self._check_plan(version)
+            self._done = self._read_completed()
         except BaseException:
             self.close()
             raise
@@ -94,9 +94,7 @@ class SweepStore:
         try:
             fresh = not self.folder.exists() or not any(self.folder.iterdir())
             if not fresh and not (self.folder / PLAN_FILE).exists():
-                raise StoreError(
-                    f"{self.folder} is not empty and holds no sweep; name another folder"
-                )
+                raise StoreError(f"{self.folder} is not empty and has no sweep; use another folder")
             self._parts.mkdir(parents=True, exist_ok=True)
             lock = (self.folder / _LOCK_FILE).open("w", encoding="utf-8")
         except NotADirectoryError as error:
@@ -112,7 +110,7 @@ class SweepStore:
             raise StoreError(f"another process is running the sweep in {self.folder}") from error
         return lock
 
-    def _agree(self, version: str) -> None:
+    def _check_plan(self, version: str) -> None:
         file = self.folder / PLAN_FILE
         mine = {"package_version": version, "plan": dict(self._plan.content)}
         if not file.exists():
@@ -122,22 +120,22 @@ class SweepStore:
             theirs = json.loads(file.read_text(encoding="utf-8"))
             known = dict(theirs["plan"])
         except (ValueError, KeyError, TypeError) as error:
-            raise StoreError(f"{file} is no plan of a sweep; name another folder") from error
-        # As JSON tells it: tuples are lists there.
-        told = json.loads(json.dumps(mine["plan"]))
-        differing = sorted(key for key in {*known, *told} if known.get(key) != told.get(key))
+            raise StoreError(f"{file} is not a plan of a sweep; use another folder") from error
+        # Compare after a JSON round trip, which converts tuples to lists.
+        own = json.loads(json.dumps(mine["plan"]))
+        differing = sorted(key for key in {*known, *own} if known.get(key) != own.get(key))
         if differing:
             raise StoreError(
-                f"{self.folder} holds a sweep of another plan: {', '.join(differing)} "
-                "differ; name another folder, or remove this one"
+                f"{self.folder} has a sweep of another plan: {', '.join(differing)} "
+                "differ; use another folder, or remove this one"
             )
         if theirs.get("package_version") != version:
             raise StoreError(
-                f"{self.folder} was begun by version {theirs.get('package_version')} of the "
-                f"package, this is {version}; name another folder, or remove this one"
+                f"{self.folder} was started with version {theirs.get('package_version')} of the "
+                f"package, this is {version}; use another folder, or remove this one"
             )
 
-    def _look_around(self) -> set[int]:
+    def _read_completed(self) -> set[int]:
         for rest in [*self._parts.glob(f"*{_UNFINISHED}"), *self.folder.glob(f"*{_UNFINISHED}")]:
             rest.unlink()
         if (self.folder / RESULTS_FILE).exists():
@@ -148,7 +146,7 @@ class SweepStore:
             try:
                 numbers = _read(part, ["run"]).column("run").to_pylist()
             except (OSError, pa.ArrowException):
-                # Its runs are made again.
+                # Its runs are repeated.
                 part.rename(part.with_suffix(".damaged"))
                 continue
             done.update(numbers)
@@ -167,23 +165,23 @@ class SweepStore:
 
     @property
     def done(self) -> int:
-        """Number of runs that are done."""
+        """Number of completed runs."""
         return len(self._done)
 
     @property
     def finished(self) -> bool:
-        """Whether every run is done and the results are in one file."""
+        """Whether all runs are complete and merged to one file."""
         return (self.folder / RESULTS_FILE).exists()
 
     def missing(self) -> Iterator[int]:
-        """Numbers of the runs that are not done yet, rising."""
+        """Return the numbers of the missing runs, ascending."""
         return (number for number in range(self._plan.count) if number not in self._done)
 
     def add(self, rows: Sequence[Mapping[str, Value]]) -> None:
-        """Keep the rows of a batch, for good.
+        """Store the rows of a batch.
 
         Raises:
-            StoreError: the disk did not take them.
+            StoreError: writing failed.
         """
         numbers = {int(str(row["run"])) for row in rows}
         if numbers & self._done:
@@ -193,7 +191,7 @@ class SweepStore:
         self._done |= numbers
 
     def _fitting(self, row: Mapping[str, Value]) -> dict[str, Value]:
-        """A row with whole numbers where the column wants text or fractions."""
+        """Convert the values of a row to the types of the columns."""
         fitting = {}
         for field in self._schema:
             value = row[field.name]
@@ -203,7 +201,7 @@ class SweepStore:
         return fitting
 
     def finish(self) -> Path:
-        """Join the parts into one file in the order of the runs; returns it."""
+        """Merge the parts to one file in the order of the runs; returns its path."""
         target = self.folder / RESULTS_FILE
         if target.exists():
             return target
@@ -211,13 +209,15 @@ class SweepStore:
             raise AssertionError(f"{self.done} of {self._plan.count} runs are done")
         table = pa.concat_tables(_read(part) for part in self._part_files()).sort_by("run")
         if table.column("run").to_pylist() != list(range(self._plan.count)):
-            raise StoreError(f"{self._parts} holds runs twice; remove {self.folder} and start anew")
+            raise StoreError(
+                f"{self._parts} has duplicate runs; remove {self.folder} and start again"
+            )
         self._write(table, target)
         self._remove_parts()
         return target
 
     def table(self) -> Any:
-        """The results so far as a pyarrow table, in the order of the runs."""
+        """Return the present results as a pyarrow table, in the order of the runs."""
         if self.finished:
             return read_results(self.folder)
         parts = [_read(part) for part in self._part_files()]
@@ -232,12 +232,12 @@ class SweepStore:
         except OSError as error:
             unfinished.unlink(missing_ok=True)
             raise StoreError(
-                f"cannot write {target}: {error.strerror or error}; what was done before is kept, "
-                "make room and run the same command again"
+                f"cannot write {target}: {error.strerror or error}; completed runs are kept; free "
+                "disk space and repeat the command"
             ) from error
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Unlock the folder."""
         self._lock.close()
 
 
@@ -264,7 +264,7 @@ def _write_whole(target: Path, content: bytes) -> None:
 
 
 def read_results(folder: Path) -> Any:
-    """The results of a finished sweep as a pyarrow table.
+    """Return the results of a finished sweep as a pyarrow table.
 
     Raises:
         StoreError: the sweep is not finished, or the file is damaged.
@@ -272,7 +272,7 @@ def read_results(folder: Path) -> Any:
     try:
         return _read(folder / RESULTS_FILE)
     except FileNotFoundError as error:
-        raise StoreError(f"{folder} holds no finished sweep ({RESULTS_FILE})") from error
+        raise StoreError(f"{folder} has no finished sweep ({RESULTS_FILE})") from error
     except (OSError, pa.ArrowException) as error:
         raise StoreError(f"{folder / RESULTS_FILE} is damaged: {error}") from error
 

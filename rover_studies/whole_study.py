@@ -1,4 +1,4 @@
-"""The source paper's whole study of the tethered jump: its runs, and what they tell."""
+"""The source paper's whole study of the tethered jump: runs, evaluation and report."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rover_studies.paper_claims import Verdict, verdicts
+from rover_studies.paper_claims import Verdict, evaluate_claims
 from rover_studies.paper_curves import Attribution, attribution, convergence, curves_of
 from rover_studies.paper_page import conclusion, page, write_tables
-from rover_studies.paper_plan import HALVED, JUMPS, NUDGED, QUICK, WHOLE, Extent, plans
+from rover_studies.paper_plan import HALVED, JUMPS, PERTURBED, QUICK, WHOLE, Extent, plans
 from rover_studies.sweep import Stopped, sweep
 from rover_studies.sweep_store import STATUS, StoreError
 from rover_studies.workers import WorkersError, package_version
@@ -26,19 +26,19 @@ Rows = list[dict[str, Any]]
 def make_runs(
     extent: Extent, folder: Path, *, workers: int | None = None, show_progress: bool = True
 ) -> dict[str, Rows]:
-    """Make the jumps of the study, or go on with those that are missing.
+    """Simulate the jumps of the study, or those that are missing.
 
     Args:
-        extent: how much of it.
-        folder: each sweep gets a folder in it.
-        workers: processes; by default one for each core.
-        show_progress: whether progress bars are drawn.
+        extent: of the study.
+        folder: of the sweeps' folders.
+        workers: number of processes; default: one per core.
+        show_progress: whether to show progress bars.
 
     Returns:
         Rows of results by sweep.
 
     Raises:
-        StoreError, WorkersError, Stopped: as the sweep does.
+        StoreError, WorkersError, Stopped: from the sweep.
     """
     rows: dict[str, Rows] = {}
     for name, plan in plans(extent).items():
@@ -49,39 +49,41 @@ def make_runs(
 
 
 def evaluate(rows: dict[str, Rows], folder: Path) -> tuple[Attribution, list[Verdict]]:
-    """Find what the runs tell, and write report and tables into a folder."""
-    curves = curves_of(rows[JUMPS], rows.get(NUDGED, ()), rows.get(HALVED, ()))
-    cause, told, converged = attribution(curves), verdicts(curves), convergence(curves)
+    """Evaluate the runs, and write report and tables to a folder."""
+    curves = curves_of(rows[JUMPS], rows.get(PERTURBED, ()), rows.get(HALVED, ()))
+    cause, verdicts, converged = attribution(curves), evaluate_claims(curves), convergence(curves)
     every = [row for table in rows.values() for row in table]
     landed = sum(row[STATUS] == "done" for row in every)
     about = (
         f"{len(every)} jumps ({landed} landed), planar plant of mother_rover {package_version()}."
-        " Parameters are the paper's Tables 1 and 2 and, where it gives none, the scenarios'."
+        " Parameters are those of the paper's Tables 1 and 2, otherwise those of the scenarios."
     )
     folder.mkdir(parents=True, exist_ok=True)
-    text = page(curves, cause, told, converged, about)
+    text = page(curves, cause, verdicts, converged, about)
     (folder / "report.html").write_text(text, encoding="utf-8")
-    write_tables(folder, curves, cause, told, converged)
+    write_tables(folder, curves, cause, verdicts, converged)
     summary = {
         "conclusion": conclusion(cause),
         "mesh_is_the_cause": cause.mesh_is_the_cause,
-        "findings": [{"words": words, "holds": holds} for words, holds in cause.findings],
-        "verdicts": {verdict.claim.name: verdict.words for verdict in told},
+        "conditions": [
+            {"statement": statement, "holds": holds} for statement, holds in cause.conditions
+        ],
+        "verdicts": {verdict.claim.name: verdict.summary for verdict in verdicts},
         "runs": len(every),
         "landed": landed,
     }
     (folder / "study.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    return cause, told
+    return cause, verdicts
 
 
-def as_text(cause: Attribution, told: Sequence[Verdict]) -> str:
-    """The study for a terminal."""
+def as_text(cause: Attribution, verdicts: Sequence[Verdict]) -> str:
+    """Format the study for a terminal."""
     lines = [conclusion(cause), ""]
-    lines += [f"  {'yes' if holds else 'NO ':3s}  {words}" for words, holds in cause.findings]
+    lines += [f"  {'yes' if holds else 'NO ':3s}  {words}" for words, holds in cause.conditions]
     lines += ["", "verdicts:"]
     lines += [
-        f"  figure {verdict.claim.figures}  {verdict.claim.name:22s} {verdict.words}"
-        for verdict in told
+        f"  figure {verdict.claim.figure}  {verdict.claim.name:22s} {verdict.summary}"
+        for verdict in verdicts
     ]
     return "\n".join(lines)
 
@@ -106,24 +108,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Make the study; return the exit code."""
     if options.workers is not None and options.workers < 1:
-        return _complain(f"--workers is {options.workers}, it should be at least 1", REFUSED)
+        return _fail(f"--workers is {options.workers}, it should be at least 1", REFUSED)
     extent = QUICK if options.quick else WHOLE
-    # Either extent keeps runs of its own, so that one does not stand in the other's way.
+    # Each extent has its own runs, as the plans differ.
     runs = options.out / _RUNS / ("quick" if options.quick else "whole")
     try:
         rows = make_runs(extent, runs, workers=options.workers)
-        cause, told = evaluate(rows, options.out)
+        cause, verdicts = evaluate(rows, options.out)
     except (StoreError, WorkersError, OSError) as error:
-        return _complain(error, REFUSED)
+        return _fail(error, REFUSED)
     except Stopped as error:
-        return _complain(f"{error}; what is done is kept, the same command goes on", STOPPED)
+        return _fail(f"{error}; completed runs are kept; repeat the command to continue", STOPPED)
     except KeyboardInterrupt:
-        return _complain("interrupted; the same command goes on", INTERRUPTED)
-    print(as_text(cause, told))
+        return _fail("interrupted; repeat the command to continue", INTERRUPTED)
+    print(as_text(cause, verdicts))
     print(f"\nreport and tables: {options.out / 'report.html'}", file=sys.stderr)
     return DONE
 
 
-def _complain(error: object, status: int) -> int:
+def _fail(error: object, status: int) -> int:
     print(f"mother_rover study all: {error}", file=sys.stderr)
     return status

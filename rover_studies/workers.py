@@ -1,6 +1,6 @@
-"""Who does the work: processes of this machine, or a dask.distributed cluster.
+"""Workers of a sweep: local processes, or a dask.distributed cluster.
 
-Both take batches and give `concurrent.futures.Future`s.
+Both have an executor of `concurrent.futures`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _CONNECT_TIMEOUT = 20.0
 
 
 class WorkersError(RuntimeError):
-    """No workers are to be had; says why."""
+    """No workers are available; the message has the reason."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor and how many batches it works on at a time."""
+    """An executor and its number of parallel batches."""
 
     executor: Executor
     count: int
@@ -31,7 +31,7 @@ class Workers:
 
 
 def package_version() -> str:
-    """Version of the package that runs here."""
+    """Return the version of this package."""
     try:
         return version("mother_rover")
     except PackageNotFoundError:
@@ -39,18 +39,18 @@ def package_version() -> str:
 
 
 def compile_all(scenarios: Iterable[AnyScenario]) -> None:
-    """Have the code of some scenarios in this machine's cache."""
+    """Compile the plants of some scenarios into this machine's cache."""
     for scenario in scenarios:
         compile_ahead(scenario)
 
 
 @contextlib.contextmanager
 def local_processes(count: int, scenarios: Iterable[AnyScenario] = ()) -> Iterator[Workers]:
-    """Processes of this machine, as `worker_processes` starts them.
+    """Start local processes with `worker_processes`.
 
     Args:
-        count: how many.
-        scenarios: compiled beforehand.
+        count: number of processes.
+        scenarios: whose plants are compiled first.
     """
     compile_all(scenarios)
     with worker_processes(count) as pool:
@@ -59,21 +59,21 @@ def local_processes(count: int, scenarios: Iterable[AnyScenario] = ()) -> Iterat
 
 @contextlib.contextmanager
 def dask_cluster(address: str, scenarios: Iterable[AnyScenario] = ()) -> Iterator[Workers]:
-    """The workers of a dask.distributed scheduler.
+    """Connect to the workers of a dask.distributed scheduler.
 
     Args:
         address: of the scheduler, such as ``tcp://host:8786``.
-        scenarios: compiled beforehand on every worker's machine.
+        scenarios: whose plants are compiled first, on every worker's machine.
 
     Raises:
-        WorkersError: dask is not installed, nobody answers there, no worker has joined, or the
-            workers run another version of the package.
+        WorkersError: dask is not installed, no scheduler answers, it has no workers, or the workers
+            have another version of the package.
     """
     try:
         from distributed import Client  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise WorkersError(
-            "dask.distributed is not installed here: pip install 'mother_rover[cluster]'"
+            "dask.distributed is not installed: pip install 'mother_rover[cluster]'"
         ) from error
     try:
         client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
@@ -90,10 +90,10 @@ def dask_cluster(address: str, scenarios: Iterable[AnyScenario] = ()) -> Iterato
         client.close()
 
 
-def _check_versions(ask: Callable[..., Mapping[str, Any]], address: str) -> None:
+def _check_versions(call: Callable[..., Mapping[str, Any]], address: str) -> None:
     mine = package_version()
     try:
-        found = {str(value) for value in ask(package_version).values()}
+        found = {str(value) for value in call(package_version).values()}
     except Exception as error:
         raise WorkersError(
             f"the workers at {address} cannot load mother_rover: {error}; install the same "
@@ -101,6 +101,6 @@ def _check_versions(ask: Callable[..., Mapping[str, Any]], address: str) -> None
         ) from error
     if found != {mine}:
         raise WorkersError(
-            f"the workers at {address} run version {', '.join(sorted(found))} of the package, "
-            f"this is {mine}; they should be the same"
+            f"the workers at {address} have version {', '.join(sorted(found))} of the package, "
+            f"this is {mine}; install the same version"
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rover_cli.command_line import main
-from rover_studies.paper_claims import verdicts
+from rover_studies.paper_claims import evaluate_claims
 from rover_studies.paper_curves import SCATTER, Curve, Key, attribution, convergence
 from rover_studies.paper_page import page
 from rover_studies.paper_plan import (
@@ -16,9 +16,9 @@ from rover_studies.paper_plan import (
     GEOMETRIES,
     HEAVY,
     LIGHT,
-    NUDGE,
     RELAXED,
     SHAPES,
+    SLACK_PERTURBATION,
     SOFT,
     UNRELAXED,
     WHOLE,
@@ -70,7 +70,7 @@ def world_of(**onsets: float) -> dict[Key, Curve]:
 class TestAttribution:
     def test_scatter_of_the_unrelaxed_coarse_mesh_is_found(self):
         found = attribution(world_of(catenary_5=1.25, catenary_10=2.0))
-        assert found.mesh_is_the_cause, found.findings
+        assert found.mesh_is_the_cause, found.conditions
         coarse = next(s for s in found.shares if (s.shape, s.elements) == (UNRELAXED, 5))
         assert set(coarse.onsets.values()) == {1.25}
         assert coarse.scattered == coarse.points
@@ -88,26 +88,28 @@ class TestAttribution:
     def test_other_worlds_give_other_answers(self, onsets: dict[str, float], which: int):
         found = attribution(world_of(**onsets))
         assert not found.mesh_is_the_cause
-        assert not found.findings[which][1], found.findings
+        assert not found.conditions[which][1], found.conditions
 
     def test_a_scatter_that_half_the_step_removes_is_the_integrator_s(self):
         curves = world_of(catenary_5=1.25, catenary_10=2.0)
         for key, one in curves.items():
             calm = np.zeros(len(SLACKS))
             curves[key] = Curve(**{**vars(one), "halved_turn": calm})
-        assert not attribution(curves).findings[-1][1]
+        assert not attribution(curves).conditions[-1][1]
 
 
 class TestVerdicts:
     def test_words_follow_the_worlds(self):
-        told = {v.claim.name: v for v in verdicts(world_of(catenary_5=1.75, catenary_10=2.0))}
-        scatter = told["scatter beyond 1.5"]
+        found = {
+            v.claim.name: v for v in evaluate_claims(world_of(catenary_5=1.75, catenary_10=2.0))
+        }
+        scatter = found["scatter beyond 1.5"]
         assert scatter.artefact
-        assert "unrelaxed tether, n = 5, 10" in scatter.words
-        told = {v.claim.name: v for v in verdicts(world_of(static_20=1.75))}
-        assert told["scatter beyond 1.5"].words.startswith("holds")
-        assert not told["scatter beyond 1.5"].artefact
-        assert {v.claim.name for v in verdicts(world_of())} == {
+        assert "unrelaxed tether, n = 5, 10" in scatter.summary
+        found = {v.claim.name: v for v in evaluate_claims(world_of(static_20=1.75))}
+        assert found["scatter beyond 1.5"].summary.startswith("holds")
+        assert not found["scatter beyond 1.5"].artefact
+        assert {v.claim.name for v in evaluate_claims(world_of())} == {
             "height beyond 1.5", "scatter beyond 1.5", "lighter Body 2",
         }  # fmt: skip
 
@@ -117,8 +119,8 @@ class TestVerdicts:
             for geometry in GEOMETRIES
             for shape in SHAPES
         }
-        told = {v.claim.name: v.words for v in verdicts(curves)}
-        assert told == {
+        found = {v.claim.name: v.summary for v in evaluate_claims(curves)}
+        assert found == {
             "soft: height": "holds",
             "soft: attitude": "holds in geometry -H, -K only",
         }
@@ -132,8 +134,10 @@ def test_the_plans_hold_every_world_of_every_figure():
     assert {case_of(row) for row in rows} == set(CASES)
     ratios = {float(str(row["rover.m2"])) / float(str(row["rover.m1"])) for row in rows}
     assert {round(ratio, 6) for ratio in ratios} >= {0.003, 0.004, 0.058}
-    nudged = sweeps["nudged"]
-    assert nudged.row(nudged.run(0))["start.slack"] == pytest.approx(WHOLE.slacks[0] + NUDGE)
+    perturbed = sweeps["perturbed"]
+    assert perturbed.row(perturbed.run(0))["start.slack"] == pytest.approx(
+        WHOLE.slacks[0] + SLACK_PERTURBATION
+    )
 
 
 def test_a_small_study_from_runs_to_report(tmp_path: Path):
@@ -171,7 +175,9 @@ def test_a_study_of_one_mesh_has_a_page_without_convergence(meshes: tuple[int, .
         for key, one in world_of().items()
         if key.elements in meshes and (key.case, key.geometry) == (HEAVY, "-H")
     }
-    text = page(curves, attribution(curves), verdicts(curves), convergence(curves), "made up")
+    text = page(
+        curves, attribution(curves), evaluate_claims(curves), convergence(curves), "made up"
+    )
     assert ("Difference from n = 20" in text) is (len(meshes) > 1)
 
 
