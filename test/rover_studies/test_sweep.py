@@ -290,7 +290,7 @@ def test_a_folder_of_another_plan_or_another_thing_is_refused(tmp_path: Path):
     SweepStore(out, plan, "1").close()
     with pytest.raises(StoreError, match="another plan: seed differ"):
         SweepStore(out, make_plan({**CONTENT, "seed": 9}), "1")
-    with pytest.raises(StoreError, match="begun by version 1"):
+    with pytest.raises(StoreError, match="started with version 1"):
         SweepStore(out, plan, "2")
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "thesis.tex").write_text("precious", encoding="utf-8")

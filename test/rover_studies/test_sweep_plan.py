@@ -108,7 +108,7 @@ def test_a_value_out_of_reach_in_some_combinations_stays_a_run():
         ({"random": {"start.theta0": {"uniform": [0, 1], "within": [2, 3]}}}, "fell outside"),
         ({"random": {"start.geometry": {"factor": {"uniform": [1, 2]}}}}, "needs a number"),
         ({"runs": 0}, "runs: 0 should be a whole number"),
-        ({"runs": 10}, "would be the same run"),
+        ({"runs": 10}, "would be equal"),
         ({"seed": -1}, "seed: -1"),
         ({"scenario": "paper_table9"}, "paper_table9"),
         ({"experiment": "leap"}, "should be one of jump, run"),
